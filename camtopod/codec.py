@@ -1,0 +1,87 @@
+"""Bytes <-> nouns. The one module that decodes what others wrote, so the one that must survive any bytes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TypeVar
+
+import msgspec
+
+from camtopod.records import Delta, Event, Prediction, Topology
+
+EVENT_ENCODING = "application/msgpack;schema=camtopod.event.1"
+EVENT_BYTES_MAX = 4096
+"""An event larger than this is refused before it is decoded, bytes."""
+
+_json_event = msgspec.json.Decoder(Event)
+_pack_event = msgspec.msgpack.Decoder(Event)
+_to_json = msgspec.json.Encoder()
+_to_pack = msgspec.msgpack.Encoder()
+_T = TypeVar("_T")
+
+
+class Rejected(ValueError):
+    """The other side's bytes do not fit. ``reason`` is a short stable word for counting, ``str()`` says what and where."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(detail)
+        self.reason = reason
+
+
+def event_from_json(line: bytes | str) -> Event:
+    """One event line (contract 2) to an `Event`; raises `Rejected`."""
+    return _event(_json_event, line.encode("utf-8", "surrogateescape") if isinstance(line, str) else line)
+
+
+def event_from_pack(payload: bytes) -> Event:
+    """The same record from MessagePack; raises `Rejected`."""
+    return _event(_pack_event, payload)
+
+
+def _event(decoder: Any, raw: bytes) -> Event:
+    if len(raw) > EVENT_BYTES_MAX:
+        raise Rejected("too-long", f"{len(raw)} bytes, at most {EVENT_BYTES_MAX}")
+    event: Event = _decode(decoder, raw)
+    if not math.isfinite(event.t):
+        raise Rejected("bad-value", "t is not a finite number - at `$.t`")
+    if (event.x is None) != (event.y is None):
+        raise Rejected("half-position", "x and y go together: send both or neither")
+    for name in ("x", "y", "clock_sd"):
+        value = getattr(event, name)
+        if value is not None and not math.isfinite(value):
+            raise Rejected("bad-value", f"{name} is not a finite number - at `$.{name}`")
+    if (event.boot is None) != (event.seq is None):
+        raise Rejected("half-sequence", "boot and seq go together: send both or neither")
+    if isinstance(event.track, int):
+        return msgspec.structs.replace(event, track=str(event.track))
+    return event
+
+
+def _decode(decoder: Any, raw: bytes) -> Any:
+    try:
+        return decoder.decode(raw)
+    except msgspec.ValidationError as error:
+        raise Rejected("bad-value", str(error)) from None
+    except UnicodeDecodeError:  # msgspec lets it through (msgspec#714)
+        raise Rejected("not-utf8", "text is not UTF-8") from None
+    except (msgspec.MsgspecError, ValueError) as error:
+        raise Rejected("malformed", str(error)) from None
+    except RecursionError:
+        raise Rejected("too-deep", "nested too deeply") from None
+
+
+def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
+    """Any other noun from JSON (or MessagePack); raises `Rejected`."""
+    decoder: Any = msgspec.msgpack.Decoder(kind) if pack else msgspec.json.Decoder(kind)
+    result: _T = _decode(decoder, raw)
+    return result
+
+
+def to_json(noun: Event | Topology | Delta | Prediction | Any) -> bytes:
+    """JSON on one line, without the newline."""
+    return _to_json.encode(noun)
+
+
+def to_pack(noun: Event | Topology | Delta | Prediction | Any) -> bytes:
+    """MessagePack."""
+    return _to_pack.encode(noun)

@@ -1,0 +1,214 @@
+"""The nouns: events, topology, predictions. What outsiders hold on to, and nothing that computes.
+
+Times are seconds since the Unix epoch at the moment of capture; image positions are fractions of the width
+(``x``, to the right) and height (``y``, downwards); durations are seconds. Fields may be added, never changed.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct, field
+
+CAMERA_PATTERN = r"^[A-Za-z0-9_.-]{1,64}\Z"
+TOPOLOGY_SCHEMA = "camtopod/topology/1"
+DELTA_SCHEMA = "camtopod/topology-delta/1"
+
+CameraId = Annotated[str, Meta(pattern=CAMERA_PATTERN)]
+Kind = Literal["entry", "exit"]
+Relation = Literal["visible", "overlapped", "unseen"]
+PairRelation = Literal["overlapped", "unseen_path"]
+
+
+class Event(Struct, frozen=True, omit_defaults=True, gc=False):
+    """One object appearing in (``entry``) or leaving (``exit``) the view of one camera.
+
+    ``x``, ``y`` is the foot point, both or neither. ``track`` ties the entry and the exit of one passage through
+    this camera. ``boot`` and ``seq`` (the publisher's incarnation and a gap-free count within it) make delivery
+    idempotent. ``clock_sd`` is the one-sigma uncertainty of ``t`` in seconds.
+    """
+
+    camera: CameraId
+    kind: Kind
+    t: Annotated[float, Meta(ge=-1e11, le=1e11)]
+    x: Annotated[float, Meta(ge=0, le=1)] | None = None
+    y: Annotated[float, Meta(ge=0, le=1)] | None = None
+    track: Annotated[str, Meta(max_length=128)] | int | None = None
+    boot: Annotated[str, Meta(max_length=64)] | None = None
+    seq: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
+    clock_sd: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+
+
+class Zone(Struct, frozen=True, omit_defaults=True):
+    """An entry/exit zone. One without positions (one zone per camera) has no ``x``, ``y``, ``cov``."""
+
+    id: str
+    camera: str
+    entries: int
+    exits: int
+    x: float | None = None
+    y: float | None = None
+    cov: list[list[float]] | None = None
+
+
+class Camera(Struct, frozen=True):
+    """A camera, its zones, and the estimated offset of its clock in seconds (0.0 where unknown)."""
+
+    id: str
+    zones: list[str]
+    clock_offset: float = 0.0
+
+
+class Transit(Struct, frozen=True):
+    """Transit time from the exit at ``from`` to the entry at ``to``, seconds; negative where views overlap."""
+
+    mode: float
+    mean: float
+    sd: float
+    q10: float
+    q50: float
+    q90: float
+
+
+class Histogram(Struct, frozen=True):
+    """Transit-time histogram: ``mass[k]`` is the expected number of transits in lag bin ``first + k``."""
+
+    first: int
+    mass: list[float]
+
+
+class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
+    """A directed link between two zones.
+
+    ``probability``: of all objects that leave at ``from``, the share that appears next at ``to``;
+    ``transitions``: their expected number. ``q_value``: false discovery rate at which the link is published.
+    ``mahalanobis_variance``: the thesis's figure, Var(d) (table 4.3). ``histogram`` counts on the lag bins of the
+    topology's model.
+    """
+
+    from_: str
+    to: str
+    relation: Relation
+    probability: float
+    transitions: float
+    transit: Transit
+    q_value: float
+    mahalanobis_variance: float
+    histogram: Histogram | None = None
+
+
+class Pair(Struct, frozen=True):
+    """A related pair of cameras, ids sorted: the thesis's black (overlapped) or grey (unseen path) edge."""
+
+    cameras: tuple[str, str]
+    relation: PairRelation
+
+
+class ZoneModel(Struct, frozen=True):
+    """What prediction needs of a zone beyond the links. Rates are events per second over the window."""
+
+    zone: str
+    entry_rate: float
+    outside: float
+    """Share of the entries at this zone that no departure explains."""
+
+
+class CameraModel(Struct, frozen=True, omit_defaults=True):
+    """What prediction needs of a camera: how long passages last (quantiles, seconds) and which cell is which zone."""
+
+    camera: str
+    entry_rate: float
+    last_entry: float
+    stay: list[float] = field(default_factory=list)
+    cells: str | None = None
+    """One character a grid cell (rows x columns, row by row): '.' no zone, else the zone's index in base 62."""
+
+
+class Model(Struct, frozen=True):
+    """What `predict` needs beyond the published links. Lag bin ``k`` starts at ``scale * sinh(step * k)`` seconds."""
+
+    lag_scale: float
+    lag_step: float
+    lag_min: float
+    lag_max: float
+    zones: list[ZoneModel]
+    cameras: list[CameraModel]
+
+
+class Topology(Struct, frozen=True, omit_defaults=True):
+    """One version of the learned topology. ``digest`` is over the content, not over site, epoch and version."""
+
+    schema: str
+    site: str
+    epoch: str
+    version: int
+    as_of: float
+    events: int
+    digest: str
+    cameras: list[Camera]
+    zones: list[Zone]
+    links: list[Link]
+    pairs: list[Pair]
+    weak_links: list[Link] | None = None
+    model: Model | None = None
+
+    def __post_init__(self) -> None:
+        if self.schema != TOPOLOGY_SCHEMA:
+            raise ValueError(f"schema is {self.schema!r}; this program reads {TOPOLOGY_SCHEMA!r}")
+
+
+class Delta(Struct, frozen=True, omit_defaults=True):
+    """What changed from ``version - 1`` to ``version``: new or changed items whole, gone items by key.
+
+    A link's key is (from, to, relation). ``digest`` is the digest of the topology that results.
+    """
+
+    schema: str
+    site: str
+    epoch: str
+    version: int
+    as_of: float
+    events: int
+    digest: str
+    cameras: list[Camera] = field(default_factory=list)
+    zones: list[Zone] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)
+    weak_links: list[Link] = field(default_factory=list)
+    pairs: list[Pair] = field(default_factory=list)
+    gone_cameras: list[str] = field(default_factory=list)
+    gone_zones: list[str] = field(default_factory=list)
+    gone_links: list[tuple[str, str, str]] = field(default_factory=list)
+    gone_weak_links: list[tuple[str, str, str]] = field(default_factory=list)
+    gone_pairs: list[tuple[str, str]] = field(default_factory=list)
+    model: Model | None = None
+
+
+class NextCamera(Struct, frozen=True):
+    """One possible next appearance; the quantiles are seconds after the exit."""
+
+    camera: str
+    zone: str
+    probability: float
+    q10: float
+    q50: float
+    q90: float
+
+
+class Prediction(Struct, frozen=True, rename={"next_": "next"}):
+    """Where an object that has just left will appear next. ``next`` (falling probability) and ``leave`` sum to 1."""
+
+    camera: str
+    zone: str | None
+    t: float
+    track: str | None
+    version: int
+    leave: float
+    next_: list[NextCamera]
+
+
+class Ack(Struct, frozen=True):
+    """The highest (boot, seq) of a camera below which everything is safely stored."""
+
+    camera: str
+    boot: str
+    seq: int

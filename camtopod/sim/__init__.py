@@ -1,0 +1,1 @@
+"""Made-up camera networks with known truth: events for `simulate`, pixels for `demo`."""

@@ -1,0 +1,1 @@
+"""Pixels -> events: capture, noise reduction, motion, tracks, crossings of the border of the view."""
