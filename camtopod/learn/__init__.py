@@ -1,0 +1,1 @@
+"""Events -> topology -> prediction. Deterministic: no I/O, no clock, no threads, no hidden randomness."""

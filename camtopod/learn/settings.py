@@ -1,0 +1,30 @@
+"""Every limit and every constant of the learner that somebody may want to set, with its unit."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+GRID_ROWS = 30
+GRID_COLUMNS = 24
+"""The thesis's grid over the image (section 5.1)."""
+
+
+class Settings(Struct, frozen=True, forbid_unknown_fields=True):
+    """Settings of the learner (the ``[learn]`` table of the configuration)."""
+
+    lateness_seconds: float = 5.0
+    """How much out of order events may come; later ones are counted, not learned."""
+    version_seconds: float = 60.0
+    """Event time between two looks at whether a new version is due."""
+    window_hours: float = 336.0
+    """Events older than this are forgotten."""
+    window_events_max: int = 60_000
+    """At most this many events are kept for learning, whatever their age."""
+    transit_max_seconds: float = 120.0
+    """The longest transit time looked for."""
+    overlap_max_seconds: float = 20.0
+    """How long before it leaves one view an object may be seen to appear in an overlapping one."""
+    overlap_tolerance_seconds: float = 0.45
+    """T of the thesis's overlap test (table 4.4)."""
+    cameras_max: int = 10_000
+    """Events of further cameras are refused."""
