@@ -1,0 +1,251 @@
+"""A made-up camera network: where the zones lie, which paths join them, who goes where how often."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from camtopod.sim.truth import Floats
+
+Ints = NDArray[np.int64]
+
+ZONES_MIN, ZONES_MAX = 2, 5
+ZONE_SEPARATION = 0.25
+"""Least distance of two zones of one camera, fraction of the image."""
+ZONE_SD_MIN, ZONE_SD_MAX = 0.015, 0.04
+DOOR_SHARE = 0.2
+"""Share of the zones in mid-view; the others lie along the image's border."""
+STREET_SHARE = 0.2
+"""Share of the zones that lead outside."""
+WALKING_SPEED = 1.3
+"""Metres a second, the median walker."""
+PATH_SECONDS = (3.0, 60.0)
+OVERLAP_SECONDS = (1.0, 5.0)
+VIEW_METRES = (10.0, 25.0)
+U_TURN_METRES = 4.0
+PATHS_PER_ZONE_MAX = 3
+
+
+@dataclass(frozen=True)
+class Choices:
+    """For each zone what may come next: ``target``, ``probability`` and ``metres``, each (zones, options).
+
+    Unused options have probability 0. Metres are negative for an overlap: how far before leaving the one
+    view an object appears in the other.
+    """
+
+    target: Ints
+    probability: Floats
+    metres: Floats
+
+    def without(self, closed: set[tuple[int, int]]) -> Choices:
+        """The same with some (from, to) gone; who would have taken them takes another way, or leaves."""
+        open_ = np.array(
+            [[(u, int(v)) not in closed for v in row] for u, row in enumerate(self.target)], dtype=bool
+        ).reshape(self.target.shape)
+        kept = np.where(open_, self.probability, 0.0)
+        total, left = self.probability.sum(1, keepdims=True), kept.sum(1, keepdims=True)
+        scale = np.divide(total, left, out=np.zeros_like(total), where=left > 0)
+        return Choices(self.target, kept * scale, self.metres)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Zones (camera index, centre, covariance), ways through views and between them, where walkers come from."""
+
+    cameras: list[str]
+    camera: Ints
+    centre: Floats
+    cov: Floats
+    through: Choices
+    onward: Choices
+    arrivals: Floats
+
+
+def make_layout(cameras: int, rng: np.random.Generator, overlap_share: float, u_turn: float) -> Layout:
+    """A connected network of ``cameras`` (> 0) views with ``overlap_share * cameras`` overlapping pairs."""
+    counts = rng.integers(ZONES_MIN, ZONES_MAX + 1, cameras)
+    camera = np.repeat(np.arange(cameras), counts)
+    centre, cov = _zones(counts, rng)
+    street = _streets(camera, cameras, rng)
+    paths = _Paths(camera, street, rng.random((cameras, 2)), rng)
+    paths.overlaps(round(overlap_share * cameras))
+    paths.connect()
+    paths.branch()
+    leave = np.where(street, rng.uniform(0.4, 0.8, len(camera)), rng.uniform(0.02, 0.1, len(camera)))
+    arrivals = np.where(street, rng.uniform(0.5, 1.5, len(camera)), 0.05)
+    width = max(2, len(str(cameras)))
+    return Layout(
+        cameras=[f"cam{number + 1:0{width}d}" for number in range(cameras)],
+        camera=camera,
+        centre=centre,
+        cov=cov,
+        through=_through(camera, centre, u_turn, rng),
+        onward=_onward(paths.options, leave, rng),
+        arrivals=arrivals / arrivals.sum(),
+    )
+
+
+def _zones(counts: Ints, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Centres (zones, 2) and covariances (zones, 2, 2), the zones of one camera well apart."""
+    centres: list[Floats] = []
+    covs: list[Floats] = []
+    for count in counts:
+        mine: list[Floats] = []
+        while len(mine) < count:
+            centre, angle = _place(rng)
+            if all(math.dist(centre, other) >= ZONE_SEPARATION for other in mine):
+                mine.append(centre)
+                covs.append(_ellipse(angle, rng))
+        centres += mine
+    return np.array(centres), np.array(covs)
+
+
+def _place(rng: np.random.Generator) -> tuple[Floats, float]:
+    """A zone's centre and the direction it stretches in: along the border, or any for a door in mid-view."""
+    if rng.random() < DOOR_SHARE:
+        return rng.uniform((0.25, 0.3), (0.75, 0.65)), rng.uniform(0, math.pi)
+    along, inset = rng.uniform(0.12, 0.88), rng.uniform(0.05, 0.08)
+    side = rng.choice(4, p=(0.3, 0.3, 0.25, 0.15))
+    x, y = ((inset, along), (1 - inset, along), (along, 1 - inset), (along, inset))[side]
+    return np.array((x, y)), math.pi / 2 if side < 2 else 0.0
+
+
+def _ellipse(angle: float, rng: np.random.Generator) -> Floats:
+    minor = rng.uniform(ZONE_SD_MIN, 0.5 * (ZONE_SD_MIN + ZONE_SD_MAX))
+    major = rng.uniform(minor, ZONE_SD_MAX)
+    turn = np.array(((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))))
+    result: Floats = turn @ np.diag((major**2, minor**2)) @ turn.T
+    return result
+
+
+def _streets(camera: Ints, cameras: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Which zones lead outside: at least two of the network, never all of a camera's (unless it is alone)."""
+    street = rng.random(len(camera)) < STREET_SHARE
+    if cameras == 1:
+        return np.ones(len(camera), dtype=bool)
+    for c in range(cameras):
+        mine = np.flatnonzero(camera == c)
+        if street[mine].all():
+            street[rng.choice(mine)] = False
+    order = rng.permutation(cameras)
+    for c in order:
+        if street.sum() >= 2:
+            break
+        street[rng.choice(np.flatnonzero((camera == c) & ~street))] = True
+    return street
+
+
+class _Paths:
+    """Joins zones of different cameras, near ones first. ``options[u]`` lists (v, metres) of each zone."""
+
+    def __init__(
+        self, camera: Ints, street: NDArray[np.bool_], position: Floats, rng: np.random.Generator
+    ) -> None:
+        self.options: list[list[tuple[int, float]]] = [[] for _ in camera]
+        self._camera, self._street, self._rng = camera, street, rng
+        self._distance = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
+        self._exclusive: set[int] = set()
+        self._joined: set[tuple[int, int]] = set()
+
+    def overlaps(self, count: int) -> None:
+        """The nearest ``count`` pairs of cameras with a zone to spare see a piece of the same floor."""
+        order = np.argsort(self._distance, axis=None, kind="stable")
+        for a, b in zip(*np.unravel_index(order, self._distance.shape), strict=True):
+            if count == 0:
+                break
+            zones = [self._spare(int(a)), self._spare(int(b))] if a < b else []
+            if len(zones) == 2 and all(zones):
+                u, v = (int(self._rng.choice(z)) for z in zones)
+                self._join(u, v, -self._log_uniform(OVERLAP_SECONDS))
+                self._exclusive |= {u, v}
+                count -= 1
+
+    def _spare(self, camera: int) -> list[int]:
+        """Inner zones without a path, of a camera that overlaps no other yet."""
+        mine = self._of(camera)
+        if any(u in self._exclusive for u in mine):
+            return []
+        return [u for u in mine if not self.options[u] and not self._street[u]]
+
+    def connect(self) -> None:
+        """Unseen paths along a spanning tree of the cameras, so that the network hangs together."""
+        tree = minimum_spanning_tree(self._distance).tocoo()
+        for a, b in zip(tree.row, tree.col, strict=True):
+            if (min(a, b), max(a, b)) not in self._joined:
+                self._join(self._least(int(a)), self._least(int(b)), self._log_uniform(PATH_SECONDS))
+
+    def branch(self) -> None:
+        """Every inner zone leads somewhere, and two in five to one place more."""
+        for u in self._rng.permutation(len(self._camera)):
+            extra = int(self._rng.random() < 0.4)
+            wanted = 0 if self._street[u] else max(1, len(self.options[u]) + extra)
+            while u not in self._exclusive and len(self.options[u]) < min(wanted, PATHS_PER_ZONE_MAX):
+                v = self._nearby(int(u))
+                if v is None:
+                    break
+                self._join(int(u), v, self._log_uniform(PATH_SECONDS))
+
+    def _nearby(self, u: int) -> int | None:
+        """A zone of a near camera that has room for another path."""
+        for c in np.argsort(self._distance[self._camera[u]], kind="stable")[1:6]:
+            known = {v for v, _ in self.options[u]}
+            free = [v for v in self._of(int(c)) if v not in known and v not in self._exclusive]
+            free = [v for v in free if len(self.options[v]) < PATHS_PER_ZONE_MAX and not self._street[v]]
+            if free and self._rng.random() < 0.7:
+                return min(free, key=lambda v: len(self.options[v]))
+        return None
+
+    def _of(self, camera: int) -> list[int]:
+        return [int(u) for u in np.flatnonzero(self._camera == camera)]
+
+    def _least(self, camera: int) -> int:
+        """The zone with the fewest paths, inner ones first."""
+        free = [u for u in self._of(camera) if u not in self._exclusive]
+        return min(
+            free, key=lambda u: (len(self.options[u]) >= 2, bool(self._street[u]), len(self.options[u]))
+        )
+
+    def _join(self, u: int, v: int, metres: float) -> None:
+        self.options[u].append((v, metres))
+        self.options[v].append((u, metres))
+        a, b = sorted((int(self._camera[u]), int(self._camera[v])))
+        self._joined.add((a, b))
+
+    def _log_uniform(self, seconds: tuple[float, float]) -> float:
+        return WALKING_SPEED * math.exp(self._rng.uniform(math.log(seconds[0]), math.log(seconds[1])))
+
+
+def _onward(options: list[list[tuple[int, float]]], leave: Floats, rng: np.random.Generator) -> Choices:
+    """Where walkers go after leaving at a zone; what is missing from 1 leaves the network."""
+    rows = []
+    for zone, ways in enumerate(options):
+        shares = 0.15 + rng.dirichlet(np.full(max(1, len(ways)), 3.0))
+        shares *= (1 - leave[zone]) / shares.sum()
+        rows.append([(v, p, metres) for (v, metres), p in zip(ways, shares, strict=False)])
+    return _table(rows)
+
+
+def _through(camera: Ints, centre: Floats, u_turn: float, rng: np.random.Generator) -> Choices:
+    """Where walkers who appear at a zone leave the view; each row sums to 1."""
+    rows = []
+    for zone, c in enumerate(camera):
+        others = [int(v) for v in np.flatnonzero(camera == c) if v != zone]
+        metres = rng.uniform(*VIEW_METRES)
+        shares = (0.2 + rng.dirichlet(np.full(len(others), 2.0))) / (1 + 0.2 * len(others)) * (1 - u_turn)
+        row = [
+            (v, p, 2 + metres * math.dist(centre[zone], centre[v]))
+            for v, p in zip(others, shares, strict=True)
+        ]
+        rows.append([*row, (zone, u_turn, U_TURN_METRES)])
+    return _table(rows)
+
+
+def _table(rows: list[list[tuple[int, float, float]]]) -> Choices:
+    options = max(1, max(len(row) for row in rows))
+    padded = np.array([row + [(0, 0.0, 0.0)] * (options - len(row)) for row in rows])
+    return Choices(padded[..., 0].astype(np.int64), padded[..., 1], padded[..., 2])
