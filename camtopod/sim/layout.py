@@ -55,7 +55,7 @@ class Choices:
 
 @dataclass(frozen=True)
 class Layout:
-    """Zones (camera index, centre, covariance), ways through views and between them, where walkers come from."""
+    """Zones (camera index, centre, covariance), ways through and between views, where walkers come from."""
 
     cameras: list[str]
     camera: Ints

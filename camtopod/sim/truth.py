@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 class TrueZone(Struct, frozen=True, omit_defaults=True):
-    """An entry/exit zone; centre and covariance in fractions of the image, `None` where there are no positions."""
+    """An entry/exit zone; centre and covariance in fractions of the image, `None` without positions."""
 
     id: str
     camera: str
@@ -44,8 +44,8 @@ class Truth(Struct, frozen=True, omit_defaults=True):
     """The network and, per event line, who caused it.
 
     ``identity[i]`` is the walker of event ``i``, ``passage[i]`` the number of the passage within the walk (it
-    rises along the walk, unrecorded passages count too) and ``zone[i]`` the index into ``zones``; `CLUTTER` for
-    clutter.
+    rises along the walk, unrecorded passages count too) and ``zone[i]`` the index into ``zones``; `CLUTTER`
+    for clutter.
     """
 
     schema: str
@@ -71,7 +71,7 @@ def transit_of(seconds: Floats) -> Transit:
 
 
 def mode_of(values: Floats) -> float:
-    """Where a Gaussian kernel density (Silverman's bandwidth) is highest, to a 200th of the sample's spread."""
+    """Where a Gaussian kernel density (Silverman's bandwidth) is highest, to a 200th of the spread."""
     low, high = np.quantile(values, (0.02, 0.98))
     width = min(float(np.std(values)), float(np.subtract(*np.quantile(values, (0.75, 0.25)))) / 1.34)
     if width <= 0:
