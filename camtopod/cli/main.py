@@ -1,0 +1,150 @@
+"""The console script: finds the command, imports only its module, turns expected errors into exit statuses.
+
+A command is a module ``camtopod.cli.NAME`` with two functions: ``add_parser(subparsers)`` calls
+``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments; ``run(args) -> int`` does the work and
+returns the exit status. The common options are added here, before and after the command's name, and arrive as
+``args.config`` (path or None), ``args.site`` (str or None), ``args.connect`` (list of endpoints, maybe empty) and
+``args.log_format``. `camtopod.cli.common` has what several commands share.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from camtopod import __version__
+from camtopod.cli import exits
+from camtopod.redact import redact
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("camtopod.cli.demo", "the whole system on made-up cameras, nothing to configure"),
+    "grab": ("camtopod.cli.grab", "one camera (or a configuration's cameras) to entry and exit events"),
+    "run": ("camtopod.cli.run", "the daemon: learns the topology from events on the bus and predicts"),
+    "learn": ("camtopod.cli.learn", "the same learner over recorded event lines"),
+    "predict": ("camtopod.cli.predict", "for each exit of recorded events, where the object appears next"),
+    "simulate": ("camtopod.cli.simulate", "a made-up camera network with known truth"),
+    "watch": ("camtopod.cli.watch", "live view of cameras, topology and predictions in the terminal"),
+    "export": ("camtopod.cli.export", "a topology as a picture or in an exchange format"),
+    "ingest": ("camtopod.cli.ingest", "other programs' events onto the bus"),
+    "check": ("camtopod.cli.check", "every mistake in a configuration, in one pass"),
+}
+"""Command -> (module, one line for --help)."""
+
+LOG_FORMATS = ("text", "logfmt", "json")
+_WITH_VALUE = ("--config", "--site", "--connect", "--log-format")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status. Never lets an expected error out as a traceback."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        try:
+            args, run = _parse(arguments)
+            status = run(args)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:  # the reader (say, head) has gone: say nothing more to it, not even at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return exits.FAILED
+    except KeyboardInterrupt:
+        return _fail("interrupted", exits.FAILED)
+    except exits.CommandError as error:
+        return _fail(str(error), error.status)
+    except OSError as error:
+        return _fail(*_os_error(error))
+    return int(status)
+
+
+def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
+    name = _command_in(arguments)
+    parser = argparse.ArgumentParser(prog="camtopod", description=_DESCRIPTION)
+    parser.add_argument("--version", action="version", version=f"camtopod {__version__}")
+    _add_common(parser, top=True)
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
+    module = None
+    for command, (path, summary) in COMMANDS.items():
+        if command == name:
+            module = _import(path, command)
+            module.add_parser(subparsers)
+            _add_common(subparsers.choices[command], top=False)
+        else:
+            subparsers.add_parser(command, help=summary)
+    if name is not None and module is None:
+        parser.error(f"no command {name!r}; one of {', '.join(COMMANDS)}")
+    args = parser.parse_args(arguments)
+    args.connect = args.connect or []
+    assert module is not None
+    return args, module.run
+
+
+def _command_in(arguments: list[str]) -> str | None:
+    """The first argument that is neither an option nor a common option's value."""
+    skip = False
+    for argument in arguments:
+        if skip:
+            skip = False
+        elif argument in _WITH_VALUE:
+            skip = True
+        elif not argument.startswith("-"):
+            return argument
+    return None
+
+
+def _import(path: str, command: str) -> Any:
+    try:
+        return importlib.import_module(path)
+    except ModuleNotFoundError as error:
+        if error.name == path:
+            raise exits.CommandError(f"{command}: not in this version of camtopod") from None
+        raise exits.CommandError(
+            f"{command} needs the package {error.name!r}, which is not installed; see README, 'Packages'"
+        ) from None
+
+
+def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
+    """The common options; after the command's name they default to what stood before it."""
+    group = parser.add_argument_group("common options")
+    default: Any = None if top else argparse.SUPPRESS
+    group.add_argument(
+        "--config", type=Path, metavar="FILE", default=default, help="configuration, a TOML file"
+    )
+    group.add_argument(
+        "--site", metavar="NAME", default=default, help="name of the site, second part of every key"
+    )
+    group.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        action="append",
+        default=default,
+        help="zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated",
+    )
+    group.add_argument(
+        "--log-format",
+        choices=LOG_FORMATS,
+        default="text" if top else argparse.SUPPRESS,
+        help="form of the messages on standard error (default: text)",
+    )
+
+
+def _os_error(error: OSError) -> tuple[str, int]:
+    """An error nobody nearer translated: with a file name it is an input that cannot be read."""
+    if error.filename is not None:
+        return f"cannot read {error.filename}: {error.strerror}", exits.INPUT
+    status = exits.INPUT if type(error).__module__.startswith("camtopod.vision") else exits.FAILED
+    return str(error), status
+
+
+def _fail(message: str, status: int) -> int:
+    print(f"camtopod: {redact(message)}", file=sys.stderr)
+    return status
+
+
+_DESCRIPTION = (
+    "Learns from anonymous entry and exit events how the cameras of a site hang together, and predicts where an "
+    "object that leaves one camera appears next."
+)
