@@ -1,0 +1,250 @@
+"""How near a learned topology, and predictions made with it, come to the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from msgspec import Struct
+from scipy.optimize import linear_sum_assignment
+
+from camtopod.records import Event, Link, Prediction, Topology, Transit, Zone
+from camtopod.sim.truth import CLUTTER, TrueLink, TrueZone, Truth
+
+ZONE_TOLERANCE = 0.1
+"""A learned zone is a true one when their centres are at most this far apart, fraction of the image."""
+TRANSIT_FLOOR_SECONDS = 1.0
+"""Errors of shorter transit times are relative to this, as a fraction of next to nothing says nothing."""
+PROBABILITY_FLOOR = 1e-6
+"""Least probability in the log loss: an outcome held impossible costs 13.8 nats, not infinitely many."""
+
+
+class Score(Struct, frozen=True):
+    """Counts and errors; shares of nothing are 1.0 (nothing missed), errors of nothing are nan."""
+
+    cameras: int
+    cameras_right: int
+    """Cameras with exactly the true number of zones, all of them matched."""
+    zones_true: int
+    zones_learned: int
+    zones_matched: int
+    links_true: int
+    """Unseen and overlapped links that were walked at all."""
+    links_learned: int
+    links_found: int
+    links_right: int
+    """Learned links that are true ones."""
+    relations_right: int
+    """Of these, how many have the true relation (unseen or overlapped)."""
+    mode_error: float
+    """Median over the right links of |learned - true| / max(|true|, 1 s) of the transit times' modes."""
+    mean_error: float
+    pairs_true: int
+    pairs_learned: int
+    pairs_right: int
+    """Learned pairs of cameras that are related in truth."""
+    pair_relations_right: int
+
+    @property
+    def link_precision(self) -> float:
+        return _share(self.links_right, self.links_learned)
+
+    @property
+    def link_recall(self) -> float:
+        return _share(self.links_found, self.links_true)
+
+    @property
+    def pair_precision(self) -> float:
+        return _share(self.pairs_right, self.pairs_learned)
+
+    @property
+    def pair_recall(self) -> float:
+        return _share(self.pairs_right, self.pairs_true)
+
+    def text(self) -> str:
+        """A few lines for a person."""
+        return (
+            f"zones    {self.zones_matched} of {self.zones_true} found, {self.zones_learned} learned;"
+            f" {self.cameras_right} of {self.cameras} cameras all right\n"
+            f"links    {self.links_found} of {self.links_true} found (recall {self.link_recall:.2f}),"
+            f" {self.links_right} of {self.links_learned} learned true (precision {self.link_precision:.2f});"
+            f" relation right in {self.relations_right}\n"
+            f"transit  median error {_percent(self.mode_error)} (most popular time),"
+            f" {_percent(self.mean_error)} (mean)\n"
+            f"pairs    {self.pairs_right} of {self.pairs_true} found (recall {self.pair_recall:.2f}),"
+            f" {self.pairs_learned} learned (precision {self.pair_precision:.2f});"
+            f" overlapped or unseen right in {self.pair_relations_right}"
+        )
+
+
+class PredictionScore(Struct, frozen=True):
+    """How often the next camera was named, over exits that belong to somebody."""
+
+    exits: int
+    """Exits scored."""
+    followed: int
+    """Of these, how many objects were recorded again."""
+    top1: float
+    """Share of the followed ones whose next camera had the highest probability."""
+    top3: float
+    log_loss: float
+    """Mean of -ln(probability of what happened: that camera, or not seen again) over all exits, nats."""
+
+    def text(self) -> str:
+        return (
+            f"{self.exits} exits, {self.followed} seen again: next camera right {self.top1:.3f},"
+            f" among the first three {self.top3:.3f}; log loss {self.log_loss:.3f}"
+        )
+
+
+def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -> Score:
+    """Hold a topology against the truth. Links count at the level of zones, those through a view do not."""
+    match = match_zones(topology.zones, truth.zones, tolerance)
+    true_count, learned_count = (_per_camera(zones) for zones in (truth.zones, topology.zones))
+    matched_count = _per_camera([zone for zone in truth.zones if zone.id in match])
+    true_links = _projected([link for link in truth.links if link.relation != "visible"], match)
+    learned = [link for link in topology.links if link.relation != "visible"]
+    right = [
+        (link, true_links[link.from_, link.to]) for link in learned if (link.from_, link.to) in true_links
+    ]
+    keys = {(link.from_, link.to) for link in learned}
+    walked = [link for link in truth.links if link.relation != "visible" and link.transitions > 0]
+    learned_pairs = {pair.cameras: pair.relation for pair in topology.pairs}
+    true_pairs = {pair.cameras: pair.relation for pair in truth.pairs}
+    both = learned_pairs.keys() & true_pairs.keys()
+    return Score(
+        cameras=len(truth.cameras),
+        cameras_right=sum(
+            true_count.get(c, 0) == learned_count.get(c, 0) == matched_count.get(c, 0) for c in truth.cameras
+        ),
+        zones_true=len(truth.zones),
+        zones_learned=len(topology.zones),
+        zones_matched=len(match),
+        links_true=len(walked),
+        links_learned=len(learned),
+        links_found=sum((match.get(link.from_), match.get(link.to)) in keys for link in walked),
+        links_right=len(right),
+        relations_right=sum(link.relation == true.relation for link, true in right),
+        mode_error=_error(right, "mode"),
+        mean_error=_error(right, "mean"),
+        pairs_true=len(true_pairs),
+        pairs_learned=len(learned_pairs),
+        pairs_right=len(both),
+        pair_relations_right=sum(learned_pairs[pair] == true_pairs[pair] for pair in both),
+    )
+
+
+def match_zones(learned: Sequence[Zone], true: Sequence[TrueZone], tolerance: float) -> dict[str, str]:
+    """True zone -> learned zone, one to one within each camera, least total distance (Hungarian).
+
+    A learned zone without positions stands for the whole camera, so for all its true zones.
+    """
+    result: dict[str, str] = {}
+    for camera in sorted({zone.camera for zone in true}):
+        ours = [zone for zone in learned if zone.camera == camera]
+        theirs = [zone for zone in true if zone.camera == camera]
+        whole = [zone for zone in ours if zone.x is None]
+        placed = [zone for zone in ours if zone.x is not None]
+        if whole:
+            result |= {zone.id: whole[0].id for zone in theirs}
+        elif placed and theirs[0].x is not None:
+            a = np.array([(zone.x, zone.y) for zone in theirs], dtype=float)
+            b = np.array([(zone.x, zone.y) for zone in placed], dtype=float)
+            distance = np.linalg.norm(a[:, None] - b[None], axis=2)
+            cost = np.where(distance <= tolerance, distance, 1e3)
+            rows, columns = linear_sum_assignment(cost)
+            near = distance[rows, columns] <= tolerance
+            result |= {theirs[i].id: placed[j].id for i, j in zip(rows[near], columns[near], strict=True)}
+    return result
+
+
+def next_entries(events: Sequence[Event], truth: Truth) -> list[int]:
+    """For each event, if it is somebody's exit: index of the entry with which they appear next; else -1."""
+    entries: dict[int, list[tuple[int, int]]] = {}
+    for index, (event, who, number) in enumerate(zip(events, truth.identity, truth.passage, strict=True)):
+        if who != CLUTTER and event.kind == "entry":
+            entries.setdefault(who, []).append((number, index))
+    for passages in entries.values():
+        passages.sort()
+    result = []
+    for event, who, number in zip(events, truth.identity, truth.passage, strict=True):
+        later = [index for n, index in entries.get(who, []) if n > number] if event.kind == "exit" else []
+        result.append(later[0] if later else -1)
+    return result
+
+
+def score_predictions(
+    predictions: Iterable[Prediction], events: Sequence[Event], truth: Truth, since: float = -math.inf
+) -> PredictionScore:
+    """Score one prediction for each exit line of ``events``, in order; exits before ``since`` do not count.
+
+    Raises ValueError when the predictions do not belong to these events.
+    """
+    following = next_entries(events, truth)
+    exits = [index for index, event in enumerate(events) if event.kind == "exit"]
+    top1 = top3 = followed = scored = 0
+    loss = 0.0
+    for index, prediction in zip(exits, predictions, strict=True):
+        event = events[index]
+        if prediction.camera != event.camera or abs(prediction.t - event.t) > 1e-5:
+            raise ValueError(
+                f"the prediction for {prediction.camera} at {prediction.t} is not for exit line {index + 1}"
+            )
+        if truth.identity[index] == CLUTTER or event.t < since:
+            continue
+        by_camera: dict[str, float] = {}
+        for choice in prediction.next_:
+            by_camera[choice.camera] = by_camera.get(choice.camera, 0.0) + choice.probability
+        scored += 1
+        happened = prediction.leave
+        if following[index] >= 0:
+            camera = events[following[index]].camera
+            ranked = sorted(by_camera, key=lambda name: -by_camera[name])
+            followed += 1
+            top1 += ranked[:1] == [camera]
+            top3 += camera in ranked[:3]
+            happened = by_camera.get(camera, 0.0)
+        loss -= math.log(max(happened, PROBABILITY_FLOOR))
+    return PredictionScore(
+        exits=scored,
+        followed=followed,
+        top1=_share(top1, followed),
+        top3=_share(top3, followed),
+        log_loss=loss / scored if scored else math.nan,
+    )
+
+
+def _per_camera(zones: Sequence[Zone] | Sequence[TrueZone]) -> dict[str, int]:
+    result: dict[str, int] = {}
+    for zone in zones:
+        result[zone.camera] = result.get(zone.camera, 0) + 1
+    return result
+
+
+def _projected(links: list[TrueLink], match: dict[str, str]) -> dict[tuple[str, str], TrueLink]:
+    """True links between learned zones; where several fall together, the one walked most."""
+    result: dict[tuple[str, str], TrueLink] = {}
+    for link in sorted(links, key=lambda link: link.transitions):
+        if link.from_ in match and link.to in match:
+            result[match[link.from_], match[link.to]] = link
+    return result
+
+
+def _error(right: list[tuple[Link, TrueLink]], figure: str) -> float:
+    def value(transit: Transit) -> float:
+        return float(getattr(transit, figure))
+
+    errors = [
+        abs(value(link.transit) - value(true.transit)) / max(abs(value(true.transit)), TRANSIT_FLOOR_SECONDS)
+        for link, true in right
+    ]
+    return float(np.median(errors)) if errors else math.nan
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else 1.0
+
+
+def _percent(value: float) -> str:
+    return "-" if math.isnan(value) else f"{100 * value:.0f} %"
