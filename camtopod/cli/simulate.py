@@ -7,13 +7,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from camtopod.cli import exits
 from camtopod.codec import to_json
 from camtopod.sim.network import SimSettings, simulate
 
-HELP = "a made-up camera network: event lines and the truth about them"
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_parser(subparsers: Any) -> None:
+    """Add `simulate`; every option but the files is a setting of `SimSettings`."""
+    summary = "a made-up camera network: event lines and the truth about them"
+    parser = subparsers.add_parser("simulate", help=summary, description=summary.capitalize() + ".")
     default = SimSettings()
     parser.add_argument(
         "--events", required=True, metavar="E.jsonl", help="event lines go here ('-': standard output)"
@@ -60,37 +62,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-positions", action="store_true", help="events without x and y")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Writes the files; exit status as the contract says."""
+def run(args: argparse.Namespace) -> int:
+    """Writes the files; raises `exits.CommandError` for settings that make no sense or files it cannot write."""
     values: dict[str, Any] = {
-        name: getattr(arguments, name) for name in SimSettings.__struct_fields__ if hasattr(arguments, name)
+        name: getattr(args, name) for name in SimSettings.__struct_fields__ if hasattr(args, name)
     }
-    values |= {"lost": tuple(arguments.lost), "tracks": not arguments.no_track}
+    values |= {"lost": tuple(args.lost), "tracks": not args.no_track, "positions": not args.no_positions}
     try:
-        settings = SimSettings(**values, positions=not arguments.no_positions)
-        events, truth = simulate(settings)
+        events, truth = simulate(SimSettings(**values))
     except ValueError as error:
-        print(f"camtopod simulate: {error}", file=sys.stderr)
-        return 2
+        raise exits.CommandError(f"simulate: {error}", exits.USAGE) from None
     lines = b"".join(to_json(event) + b"\n" for event in events)
     try:
-        if arguments.events == "-":
+        if args.events == "-":
             sys.stdout.buffer.write(lines)
-            sys.stdout.buffer.flush()
         else:
-            Path(arguments.events).write_bytes(lines)
-        if arguments.truth:
-            Path(arguments.truth).write_bytes(to_json(truth) + b"\n")
+            Path(args.events).write_bytes(lines)
+        if args.truth:
+            Path(args.truth).write_bytes(to_json(truth) + b"\n")
+    except BrokenPipeError:
+        raise
     except OSError as error:
-        print(f"camtopod simulate: cannot write {error.filename}: {error.strerror}", file=sys.stderr)
-        return 1
+        raise exits.CommandError(f"simulate: cannot write {error.filename}: {error.strerror}") from None
     links = sum(link.relation != "visible" for link in truth.links)
     print(
         f"{len(events)} events of {len(set(truth.identity) - {-1})} walkers past {len(truth.cameras)} cameras"
         f" with {len(truth.zones)} zones, {links} links, {len(truth.pairs)} pairs",
         file=sys.stderr,
     )
-    return 0
+    return exits.DONE
 
 
 def _name(flag: str) -> str:
