@@ -1,4 +1,4 @@
-"""The one place where secrets are taken out of text. Everything a person or the bus sees goes through `redact`."""
+"""The one place where secrets are taken out of text: whatever a person or the bus sees goes through `redact`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from urllib.parse import quote, unquote
 
 HIDDEN = "***"
 _SECRET_CHARACTERS_MIN = 4
-"""A known password shorter than this is hidden inside its URL only: hiding every 'a' would hide the message too."""
+"""A shorter password is hidden inside its URL only: hiding every 'a' would hide the message too."""
 
 _USERINFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)\S*@")
 """To the last @ of the word: passwords may hold @, : and /. It may hide the host too, never too little."""
@@ -16,7 +16,7 @@ _known: set[str] = set()
 
 
 def remember(source: str) -> None:
-    """Learn the secret of a source as configured, so that it is hidden outside its URL too, whatever is in it."""
+    """Learn a source's secret, so that it is hidden outside its URL too, whatever characters are in it."""
     match = re.match(r"[A-Za-z][A-Za-z0-9+.-]*://(.*)@", source, re.DOTALL)
     if match is None:
         return

@@ -1,10 +1,10 @@
 """The console script: finds the command, imports only its module, turns expected errors into exit statuses.
 
 A command is a module ``camtopod.cli.NAME`` with two functions: ``add_parser(subparsers)`` calls
-``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments; ``run(args) -> int`` does the work and
-returns the exit status. The common options are added here, before and after the command's name, and arrive as
-``args.config`` (path or None), ``args.site`` (str or None), ``args.connect`` (list of endpoints, maybe empty) and
-``args.log_format``. `camtopod.cli.common` has what several commands share.
+``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments; ``run(args) -> int`` does the
+work and returns the exit status. The common options are added here, before and after the command's name, and
+arrive as ``args.config`` (path or None), ``args.site`` (str or None), ``args.connect`` (list of endpoints,
+maybe empty) and ``args.log_format``. `camtopod.cli.common` has what several commands share.
 """
 
 from __future__ import annotations
@@ -145,6 +145,6 @@ def _fail(message: str, status: int) -> int:
 
 
 _DESCRIPTION = (
-    "Learns from anonymous entry and exit events how the cameras of a site hang together, and predicts where an "
-    "object that leaves one camera appears next."
+    "Learns from anonymous entry and exit events how the cameras of a site hang together, and predicts where "
+    "an object that leaves one camera appears next."
 )
