@@ -1,0 +1,134 @@
+"""Reorder buffer with a watermark: whatever the order of arrival, the rest of the learner sees events by time.
+
+Theory of operation. The watermark trails the newest event time by the lateness. An event at or above the watermark is
+held until the watermark has passed it; one below is late: counted, not learned. So any order of arrival within the
+lateness gives the same sequence out. A silent camera holds nobody up, because only the newest event time counts.
+An event with (camera, boot, seq) counts once however often it comes.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from operator import itemgetter
+
+from camtopod.records import Event
+
+BOOTS_PER_CAMERA_MAX = 16
+"""Incarnations of one publisher that are remembered; the oldest is forgotten."""
+GAPS_PER_BOOT_MAX = 1024
+"""Gaps in one incarnation's count that are remembered; beyond, the oldest gap counts as delivered."""
+
+MICROSECONDS = 1_000_000
+_Key = tuple[int, str, str, float, float, str, str, int]
+_order = itemgetter(0)
+
+
+def microseconds(t: float) -> int:
+    """Event time as an integer, so that equal times are equal and sums can be undone."""
+    return round(t * MICROSECONDS)
+
+
+class Sequence:
+    """Which numbers of one incarnation have been seen: disjoint ranges, merged as gaps fill."""
+
+    def __init__(self) -> None:
+        self.starts: list[int] = []
+        self.ends: list[int] = []  # inclusive
+
+    def add(self, seq: int) -> bool:
+        """Note ``seq``; False when it had been seen before."""
+        starts, ends = self.starts, self.ends
+        k = bisect_right(starts, seq) - 1
+        if k >= 0 and seq <= ends[k]:
+            return False
+        joins_left = k >= 0 and ends[k] == seq - 1
+        joins_right = k + 1 < len(starts) and starts[k + 1] == seq + 1
+        if joins_left and joins_right:
+            ends[k] = ends.pop(k + 1)
+            starts.pop(k + 1)
+        elif joins_left:
+            ends[k] = seq
+        elif joins_right:
+            starts[k + 1] = seq
+        else:
+            starts.insert(k + 1, seq)
+            ends.insert(k + 1, seq)
+        if len(starts) > GAPS_PER_BOOT_MAX:
+            starts.pop(1)
+            ends.pop(0)
+        return True
+
+
+class Intake:
+    """Events in any order in, events by time out."""
+
+    def __init__(self, lateness_seconds: float, cameras_max: int) -> None:
+        self.lateness_us = microseconds(lateness_seconds)
+        self.cameras_max = cameras_max
+        self.newest_us: int | None = None
+        self.counts = {"accepted": 0, "duplicate": 0, "late": 0, "refused": 0}
+        self._held: list[tuple[_Key, Event]] = []
+        self._seen: dict[str, dict[str, Sequence]] = {}
+
+    @property
+    def watermark_us(self) -> int | None:
+        """Nothing older will be learned any more; None before the first event."""
+        return None if self.newest_us is None else self.newest_us - self.lateness_us
+
+    def receive(self, event: Event) -> str:
+        """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many cameras)."""
+        verdict = self._judge(event)
+        self.counts[verdict] += 1
+        return verdict
+
+    def _judge(self, event: Event) -> str:
+        boots = self._seen.get(event.camera)
+        if boots is None:
+            if len(self._seen) >= self.cameras_max:
+                return "refused"
+            boots = self._seen[event.camera] = {}
+        if event.boot is not None and event.seq is not None:
+            sequence = boots.get(event.boot)
+            if sequence is None:
+                sequence = boots[event.boot] = Sequence()
+                if len(boots) > BOOTS_PER_CAMERA_MAX:
+                    del boots[next(iter(boots))]
+            if not sequence.add(event.seq):
+                return "duplicate"
+        t_us = microseconds(event.t)
+        if self.newest_us is None or t_us > self.newest_us:
+            self.newest_us = t_us
+        elif t_us < self.newest_us - self.lateness_us:
+            return "late"
+        self._held.append((_key(t_us, event), event))
+        return "accepted"
+
+    def advance(self, now_us: int) -> None:
+        """Event time has come to ``now`` although no event says so."""
+        if self.newest_us is not None and now_us > self.newest_us:
+            self.newest_us = now_us
+
+    def take(self, until_us: int) -> list[tuple[int, Event]]:
+        """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical order."""
+        self._held.sort(key=_order)
+        cut = bisect_right(self._held, until_us, key=lambda held: held[0][0])
+        taken = [(key[0], event) for key, event in self._held[:cut]]
+        del self._held[:cut]
+        return taken
+
+    @property
+    def oldest_held_us(self) -> int | None:
+        """Time of the oldest event still held."""
+        return min((key[0] for key, _ in self._held), default=None)
+
+    @property
+    def held(self) -> int:
+        """Number of events waiting for the watermark."""
+        return len(self._held)
+
+
+def _key(t_us: int, event: Event) -> _Key:
+    """Total order of events: by time, then by everything else, so that ties do not depend on the order of arrival."""
+    x, y = (-1.0, -1.0) if event.x is None or event.y is None else (event.x, event.y)
+    seq = -1 if event.seq is None else event.seq
+    return (t_us, event.camera, event.kind, x, y, str(event.track or ""), event.boot or "", seq)

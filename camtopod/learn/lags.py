@@ -1,0 +1,46 @@
+"""Lag bins: transit times on a scale that is fine near zero and coarse far away.
+
+Bins are uniform in asinh(lag / scale): about ``scale * step`` seconds wide near zero, a constant share of the lag far from
+it, as the spread of transit times grows with their length. Lags outside the range have no bin (-1): clipped into an end
+bin they would look like a peak there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+LAG_SCALE_SECONDS = 4.0
+LAG_STEP = 0.1
+
+
+class LagBins:
+    """Bins covering [``lag_min``, ``lag_max``] seconds."""
+
+    def __init__(
+        self, lag_min: float, lag_max: float, scale: float = LAG_SCALE_SECONDS, step: float = LAG_STEP
+    ) -> None:
+        if not lag_min < lag_max:
+            raise ValueError(f"lag range is empty: {lag_min} to {lag_max} s")
+        self.lag_min, self.lag_max, self.scale, self.step = lag_min, lag_max, scale, step
+        self.first = int(np.floor(np.arcsinh(lag_min / scale) / step))
+        last = int(np.floor(np.arcsinh(lag_max / scale) / step))
+        self.size = last - self.first + 1
+        self.edges: NDArray[np.float64] = scale * np.sinh(step * np.arange(self.first, last + 2))
+        """Bin edges in seconds, (size + 1,)."""
+        self.widths: NDArray[np.float64] = np.diff(self.edges)
+        self.centres: NDArray[np.float64] = scale * np.sinh(step * (np.arange(self.first, last + 1) + 0.5))
+
+    def index(self, lag: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Bin of each lag (seconds); -1 outside the range."""
+        k = np.floor(np.arcsinh(lag / self.scale) / self.step).astype(np.int32) - np.int32(self.first)
+        k[(lag < self.lag_min) | (lag > self.lag_max)] = -1
+        return k
+
+
+def smoother(size: int, sd_bins: float) -> NDArray[np.float64]:
+    """Matrix (size, size) that spreads each bin's mass over its neighbours; columns sum to 1, so mass is kept."""
+    offset = np.arange(size)[:, None] - np.arange(size)[None, :]
+    kernel: NDArray[np.float64] = np.exp(-0.5 * (offset / sd_bins) ** 2)
+    kernel /= kernel.sum(axis=0, keepdims=True)
+    return kernel

@@ -1,0 +1,142 @@
+"""Sliding window of event time: the events that count, and integer sums over them that are undone exactly.
+
+Rows are kept by column, oldest first; a row's absolute number never changes, so a passage (an exit and the entry that
+began it) is one number in the column ``mate``. Positions are fixed point and summed per grid cell and camera, so a
+zone's mean and covariance are exact whatever has come and gone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.zones import POSITION_ONE, CellSums
+from camtopod.records import Event
+
+OPEN_PASSAGES_MAX = 100_000
+"""Entries whose exit has not come, over all cameras; beyond, the oldest is forgotten."""
+NO_CELL = -1
+NO_MATE = -1
+PLANES = ("count", "sx", "sy", "sxx", "sxy", "syy", "entries")
+
+_COLUMNS = {"t": np.int64, "camera": np.int32, "entry": np.bool_, "px": np.int32, "py": np.int32, "mate": np.int64}
+
+
+class Window:
+    """The events of the last hours by column, and per camera the sums of `CellSums` over them."""
+
+    def __init__(self, events_max: int) -> None:
+        self.events_max = events_max
+        self.cameras: list[str] = []
+        self.base = 0
+        self.sums: list[NDArray[np.int64]] = []
+        self.unplaced: list[NDArray[np.int64]] = []
+        self._index: dict[str, int] = {}
+        self._open: dict[tuple[int, str], int] = {}
+        self._columns = {name: np.zeros(1024, dtype) for name, dtype in _COLUMNS.items()}
+        self._start = 0
+        self._stop = 0
+
+    def __len__(self) -> int:
+        return self._stop - self._start
+
+    def column(self, name: str) -> NDArray[np.generic]:
+        """One column, oldest row first; a view, not to be written to."""
+        return self._columns[name][self._start : self._stop]
+
+    def camera_index(self, camera: str) -> int | None:
+        """Index of a camera that has been seen, else None."""
+        return self._index.get(camera)
+
+    def append(self, batch: list[tuple[int, Event]]) -> None:
+        """Add events, which must not be older than those already here."""
+        n = len(batch)
+        self._room(n)
+        rows = slice(self._stop, self._stop + n)
+        first = self.base + len(self)
+        for k, (t_us, event) in enumerate(batch):
+            at = self._stop + k
+            camera = self._camera(event.camera)
+            self._columns["t"][at] = t_us
+            self._columns["camera"][at] = camera
+            self._columns["entry"][at] = event.kind == "entry"
+            placed = event.x is not None and event.y is not None
+            self._columns["px"][at] = round((event.x or 0.0) * POSITION_ONE) if placed else -1
+            self._columns["py"][at] = round((event.y or 0.0) * POSITION_ONE) if placed else -1
+            self._columns["mate"][at] = self._mate(camera, event, first + k)
+        self._stop += n
+        self._count(rows, 1)
+
+    def forget(self, before_us: int) -> int:
+        """Drop what is older than ``before_us`` or beyond the size of the window; returns the number of rows dropped."""
+        old = int(np.searchsorted(self.column("t"), before_us))
+        drop = max(old, len(self) - self.events_max)
+        if drop > 0:
+            self._count(slice(self._start, self._start + drop), -1)
+            self._start += drop
+            self.base += drop
+        return max(drop, 0)
+
+    def cell_sums(self, camera: int) -> CellSums:
+        """The sums over one camera's events that have positions, each (rows, columns)."""
+        return CellSums(*self.sums[camera][:6])
+
+    def _camera(self, name: str) -> int:
+        index = self._index.get(name)
+        if index is None:
+            index = self._index[name] = len(self.cameras)
+            self.cameras.append(name)
+            self.sums.append(np.zeros((len(PLANES), GRID_ROWS, GRID_COLUMNS), np.int64))
+            self.unplaced.append(np.zeros(2, np.int64))
+        return index
+
+    def _mate(self, camera: int, event: Event, row: int) -> int:
+        if event.track is None:
+            return NO_MATE
+        key = (camera, str(event.track))
+        if event.kind == "exit":
+            mate = self._open.pop(key, NO_MATE)
+            return mate if mate >= self.base else NO_MATE
+        self._open[key] = row
+        if len(self._open) > OPEN_PASSAGES_MAX:
+            del self._open[next(iter(self._open))]
+        return NO_MATE
+
+    def _count(self, rows: slice, sign: int) -> None:
+        """Add (+1) or take back (-1) rows to the sums of their cameras."""
+        camera = self._columns["camera"][rows]
+        entry = self._columns["entry"][rows]
+        px = self._columns["px"][rows].astype(np.int64)
+        py = self._columns["py"][rows].astype(np.int64)
+        cell = cells_of(px, py)
+        for index in np.unique(camera):
+            here = camera == index
+            placed = here & (cell >= 0)
+            at, x, y = cell[placed], px[placed], py[placed]
+            sums = self.sums[index].reshape(len(PLANES), -1)
+            values = (np.ones_like(x), x, y, x * x, x * y, y * y, entry[placed].astype(np.int64))
+            for plane, value in zip(sums, values, strict=True):
+                np.add.at(plane, at, sign * value)
+            bare = here & (cell < 0)
+            self.unplaced[index] += sign * np.array([np.sum(bare & entry), np.sum(bare & ~entry)])
+
+    def _room(self, n: int) -> None:
+        """Make room for ``n`` more rows at the end, moving the rows to the front of larger columns if need be."""
+        size = len(self._columns["t"])
+        if self._stop + n <= size:
+            return
+        kept = len(self)
+        new_size = max(1024, 2 * (kept + n))
+        for name, old in self._columns.items():
+            fresh = np.zeros(new_size, old.dtype)
+            fresh[:kept] = old[self._start : self._stop]
+            self._columns[name] = fresh
+        self._start, self._stop = 0, kept
+
+
+def cells_of(px: NDArray[np.int64], py: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Flat grid cell (row * columns + column) of fixed-point positions; -1 where there is none."""
+    column = np.minimum(px * GRID_COLUMNS // POSITION_ONE, GRID_COLUMNS - 1)
+    row = np.minimum(py * GRID_ROWS // POSITION_ONE, GRID_ROWS - 1)
+    return np.where(px < 0, NO_CELL, row * GRID_COLUMNS + column)
