@@ -105,27 +105,27 @@ class Pair(Struct, frozen=True):
 
 
 class ZoneModel(Struct, frozen=True):
-    """What prediction needs of a zone beyond the links. Rates are events per second over the window."""
+    """What prediction needs of a zone beyond its links."""
 
     zone: str
-    entry_rate: float
-    outside: float
-    """Share of the entries at this zone that no departure explains."""
+    departures: int
+    """Exits at this zone in the window the links were learned from."""
+    arrival_rate: float
+    """Entries per second that no departure explains."""
+    stay: list[float]
+    """Deciles (11) of the seconds a passage that leaves here has lasted; empty when unknown."""
 
 
-class CameraModel(Struct, frozen=True, omit_defaults=True):
-    """What prediction needs of a camera: how long passages last (quantiles, seconds) and which cell is which zone."""
+class CameraModel(Struct, frozen=True):
+    """What prediction needs of a camera: its share of all events, and when it was last heard."""
 
     camera: str
-    entry_rate: float
-    last_entry: float
-    stay: list[float] = field(default_factory=list)
-    cells: str | None = None
-    """One character a grid cell (rows x columns, row by row): '.' no zone, else the zone's index in base 62."""
+    share: float
+    last_event: float
 
 
 class Model(Struct, frozen=True):
-    """What `predict` needs beyond the published links. Lag bin ``k`` starts at ``scale * sinh(step * k)`` seconds."""
+    """What `predict` needs beyond the links. Lag bin ``k`` starts at ``lag_scale * sinh(lag_step * k)`` seconds."""
 
     lag_scale: float
     lag_step: float
@@ -133,6 +133,14 @@ class Model(Struct, frozen=True):
     lag_max: float
     zones: list[ZoneModel]
     cameras: list[CameraModel]
+
+
+class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
+    """One transition of the Markov chain over cameras (thesis 4.6): share of those leaving ``from`` next seen at ``to``."""
+
+    from_: str
+    to: str
+    probability: float
 
 
 class Topology(Struct, frozen=True, omit_defaults=True):
@@ -150,6 +158,7 @@ class Topology(Struct, frozen=True, omit_defaults=True):
     links: list[Link]
     pairs: list[Pair]
     weak_links: list[Link] | None = None
+    chain: list[ChainEdge] | None = None
     model: Model | None = None
 
     def __post_init__(self) -> None:
@@ -180,6 +189,7 @@ class Delta(Struct, frozen=True, omit_defaults=True):
     gone_links: list[tuple[str, str, str]] = field(default_factory=list)
     gone_weak_links: list[tuple[str, str, str]] = field(default_factory=list)
     gone_pairs: list[tuple[str, str]] = field(default_factory=list)
+    chain: list[ChainEdge] | None = None
     model: Model | None = None
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.lags import LagBins, smoother
+from camtopod.learn.rates import chance_rates
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -144,31 +145,9 @@ def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -
 
 
 START_SMOOTHING_SD_BINS = 2.0
-START_NOISE_SD = 3.0
-CHANCE_BIN_SECONDS = 300.0
-
-
-def chance_rates(departures: Departures, arrivals: Arrivals, zones: int) -> Floats:
-    """Arrivals per second at each zone around a departure of each zone if they have nothing to do with each other.
-
-    (zones, zones). Both are counted in bins of some minutes, so a rhythm common to all zones is part of chance.
-    """
-    first = min(departures.t[0], arrivals.t[0])
-    n = int((max(departures.t[-1], arrivals.t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
-    table = []
-    for t, zone in ((departures.t, departures.zone), (arrivals.t, arrivals.zone)):
-        when = ((t - first) // CHANCE_BIN_SECONDS).astype(np.int64)
-        table.append(np.bincount(zone * np.int64(n) + when, minlength=zones * n).reshape(zones, n).astype(float))
-    left, came = table
-    around = np.copy(came)
-    around[:, 1:] += came[:, :-1]
-    around[:, :-1] += came[:, 1:]
-    length = np.full(n, 3.0)
-    length[0] -= 1.0
-    length[-1] -= 1.0
-    rate = around / (CHANCE_BIN_SECONDS * np.maximum(length, 1.0))
-    return (left @ rate.T) / np.maximum(left.sum(axis=1), 1.0)[:, None]
-
+START_NOISE_SD = 2.0
+START_FLOOR = 0.002
+"""Share of a pair's own histogram that it starts with even where nothing exceeds chance."""
 
 SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
 """(at least this many expected transitions, smooth by this many bins)."""
@@ -213,11 +192,12 @@ class JointFitter:
         """First hazards: what exceeds chance in each pair's own histogram (cross-correlation, Makris et al. 2004)."""
         seen = self.count(np.ones(len(self.candidates.arrival)))
         exposed = self.exposure[self.candidates.source] * self.bins.widths
-        by_chance = chance_rates(self.departures, self.arrivals, self.zones)
+        left, came = self.departures, self.arrivals
+        by_chance = chance_rates(left.t, left.zone, came.t, came.zone, self.zones)
         chance = by_chance[self.candidates.source, self.candidates.target][:, None] * exposed
         flat = smoother(self.bins.size, START_SMOOTHING_SD_BINS)
         noise = np.sqrt(np.maximum(chance, 0.5) @ (flat**2).T)
-        excess = np.maximum(seen @ flat.T - chance @ flat.T - START_NOISE_SD * noise, 0.002 * seen @ flat.T)
+        excess = np.maximum(seen @ flat.T - chance @ flat.T - START_NOISE_SD * noise, START_FLOOR * seen @ flat.T)
         return excess / np.maximum(exposed, self.bins.widths)
 
     def count(self, responsibility: Floats) -> Floats:

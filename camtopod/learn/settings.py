@@ -16,6 +16,10 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """How much out of order events may come; later ones are counted, not learned."""
     version_seconds: float = 60.0
     """Event time between two looks at whether a new version is due."""
+    refit_share: float = 0.1
+    """A version is due when the events since the last are this share of the window ..."""
+    refit_hours: float = 1.0
+    """... or when there are any and this much event time has passed."""
     window_hours: float = 336.0
     """Events older than this are forgotten."""
     window_events_max: int = 60_000
@@ -26,5 +30,13 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """How long before it leaves one view an object may be seen to appear in an overlapping one."""
     overlap_tolerance_seconds: float = 0.45
     """T of the thesis's overlap test (table 4.4)."""
+    candidates_max: int = 8_000_000
+    """At most this many (departure, arrival) candidates are weighed in one fit; beyond, the oldest arrivals wait out."""
+    publish_q_max: float = 0.01
+    """A link is published when its false discovery rate is at most this ..."""
+    publish_probability_min: float = 0.03
+    """... and at least this share of those leaving takes it."""
+    missed_share_max: float = 0.25
+    """A link is an effect of missed passages when a camera missing at most this share of them could explain it."""
     cameras_max: int = 10_000
     """Events of further cameras are refused."""
