@@ -63,7 +63,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Writes the files; raises `exits.CommandError` for settings that make no sense or files it cannot write."""
+    """Write the files; raises `exits.CommandError` for settings without sense and files it cannot write."""
     values: dict[str, Any] = {
         name: getattr(args, name) for name in SimSettings.__struct_fields__ if hasattr(args, name)
     }
