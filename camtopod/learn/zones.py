@@ -1,0 +1,143 @@
+"""Entry/exit zones of one camera from the sums over its grid (thesis sections 2.4, 2.8, 4.2).
+
+The learner keeps integer sums per grid cell, so taking an old event out of the window is exact, and a refresh costs the
+same for a hundred events as for ten million. `partition` finds the groups of cells; here they become zones: exact
+statistics, a number that stays with the place, and a table that says which cell belongs to which zone.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
+
+from camtopod.learn.mixture import classify_cells
+from camtopod.learn.partition import Cells, partition
+from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+
+Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+POSITION_ONE = 1 << 12
+"""An image position of 1.0 in the fixed point of the sums."""
+CELLS = GRID_ROWS * GRID_COLUMNS
+MATCH_DISTANCE = 3.0
+"""A zone is at an old zone's place when its centre is within this many standard deviations of it."""
+PLACE_SD_MIN = 0.02
+"""Image units: a zone narrower than this is as broad as this for matching."""
+
+
+class CellSums(NamedTuple):
+    """Sums over the events of each cell, int64, shape (GRID_ROWS, GRID_COLUMNS); positions in fixed point."""
+
+    count: Integers
+    sx: Integers
+    sy: Integers
+    sxx: Integers
+    sxy: Integers
+    syy: Integers
+
+
+class ZoneShape(Struct, frozen=True):
+    """One zone: its number, mean and covariance in image units, and its share of the events that are in a zone."""
+
+    number: int
+    x: float
+    y: float
+    cov: tuple[tuple[float, float], tuple[float, float]]
+    weight: float
+
+
+class ZoneMap(Struct, frozen=True, eq=False):
+    """The zones of a camera by number; ``cells`` (rows, columns) has each cell's index into ``zones``, or -1."""
+
+    zones: tuple[ZoneShape, ...]
+    cells: NDArray[np.int16]
+    next_number: int
+
+
+def cell_of(x: float, y: float) -> tuple[int, int]:
+    """(row, column) of an image position in [0, 1]."""
+    return min(int(y * GRID_ROWS), GRID_ROWS - 1), min(int(x * GRID_COLUMNS), GRID_COLUMNS - 1)
+
+
+def cells_of(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """`cell_of` for arrays of positions."""
+    rows = (np.asarray(y, dtype=np.float64) * GRID_ROWS).astype(np.intp)
+    columns = (np.asarray(x, dtype=np.float64) * GRID_COLUMNS).astype(np.intp)
+    return np.minimum(rows, GRID_ROWS - 1), np.minimum(columns, GRID_COLUMNS - 1)
+
+
+def fixed_point(x: ArrayLike) -> Integers:
+    """Image positions in the fixed point of `CellSums`."""
+    return np.rint(np.asarray(x, dtype=np.float64) * POSITION_ONE).astype(np.int64)
+
+
+def cell_sums(x: ArrayLike, y: ArrayLike) -> CellSums:
+    """The sums over a batch of positions; the learner adds and subtracts such sums."""
+    rows, columns = cells_of(x, y)
+    px, py = fixed_point(x), fixed_point(y)
+    sums = np.zeros((6, GRID_ROWS, GRID_COLUMNS), dtype=np.int64)
+    for grid, value in zip(sums, (np.ones_like(px), px, py, px * px, px * py, py * py), strict=True):
+        np.add.at(grid, (rows, columns), value)
+    return CellSums(*sums)
+
+
+def find_zones(sums: CellSums, previous: tuple[ZoneShape, ...] = (), next_number: int = 1) -> ZoneMap:
+    """The zones behind ``sums``. Those at the place of a zone of ``previous`` keep its number, others are numbered from
+    ``next_number``; ``previous`` may hold zones that had vanished, which so get their number back when they return.
+    Without events there are no zones.
+    """
+    flat = np.stack([np.asarray(grid).ravel() for grid in sums], axis=1)
+    occupied = np.flatnonzero(flat[:, 0])
+    if not len(occupied):
+        return ZoneMap((), np.full((GRID_ROWS, GRID_COLUMNS), -1, dtype=np.int16), next_number)
+    scale = np.array([1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2])
+    labels = partition(Cells.of(flat[occupied] / scale, occupied), np.asarray(sums.count))
+    total = int(flat[occupied[labels >= 0], 0].sum())
+    found = [_shape(flat[occupied[labels == k]].sum(axis=0), total) for k in range(labels.max() + 1)]
+    zones, next_number = match_zones(previous, found, next_number)
+    return ZoneMap(zones, classify_cells(zones, int(flat[:, 0].sum()) / total - 1.0), next_number)
+
+
+def _shape(sums: Integers, total: int) -> ZoneShape:
+    """Exact mean and covariance (of the events, divided by their number) of a zone's summed sums (6,)."""
+    n, sx, sy, sxx, sxy, syy = (int(value) for value in sums)
+    unit = (n * POSITION_ONE) ** 2
+    xx, xy, yy = ((n * b - a) / unit for a, b in ((sx * sx, sxx), (sx * sy, sxy), (sy * sy, syy)))
+    return ZoneShape(0, sx / n / POSITION_ONE, sy / n / POSITION_ONE, ((xx, xy), (xy, yy)), n / total)
+
+
+def match_zones(
+    old: tuple[ZoneShape, ...], new: list[ZoneShape], next_number: int
+) -> tuple[tuple[ZoneShape, ...], int]:
+    """Number the new zones: one at an old zone's place has its number, the others count up from ``next_number``, which
+    is above every number ever given. Returns the zones by number and the next free number.
+
+    The assignment (Hungarian) minimises the summed Mahalanobis distances; a pair further apart than
+    `MATCH_DISTANCE` is never made.
+    """
+    number: dict[int, int] = {}
+    if old and new:
+        distance = np.array([[_distance(a, b) for b in new] for a in old])
+        cost = np.minimum(distance, MATCH_DISTANCE + 1.0)
+        for a, b in zip(*linear_sum_assignment(cost), strict=True):
+            if distance[a, b] <= MATCH_DISTANCE:
+                number[int(b)] = old[a].number
+    next_number = max([next_number, *(zone.number + 1 for zone in old)])
+    by_place = sorted((k for k in range(len(new)) if k not in number), key=lambda k: (new[k].y, new[k].x))
+    for k in by_place:
+        number[k] = next_number
+        next_number += 1
+    numbered = [ZoneShape(number[k], zone.x, zone.y, zone.cov, zone.weight) for k, zone in enumerate(new)]
+    return tuple(sorted(numbered, key=lambda zone: zone.number)), next_number
+
+
+def _distance(a: ZoneShape, b: ZoneShape) -> float:
+    """Mahalanobis distance of two zones' centres under the mean of their covariances."""
+    cov = (np.array(a.cov) + np.array(b.cov)) / 2 + np.eye(2) * PLACE_SD_MIN**2
+    d = np.array([a.x - b.x, a.y - b.y])
+    return float(np.sqrt(d @ np.linalg.solve(cov, d)))
