@@ -6,16 +6,24 @@ from msgspec import Struct
 
 
 class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """Settings of one grabber (the ``[vision]`` table of the configuration).
-
-    Lengths called ``_heights`` are in multiples of the height of the person in question, so one value serves
-    cameras of any size and distance.
-    """
+    """Settings of one grabber (the ``[vision]`` table of the configuration)."""
 
     analysed_fps: float = 7.0
-    """Frames per second that are looked at; the rest are only grabbed."""
+    """Frames per second that are looked at (as near as the source's rate allows); the rest are only grabbed."""
     working_width: int = 320
     """Frames wider than this are scaled down to it before anything else, pixels."""
+    bootstrap_seconds: float = 3.0
+    """The first background is the median over this long."""
+    background_seconds: float = 20.0
+    """Time constant with which the background follows the settled scene."""
+    confirm_seconds: float = 0.5
+    """How long something must be followed, and move, before it is an object."""
+    patience_seconds: float = 1.5
+    """How long an object may be out of sight before its track has ended."""
+    stitch_seconds: float = 10.0
+    """How long after a track broke in mid-view it may be found again and stay one passage."""
+    tracks_max: int = 200
+    """At most this many objects at once; further ones are not followed."""
     open_timeout_seconds: float = 5.0
     """How long opening a stream may take."""
     read_timeout_seconds: float = 3.0

@@ -1,0 +1,74 @@
+"""The settled scene: what each pixel shows when nothing is in front of it.
+
+A median over the first seconds, then a running mean of the pixels nothing moves in. Lighting is not learned into the
+model but compensated by a tone curve from model to picture: for each of 16 levels of the model, how bright such pixels
+are now. A cloud or an exposure change is then no motion, at once and without relearning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Luma = npt.NDArray[np.uint8]
+
+TONE_BINS = 16
+_TONE_PIXELS_MIN = 24
+"""Sampled pixels a level needs to have a say in the tone curve."""
+_LEVELS = np.arange(256, dtype=np.float32)
+
+
+class Background:
+    """Model of the settled scene, (H, W) grey levels."""
+
+    def __init__(self, frames: Sequence[Luma], seconds: float) -> None:
+        """``frames`` are some seconds of pictures, at least one; ``seconds`` is the time constant of learning."""
+        self._seconds = seconds
+        stack = np.sort(np.stack(frames), axis=0)
+        self._model = stack[len(frames) // 2].astype(np.float32)
+        self._picture = stack[len(frames) // 2].copy()
+
+    @property
+    def picture(self) -> Luma:
+        """The model as a picture."""
+        return self._picture
+
+    def expected(self, frame: Luma, settled: Luma) -> Luma:
+        """The model under the light of ``frame``, judged where ``settled`` (H, W) is not 0."""
+        shift = self._tone_shift(frame, settled)
+        if float(np.abs(shift).max()) < 1.0:
+            return self._picture
+        curve = np.clip(_LEVELS + shift, 0, 255).astype(np.uint8)
+        return np.asarray(cv2.LUT(self._picture, curve), dtype=np.uint8)
+
+    def _tone_shift(self, frame: Luma, settled: Luma) -> npt.NDArray[np.float32]:
+        """Grey levels to add to each of the model's 256 levels: the median change of the pixels around that level."""
+        sample = settled[::4, ::4] != 0
+        model = self._picture[::4, ::4][sample]
+        change = frame[::4, ::4][sample].astype(np.int16) - model
+        order = np.argsort(model, kind="stable")
+        model, change = model[order], change[order]
+        edges = np.searchsorted(model, np.arange(1, TONE_BINS) * (256 // TONE_BINS))
+        centres, medians = [], []
+        for levels, changes in zip(np.split(model, edges), np.split(change, edges), strict=True):
+            if len(levels) >= _TONE_PIXELS_MIN:
+                middle = len(changes) // 2
+                centres.append(float(levels.mean()))
+                medians.append(float(np.partition(changes, middle)[middle]))
+        if not centres:
+            return np.zeros(256, np.float32)
+        return np.interp(_LEVELS, centres, medians).astype(np.float32)
+
+    def learn(self, frame: Luma, dt: float, settled: Luma) -> None:
+        """Follow ``frame``, ``dt`` seconds after the last, where ``settled`` (H, W) is not 0."""
+        rate = 1.0 - float(np.exp(-dt / self._seconds))
+        cv2.accumulateWeighted(frame, self._model, rate, settled)
+        self._picture = cv2.convertScaleAbs(self._model)
+
+    def adopt(self, frame: Luma, where: Luma) -> None:
+        """Take ``frame`` over at once where ``where`` (H, W) is not 0: something was moved, or stood there at first."""
+        cv2.copyTo(frame.astype(np.float32), where, self._model)
+        self._picture = cv2.convertScaleAbs(self._model)

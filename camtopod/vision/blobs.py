@@ -1,0 +1,135 @@
+"""Moving pixels -> blobs: boxes with a foot point, fragments of one person merged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from camtopod.vision.motion import Box, Motion
+
+FRAGMENT_PIXELS_MIN = 6
+AREA_SHARE_MIN = 0.0004
+"""Smallest blob as a share of the picture's area."""
+AREA_PIXELS_MIN = 14
+EDGE_SHARE_MIN = 0.2
+"""Of a blob's pixels, this share must have an edge of their own; shadows and light have fewer."""
+BLOBS_MAX = 400
+"""More fragments than this in one frame are noise; the largest are kept."""
+_CLOSE = np.ones((3, 3), np.uint8)
+
+ExpectedHeight = Callable[[float], float | None]
+"""Height in pixels of a person whose feet are in this row, or None while unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Blob:
+    """Something that moves. Pixels of the working picture; right and bottom exclusive."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+    foot_x: float
+    area: float
+
+    @property
+    def box(self) -> Box:
+        """Left, top, right, bottom."""
+        return (self.left, self.top, self.right, self.bottom)
+
+    @property
+    def width(self) -> float:
+        """Pixels."""
+        return self.right - self.left
+
+    @property
+    def height(self) -> float:
+        """Pixels."""
+        return self.bottom - self.top
+
+    @property
+    def head(self) -> tuple[float, float]:
+        """Top centre."""
+        return ((self.left + self.right) / 2, self.top)
+
+    @property
+    def foot(self) -> tuple[float, float]:
+        """Bottom centre: the lowest fifth's middle column in the lowest row."""
+        return (self.foot_x, self.bottom)
+
+
+def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
+    """The frame's blobs, in no particular order."""
+    mask = cv2.morphologyEx(motion.moving, cv2.MORPH_CLOSE, _CLOSE)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    kept = 1 + np.flatnonzero(areas >= FRAGMENT_PIXELS_MIN)
+    if len(kept) > BLOBS_MAX:
+        kept = 1 + np.argsort(areas)[-BLOBS_MAX:]
+    groups = _merge([(int(label), _box(stats[label])) for label in kept], expected_height)
+    area_min = max(AREA_PIXELS_MIN, AREA_SHARE_MIN * mask.size)
+    blobs = []
+    for group in groups:
+        if sum(int(stats[label, cv2.CC_STAT_AREA]) for label in group) >= area_min:
+            blob = _blob(group, stats, labels, motion)
+            if blob is not None:
+                blobs.append(blob)
+    return blobs
+
+
+def _box(row: npt.NDArray[np.int32]) -> Box:
+    left, top, width, height = (float(value) for value in row[:4])
+    return (left, top, left + width, top + height)
+
+
+def _blob(group: list[int], stats: npt.NDArray[np.int32], labels: npt.NDArray[np.int32], motion: Motion) -> Blob | None:
+    """One blob of the fragments ``group``, or None if it has too few edges of its own."""
+    boxes = [_box(stats[label]) for label in group]
+    left, top = int(min(b[0] for b in boxes)), int(min(b[1] for b in boxes))
+    right, bottom = int(max(b[2] for b in boxes)), int(max(b[3] for b in boxes))
+    part = labels[top:bottom, left:right]
+    mask = part == group[0]
+    for label in group[1:]:
+        mask |= part == label
+    area = int(np.count_nonzero(mask))
+    if np.count_nonzero(motion.edges[top:bottom, left:right][mask]) < EDGE_SHARE_MIN * area:
+        return None
+    feet = np.flatnonzero(mask[-max(1, (bottom - top) // 5) :].any(axis=0))
+    return Blob(left, top, right, bottom, left + float(feet[0] + feet[-1] + 1) / 2, area)
+
+
+def _merge(fragments: list[tuple[int, Box]], expected_height: ExpectedHeight) -> list[list[int]]:
+    """Groups of labels that are one person: one above the other, or nearly touching, and not too tall together."""
+    groups = [([label], box) for label, box in fragments]
+    merged = True
+    while merged:
+        merged = False
+        for i in range(len(groups)):
+            for j in range(len(groups) - 1, i, -1):
+                if _belong(groups[i][1], groups[j][1], expected_height):
+                    labels, box = groups.pop(j)
+                    groups[i] = (groups[i][0] + labels, _union(groups[i][1], box))
+                    merged = True
+    return [labels for labels, _ in groups]
+
+
+def _union(a: Box, b: Box) -> Box:
+    return (min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3]))
+
+
+def _belong(a: Box, b: Box, expected_height: ExpectedHeight) -> bool:
+    together = _union(a, b)
+    overlap = min(a[2], b[2]) - max(a[0], b[0])
+    gap = max(a[1], b[1]) - min(a[3], b[3])
+    height = expected_height(together[3])
+    if height is None:
+        height = 1.5 * max(a[3] - a[1], b[3] - b[1])
+    if overlap >= 0.5 * min(a[2] - a[0], b[2] - b[0]):
+        return gap <= 0.35 * height and together[3] - together[1] <= 1.2 * height
+    small = min((a[2] - a[0]) * (a[3] - a[1]), (b[2] - b[0]) * (b[3] - b[1]))
+    near = gap <= 0.05 * height and overlap >= -0.06 * height
+    return near and small < 0.05 * height * height and together[3] - together[1] <= 1.2 * height

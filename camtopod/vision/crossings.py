@@ -1,0 +1,113 @@
+"""Tracks -> events: who crossed the edge of the view, when and where.
+
+An edge is the border of the picture, or a door learned in mid-view (`doors`). The time of an entry is that of the
+first sighting although it is reported only when the object is confirmed; that of an exit is the last sighting's.
+"""
+
+from __future__ import annotations
+
+from statistics import median
+
+from camtopod.records import Event, Kind
+from camtopod.vision.doors import Doors
+from camtopod.vision.motion import Box
+from camtopod.vision.tracks import Changes, Sighting, Track
+
+BORDER_SHARE = 0.025
+"""A box this near the border is at it, share of the picture's diagonal."""
+REACH_SECONDS = 0.4
+"""So is one that at its speed is this long before (or after) it."""
+TOUCH_PIXELS = 1.5
+"""A box this near the border is cut by it."""
+FOOT_SIGHTINGS = 5
+"""The foot row of somebody cut by the side of the picture is the median of this many sightings."""
+
+
+class Crossings:
+    """Entries and exits of one view."""
+
+    def __init__(self, camera: str, width: int, height: int) -> None:
+        """``width`` x ``height`` pixels of the working picture."""
+        self._camera = camera
+        self._width, self._height = width, height
+        self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
+        self.doors = Doors(width, height)
+        self._walks: dict[int, set[tuple[int, int]]] = {}
+        self.entries = 0
+        self.exits = 0
+
+    # -- where ---------------------------------------------------------------------------------------------------
+
+    def touches(self, box: Box) -> bool:
+        """Whether the box is cut by a side or the bottom of the picture (heads may be cut far inside the view)."""
+        return box[0] <= TOUCH_PIXELS or box[2] >= self._width - TOUCH_PIXELS or box[3] >= self._height - TOUCH_PIXELS
+
+    def _at_border(self, box: Box, dx: float = 0.0, dy: float = 0.0) -> bool:
+        """Box within the margin of the border, or across it when moved by (dx, dy). At the top the foot counts."""
+        left, bottom, right = box[0], box[3], box[2]
+        near = min(left, self._width - right, self._height - bottom, bottom) <= self._margin
+        return near or min(left + dx, self._width - right - dx, self._height - bottom - dy, bottom + dy) <= 0
+
+    def at_edge(self, track: Track) -> bool:
+        """Whether the track was last seen where objects leave the view."""
+        dx, dy = _drift(track)
+        return self._at_border(track.last.box, dx, dy) or self.doors.is_door(*track.last.foot, track.height)
+
+    def _began_at_edge(self, track: Track) -> bool:
+        dx, dy = _drift(track)
+        return self._at_border(track.first.box, -dx, -dy) or self.doors.is_door(*track.first.foot, track.height)
+
+    # -- what ----------------------------------------------------------------------------------------------------
+
+    def report(self, changes: Changes, active: list[Track]) -> list[Event]:
+        """The events of one frame's changes; ``active`` are all tracks, for learning where people walk."""
+        events = []
+        for track in changes.appeared:
+            if track.from_start:
+                continue
+            if self._began_at_edge(track):
+                track.entered = True
+                events.append(self._event("entry", track, track.first, list(track.history)[:FOOT_SIGHTINGS]))
+            elif not track.beside_others:
+                self.doors.learn(*track.first.foot)
+        for track in changes.left:
+            events.append(self.exit(track))
+        for track in changes.vanished:
+            self._forget(track)
+            if not track.covered:
+                self.doors.learn(*track.last.foot)
+        for track in active:
+            if track.confirmed:
+                self._walks.setdefault(track.number, set()).add(self.doors.cell(*track.last.foot))
+        return events
+
+    def exit(self, track: Track) -> Event:
+        """The exit of a track that has ended at an edge."""
+        self._forget(track)
+        return self._event("exit", track, track.last, list(track.history)[-FOOT_SIGHTINGS:])
+
+    def _forget(self, track: Track) -> None:
+        ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
+        self.doors.walked(self._walks.pop(track.number, set()) - ends)
+
+    def _event(self, kind: Kind, track: Track, at: Sighting, around: list[Sighting]) -> Event:
+        x, y = at.foot
+        cut_by_side = at.box[0] <= TOUCH_PIXELS or at.box[2] >= self._width - TOUCH_PIXELS
+        if cut_by_side:  # what is seen of a person cut lengthwise need not have a foot
+            y = median(sighting.foot[1] for sighting in around)
+        if kind == "entry":
+            self.entries += 1
+        else:
+            self.exits += 1
+        x, y = min(max(x / self._width, 0.0), 1.0), min(max(y / self._height, 0.0), 1.0)
+        return Event(self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number))
+
+
+def _drift(track: Track) -> tuple[float, float]:
+    """How far the track moves in `REACH_SECONDS`, pixels, judged over its latest sightings."""
+    first, last = track.history[0], track.history[-1]
+    dt = last.t - first.t
+    if dt <= 0:
+        return (0.0, 0.0)
+    factor = REACH_SECONDS / dt
+    return (factor * (last.foot[0] - first.foot[0]), factor * (last.foot[1] - first.foot[1]))

@@ -1,0 +1,57 @@
+"""Constant-velocity Kalman filter for a person's head and foot (R. E. Kalman, 1960).
+
+Four coordinates (head x, y, foot x, y), each with its velocity, share one 2 x 2 covariance, because they are measured
+together with the same uncertainty. Lengths are pixels; noise is given in heights of the person, so that near and far
+people move alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Vector = npt.NDArray[np.float64]
+
+ACCELERATION = 1.2
+"""One sigma, heights per second squared."""
+MEASUREMENT = 0.08
+"""One sigma of a head or foot, heights."""
+SPEED_AT_BIRTH = 1.0
+"""One sigma, heights per second."""
+COASTING_SECONDS = 1.0
+"""Unseen, an object is expected to slow down with this time constant."""
+
+
+class Kalman:
+    """Filter of one object."""
+
+    def __init__(self, measured: Vector, height: float) -> None:
+        """``measured``: head x, y, foot x, y in pixels; ``height`` of the person in pixels."""
+        self.position = measured.astype(np.float64)
+        self.velocity = np.zeros(4)
+        self._pp, self._pv, self._vv = (MEASUREMENT * height) ** 2, 0.0, (SPEED_AT_BIRTH * height) ** 2
+
+    def predict(self, dt: float, height: float, coasting: bool) -> None:
+        """Move on by ``dt`` seconds."""
+        if coasting:
+            self.velocity *= np.exp(-dt / COASTING_SECONDS)
+        self.position += dt * self.velocity
+        noise = (ACCELERATION * height) ** 2
+        self._pp += dt * (2 * self._pv + dt * self._vv) + noise * dt**4 / 4
+        self._pv += dt * self._vv + noise * dt**3 / 2
+        self._vv += noise * dt**2
+
+    def update(self, measured: Vector, height: float) -> None:
+        """Correct by a sighting."""
+        spread = self._pp + (MEASUREMENT * height) ** 2
+        gain_p, gain_v = self._pp / spread, self._pv / spread
+        residual = measured - self.position
+        self.position += gain_p * residual
+        self.velocity += gain_v * residual
+        self._vv -= gain_v * self._pv
+        self._pp, self._pv = (1 - gain_p) * self._pp, (1 - gain_p) * self._pv
+
+    @property
+    def uncertainty(self) -> float:
+        """One sigma of the position, pixels."""
+        return float(np.sqrt(self._pp))

@@ -1,0 +1,53 @@
+"""How tall a person looks in each row of the picture: a line through the heights of the people seen so far."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+SAMPLES_MAX = 400
+SAMPLES_MIN = 20
+OBJECTS_MIN = 2
+"""One object says nothing about others."""
+_REFIT_SAMPLES = 10
+
+
+class Stature:
+    """Learns height = a + b * foot row from whole, confirmed, single objects; robust to some that are none."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, float]] = deque(maxlen=SAMPLES_MAX)
+        self._objects: set[int] = set()
+        self._new = 0
+        self._line: tuple[float, float] | None = None
+        self._middle = 0.0
+
+    def add(self, track: int, foot_y: float, height: float) -> None:
+        """One sighting of ``track``: feet in row ``foot_y``, ``height`` tall, pixels."""
+        self._samples.append((foot_y, height))
+        if len(self._objects) < OBJECTS_MIN:
+            self._objects.add(track)
+        self._new += 1
+        if self._new >= _REFIT_SAMPLES and len(self._samples) >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
+            self._fit()
+            self._new = 0
+
+    def _fit(self) -> None:
+        rows, heights = np.array(self._samples).T
+        self._middle = float(np.median(heights))
+        kept = np.ones(len(rows), bool)
+        slope, base = 0.0, self._middle
+        for _ in range(3):
+            if np.ptp(rows[kept]) > self._middle:
+                slope, base = (float(value) for value in np.polyfit(rows[kept], heights[kept], 1))
+            residual = np.abs(heights - (base + slope * rows))
+            kept = residual <= 2.5 * np.median(residual) + 1e-9
+        self._line = (base, slope)
+
+    def height(self, foot_y: float) -> float | None:
+        """Pixels; None until enough people were seen. At most a factor of 2.5 from the median."""
+        if self._line is None:
+            return None
+        base, slope = self._line
+        return min(max(base + slope * foot_y, self._middle / 2.5), self._middle * 2.5)

@@ -1,0 +1,344 @@
+"""Blobs -> tracks: who is where, within one view.
+
+Theory of operation. A track is *tentative* until it has been followed for half a second and its head or foot has
+moved; then it is *confirmed*. Each frame, blobs that cover several confirmed tracks update these as a group (people
+crossing or walking side by side); the rest are assigned one to one (Kalman prediction, Hungarian method, gate in heights of
+the person). A confirmed track that is out of sight for longer than the patience has *ended* if it was at an edge of the
+view; in mid-view it is *broken*: kept for some seconds, and a track confirmed nearby continues it, so that a passage
+that breaks behind a lamp post stays one passage.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from camtopod.vision.blobs import Blob
+from camtopod.vision.kalman import Kalman, Vector
+from camtopod.vision.motion import Box
+from camtopod.vision.settings import VisionSettings
+from camtopod.vision.stature import Stature
+
+GATE_HEIGHTS = 0.35
+"""A head or foot this far from where it is expected (plus two sigma) is still the same person's."""
+CONFIRM_HEIGHTS = 0.25
+"""Head or foot must have moved this far."""
+TENTATIVE_PATIENCE_SECONDS = 0.45
+COVERED_PATIENCE_FACTOR = 2.0
+"""Patience with somebody hidden behind others, in patiences."""
+STITCH_HEIGHTS = 1.0
+STITCH_HEIGHTS_PER_SECOND = 0.4
+STITCH_HEIGHTS_MAX = 3.0
+"""How far from where it broke a passage may go on: the first plus the second times the gap, at most the third."""
+BIRTH_HEIGHT_MIN = 0.4
+"""A blob in mid-view that is smaller than this share of a person is none."""
+STATURE_STEP_HEIGHTS = 0.15
+"""Somebody's height is taken again after this much of a way, so that standing people do not outvote the others."""
+HISTORY_SIGHTINGS = 16
+_SIZE_RATE = 0.2
+_NEVER = 1e9
+
+
+class Sighting(NamedTuple):
+    """One look at an object: time, foot point and box in pixels of the working picture."""
+
+    t: float
+    foot: tuple[float, float]
+    box: Box
+
+
+@dataclass(slots=True, eq=False)
+class Track:
+    """One object followed through the view."""
+
+    number: int
+    first: Sighting
+    last: Sighting
+    kalman: Kalman
+    height: float
+    width: float
+    from_start: bool
+    beside_others: bool
+    """Born next to another object: rather half of a group than somebody new."""
+    history: deque[Sighting] = field(default_factory=lambda: deque(maxlen=HISTORY_SIGHTINGS))
+    sightings: int = 1
+    frames: int = 1
+    confirmed: bool = False
+    covered: bool = False
+    entered: bool = False
+    """An entry was reported for it."""
+    reach: float = 0.0
+    """The farthest its head or foot has been from where it began, pixels."""
+    origin: Vector = field(default_factory=lambda: np.zeros(4))
+    measured_at: tuple[float, float] = (0.0, 0.0)
+    """Foot point where its height was last taken."""
+
+    @property
+    def box(self) -> Box:
+        """Where it is expected now."""
+        x, top, foot_x, bottom = (float(value) for value in self.kalman.position)
+        middle = (x + foot_x) / 2
+        return (middle - self.width / 2, min(top, bottom - 1), middle + self.width / 2, bottom)
+
+    def unseen_seconds(self, t: float) -> float:
+        """Since the last sighting."""
+        return t - self.last.t
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What one frame changed: tracks that became objects, and objects whose track is over.
+
+    ``left``: out of sight at an edge of the view; ``vanished``: out of sight in mid-view and not found again.
+    """
+
+    appeared: list[Track]
+    left: list[Track]
+    vanished: list[Track]
+
+
+class Tracker:
+    """All objects of one view; track numbers count within this instance."""
+
+    def __init__(self, settings: VisionSettings, at_edge: Callable[[Track], bool], touches: Callable[[Box], bool]) -> None:
+        """``at_edge``: was this track last seen where objects leave the view? ``touches``: is this box cut by the border?"""
+        self._settings = settings
+        self._at_edge = at_edge
+        self._touches = touches
+        self._next = 1
+        self._t: float | None = None
+        self._start: float | None = None
+        self.stature = Stature()
+        self.active: list[Track] = []
+        self.broken: list[Track] = []
+        self.stitched = 0
+
+    def step(self, t: float, blobs: list[Blob]) -> Changes:
+        """Take the blobs of the frame captured at ``t`` seconds, later than the last."""
+        dt = 0.0 if self._t is None else t - self._t
+        self._t = t
+        self._start = t if self._start is None else self._start
+        for track in self.active:
+            track.kalman.predict(dt, track.height, coasting=track.last.t < t - 1.5 * dt)
+            track.frames += 1
+            track.covered = False
+        free = self._update_groups(t, blobs)
+        free = self._assign(t, free)
+        self._cover(t, blobs)
+        for blob in free:
+            self._give_birth(t, blob)
+        return self._retire(t, self._confirm(t))
+
+    # -- sightings -------------------------------------------------------------------------------------------------
+
+    def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
+        """Blobs that hide several confirmed people update all of them; the other blobs are returned."""
+        free = []
+        for blob in blobs:
+            inside = [track for track in self.active if track.confirmed and _holds(blob.box, track.box)]
+            wide = len(inside) > 1 and blob.width > 1.3 * max(track.width for track in inside)
+            tall = len(inside) > 1 and blob.height > 1.25 * max(track.height for track in inside)
+            if wide or tall:
+                self._update_group(t, blob, inside)
+            else:
+                free.append(blob)
+        return free
+
+    def _update_group(self, t: float, blob: Blob, inside: list[Track]) -> None:
+        """The outermost people of a group touch its outline; the others are where they were expected."""
+        leftmost = min(inside, key=lambda track: track.box[0])
+        rightmost = max(inside, key=lambda track: track.box[2])
+        lowest = max(inside, key=lambda track: track.box[3])
+        highest = min(inside, key=lambda track: track.box[1])
+        for track in inside:
+            left, top, right, bottom = track.box
+            x = min(max((left + right) / 2, blob.left), blob.right)
+            if track is leftmost:
+                x = blob.left + track.width / 2
+            elif track is rightmost:
+                x = blob.right - track.width / 2
+            bottom = min(max(bottom, blob.top), blob.bottom)
+            if track is lowest:
+                bottom = blob.bottom
+            elif track is highest:
+                bottom = min(blob.top + track.height, blob.bottom)
+            box = (x - track.width / 2, bottom - track.height, x + track.width / 2, bottom)
+            track.kalman.update(np.array([x, bottom - track.height, x, bottom]), track.height)
+            self._seen(track, Sighting(t, (x, bottom), box))
+
+    def _assign(self, t: float, blobs: list[Blob]) -> list[Blob]:
+        """One blob a track at the least total cost (Kuhn 1955); returns the blobs nobody took."""
+        waiting = [track for track in self.active if track.last.t < t]
+        if not waiting or not blobs:
+            return blobs
+        cost = np.array([[self._cost(track, blob) for blob in blobs] for track in waiting])
+        taken = set()
+        for i, j in zip(*linear_sum_assignment(cost), strict=True):
+            if cost[i, j] < _NEVER:
+                taken.add(int(j))
+                self._update_single(t, waiting[i], blobs[j])
+        return [blob for j, blob in enumerate(blobs) if j not in taken]
+
+    def _cost(self, track: Track, blob: Blob) -> float:
+        """Distance of head and foot in gates; a tentative track yields to a confirmed one."""
+        head_x, head_y, foot_x, foot_y = (float(value) for value in track.kalman.position)
+        scale = max(track.height, self.stature.height(foot_y) or 0.0)
+        gate = GATE_HEIGHTS * scale + 2 * track.kalman.uncertainty
+        head = float(np.hypot(blob.head[0] - head_x, blob.head[1] - head_y))
+        foot = float(np.hypot(blob.foot_x - foot_x, blob.bottom - foot_y))
+        near = min(head, foot)
+        if near > gate and _overlap(track.last.box, blob.box) < 0.3:
+            return _NEVER
+        return (0.7 * near + 0.3 * max(head, foot)) / gate + (0.0 if track.confirmed else 0.5)
+
+    def _update_single(self, t: float, track: Track, blob: Blob) -> None:
+        measured = np.array([*blob.head, *blob.foot])
+        track.height += _SIZE_RATE * (blob.height - track.height)
+        track.width += _SIZE_RATE * (blob.width - track.width)
+        if self._touches(track.last.box) or not track.confirmed:  # it is still coming into sight
+            track.height, track.width = max(track.height, blob.height), max(track.width, blob.width)
+        track.kalman.update(measured, track.height)
+        self._seen(track, Sighting(t, blob.foot, blob.box))
+        step = float(np.hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1]))
+        if track.confirmed and step > STATURE_STEP_HEIGHTS * track.height and not self._touches(blob.box):
+            track.measured_at = blob.foot
+            self.stature.add(track.number, blob.bottom, blob.height)
+
+    def _seen(self, track: Track, sighting: Sighting) -> None:
+        track.last = sighting
+        track.history.append(sighting)
+        track.sightings += 1
+        left, top, right, bottom = sighting.box
+        moved = np.array([(left + right) / 2, top, sighting.foot[0], bottom]) - track.origin
+        track.reach = max(track.reach, float(np.hypot(*moved[:2])), float(np.hypot(*moved[2:])))
+
+    def _cover(self, t: float, blobs: list[Blob]) -> None:
+        for track in self.active:
+            if track.last.t < t and track.confirmed:
+                track.covered = any(_holds(blob.box, track.box) for blob in blobs)
+
+    # -- births and deaths -----------------------------------------------------------------------------------------
+
+    def _give_birth(self, t: float, blob: Blob) -> None:
+        if len(self.active) >= self._settings.tracks_max:
+            return
+        expected = self.stature.height(blob.bottom)
+        cut = self._touches(blob.box)
+        if expected is not None and not cut and blob.height < BIRTH_HEIGHT_MIN * expected:
+            return
+        others = [track for track in self.active if track.confirmed]
+        if any(track.last.t == t and _holds(track.last.box, blob.box) for track in others):
+            return  # a fragment of somebody who is seen already
+        sighting = Sighting(t, blob.foot, blob.box)
+        measured = np.array([*blob.head, *blob.foot])
+        beside = any(_gap(track.box, blob.box) < 0.3 * track.height for track in others)
+        height = max(blob.height, 0.5 * (expected or 0.0))
+        track = Track(
+            number=self._next, first=sighting, last=sighting, kalman=Kalman(measured, height), height=height,
+            width=blob.width, from_start=t == self._start, beside_others=beside, origin=measured,
+        )  # fmt: skip
+        track.history.append(sighting)
+        self._next += 1
+        self.active.append(track)
+
+    def _confirm(self, t: float) -> list[Track]:
+        """Tracks that have just become objects and continue no broken one."""
+        appeared = []
+        for track in self.active:
+            if track.confirmed or track.last.t < t or t - track.first.t < self._settings.confirm_seconds:
+                continue
+            if track.sightings < 0.6 * track.frames or track.reach < CONFIRM_HEIGHTS * track.height:
+                continue
+            track.confirmed = True
+            if not self._stitch(t, track):
+                appeared.append(track)
+        return appeared
+
+    def _stitch(self, t: float, track: Track) -> bool:
+        """Continue the nearest passage that broke in mid-view, if there is one within reach."""
+        missing = [other for other in self.active if other.confirmed and other.last.t < track.first.t]
+        best, best_distance = None, 1.0
+        for other in [*self.broken, *missing]:
+            if other is track or (other.last.t < t and self._at_edge(other)):
+                continue
+            gap = max(0.0, track.first.t - other.last.t)
+            reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * gap, STITCH_HEIGHTS_MAX)
+            reach *= max(track.height, other.height)
+            distance = float(np.hypot(track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1]))
+            ratio = track.height / other.height
+            if distance / reach < best_distance and 0.4 < ratio < 2.5:
+                best, best_distance = other, distance / reach
+        if best is None:
+            return False
+        self._absorb(track, best)
+        return True
+
+    def _absorb(self, track: Track, earlier: Track) -> None:
+        """``track`` is the passage ``earlier``: it takes over its number and how it began."""
+        self.stitched += 1
+        track.number, track.first, track.entered = earlier.number, earlier.first, earlier.entered
+        track.from_start, track.beside_others = earlier.from_start, earlier.beside_others
+        self.broken = [other for other in self.broken if other is not earlier]
+        self.active = [other for other in self.active if other is not earlier]
+
+    def _retire(self, t: float, appeared: list[Track]) -> Changes:
+        left, kept = [], []
+        for track in self.active:
+            patience = self._settings.patience_seconds if track.confirmed else TENTATIVE_PATIENCE_SECONDS
+            if track.covered:
+                patience *= COVERED_PATIENCE_FACTOR
+            if track.unseen_seconds(t) <= patience:
+                kept.append(track)
+            elif track.confirmed and self._at_edge(track):
+                left.append(track)
+            elif track.confirmed:
+                self.broken.append(track)
+        self.active = kept
+        deadline = t - self._settings.stitch_seconds
+        vanished = [track for track in self.broken if track.last.t < deadline]
+        self.broken = [track for track in self.broken if track.last.t >= deadline]
+        return Changes(appeared, left, vanished)
+
+    def drop(self, track: Track) -> None:
+        """Forget ``track`` without a trace: it was none."""
+        self.active = [other for other in self.active if other is not track]
+
+    def restart(self) -> None:
+        """The picture changed as a whole: forget everybody; who is in view next was there from the start."""
+        self.active, self.broken = [], []
+        self._t = self._start = None
+
+    def finish(self, t: float) -> list[Track]:
+        """The recording ends at ``t``: objects out of sight at an edge have left; the others are still in view."""
+        unseen = TENTATIVE_PATIENCE_SECONDS
+        left = [x for x in self.active if x.confirmed and x.unseen_seconds(t) > unseen and self._at_edge(x)]
+        self.active, self.broken = [], []
+        return left
+
+
+def _holds(outer: Box, inner: Box) -> bool:
+    """Whether the middle of ``inner`` is in ``outer``."""
+    x, y = (inner[0] + inner[2]) / 2, (inner[1] + inner[3]) / 2
+    return outer[0] <= x <= outer[2] and outer[1] <= y <= outer[3]
+
+
+def _overlap(a: Box, b: Box) -> float:
+    """Common area as a share of the smaller box."""
+    width = min(a[2], b[2]) - max(a[0], b[0])
+    height = min(a[3], b[3]) - max(a[1], b[1])
+    if width <= 0 or height <= 0:
+        return 0.0
+    smaller = min((a[2] - a[0]) * (a[3] - a[1]), (b[2] - b[0]) * (b[3] - b[1]))
+    return width * height / max(smaller, 1.0)
+
+
+def _gap(a: Box, b: Box) -> float:
+    """Pixels between two boxes, 0 where they overlap."""
+    x = max(0.0, max(a[0], b[0]) - min(a[2], b[2]))
+    y = max(0.0, max(a[1], b[1]) - min(a[3], b[3]))
+    return float(np.hypot(x, y))
