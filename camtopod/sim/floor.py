@@ -1,0 +1,279 @@
+"""A small site for the demo: a floor plan, cameras that look at it, people who walk about, and the truth.
+
+The plan's coordinates are metres, x to the east and y to the north. What is true (zones, links, transit
+times) is read off the recorded walks: who was in which camera's view when, and which way they came and went.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from camtopod.sim.layout import Ints
+from camtopod.sim.truth import TRUTH_SCHEMA, Floats, TrueLink, TrueZone, Truth, pairs_of, transit_of
+
+WIDTH, HEIGHT = 192, 144
+"""Size of the cameras' pictures, pixels."""
+FPS = 7.0
+PERSON_METRES = 1.75
+STEP_METRES = 0.1
+CORNER_METRES = 1.5
+"""Over this length people cut a corner."""
+WALKING_SPEED, SPEED_SD = 1.35, 0.2
+KEEP_RIGHT_METRES, LANE_SD_METRES = 0.45, 0.25
+STREET_WEIGHT = 0.7
+"""How much rather than another way people take one that leads outside."""
+CROSSINGS_MAX = 12
+WARM_UP_SECONDS = 60.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera on a pole: looks at ``target`` (x, y) from ``distance`` metres away, towards ``heading``."""
+
+    camera: str
+    target: tuple[float, float]
+    heading: float = math.pi / 2
+    height: float = 7.0
+    distance: float = 7.0
+    focal: float = 1.15
+    """Focal length in widths of the picture."""
+
+    def project(self, points: Floats) -> Floats:
+        """World points (n, 3) to (n, 3): x, y as fractions of the picture, metres along the line of sight."""
+        ahead = np.array((math.cos(self.heading), math.sin(self.heading), 0.0))
+        position = np.array((*self.target, 0.0)) - self.distance * ahead + np.array((0, 0, self.height))
+        forward = np.array((*self.target, 0.0)) - position
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, (0.0, 0.0, 1.0))
+        right /= np.linalg.norm(right)
+        down = np.cross(forward, right)
+        seen = (points - position) @ np.stack([right, down, forward], axis=1)
+        depth = np.maximum(seen[:, 2], 1e-3)
+        x = 0.5 + self.focal * seen[:, 0] / depth
+        y = 0.5 + self.focal * (WIDTH / HEIGHT) * seen[:, 1] / depth
+        return np.column_stack([x, y, seen[:, 2]])
+
+    def feet(self, floor: Floats) -> Floats:
+        """Floor points (n, 2) to picture fractions and depth, (n, 3)."""
+        return self.project(np.column_stack([floor, np.zeros(len(floor))]))
+
+    def sees(self, floor: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Of people at floor points (n, 2), which are in the picture with the middle of their body."""
+        middle = np.column_stack([floor, np.full(len(floor), PERSON_METRES / 2)])
+        x, y, depth = self.project(middle).T
+        seen: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
+            (x >= 0) & (x <= 1) & (y >= 0) & (y <= 1) & (depth > 0)
+        )
+        return seen
+
+
+Floor = Literal["wood", "stone", "brick", "grass"]
+
+
+@dataclass(frozen=True)
+class Area:
+    """A rectangle of floor: west, south, east, north in metres."""
+
+    floor: Floor
+    box: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Places (metres; corners too), ways between them (pairs of names), the floor and the cameras."""
+
+    places: dict[str, tuple[float, float]]
+    ways: list[tuple[str, str]]
+    areas: list[Area]
+    views: list[View]
+
+    def streets(self) -> list[str]:
+        """Places with one way only: people come from there and go there."""
+        return [name for name in self.places if len(self.around(name)) == 1]
+
+    def around(self, place: str) -> list[str]:
+        return [b if a == place else a for a, b in self.ways if place in (a, b)]
+
+
+@dataclass(frozen=True)
+class Walk:
+    """One person's walk: ``t`` (n,) seconds since the start, ``floor`` (n, 2) metres, ``way`` (n,)."""
+
+    t: Floats
+    floor: Floats
+    way: Ints
+
+
+@dataclass(frozen=True)
+class Passage:
+    """One person in one camera's view: times (seconds since the start), foot points, ways in and out."""
+
+    camera: str
+    walker: int
+    t_in: float
+    t_out: float
+    at_in: tuple[float, float]
+    at_out: tuple[float, float]
+    way_in: int
+    way_out: int
+
+
+def site() -> Plan:
+    """Five cameras around a building: two pairs overlap, four are joined by ways that nobody sees."""
+    places = {
+        "street west": (-6.0, 12.0),
+        "entrance": (5.0, 12.0),
+        "hall": (10.4, 12.0),
+        "corridor": (27.0, 12.0),
+        "garden": (32.4, 12.0),
+        "street east": (45.0, 12.0),
+        "cafe": (10.4, -7.0),
+        "street south": (0.5, -7.0),
+        "kitchen door": (27.0, -7.0),
+        "gate": (32.4, 21.5),
+        "arbour": (5.0, 21.5),
+    }
+    ways = [
+        ("street west", "entrance"),
+        ("entrance", "hall"),
+        ("hall", "corridor"),
+        ("corridor", "garden"),
+        ("garden", "street east"),
+        ("hall", "cafe"),
+        ("cafe", "street south"),
+        ("cafe", "kitchen door"),
+        ("kitchen door", "corridor"),
+        ("garden", "gate"),
+        ("gate", "arbour"),
+        ("arbour", "entrance"),
+    ]
+    areas = [
+        Area("stone", (-14, -15, 53, 30)),
+        Area("grass", (-14, 16.5, 53, 30)),
+        Area("grass", (29.7, 2.0, 53, 30)),
+        Area("wood", (7.7, 2.0, 29.7, 15.5)),
+        Area("brick", (4.5, -13, 17, 1.0)),
+    ]
+    south, north = -math.pi / 2, math.pi / 2
+    views = {"entrance": north, "hall": south, "corridor": south, "cafe": north, "garden": north}
+    return Plan(places, ways, areas, [View(name, places[name], heading) for name, heading in views.items()])
+
+
+def stroll(plan: Plan, seconds: float, rate: float, rng: np.random.Generator) -> list[Walk]:
+    """People who come from the streets, ``rate`` a second, from a minute before the start on."""
+    starts = np.sort(rng.uniform(-WARM_UP_SECONDS, seconds, rng.poisson(rate * (seconds + WARM_UP_SECONDS))))
+    return [_walk(plan, float(start), seconds, rng) for start in starts]
+
+
+def _walk(plan: Plan, start: float, end: float, rng: np.random.Generator) -> Walk:
+    line, way = _route(plan, rng)
+    speed = WALKING_SPEED * math.exp(SPEED_SD * rng.standard_normal())
+    width = max(1, round(CORNER_METRES / STEP_METRES))
+    padded = np.pad(line, ((width, width), (0, 0)), mode="edge")
+    smooth = np.column_stack([np.convolve(column, np.full(width, 1 / width), "same") for column in padded.T])
+    smooth = smooth[width:-width]
+    ahead = np.gradient(smooth, axis=0)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+    lane = KEEP_RIGHT_METRES + LANE_SD_METRES * rng.standard_normal()
+    smooth = smooth + lane * np.column_stack([ahead[:, 1], -ahead[:, 0]])
+    metres = STEP_METRES * np.arange(len(line))
+    first, last = math.ceil(max(start, 0.0) * FPS), math.floor(min(start + metres[-1] / speed, end) * FPS)
+    t = np.arange(first, max(first, last + 1)) / FPS
+    walked = (t - start) * speed
+    floor = np.column_stack([np.interp(walked, metres, column) for column in smooth.T])
+    return Walk(t, floor, way[np.minimum((walked / STEP_METRES).astype(np.int64), len(way) - 1)])
+
+
+def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Ints]:
+    """A line every 10 cm from street to street, (n, 2), and the way each point lies on, (n,)."""
+    streets = set(plan.streets())
+    stops = [str(rng.choice(sorted(streets)))]
+    while len(stops) < 2 or stops[-1] not in streets:
+        onward = [name for name in plan.around(stops[-1]) if name != (stops[-2] if len(stops) > 1 else None)]
+        tired = len(stops) > CROSSINGS_MAX
+        weight = np.array(
+            [10.0 if tired and n in streets else STREET_WEIGHT if n in streets else 1.0 for n in onward]
+        )
+        stops.append(onward[int(rng.choice(len(onward), p=weight / weight.sum()))])
+    points, ways = [], []
+    for a, b in pairwise(stops):
+        begin, end = np.array(plan.places[a]), np.array(plan.places[b])
+        share = np.arange(0, 1, STEP_METRES / float(np.linalg.norm(end - begin)))[:, None]
+        points.append(begin + share * (end - begin))
+        ways.append(np.full(len(share), plan.ways.index((a, b) if (a, b) in plan.ways else (b, a))))
+    return np.concatenate(points), np.concatenate(ways)
+
+
+def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
+    """Who was in whose view when, by walker and time: body in the picture, begun and ended in time."""
+    result = []
+    for walker, walk in enumerate(walks):
+        for view in plan.views:
+            seen = np.concatenate([[False], view.sees(walk.floor), [False]]).astype(np.int8)
+            for begin, end in zip(
+                np.flatnonzero(np.diff(seen) > 0), np.flatnonzero(np.diff(seen) < 0), strict=True
+            ):
+                if begin == 0 or end == len(walk.t):
+                    continue  # in view when the recording began or ended
+                (xa, ya, _), (xb, yb, _) = np.clip(view.feet(walk.floor[[begin, end - 1]]), 0.0, 1.0)
+                result.append(
+                    Passage(
+                        camera=view.camera,
+                        walker=walker,
+                        t_in=float(walk.t[begin]),
+                        t_out=float(walk.t[end - 1]),
+                        at_in=(float(xa), float(ya)),
+                        at_out=(float(xb), float(yb)),
+                        way_in=int(walk.way[begin]),
+                        way_out=int(walk.way[end - 1]),
+                    )
+                )
+    return sorted(result, key=lambda passage: (passage.walker, passage.t_in))
+
+
+def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
+    """Zones where a camera's picture cuts a way, links where people went from one to another, as walked."""
+    points: dict[tuple[str, int], list[tuple[float, float]]] = {}
+    exits: dict[tuple[str, int], int] = {}
+    lags: dict[tuple[tuple[str, int], tuple[str, int]], list[float]] = {}
+    for passage in seen:
+        points.setdefault((passage.camera, passage.way_in), []).append(passage.at_in)
+        points.setdefault((passage.camera, passage.way_out), []).append(passage.at_out)
+        leaving = (passage.camera, passage.way_out)
+        exits[leaving] = exits.get(leaving, 0) + 1
+    for before, after in pairwise(seen):
+        if before.walker == after.walker:
+            key = (before.camera, before.way_out), (after.camera, after.way_in)
+            lags.setdefault(key, []).append(after.t_in - before.t_out)
+    order = {view.camera: k for k, view in enumerate(plan.views)}
+    keys = sorted(points, key=lambda key: (order[key[0]], key[1]))
+    ids: dict[tuple[str, int], str] = {}
+    for camera, way in keys:
+        ids[camera, way] = f"{camera}/{1 + sum(zone.startswith(camera + '/') for zone in ids.values())}"
+    zones = [_zone(ids[key], key[0], np.array(points[key])) for key in keys]
+    links = [
+        TrueLink(
+            from_=ids[u],
+            to=ids[v],
+            relation="overlapped" if np.median(seconds) < 0 else "unseen",
+            probability=round(len(seconds) / exits[u], 6),
+            transitions=len(seconds),
+            transit=transit_of(np.array(seconds)),
+        )
+        for (u, v), seconds in sorted(lags.items(), key=lambda item: (ids[item[0][0]], ids[item[0][1]]))
+    ]
+    pairs = pairs_of(links, {zone.id: zone.camera for zone in zones})
+    return Truth(schema=TRUTH_SCHEMA, cameras=list(order), zones=zones, links=links, pairs=pairs)
+
+
+def _zone(name: str, camera: str, at: Floats) -> TrueZone:
+    cov = np.cov(at.T) if len(at) > 1 else np.zeros((2, 2))
+    x, y = at.mean(0)
+    return TrueZone(
+        id=name, camera=camera, x=round(float(x), 4), y=round(float(y), 4), cov=np.round(cov, 7).tolist()
+    )

@@ -1,0 +1,180 @@
+"""Walkers on the floor plan to the pictures and videos of its cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.sim.floor import FPS, HEIGHT, PERSON_METRES, WIDTH, Area, Floor, Plan, View, Walk
+from camtopod.sim.truth import Floats
+
+Picture = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+PIXELS_PER_METRE = 24
+MARGIN_METRES = 8.0
+_FLOORS: dict[Floor, tuple[Colour, Colour, tuple[float, float]]] = {
+    "stone": ((172, 178, 180), (150, 156, 158), (1.0, 1.0)),
+    "grass": ((96, 150, 128), (88, 140, 118), (0.35, 0.6)),
+    "wood": ((140, 172, 202), (118, 150, 180), (2.4, 0.4)),
+    "brick": ((130, 150, 190), (112, 132, 172), (0.8, 0.4)),
+}
+"""Colour, colour of the seams, and the size of a slab in metres."""
+NOISE_SD = 2.5
+"""Standard deviation of the pictures' noise, grey levels."""
+NOISE_PICTURES = 8
+STRIDE_METRES = 0.75
+CODEC, SUFFIX = "mp4v", ".mp4"
+"""The pair that encodes and decodes fastest at this size."""
+_SUBPIXEL = 4
+"""Fractional bits of drawing coordinates."""
+_CLOTHES: tuple[Colour, ...] = (
+    (60, 50, 40), (150, 70, 30), (40, 40, 150), (30, 90, 40), (110, 40, 110),
+    (20, 120, 190), (90, 90, 20), (35, 30, 90), (120, 110, 30), (50, 20, 20),
+)  # fmt: skip
+_SKIN: tuple[Colour, ...] = ((150, 180, 220), (110, 140, 190), (60, 85, 130))
+
+
+class _Figure(NamedTuple):
+    """One person in one picture: foot and head in pixels, swing of the legs in [-1, 1], who."""
+
+    depth: float
+    foot: tuple[float, float]
+    head: tuple[float, float]
+    swing: float
+    walker: int
+
+
+def plan_corner(plan: Plan) -> tuple[float, float, float, float]:
+    """West, south, east and north ends of the plan's picture, metres."""
+    x, y = np.array(list(plan.places.values())).T
+    return (
+        float(x.min()) - MARGIN_METRES, float(y.min()) - MARGIN_METRES,
+        float(x.max()) + MARGIN_METRES, float(y.max()) + MARGIN_METRES,
+    )  # fmt: skip
+
+
+def floor_picture(plan: Plan) -> Picture:
+    """The floor from above, `PIXELS_PER_METRE`, north up: slabs, stains, the ways worn lighter."""
+    west, south, east, north = plan_corner(plan)
+    shape = round((north - south) * PIXELS_PER_METRE), round((east - west) * PIXELS_PER_METRE), 3
+    picture: Picture = np.zeros(shape, dtype=np.uint8)
+    for area in plan.areas:
+        _pave(picture, plan, area)
+    ways = picture.copy()
+    for a, b in plan.ways:
+        begin, end = (_on_plan(plan, plan.places[name]) for name in (a, b))
+        cv2.line(ways, begin, end, (214, 220, 224), round(2.6 * PIXELS_PER_METRE), cv2.LINE_AA)
+    mixed = cv2.addWeighted(picture, 0.55, ways, 0.45, 0)
+    coarse = np.random.default_rng(7).normal(0, 7, (shape[0] // 30 + 1, shape[1] // 30 + 1))
+    stains = cv2.resize(coarse, shape[1::-1], interpolation=cv2.INTER_CUBIC)[..., None]
+    return _grey_levels(mixed + stains)
+
+
+def _grey_levels(values: NDArray[Any]) -> Picture:
+    result: Picture = np.clip(values, 0, 255).astype(np.uint8)
+    return result
+
+
+def _pave(picture: Picture, plan: Plan, area: Area) -> None:
+    """Slabs with seams, every other row half a slab on."""
+    west, south, east, north = area.box
+    colour, seam, (length, depth) = _FLOORS[area.floor]
+    cv2.rectangle(picture, _on_plan(plan, (west, north)), _on_plan(plan, (east, south)), colour, -1)
+    for row, y in enumerate(np.arange(south, north, depth)):
+        top = float(min(y + depth, north))
+        cv2.line(picture, _on_plan(plan, (west, float(y))), _on_plan(plan, (east, float(y))), seam, 1)
+        for x in np.arange(west + length * (0.5 if row % 2 else 1.0), east, length):
+            cv2.line(picture, _on_plan(plan, (float(x), float(y))), _on_plan(plan, (float(x), top)), seam, 1)
+
+
+def _on_plan(plan: Plan, place: tuple[float, float]) -> tuple[int, int]:
+    west, _, _, north = plan_corner(plan)
+    return round((place[0] - west) * PIXELS_PER_METRE), round((north - place[1]) * PIXELS_PER_METRE)
+
+
+def scene(plan: Plan, view: View) -> Picture:
+    """What a camera sees when nobody is there, (HEIGHT, WIDTH, 3) BGR: the floor through its homography."""
+    corners = np.array(view.target) + np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], dtype=float)
+    there = np.array([_on_plan(plan, (float(x), float(y))) for x, y in corners], dtype=np.float32)
+    here = (view.feet(corners)[:, :2] * (2 * WIDTH, 2 * HEIGHT)).astype(np.float32)
+    homography = cv2.getPerspectiveTransform(there, here)
+    size = 2 * WIDTH, 2 * HEIGHT
+    large = cv2.warpPerspective(floor_picture(plan), homography, size, borderMode=cv2.BORDER_REFLECT)
+    shade = np.linspace(0.8, 1.05, 2 * HEIGHT)[:, None, None]
+    return _grey_levels(cv2.resize(large * shade, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA))
+
+
+def render(plan: Plan, view: View, walks: list[Walk], seconds: float, path: Path, seed: int) -> None:
+    """Write the camera's video, from second 0 to ``seconds``. Raises OSError if it cannot be written."""
+    frames = _figures(view, walks, round(seconds * FPS))
+    empty = scene(plan, view)
+    rng = np.random.default_rng(seed)
+    noise = [
+        np.clip(rng.normal(0, NOISE_SD, empty.shape), -127, 127).astype(np.int8)
+        for _ in range(NOISE_PICTURES)
+    ]
+    grain = [cv2.add(empty, part, dtype=cv2.CV_8U) for part in noise]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODEC), FPS, (WIDTH, HEIGHT))
+    if not writer.isOpened():
+        raise OSError(f"cannot write the video {path}")
+    order = rng.integers(0, NOISE_PICTURES, len(frames))
+    for figures, k in zip(frames, order, strict=True):
+        picture = grain[k]
+        if figures:
+            picture = picture.copy()
+            for figure in sorted(figures, reverse=True):
+                _draw(picture, figure)
+        writer.write(picture)
+    writer.release()
+
+
+def _figures(view: View, walks: list[Walk], frames: int) -> list[list[_Figure]]:
+    """Who is in each frame, at least with a part of the body."""
+    result: list[list[_Figure]] = [[] for _ in range(frames)]
+    scale = np.array((WIDTH, HEIGHT))
+    for walker, walk in enumerate(walks):
+        feet = view.feet(walk.floor)
+        heads = view.project(np.column_stack([walk.floor, np.full(len(walk.t), PERSON_METRES)]))
+        near = (feet[:, 2] > 0.5) & (np.abs(feet[:, :2] - 0.5) < 0.8).all(1)
+        steps = np.linalg.norm(np.diff(walk.floor, axis=0, prepend=walk.floor[:1]), axis=1)
+        swing = np.sin(2 * np.pi * np.cumsum(steps) / (2 * STRIDE_METRES))
+        for i in np.flatnonzero(near):
+            frame = round(float(walk.t[i]) * FPS)
+            if frame < frames:
+                foot, head = _pair(feet[i, :2] * scale), _pair(heads[i, :2] * scale)
+                result[frame].append(_Figure(float(feet[i, 2]), foot, head, float(swing[i]), walker))
+    return result
+
+
+def _pair(point: Floats) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
+
+
+def _draw(picture: Picture, figure: _Figure) -> None:
+    """A person: shadow, two legs, a body with arms, a head; sizes go with the height in the picture."""
+    (fx, fy), (hx, hy) = figure.foot, figure.head
+    tall = max(1.0, fy - hy)
+    coat, trousers = _CLOTHES[figure.walker % 10], _CLOTHES[(figure.walker * 7 + 3) % 10]
+    skin = _SKIN[figure.walker % 3]
+
+    def at(across: float, up: float) -> tuple[int, int]:
+        x, y = fx + across * tall + (hx - fx) * up, fy + (hy - fy) * up
+        return round(x * (1 << _SUBPIXEL)), round(y * (1 << _SUBPIXEL))
+
+    def limb(a: tuple[float, float], b: tuple[float, float], width: float, colour: Colour) -> None:
+        cv2.line(picture, at(*a), at(*b), colour, max(1, round(width * tall)), cv2.LINE_AA, _SUBPIXEL)
+
+    axes = round(0.16 * tall * (1 << _SUBPIXEL)), round(0.06 * tall * (1 << _SUBPIXEL))
+    cv2.ellipse(picture, at(0, 0), axes, 0, 0, 360, (120, 126, 130), -1, cv2.LINE_AA, _SUBPIXEL)
+    reach = 0.13 * figure.swing
+    limb((0.05, 0.48), (0.05 + reach, 0.02), 0.11, trousers)
+    limb((-0.05, 0.48), (-0.05 - reach, 0.02), 0.11, trousers)
+    limb((0, 0.5), (0, 0.74), 0.26, coat)
+    limb((0.13, 0.74), (0.13 - reach, 0.5), 0.08, coat)
+    limb((-0.13, 0.74), (-0.13 + reach, 0.5), 0.08, coat)
+    cv2.circle(picture, at(0, 0.92), round(0.085 * tall * (1 << _SUBPIXEL)), skin, -1, cv2.LINE_AA, _SUBPIXEL)
