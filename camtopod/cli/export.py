@@ -1,0 +1,52 @@
+"""`camtopod export`: a topology as a picture or in an exchange format."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from camtopod.cli import exits
+from camtopod.codec import Rejected, read
+from camtopod.export import FORMATS
+from camtopod.export.aicity import camera_numbers
+from camtopod.records import Topology
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `export`."""
+    summary = "a topology as a picture or in an exchange format"
+    parser = subparsers.add_parser("export", help=summary, description=summary.capitalize() + ".")
+    parser.add_argument("topology", metavar="TOPOLOGY.json", help="what `learn` wrote ('-': standard input)")
+    parser.add_argument("--format", choices=FORMATS, required=True)
+    parser.add_argument("--out", metavar="FILE", default="-", help="default: standard output")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the export; raises `exits.InputError` when the topology cannot be read."""
+    topology = load(args.topology)
+    text = FORMATS[args.format](topology)
+    if args.out == "-":
+        sys.stdout.write(text)
+    else:
+        try:
+            Path(args.out).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise exits.CommandError(f"export: cannot write {args.out}: {error.strerror}") from None
+    numbers = camera_numbers(topology) if args.format == "aicity" else {}
+    if any(str(number) != name for name, number in numbers.items()):
+        shown = ", ".join(f"{number} is {name}" for name, number in numbers.items())
+        print(f"export: the format numbers cameras: {shown}", file=sys.stderr)
+    return exits.DONE
+
+
+def load(path: str) -> Topology:
+    """A topology from a JSON file ('-': standard input); raises `exits.InputError`."""
+    try:
+        raw = sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
+        return read(Topology, raw)
+    except OSError as error:
+        raise exits.InputError(f"cannot read {path}: {error.strerror}") from None
+    except Rejected as error:
+        raise exits.InputError(f"{path} is not a topology: {error}") from None

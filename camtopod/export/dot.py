@@ -1,0 +1,35 @@
+"""Graphviz."""
+
+from __future__ import annotations
+
+from camtopod.export.graph import edges, seconds
+from camtopod.records import Topology
+
+
+def to_dot(topology: Topology) -> str:
+    """A directed graph of cameras: black edges overlap, grey are unseen paths, labels are transit times."""
+    site = topology.site.replace("\\", "/")
+    lines = [
+        "digraph camtopod {",
+        f"  label={_quoted(f'{site}, version {topology.version}')};",
+        "  node [shape=box, style=rounded];",
+    ]
+    for camera in topology.cameras:
+        count = len(camera.zones)
+        label = f"{camera.id}\\n{count} {'zone' if count == 1 else 'zones'}"
+        lines.append(f"  {_quoted(camera.id)} [label={_quoted(label)}];")
+    for edge in edges(topology):
+        attributes = {
+            "color": edge.colour,
+            "label": seconds(edge.transit.mode),
+            "weight": str(round(100 * edge.probability)),
+            "penwidth": f"{1 + 3 * edge.probability:.2f}",
+            "tooltip": f"{edge.transit.q10:.1f} to {edge.transit.q90:.1f} s, {100 * edge.probability:.0f} %",
+        }
+        shown = ", ".join(f"{name}={_quoted(value)}" for name, value in attributes.items())
+        lines.append(f"  {_quoted(edge.from_)} -> {_quoted(edge.to)} [{shown}];")
+    return "\n".join([*lines, "}", ""])
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', '\\"') + '"'

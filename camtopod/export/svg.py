@@ -1,0 +1,98 @@
+"""A drawing of the camera network that any browser shows."""
+
+from __future__ import annotations
+
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.export.graph import Edge, edges, seconds
+from camtopod.records import Topology
+
+NODE_WIDTH, NODE_HEIGHT = 110.0, 40.0
+STROKE = {True: "#111111", False: "#9a9a9a"}
+"""By whether the views overlap: the thesis's black and grey."""
+
+
+def to_svg(topology: Topology) -> str:
+    """Cameras as boxes, black edges overlap, grey are unseen paths; labels are transit times each way."""
+    names = [camera.id for camera in topology.cameras]
+    found = edges(topology)
+    both = {tuple(sorted((edge.from_, edge.to))) for edge in found}
+    size = 190.0 * max(1.5, len(names) ** 0.5)
+    at = spring_layout(names, [(a, b) for a, b in sorted(both)]) * size
+    place = {name: (float(x) + 90, float(y) + 70) for name, (x, y) in zip(names, at, strict=True)}
+    width, height = size + 180, size + 130
+    title = f"{topology.site}, version {topology.version}, {topology.events} events"
+    parts = [
+        '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif"'
+        f' viewBox="0 0 {width:.0f} {height:.0f}">',
+        f"<title>{escape(title)}</title>",
+        f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
+        f'<text x="16" y="24" font-size="14" fill="#333333">{escape(title)}</text>',
+        _legend(height),
+    ]
+    for a, b in sorted(both):
+        parts.append(_edge(place[a], place[b], [edge for edge in found if {edge.from_, edge.to} == {a, b}]))
+    parts += [_node(camera.id, len(camera.zones), place[camera.id]) for camera in topology.cameras]
+    return "\n".join([*parts, "</svg>", ""])
+
+
+def spring_layout(names: list[str], joined: list[tuple[str, str]], rounds: int = 200) -> NDArray[np.float64]:
+    """Places in the unit square, (n, 2): edges pull, all push (Fruchterman & Reingold 1991)."""
+    n = len(names)
+    angle = 2 * np.pi * np.arange(n) / max(n, 1)
+    at = 0.5 + 0.5 * np.column_stack([np.cos(angle), np.sin(angle)]) + 0.01 * np.sin(7.0 * angle + 1)[:, None]
+    pull = np.zeros((n, n))
+    for a, b in joined:
+        pull[names.index(a), names.index(b)] = pull[names.index(b), names.index(a)] = 1.0
+    ideal = 1.0 / max(n, 1) ** 0.5
+    for step in np.linspace(0.1, 0.001, rounds):
+        apart = at[:, None] - at[None]
+        distance = np.maximum(np.linalg.norm(apart, axis=2), 1e-4)
+        force = (ideal / distance) ** 2 - pull * distance / ideal
+        move = (apart * force[..., None]).sum(1)
+        at += move * np.minimum(1.0, step / np.maximum(np.linalg.norm(move, axis=1), 1e-9))[:, None]
+    span = np.ptp(at, axis=0) if n else np.ones(2)
+    result: NDArray[np.float64] = (at - at.min(0, initial=np.inf)) / np.maximum(span, 1e-9) if n > 1 else at
+    return result
+
+
+def _node(name: str, zones: int, at: tuple[float, float]) -> str:
+    x, y = at
+    corner = f'x="{x - NODE_WIDTH / 2:.1f}" y="{y - NODE_HEIGHT / 2:.1f}"'
+    size = f'width="{NODE_WIDTH:.0f}" height="{NODE_HEIGHT:.0f}"'
+    count = f"{zones} zone" if zones == 1 else f"{zones} zones"
+    shown = name if len(name) <= 14 else name[:13] + "…"
+    return (
+        f'<g text-anchor="middle"><title>{escape(name)}</title>'
+        f'<rect {corner} {size} rx="8" fill="#eef3f8" stroke="#44617b"/>'
+        f'<text x="{x:.1f}" y="{y - 2:.1f}" font-size="13" fill="#111111">{escape(shown)}</text>'
+        f'<text x="{x:.1f}" y="{y + 13:.1f}" font-size="10" fill="#666666">{count}</text></g>'
+    )
+
+
+def _edge(a: tuple[float, float], b: tuple[float, float], ways: list[Edge]) -> str:
+    overlapped = any(edge.overlapped for edge in ways)
+    thick = 1.5 + 3 * max(edge.probability for edge in ways)
+    label = " / ".join(f"{edge.from_} → {edge.to} {seconds(edge.transit.mode)}" for edge in ways)
+    times = " / ".join(seconds(edge.transit.mode) for edge in ways)
+    x, y = (a[0] + b[0]) / 2, (a[1] + b[1]) / 2
+    return (
+        f"<g><title>{escape(label)}</title>"
+        f'<line x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}"'
+        f' stroke="{STROKE[overlapped]}" stroke-width="{thick:.1f}"/>'
+        f'<text x="{x:.1f}" y="{y - 5:.1f}" font-size="11" text-anchor="middle" fill="#222222"'
+        f' stroke="#ffffff" stroke-width="3" paint-order="stroke">{times}</text></g>'
+    )
+
+
+def _legend(height: float) -> str:
+    y = height - 18
+    return (
+        f'<g font-size="11" fill="#333333"><line x1="16" y1="{y:.0f}" x2="44" y2="{y:.0f}"'
+        f' stroke="{STROKE[True]}" stroke-width="3"/><text x="50" y="{y + 4:.0f}">views overlap</text>'
+        f'<line x1="140" y1="{y:.0f}" x2="168" y2="{y:.0f}" stroke="{STROKE[False]}" stroke-width="3"/>'
+        f'<text x="174" y="{y + 4:.0f}">unseen path; most popular transit time</text></g>'
+    )
