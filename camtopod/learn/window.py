@@ -32,6 +32,8 @@ class Window:
         self.base = 0
         self.sums: list[NDArray[np.int64]] = []
         self.unplaced: list[NDArray[np.int64]] = []
+        self.seen: list[int] = []
+        """Events with positions of each camera that have ever come in."""
         self._index: dict[str, int] = {}
         self._open: dict[tuple[int, str], int] = {}
         self._columns = {name: np.zeros(1024, dtype) for name, dtype in _COLUMNS.items()}
@@ -82,6 +84,10 @@ class Window:
         """The sums over one camera's events that have positions, each (rows, columns)."""
         return CellSums(*self.sums[camera][:6])
 
+    def placed(self, camera: int) -> int:
+        """Events of the camera in the window that have positions."""
+        return int(self.sums[camera][0].sum())
+
     def _camera(self, name: str) -> int:
         index = self._index.get(name)
         if index is None:
@@ -89,6 +95,7 @@ class Window:
             self.cameras.append(name)
             self.sums.append(np.zeros((len(PLANES), GRID_ROWS, GRID_COLUMNS), np.int64))
             self.unplaced.append(np.zeros(2, np.int64))
+            self.seen.append(0)
         return index
 
     def _mate(self, camera: int, event: Event, row: int) -> int:
@@ -118,6 +125,7 @@ class Window:
             values = (np.ones_like(x), x, y, x * x, x * y, y * y, entry[placed].astype(np.int64))
             for plane, value in zip(sums, values, strict=True):
                 np.add.at(plane, at, sign * value)
+            self.seen[index] += len(at) if sign > 0 else 0
             bare = here & (cell < 0)
             self.unplaced[index] += sign * np.array([np.sum(bare & entry), np.sum(bare & ~entry)])
 

@@ -1,0 +1,110 @@
+"""`camtopod learn`: the daemon's learner over recorded event lines."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from contextlib import ExitStack
+from typing import Any, BinaryIO
+
+from camtopod.cli.common import configuration
+from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.lines import LineReader
+from camtopod.codec import to_json
+from camtopod.learn.learner import Learner
+from camtopod.records import Topology
+
+PROGRESS_SECONDS = 2.0
+EPOCH = "recording"
+"""Epoch of a topology learned from files: the same files give the same bytes."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `learn`."""
+    summary = "the same learner over recorded event lines"
+    parser = subparsers.add_parser("learn", help=summary, description=summary.capitalize() + ".")
+    parser.add_argument("events", nargs="+", metavar="EVENTS", help="files of event lines ('-': standard input)")
+    parser.add_argument("--topology", metavar="OUT.json", help="the final topology goes here ('-': standard output)")
+    parser.add_argument("--updates", metavar="OUT.jsonl", help="every version on the way, one a line")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Learn; the topology goes to a file, or to standard output when no file is named."""
+    config = configuration(args)
+    learner = Learner(config.learn, site=config.site.name, epoch=EPOCH)
+    reader = LineReader()
+    with ExitStack() as stack:
+        updates = stack.enter_context(open_output(args.updates)) if args.updates else None
+        _feed(learner, reader, args.events, updates)
+    if (summary := reader.summary()) is not None:
+        print(f"camtopod: {summary}", file=sys.stderr)
+    topology = learner.topology
+    if topology is None:
+        raise InputError("no event lines in " + ", ".join(args.events) + ": nothing to learn from")
+    if args.topology or not args.updates:
+        with open_output(args.topology or "-") as out:
+            out.write(to_json(topology) + b"\n")
+    print(f"camtopod: {describe(topology)}", file=sys.stderr)
+    return 0
+
+
+def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None) -> None:
+    """Every line through the learner; versions go out as they are made; progress to a terminal."""
+    shown = time.monotonic()
+    for line in reader.merged(paths):
+        verdict = learner.receive(line.event)
+        if verdict != "accepted":
+            reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")
+        if time.monotonic() - shown > PROGRESS_SECONDS and sys.stderr.isatty():
+            shown = time.monotonic()
+            version = learner.topology.version if learner.topology else 0
+            print(f"\r{reader.read} lines, version {version}", end="\r", file=sys.stderr)
+        _write(learner, updates)
+    learner.flush()
+    _write(learner, updates)
+
+
+_WHY = {
+    "late": "later than the lateness allows (learn.lateness_seconds)",
+    "duplicate": "the same boot and seq came before",
+    "refused": "more cameras than learn.cameras_max",
+}
+
+
+def _write(learner: Learner, updates: BinaryIO | None) -> None:
+    for topology in learner.updates():
+        if updates is not None:
+            updates.write(to_json(topology) + b"\n")
+
+
+def describe(topology: Topology) -> str:
+    """One line on a topology for people."""
+    between = sum(link.relation != "visible" for link in topology.links)
+    return (
+        f"version {topology.version}: {topology.events} events, {len(topology.cameras)} cameras, "
+        f"{len(topology.zones)} zones, {between} links between views, {len(topology.pairs)} related pairs of cameras"
+    )
+
+
+def open_output(path: str) -> Any:
+    """A file for writing bytes; ``-`` is standard output, which is left open. Raises `CommandError`."""
+    if path == "-":
+        return ExitStack().enter_context(_StandardOutput())
+    try:
+        return open(path, "wb")
+    except OSError as error:
+        raise CommandError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+class _StandardOutput:
+    """Standard output as a context that does not close it."""
+
+    def __enter__(self) -> _StandardOutput:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.stdout.buffer.flush()
+
+    def write(self, data: bytes) -> None:
+        sys.stdout.buffer.write(data)

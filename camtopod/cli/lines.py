@@ -1,0 +1,89 @@
+"""Event lines from files and pipes: what fits becomes events, what does not is counted and quoted once per reason."""
+
+from __future__ import annotations
+
+import heapq
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import BinaryIO, NamedTuple
+
+from camtopod.cli.exits import InputError
+from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json
+from camtopod.records import Event
+from camtopod.redact import redact
+
+QUOTE_CHARACTERS_MAX = 120
+
+
+class Line(NamedTuple):
+    """An event and where it stands."""
+
+    event: Event
+    file: str
+    number: int
+
+
+class LineReader:
+    """Reads event lines; ``rejected`` counts by reason what did not fit."""
+
+    def __init__(self) -> None:
+        self.rejected: Counter[str] = Counter()
+        self.read = 0
+
+    def merged(self, paths: list[str]) -> Iterator[Line]:
+        """Lines of several files in one stream by time; each file may be out of order as far as its lateness goes.
+
+        ``-`` is standard input. Raises `InputError` when a file cannot be read.
+        """
+        with ExitStack() as stack:
+            files = [(path, stack.enter_context(open_input(path))) for path in paths]
+            streams = [self.lines(path, file) for path, file in files]
+            if len(streams) == 1:
+                yield from streams[0]
+            else:
+                yield from heapq.merge(*streams, key=lambda line: line.event.t)
+
+    def lines(self, path: str, file: BinaryIO) -> Iterator[Line]:
+        """Events of one file in the order of its lines; blank lines are skipped."""
+        number = 0
+        while raw := file.readline(EVENT_BYTES_MAX + 2):
+            number += 1
+            while not raw.endswith(b"\n") and len(raw) > EVENT_BYTES_MAX and (more := file.readline(1 << 16)):
+                raw = raw[: EVENT_BYTES_MAX + 1] + (b"\n" if more.endswith(b"\n") else b"")
+            text = raw.strip()
+            if not text:
+                continue
+            self.read += 1
+            try:
+                event = event_from_json(text)
+            except Rejected as error:
+                self.reject(error.reason, f"{path}:{number}: {error}", text)
+                continue
+            yield Line(event, path, number)
+
+    def reject(self, reason: str, where: str, text: bytes = b"") -> None:
+        """Count a line that changes nothing; the first of each reason is quoted on standard error."""
+        self.rejected[reason] += 1
+        if self.rejected[reason] == 1:
+            quoted = text[:QUOTE_CHARACTERS_MAX].decode("utf-8", "backslashreplace")
+            message = redact(f"{where}{': ' + quoted if quoted else ''}")
+            print(f"camtopod: {message} (further lines of this kind are only counted)", file=sys.stderr)
+
+    def summary(self) -> str | None:
+        """One line about what was rejected; None when everything fitted."""
+        if not self.rejected:
+            return None
+        reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(self.rejected.items()))
+        return f"{sum(self.rejected.values())} of {self.read} lines changed nothing: {reasons}"
+
+
+def open_input(path: str) -> BinaryIO:
+    """A file for reading bytes; ``-`` is standard input. Raises `InputError`."""
+    if path == "-":
+        return sys.stdin.buffer
+    try:
+        return open(path, "rb")
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from None

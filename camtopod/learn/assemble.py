@@ -1,0 +1,119 @@
+"""Learned figures -> the nouns of the contract: zones, links, pairs, chain and what prediction needs.
+
+Floats are rounded to six significant digits: no reader needs more, and the last bits differ between processors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.chain import markov_chain
+from camtopod.learn.intake import MICROSECONDS
+from camtopod.learn.joint import Fit
+from camtopod.learn.lags import LagBins
+from camtopod.learn.links import LinkTable
+from camtopod.learn.relations import camera_pairs, relation_of
+from camtopod.learn.scene import Scene, ZoneRef
+from camtopod.learn.settings import Settings
+from camtopod.learn.topology import link_key
+from camtopod.learn.window import Window
+from camtopod.records import Camera, CameraModel, Histogram, Link, Model, Relation, Topology, Transit, Zone, ZoneModel
+
+DIGITS = 6
+STAY_DECILES = np.linspace(0.0, 1.0, 11)
+HISTOGRAM_MASS_MIN = 1e-3
+"""Bins at the ends of a histogram with less than this share of its mass are left off."""
+
+
+def short(value: float) -> float:
+    """Six significant digits; minus zero and nan become zero."""
+    return float(f"{value:.{DIGITS}g}") + 0.0 if value == value else 0.0
+
+
+def zone_id(cameras: list[str], zone: ZoneRef) -> str:
+    """``camera/number``."""
+    return f"{cameras[zone.camera]}/{zone.number}"
+
+
+def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
+    """Zones with their counts in the window, by id."""
+    records = []
+    for index, zone in enumerate(scene.zones):
+        entries, exits = int(scene.entries[index]), int(scene.exits[index])
+        name, shape = zone_id(cameras, zone), zone.shape
+        if shape is None:
+            records.append(Zone(name, cameras[zone.camera], entries, exits))
+        else:
+            cov = [[short(float(value)) for value in row] for row in shape.cov]
+            records.append(Zone(name, cameras[zone.camera], entries, exits, short(shape.x), short(shape.y), cov))
+    return sorted(records, key=lambda record: record.id)
+
+
+def link_records(
+    cameras: list[str], scene: Scene, table: LinkTable, bins: LagBins, relation: Relation | None
+) -> list[Link]:
+    """Rows of the table as links, by key; ``relation`` None: overlapped or unseen, from where the lags lie."""
+    ids = [zone_id(cameras, zone) for zone in scene.zones]
+    t = table.transit
+    records = [
+        Link(
+            ids[table.source[k]], ids[table.target[k]], relation or relation_of(float(t.ahead[k])),
+            short(table.probability[k]), short(t.total[k]),
+            Transit(short(t.mode[k]), short(t.mean[k]), short(t.sd[k]), *(short(q) for q in t.quantiles[k])),
+            short(table.q[k]), short(table.variance[k]), _histogram(table.counts[k], bins),
+        )
+        for k in range(len(table.source))
+    ]  # fmt: skip
+    return sorted(records, key=link_key)
+
+
+def _histogram(counts: NDArray[np.float64], bins: LagBins) -> Histogram:
+    """Expected transitions per lag bin without the empty ends."""
+    full = np.flatnonzero(counts > HISTOGRAM_MASS_MIN * counts.sum())
+    if len(full) == 0:
+        return Histogram(0, [])
+    return Histogram(bins.first + int(full[0]), [float(f"{n:.3g}") for n in counts[full[0] : full[-1] + 1]])
+
+
+def model_of(cameras: list[str], scene: Scene, fit: Fit | None, bins: LagBins, window: Window) -> Model:
+    """Rates and stays that prediction needs beside the links."""
+    d = scene.departures
+    span = max(scene.last - scene.first, 1.0)
+    zones = []
+    for index, zone in enumerate(scene.zones):
+        stay = (d.t - d.since)[(d.zone == index) & np.isfinite(d.since)]
+        deciles = [short(float(value)) for value in np.quantile(stay, STAY_DECILES)] if len(stay) else []
+        outside = 1.0 if fit is None else float(fit.outside[index])
+        rate = outside * float(scene.entries[index]) / span
+        zones.append(ZoneModel(zone_id(cameras, zone), int(scene.exits[index]), short(rate), deciles))
+    camera = window.column("camera").astype(np.int64)
+    t = window.column("t")
+    share = np.bincount(camera, minlength=len(cameras)) / max(len(camera), 1)
+    last = np.zeros(len(cameras))
+    np.maximum.at(last, camera, t / MICROSECONDS)
+    models = [CameraModel(name, short(share[k]), float(last[k])) for k, name in enumerate(cameras) if share[k] > 0]
+    return Model(
+        bins.scale, bins.step, bins.lag_min, bins.lag_max,
+        sorted(zones, key=lambda zone: zone.zone), sorted(models, key=lambda model: model.camera),
+    )  # fmt: skip
+
+
+def assemble(
+    site: str, epoch: str, version: int, as_of: float, events: int, settings: Settings, window: Window, scene: Scene,
+    fit: Fit | None, bins: LagBins, links: list[Link], weak_links: list[Link],
+) -> Topology:  # fmt: skip
+    """One version without its digest. ``events``: how many have been learned in all."""
+    zones = zone_records(window.cameras, scene)
+    of_camera: dict[str, list[str]] = {name: [] for name in sorted(window.cameras)}
+    for zone in zones:
+        of_camera[zone.camera].append(zone.id)
+    links = sorted(links, key=link_key)
+    return Topology(
+        schema="camtopod/topology/1", site=site, epoch=epoch, version=version, as_of=as_of, events=events, digest="",
+        cameras=[Camera(name, ids) for name, ids in of_camera.items()], zones=zones, links=links,
+        pairs=camera_pairs(zones, links, settings.overlap_tolerance_seconds),
+        weak_links=sorted(weak_links, key=link_key),
+        chain=markov_chain(zones, [*links, *weak_links], DIGITS),
+        model=model_of(window.cameras, scene, fit, bins, window),
+    )  # fmt: skip

@@ -1,0 +1,193 @@
+"""The learner: events and time go in, versions of the topology come out. Deterministic, whatever the order of arrival.
+
+Theory of operation. `receive` puts an event into the reorder buffer. Event time is cut into ticks of
+``version_seconds``; when the watermark passes a tick, everything up to it moves into the window, what is too old is taken
+back out, and if enough has changed the zones, the joint fit and the links are refreshed and a version is made. What a
+version says therefore depends on the events up to its tick and on nothing else: not on how they were ordered within the
+lateness, nor on how fast or when the program ran.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camtopod.learn.assemble import assemble, link_records
+from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
+from camtopod.learn.joint import Fit, JointFitter, find_candidates
+from camtopod.learn.lags import LagBins
+from camtopod.learn.links import LinkTable, Transitions, significant, tabulate, weak, without_missed
+from camtopod.learn.passages import visible_transitions
+from camtopod.learn.predict import Predictor
+from camtopod.learn.scene import Scene, see
+from camtopod.learn.settings import Settings
+from camtopod.learn.topology import stamp
+from camtopod.learn.window import Window
+from camtopod.learn.zones import ZoneMap, find_zones
+from camtopod.records import Event, Link, Topology
+
+REFIT_EVENTS_MIN = 10
+"""No new version for fewer new events, unless they have waited ``refit_hours``."""
+ZONES_REFRESH_SHARE = 0.1
+"""A camera's zones are learned again when this share of its events is new."""
+ITERATIONS = 20
+
+
+class Learner:
+    """The whole chain of the thesis, incremental over a sliding window of event time."""
+
+    def __init__(self, settings: Settings | None = None, site: str = "default", epoch: str = "0") -> None:
+        self.settings = settings or Settings()
+        self.site, self.epoch = site, epoch
+        self.topology: Topology | None = None
+        self.bins = LagBins(-self.settings.overlap_max_seconds, self.settings.transit_max_seconds)
+        self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
+        self._intake = Intake(self.settings.lateness_seconds, self.settings.cameras_max)
+        self._window = Window(self.settings.window_events_max)
+        self._maps: list[ZoneMap] = []
+        self._zoned: list[int] = []  # events of the camera when its zones were last learned
+        self._tick_us = microseconds(self.settings.version_seconds)
+        self._done_us: int | None = None  # the last tick worked off
+        self._fitted_us = 0
+        self._learned = 0
+        self._since_fit = 0
+        self._updates: list[Topology] = []
+
+    def receive(self, event: Event) -> str:
+        """Take one event: ``accepted``, ``duplicate``, ``late`` or ``refused``."""
+        verdict = self._intake.receive(event)
+        self._work()
+        return verdict
+
+    def advance(self, now: float) -> None:
+        """Event time has come to ``now`` (seconds) although no event says so."""
+        self._intake.advance(microseconds(now))
+        self._work()
+
+    def flush(self) -> None:
+        """The end of a recording: learn what is still held, whatever the watermark says, and make a last version."""
+        newest = self._intake.newest_us
+        if newest is None:
+            return
+        self._learn(newest)
+        self._done_us = newest
+        if self._since_fit or self.topology is None:
+            self._refit(newest)
+
+    def updates(self) -> list[Topology]:
+        """Versions made since the last call, oldest first."""
+        made, self._updates = self._updates, []
+        return made
+
+    def next_deadline(self) -> float | None:
+        """Event time (seconds) to which `advance` would have to go for something to happen; None: nothing waits."""
+        oldest = self._intake.oldest_held_us
+        if oldest is None:
+            return None
+        tick = -(-oldest // self._tick_us) * self._tick_us
+        return (tick + self._intake.lateness_us) / MICROSECONDS
+
+    def predictor(self) -> Predictor:
+        """Prediction over the newest version. Raises RuntimeError before the first."""
+        if self.topology is None:
+            raise RuntimeError("no version has been learned yet")
+        return Predictor(self.topology)
+
+    def statistics(self) -> dict[str, int | float]:
+        """Counts and sizes, for people and for health checks."""
+        watermark = self._intake.watermark_us
+        return {
+            **self._intake.counts,
+            "held": self._intake.held,
+            "learned": self._learned,
+            "window": len(self._window),
+            "cameras": len(self._window.cameras),
+            "watermark": 0.0 if watermark is None else watermark / MICROSECONDS,
+            "version": 0 if self.topology is None else self.topology.version,
+        }
+
+    def _work(self) -> None:
+        """Work off every tick the watermark has passed that has something to do."""
+        watermark = self._intake.watermark_us
+        if watermark is None:
+            return
+        reached = watermark // self._tick_us * self._tick_us
+        if self._done_us is not None and reached <= self._done_us:
+            return
+        while (oldest := self._intake.oldest_held_us) is not None:
+            tick = -(-oldest // self._tick_us) * self._tick_us
+            if tick > reached:
+                break
+            self._learn(tick)
+            if self._due(tick):
+                self._refit(tick)
+        self._done_us = reached
+
+    def _learn(self, until_us: int) -> None:
+        """Move the events up to ``until_us`` into the window and forget what is too old."""
+        batch = self._intake.take(until_us)
+        self._window.append(batch)
+        self._window.forget(until_us - microseconds(self.settings.window_hours * 3600.0))
+        self._learned += len(batch)
+        self._since_fit += len(batch)
+
+    def _due(self, tick_us: int) -> bool:
+        """Whether enough has changed for a new version."""
+        if self._since_fit == 0:
+            return False
+        enough = max(REFIT_EVENTS_MIN, self.settings.refit_share * len(self._window))
+        waited = tick_us - self._fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
+        return self._since_fit >= enough or waited
+
+    def _refit(self, tick_us: int) -> None:
+        """Zones, joint fit, links: one new version as of ``tick_us``."""
+        self._refresh_zones()
+        scene = see(self._window, self._maps)
+        through = self._through_views(scene)
+        fit, between = self._between_views(scene)
+        found = without_missed(between, through, significant(between, self.settings), self.settings)
+        seen = np.flatnonzero(significant(through, self.settings))
+        links = self._records(scene, between.rows(np.flatnonzero(found)), self.bins)
+        links += self._records(scene, through.rows(seen), self.stay_bins, visible=True)
+        version = 1 if self.topology is None else self.topology.version + 1
+        self.topology = stamp(
+            assemble(
+                self.site, self.epoch, version, tick_us / MICROSECONDS, self._learned, self.settings, self._window,
+                scene, fit, self.bins, links, self._records(scene, between.rows(weak(between, found)), self.bins),
+            )
+        )  # fmt: skip
+        self._updates.append(self.topology)
+        self._fitted_us, self._since_fit = tick_us, 0
+
+    def _records(self, scene: Scene, table: LinkTable, bins: LagBins, visible: bool = False) -> list[Link]:
+        return link_records(self._window.cameras, scene, table, bins, "visible" if visible else None)
+
+    def _refresh_zones(self) -> None:
+        """Learn the zones of every camera again whose events have changed enough."""
+        for camera in range(len(self._window.cameras)):
+            if camera == len(self._maps):
+                self._maps.append(find_zones(self._window.cell_sums(camera)))
+                self._zoned.append(self._window.seen[camera])
+            elif self._window.seen[camera] - self._zoned[camera] >= ZONES_REFRESH_SHARE * self._window.placed(camera):
+                old = self._maps[camera]
+                self._maps[camera] = find_zones(self._window.cell_sums(camera), old.zones, old.next_number)
+                self._zoned[camera] = self._window.seen[camera]
+
+    def _through_views(self, scene: Scene) -> LinkTable:
+        """Visible links: passages through one view."""
+        transitions = visible_transitions(scene, self.stay_bins, self.settings.candidates_max)
+        return tabulate(transitions, scene.entries.astype(float), self.stay_bins, len(scene.zones))
+
+    def _between_views(self, scene: Scene) -> tuple[Fit | None, LinkTable]:
+        """Links that leave a view: the joint fit of departures and arrivals."""
+        zones = len(scene.zones)
+        none = Transitions(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0))
+        leaving = scene.exits.astype(float)
+        if len(scene.departures.t) == 0 or len(scene.arrivals.t) == 0:
+            return None, tabulate(none, leaving, self.bins, zones)
+        candidates = find_candidates(scene.departures, scene.arrivals, self.bins, zones, self.settings.candidates_max)
+        fitter = JointFitter(scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last)
+        fit = fitter.run(ITERATIONS)
+        transitions = Transitions(
+            candidates.source[candidates.pair], candidates.target[candidates.pair], candidates.lag, fit.responsibility
+        )
+        return fit, tabulate(transitions, leaving, self.bins, zones)

@@ -1,0 +1,132 @@
+"""Links between zones: every figure of every pair of zones, and which of them are published.
+
+The joint fit says which departures and arrivals belong together; from those the transit times, the Monte Carlo
+observations and the thesis's tests are taken, pair by pair.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn import mahalanobis, montecarlo
+from camtopod.learn.evidence import Ways, explained_by_missed, log_likelihood_ratio, q_values
+from camtopod.learn.joint import smooth
+from camtopod.learn.lags import LagBins
+from camtopod.learn.settings import Settings
+from camtopod.learn.transit import TransitFigures, transit_figures
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+TRANSITIONS_MIN = 2.0
+"""A published link rests on at least this many expected transitions."""
+WEAK_TRANSITIONS_MIN = 0.2
+WEAK_LINKS_PER_ZONE_MAX = 24
+MONTE_CARLO_SEED = 2011
+
+
+class Transitions(NamedTuple):
+    """Joined departures and arrivals: zones, lag in seconds, and the probability that they are one object, (M,) each."""
+
+    source: Ints
+    target: Ints
+    lag: Floats
+    weight: Floats
+
+
+def join(parts: list[Transitions]) -> Transitions:
+    """Several lists of transitions as one."""
+    none = Transitions(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0))
+    return Transitions(*(np.concatenate(columns) for columns in zip(none, *parts, strict=True)))
+
+
+class LinkTable(NamedTuple):
+    """Figures of P pairs of zones, (P,) each; ``counts`` are expected transitions per lag bin, (P, bins)."""
+
+    source: Ints
+    target: Ints
+    probability: Floats
+    ratio: Floats
+    q: Floats
+    transit: TransitFigures
+    variance: Floats
+    counts: Floats
+
+    def rows(self, keep: NDArray[np.intp]) -> LinkTable:
+        """The rows ``keep``, in that order."""
+        transit = TransitFigures(*(column[keep] for column in self.transit))
+        rest = (self.source, self.target, self.probability, self.ratio, self.q)
+        return LinkTable(*(column[keep] for column in rest), transit, self.variance[keep], self.counts[keep])
+
+
+def tabulate(transitions: Transitions, leaving: Floats, bins: LagBins, zones: int) -> LinkTable:
+    """Figures of every pair of zones that has a transition. ``leaving`` (zones,): how many could have taken one."""
+    key = transitions.source.astype(np.int64) * zones + transitions.target
+    present, pair = np.unique(key, return_inverse=True)
+    pair = pair.astype(np.int32)
+    pairs = len(present)
+    source, target = (present // max(zones, 1)).astype(np.int32), (present % max(zones, 1)).astype(np.int32)
+    at = bins.index(transitions.lag)
+    inside = at >= 0
+    flat = np.bincount(
+        pair[inside].astype(np.int64) * bins.size + at[inside], transitions.weight[inside], minlength=pairs * bins.size
+    )
+    counts = flat.reshape(pairs, bins.size)
+    density = smooth(counts)[0] / bins.widths
+    transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins)
+    ratio = log_likelihood_ratio(pair, transitions.weight, pairs)
+    sigma = np.nan_to_num(transit.sd)
+    samples = montecarlo.observe(density, sigma, bins, MONTE_CARLO_SEED)
+    chance = mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
+    probability = np.minimum(transit.total / np.maximum(leaving[source], 1.0), 1.0)
+    return LinkTable(
+        source, target, probability, ratio, q_values(ratio, pairs), transit,
+        mahalanobis.distance_variance(samples, chance), counts,
+    )  # fmt: skip
+
+
+def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:
+    """Pairs (P,) whose evidence meets the rule for publishing."""
+    return (
+        (table.q <= settings.publish_q_max)
+        & (table.probability >= settings.publish_probability_min)
+        & (table.transit.total >= TRANSITIONS_MIN)
+        & (table.variance <= mahalanobis.LINKED_VARIANCE_MAX)
+    )
+
+
+def without_missed(
+    between: LinkTable, through: LinkTable, found: NDArray[np.bool_], settings: Settings
+) -> NDArray[np.bool_]:
+    """``found`` (P,) less the links that missed passages explain."""
+    links, passages = ways(between, found), ways(through, through.transit.total >= TRANSITIONS_MIN)
+    kept = found.copy()
+    for k in np.flatnonzero(found):
+        kept[k] = not explained_by_missed(
+            int(between.source[k]), int(between.target[k]), float(between.probability[k]),
+            float(between.transit.mean[k]), links, passages, settings.missed_share_max,
+        )  # fmt: skip
+    return kept
+
+
+def ways(table: LinkTable, keep: NDArray[np.bool_]) -> Ways:
+    """Rows of the table as ways by source zone."""
+    result = Ways()
+    for k in np.flatnonzero(keep):
+        row = (int(table.target[k]), table.probability[k], table.transit.mean[k], table.transit.sd[k])
+        result.setdefault(int(table.source[k]), []).append(row)
+    return result
+
+
+def weak(table: LinkTable, published: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Rows below the rule that are worth carrying for prediction: the likeliest few of each source."""
+    rows = np.flatnonzero(~published & (table.transit.total >= WEAK_TRANSITIONS_MIN))
+    rows = rows[np.lexsort((table.target[rows], -table.probability[rows], table.source[rows]))]
+    source = table.source[rows]
+    starts = np.concatenate(([True], source[1:] != source[:-1])) if len(rows) else np.zeros(0, bool)
+    rank = np.arange(len(rows)) - np.maximum.accumulate(np.where(starts, np.arange(len(rows)), 0))
+    kept: NDArray[np.intp] = rows[rank < WEAK_LINKS_PER_ZONE_MAX]
+    return kept

@@ -1,0 +1,49 @@
+"""Visible links: the passages through one camera's view, from the zone of entry to the zone of exit.
+
+Where tracks tie an exit to its entry, they are counted. Where they do not, entries and exits of one camera are joined by
+the same fit as departures and arrivals of different ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camtopod.learn.joint import Arrivals, Departures, JointFitter, find_candidates
+from camtopod.learn.lags import LagBins
+from camtopod.learn.links import Transitions, join
+from camtopod.learn.rates import local_rates
+from camtopod.learn.scene import Scene
+
+ITERATIONS = 15
+
+
+def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:
+    """Transitions through every camera's view; lags are the seconds a passage lasts."""
+    camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
+    tracked = scene.tracked[camera_of[scene.passages.source]] if len(scene.passages.source) else np.zeros(0, bool)
+    p = scene.passages
+    parts = [
+        Transitions(p.source[tracked], p.target[tracked], (p.left - p.entered)[tracked], np.ones(int(tracked.sum())))
+    ]
+    for camera in np.flatnonzero(~scene.tracked):
+        parts.append(_joined(scene, int(camera), bins, candidates_max))
+    return join(parts)
+
+
+def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Transitions:
+    """Passages through one camera without tracks, by the joint fit of its entries and exits."""
+    came = scene.arrivals.camera == camera
+    left = scene.departures.camera == camera
+    zones = len(scene.zones)
+    starts = Departures(
+        scene.arrivals.t[came], scene.arrivals.zone[came], scene.arrivals.camera[came], scene.arrivals.t[came]
+    )
+    t, zone = scene.departures.t[left], scene.departures.zone[left]
+    ends = Arrivals(t, zone, scene.departures.camera[left], local_rates(t, zone, zones))
+    if len(starts.t) == 0 or len(ends.t) == 0:
+        return join([])
+    candidates = find_candidates(starts, ends, bins, zones, candidates_max)
+    fit = JointFitter(starts, ends, candidates, bins, zones, scene.last).run(ITERATIONS)
+    return Transitions(
+        candidates.source[candidates.pair], candidates.target[candidates.pair], candidates.lag, fit.responsibility
+    )
