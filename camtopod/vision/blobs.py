@@ -17,6 +17,8 @@ AREA_SHARE_MIN = 0.0004
 AREA_PIXELS_MIN = 14
 EDGE_SHARE_MIN = 0.2
 """Of a blob's pixels, this share must have an edge of their own; shadows and light have fewer."""
+FILL_SHARE_MIN = 0.2
+"""Of its box, a person fills at least this share."""
 BLOBS_MAX = 400
 """More fragments than this in one frame are noise; the largest are kept."""
 _CLOSE = np.ones((3, 3), np.uint8)
@@ -96,6 +98,8 @@ def _blob(group: list[int], stats: npt.NDArray[np.int32], labels: npt.NDArray[np
     for label in group[1:]:
         mask |= part == label
     area = int(np.count_nonzero(mask))
+    if area < FILL_SHARE_MIN * (right - left) * (bottom - top):
+        return None
     if np.count_nonzero(motion.edges[top:bottom, left:right][mask]) < EDGE_SHARE_MIN * area:
         return None
     feet = np.flatnonzero(mask[-max(1, (bottom - top) // 5) :].any(axis=0))
@@ -129,7 +133,8 @@ def _belong(a: Box, b: Box, expected_height: ExpectedHeight) -> bool:
     if height is None:
         height = 1.5 * max(a[3] - a[1], b[3] - b[1])
     if overlap >= 0.5 * min(a[2] - a[0], b[2] - b[0]):
-        return gap <= 0.35 * height and together[3] - together[1] <= 1.2 * height
+        slim = together[2] - together[0] <= 1.3 * max(a[2] - a[0], b[2] - b[0])
+        return slim and gap <= 0.35 * height and together[3] - together[1] <= 1.2 * height
     small = min((a[2] - a[0]) * (a[3] - a[1]), (b[2] - b[0]) * (b[3] - b[1]))
     near = gap <= 0.05 * height and overlap >= -0.06 * height
     return near and small < 0.05 * height * height and together[3] - together[1] <= 1.2 * height

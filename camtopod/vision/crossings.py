@@ -20,7 +20,11 @@ REACH_SECONDS = 0.4
 TOUCH_PIXELS = 1.5
 """A box this near the border is cut by it."""
 FOOT_SIGHTINGS = 5
-"""The foot row of somebody cut by the side of the picture is the median of this many sightings."""
+"""The foot row of somebody cut by the side of the picture is the median of this many sightings,"""
+WHOLE_SHARE = 0.6
+"""each at least this share as tall as the tallest."""
+EXIT_HEIGHTS_MIN = 0.6
+"""What never went this far from where it began does not leave: it was none."""
 
 
 class Crossings:
@@ -53,7 +57,8 @@ class Crossings:
         dx, dy = _drift(track)
         return self._at_border(track.last.box, dx, dy) or self.doors.is_door(*track.last.foot, track.height)
 
-    def _began_at_edge(self, track: Track) -> bool:
+    def begins_at_edge(self, track: Track) -> bool:
+        """Whether the track, followed for a short while only, was first seen where objects enter the view."""
         dx, dy = _drift(track)
         return self._at_border(track.first.box, -dx, -dy) or self.doors.is_door(*track.first.foot, track.height)
 
@@ -65,13 +70,12 @@ class Crossings:
         for track in changes.appeared:
             if track.from_start:
                 continue
-            if self._began_at_edge(track):
+            if self.begins_at_edge(track):
                 track.entered = True
-                events.append(self._event("entry", track, track.first, list(track.history)[:FOOT_SIGHTINGS]))
+                events.append(self._event("entry", track, track.first, list(track.history)))
             elif not track.beside_others:
                 self.doors.learn(*track.first.foot)
-        for track in changes.left:
-            events.append(self.exit(track))
+        events += [self.exit(track) for track in changes.left if went_somewhere(track)]
         for track in changes.vanished:
             self._forget(track)
             if not track.covered:
@@ -84,7 +88,7 @@ class Crossings:
     def exit(self, track: Track) -> Event:
         """The exit of a track that has ended at an edge."""
         self._forget(track)
-        return self._event("exit", track, track.last, list(track.history)[-FOOT_SIGHTINGS:])
+        return self._event("exit", track, track.last, list(track.history))
 
     def _forget(self, track: Track) -> None:
         ends = {self.doors.cell(*track.first.foot), self.doors.cell(*track.last.foot)}
@@ -93,14 +97,26 @@ class Crossings:
     def _event(self, kind: Kind, track: Track, at: Sighting, around: list[Sighting]) -> Event:
         x, y = at.foot
         cut_by_side = at.box[0] <= TOUCH_PIXELS or at.box[2] >= self._width - TOUCH_PIXELS
-        if cut_by_side:  # what is seen of a person cut lengthwise need not have a foot
-            y = median(sighting.foot[1] for sighting in around)
+        if cut_by_side:
+            y = _foot_row(around, latest=kind == "exit")
         if kind == "entry":
             self.entries += 1
         else:
             self.exits += 1
         x, y = min(max(x / self._width, 0.0), 1.0), min(max(y / self._height, 0.0), 1.0)
         return Event(self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number))
+
+
+def went_somewhere(track: Track) -> bool:
+    """Whether the object has moved enough to have left."""
+    return track.reach >= EXIT_HEIGHTS_MIN * track.height
+
+
+def _foot_row(sightings: list[Sighting], latest: bool) -> float:
+    """Row of the feet of somebody cut lengthwise: the last piece seen of a person need not have a foot."""
+    tallest = max(sighting.box[3] - sighting.box[1] for sighting in sightings)
+    whole = [sighting for sighting in sightings if sighting.box[3] - sighting.box[1] >= WHOLE_SHARE * tallest]
+    return median(x.foot[1] for x in (whole[-FOOT_SIGHTINGS:] if latest else whole[:FOOT_SIGHTINGS]))
 
 
 def _drift(track: Track) -> tuple[float, float]:

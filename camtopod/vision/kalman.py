@@ -33,8 +33,9 @@ class Kalman:
 
     def predict(self, dt: float, height: float, coasting: bool) -> None:
         """Move on by ``dt`` seconds."""
-        if coasting:
-            self.velocity *= np.exp(-dt / COASTING_SECONDS)
+        if coasting:  # unseen, head and foot keep their distance
+            common = (self.velocity[:2] + self.velocity[2:]) / 2
+            self.velocity = np.tile(common * np.exp(-dt / COASTING_SECONDS), 2)
         self.position += dt * self.velocity
         noise = (ACCELERATION * height) ** 2
         self._pp += dt * (2 * self._pv + dt * self._vv) + noise * dt**4 / 4

@@ -23,8 +23,10 @@ Box = tuple[float, float, float, float]
 DIFFERENCE_MIN = 14.0
 """A pixel moves from this difference on, grey levels, in a picture without noise."""
 NOISE_FACTOR = 4.0
-EDGE_MIN = 14.0
-"""Step of the difference between neighbours that a change of light does not make, grey levels."""
+EDGE_MIN = 18.0
+"""Step of the logarithmic difference between neighbours that a change of light does not make; 100 is a factor of e."""
+STRONG_MIN = 75.0
+"""Logarithmic difference that no shadow makes."""
 WHOLE_PICTURE_SHARE = 0.6
 WHOLE_PICTURE_SECONDS = 1.5
 ADOPT_SECONDS = 6.0
@@ -35,14 +37,23 @@ GHOST_RATIO = 1.5
 _NOISE_RATE = 0.1
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE = np.ones((3, 3), np.uint8)
+_WIDE = np.ones((5, 5), np.uint8)
+_DARK = 24.0
+"""Below this level the logarithm flattens, so that noise in the dark is no edge."""
+_LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).astype(np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """One frame's moving pixels (255), and those of them with an edge of their own (255), both (H, W)."""
+    """One frame against the settled scene, masks (H, W) of 0 and 255.
+
+    ``changed``: differs from the scene; ``moving``: of these, without shadows and reflections; ``edges``: edges that the
+    scene does not have.
+    """
 
     moving: Luma
     edges: Luma
+    changed: Luma
 
 
 class MotionDetector:
@@ -90,7 +101,8 @@ class MotionDetector:
         After None the caller forgets its objects and bootstraps again.
         """
         assert self._background is not None, "bootstrap first"
-        difference = cv2.absdiff(frame, self._background.expected(frame, self._settled))
+        expected = self._background.expected(frame, self._settled)
+        difference = cv2.absdiff(frame, expected)
         threshold = max(DIFFERENCE_MIN, NOISE_FACTOR * min(self._noise, NOISE_TO_FILTER))
         moving = cv2.threshold(difference, threshold, 255, cv2.THRESH_BINARY)[1]
         share = cv2.countNonZero(moving) / moving.size
@@ -99,15 +111,28 @@ class MotionDetector:
             self._background = None
             self.relearned += 1
             return None
-        steps = cv2.morphologyEx(difference, cv2.MORPH_GRADIENT, _CROSS)
+        edges, strong = self._own_texture(frame, expected)
+        near = cv2.dilate(edges, _WIDE)
+        solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
+        solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)  # outlines of furniture are lines, people are not
+        return Motion(solid, edges, moving)
+
+    def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
+        """Where the picture has edges the scene has not, and where it differs more than a shadow makes it.
+
+        A shadow or a reflection multiplies the scene by a factor that varies slowly, so in logarithms it adds a flat
+        patch, whatever texture lies below.
+        """
+        ratio = cv2.absdiff(cv2.LUT(frame, _LOGARITHM), cv2.LUT(expected, _LOGARITHM))
+        steps = cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS)
         edges = cv2.threshold(steps, EDGE_MIN, 255, cv2.THRESH_BINARY)[1]
-        return Motion(moving, edges)
+        return edges, cv2.threshold(ratio, STRONG_MIN, 255, cv2.THRESH_BINARY)[1]
 
     def learn(self, frame: Luma, motion: Motion, dt: float, claimed: Iterable[Box]) -> None:
         """Follow the scene where nothing moves, outside ``claimed`` (the boxes of confirmed objects)."""
         assert self._background is not None, "bootstrap first"
-        unclaimed = motion.moving.copy()
-        self._settled = cv2.bitwise_not(cv2.dilate(motion.moving, _SQUARE))
+        unclaimed = motion.changed.copy()
+        self._settled = cv2.bitwise_not(cv2.dilate(motion.changed, _SQUARE))
         for left, top, right, bottom in claimed:
             margin = max(2.0, 0.1 * (bottom - top))
             rows = slice(max(0, int(top - margin)), max(0, int(bottom + margin) + 1))

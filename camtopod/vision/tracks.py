@@ -11,9 +11,8 @@ that breaks behind a lamp post stays one passage.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -29,12 +28,19 @@ GATE_HEIGHTS = 0.35
 CONFIRM_HEIGHTS = 0.25
 """Head or foot must have moved this far."""
 TENTATIVE_PATIENCE_SECONDS = 0.45
+GONE_PATIENCE_SECONDS = 0.7
+"""Patience with somebody who was cut by the border when last seen."""
 COVERED_PATIENCE_FACTOR = 2.0
 """Patience with somebody hidden behind others, in patiences."""
 STITCH_HEIGHTS = 1.0
 STITCH_HEIGHTS_PER_SECOND = 0.4
-STITCH_HEIGHTS_MAX = 3.0
+STITCH_HEIGHTS_MAX = 2.5
 """How far from where it broke a passage may go on: the first plus the second times the gap, at most the third."""
+STITCH_AT_EDGE_SECONDS = 1.5
+STITCH_AT_EDGE_HEIGHTS = 0.5
+"""What begins at an edge is somebody new, unless somebody was lost this short a time ago and this near."""
+PIECE_HEIGHT_MIN = 0.35
+"""A blob away from the border that is smaller than this share of a person is no sighting of that person."""
 BIRTH_HEIGHT_MIN = 0.4
 """A blob in mid-view that is smaller than this share of a person is none."""
 STATURE_STEP_HEIGHTS = 0.15
@@ -102,14 +108,27 @@ class Changes:
     vanished: list[Track]
 
 
+class Edges(Protocol):
+    """Where the view ends."""
+
+    def touches(self, box: Box) -> bool:
+        """Whether the box is cut by the border of the picture."""
+
+    def at_edge(self, track: Track) -> bool:
+        """Whether the track was last seen where objects leave the view."""
+
+    def begins_at_edge(self, track: Track) -> bool:
+        """Whether the track, followed for a short while only, was first seen where objects enter the view."""
+
+
 class Tracker:
     """All objects of one view; track numbers count within this instance."""
 
-    def __init__(self, settings: VisionSettings, at_edge: Callable[[Track], bool], touches: Callable[[Box], bool]) -> None:
-        """``at_edge``: was this track last seen where objects leave the view? ``touches``: is this box cut by the border?"""
+    def __init__(self, settings: VisionSettings, edges: Edges) -> None:
         self._settings = settings
-        self._at_edge = at_edge
-        self._touches = touches
+        self._at_edge = edges.at_edge
+        self._begins_at_edge = edges.begins_at_edge
+        self._touches = edges.touches
         self._next = 1
         self._t: float | None = None
         self._start: float | None = None
@@ -189,6 +208,9 @@ class Tracker:
         head_x, head_y, foot_x, foot_y = (float(value) for value in track.kalman.position)
         scale = max(track.height, self.stature.height(foot_y) or 0.0)
         gate = GATE_HEIGHTS * scale + 2 * track.kalman.uncertainty
+        cut = self._touches(blob.box)
+        if track.confirmed and blob.height < PIECE_HEIGHT_MIN * track.height and not cut:
+            return _NEVER
         head = float(np.hypot(blob.head[0] - head_x, blob.head[1] - head_y))
         foot = float(np.hypot(blob.foot_x - foot_x, blob.bottom - foot_y))
         near = min(head, foot)
@@ -198,10 +220,12 @@ class Tracker:
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
         measured = np.array([*blob.head, *blob.foot])
-        track.height += _SIZE_RATE * (blob.height - track.height)
-        track.width += _SIZE_RATE * (blob.width - track.width)
-        if self._touches(track.last.box) or not track.confirmed:  # it is still coming into sight
+        rate = _SIZE_RATE
+        if self._touches(blob.box) or self._touches(track.last.box) or not track.confirmed:
+            rate = 0.0  # it is coming into sight or going out of it
             track.height, track.width = max(track.height, blob.height), max(track.width, blob.width)
+        track.height += rate * (blob.height - track.height)
+        track.width += rate * (blob.width - track.width)
         track.kalman.update(measured, track.height)
         self._seen(track, Sighting(t, blob.foot, blob.box))
         step = float(np.hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1]))
@@ -262,17 +286,19 @@ class Tracker:
     def _stitch(self, t: float, track: Track) -> bool:
         """Continue the nearest passage that broke in mid-view, if there is one within reach."""
         missing = [other for other in self.active if other.confirmed and other.last.t < track.first.t]
-        best, best_distance = None, 1.0
+        best, best_score = None, 1.0
         for other in [*self.broken, *missing]:
             if other is track or (other.last.t < t and self._at_edge(other)):
                 continue
             gap = max(0.0, track.first.t - other.last.t)
             reach = min(STITCH_HEIGHTS + STITCH_HEIGHTS_PER_SECOND * gap, STITCH_HEIGHTS_MAX)
+            if self._begins_at_edge(track):
+                reach = STITCH_AT_EDGE_HEIGHTS if gap <= STITCH_AT_EDGE_SECONDS else 0.0
             reach *= max(track.height, other.height)
             distance = float(np.hypot(track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1]))
             ratio = track.height / other.height
-            if distance / reach < best_distance and 0.4 < ratio < 2.5:
-                best, best_distance = other, distance / reach
+            if distance < reach * best_score and 0.4 < ratio < 2.5:
+                best, best_score = other, distance / reach
         if best is None:
             return False
         self._absorb(track, best)
@@ -292,6 +318,8 @@ class Tracker:
             patience = self._settings.patience_seconds if track.confirmed else TENTATIVE_PATIENCE_SECONDS
             if track.covered:
                 patience *= COVERED_PATIENCE_FACTOR
+            elif self._touches(track.last.box) and self._at_edge(track):
+                patience = min(patience, GONE_PATIENCE_SECONDS)
             if track.unseen_seconds(t) <= patience:
                 kept.append(track)
             elif track.confirmed and self._at_edge(track):

@@ -7,7 +7,7 @@ import cv2
 from camtopod.records import Event
 from camtopod.vision.background import Luma
 from camtopod.vision.blobs import find_blobs
-from camtopod.vision.crossings import Crossings
+from camtopod.vision.crossings import Crossings, went_somewhere
 from camtopod.vision.motion import MotionDetector
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.tracks import Track, Tracker
@@ -61,7 +61,7 @@ class Watcher:
         height, width = waiting[0][1].shape
         if self._crossings is None or self._tracker is None:
             self._crossings = Crossings(self._camera, width, height)
-            self._tracker = Tracker(self._settings, self._crossings.at_edge, self._crossings.touches)
+            self._tracker = Tracker(self._settings, self._crossings)
         else:
             self._tracker.restart()
         self._t = None
@@ -101,7 +101,7 @@ class Watcher:
         """The recording is over: what is certain now. Objects still in view have no exit."""
         events = self._bootstrap() if self._waiting else []
         if self._tracker is not None and self._crossings is not None and self._t is not None:
-            events += [self._crossings.exit(track) for track in self._tracker.finish(self._t)]
+            events += [self._crossings.exit(x) for x in self._tracker.finish(self._t) if went_somewhere(x)]
         return events
 
     def statistics(self) -> dict[str, int | float]:
