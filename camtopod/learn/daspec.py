@@ -65,7 +65,8 @@ class Spectrum(NamedTuple):
             weighted = np.zeros(self.shape[0] * self.shape[1])
             weighted[self.cells] = self.counts * self.vectors[:, g] / total
             phi[g] = rows @ weighted.reshape(self.shape) @ columns / self.values[g]
-        return np.abs(phi).argmax(axis=0).astype(np.int16)
+        labels: NDArray[np.int16] = np.abs(phi).argmax(axis=0).astype(np.int16)
+        return labels
 
 
 def kernel_1d(size: int, bandwidth: float) -> Floats:

@@ -1,61 +1,71 @@
-"""Is it a link? Significance of every pair of zones, and what missed passages explain away.
+"""Evidence of a group of events being one zone: the marginal likelihood of a Gaussian of unknown mean and covariance.
 
-The evidence for a pair is the log likelihood ratio between the joint fit with and without it. Because the fit leaves every
-arrival out of its own prediction, the ratio is one of prediction, not of fit: under chance ``P(ratio > x)`` is at most
-about ``exp(-x)``, whatever shape the histogram could have taken. Those p-values are turned into false discovery rates
-(Benjamini and Hochberg 1995).
+A group is six sums (n, Sx, Sy, Sxx, Sxy, Syy) in image units, last axis of every array here; groups add up. The mean has a
+flat prior over the image (area 1), the covariance an inverse Wishart prior that expects a zone of `ZONE_SD`, weighing as
+much as one or two events. Clutter is uniform over the image, so its evidence is 1 (log 0) whatever its size: the number
+compared against. A group of one event has exactly that, too: a single event never makes a zone.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
-RESPONSIBILITY_MAX = 1.0 - 1e-6
-MISSED_LAG_SD = 3.0
-"""A way over a missed passage must fit the link's mean lag within this many standard deviations."""
-
-
-def log_likelihood_ratio(pair: Ints, responsibility: Floats, pairs: int) -> Floats:
-    """Evidence (P,) in nats for each pair from the responsibilities (M,) of its candidates."""
-    share = np.minimum(responsibility, RESPONSIBILITY_MAX)
-    return np.bincount(pair, -np.log1p(-share) - share, minlength=pairs)
+ZONE_SD = 0.02
+"""Image units: the spread a zone is expected to have before anything is seen; from a third to thrice costs little."""
+_FREEDOM = 4.0
+_SCALE = 5 * ZONE_SD**2
+SHARE_PRIOR = 1.0
+"""Dirichlet prior of the zones' shares of the traffic."""
 
 
-def q_values(ratio: Floats, tests: int) -> Floats:
-    """False discovery rate (P,) at which each pair would be published, among ``tests`` pairs looked at."""
-    p = np.minimum(np.exp(-ratio), 1.0)
-    order = np.argsort(p, kind="stable")
-    adjusted = p[order] * max(tests, 1) / np.arange(1, len(p) + 1)
-    q = np.empty(len(p))
-    q[order] = np.minimum(np.minimum.accumulate(adjusted[::-1])[::-1], 1.0)
-    return q
+def scatter(groups: Floats) -> tuple[Floats, Floats, Floats]:
+    """Sums of squared deviations from each group's mean: (xx, xy, yy)."""
+    n = np.maximum(groups[..., 0], 1e-12)
+    sx, sy = groups[..., 1], groups[..., 2]
+    return groups[..., 3] - sx * sx / n, groups[..., 4] - sx * sy / n, groups[..., 5] - sy * sy / n
 
 
-class Ways(dict[int, list[tuple[int, float, float, float]]]):
-    """Directed weighted ways by source zone: (target zone, probability, mean seconds, sd seconds)."""
+def gaussians(groups: Floats) -> tuple[Floats, Floats]:
+    """Mean (..., 2) and covariance (..., 3: xx, xy, yy) of each group, the prior weighed in."""
+    n = groups[..., 0]
+    xx, xy, yy = scatter(groups)
+    cov = np.stack([xx + _SCALE, xy, yy + _SCALE], axis=-1) / (n + _FREEDOM - 1)[..., None]
+    return groups[..., 1:3] / np.maximum(n, 1e-12)[..., None], cov
 
 
-def explained_by_missed(
-    source: int, target: int, probability: float, mean: float, links: Ways, passages: Ways, missed_share_max: float
-) -> bool:
-    """Whether source -> target is what remains of source -> (a camera that missed the passage) -> target.
+def log_evidence(groups: Floats) -> Floats:
+    """Log marginal likelihood of each group as one zone, relative to clutter."""
+    n = np.maximum(groups[..., 0], 1.0)
+    xx, xy, yy = scatter(groups)
+    half = 0.5 * (_FREEDOM + n - 1)
+    determinant = (_SCALE + xx) * (_SCALE + yy) - xy * xy
+    constant = _FREEDOM * np.log(_SCALE) - _log_gamma_2(np.array(_FREEDOM / 2))
+    result: Floats = (
+        _log_gamma_2(half) + constant - (n - 1) * np.log(np.pi) - np.log(n) - half * np.log(determinant)
+    )
+    return result
 
-    ``links`` are the ways between cameras, ``passages`` those through them. Of those leaving at the source, a share walks
-    source -> a, a -> b through one camera, b -> target; if that camera misses at most ``missed_share_max`` of all passages,
-    at most odds of it times the share seen on that way can turn up as a direct link.
+
+def log_share(n: Floats) -> Floats:
+    """A zone's term in the log prior of the partition, see `log_zones`."""
+    result: Floats = gammaln(n + SHARE_PRIOR) - gammaln(SHARE_PRIOR)
+    return result
+
+
+def log_zones(zones: int, total: Floats) -> Floats:
+    """Log prior of ``total`` events' partition into so many zones and clutter, but for the terms of the zones
+    (`log_share`) and of the clutter (log of its factorial): a Dirichlet multinomial over unordered zones.
     """
-    odds = missed_share_max / (1.0 - missed_share_max)
-    total = 0.0
-    for a, p_in, mean_in, sd_in in links.get(source, []):
-        for b, p_through, mean_through, sd_through in passages.get(a, []):
-            for end, p_out, mean_out, sd_out in links.get(b, []):
-                if end != target:
-                    continue
-                spread = np.sqrt(sd_in**2 + sd_through**2 + sd_out**2) + 1.0
-                if abs(mean_in + mean_through + mean_out - mean) <= MISSED_LAG_SD * spread:
-                    total += p_in * p_through * p_out
-    return probability <= odds * total
+    weight = SHARE_PRIOR * zones + 1
+    result: Floats = 2 * gammaln(zones + 1) + gammaln(weight) - gammaln(zones + 1) - gammaln(total + weight)
+    return result
+
+
+def _log_gamma_2(a: Floats) -> Floats:
+    """Log of the bivariate gamma function."""
+    result: Floats = 0.5 * np.log(np.pi) + gammaln(a) + gammaln(a - 0.5)
+    return result

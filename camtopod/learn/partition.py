@@ -1,241 +1,309 @@
-"""Groups of cells that are zones: a first working version, being rewritten."""
-# ruff: noqa
-# mypy: ignore-errors
-from typing import NamedTuple
-import numpy as np
-from scipy.special import gammaln, gammaincc, gammainc, ndtr
-from camtopod.learn.daspec import data_spectroscopy, bandwidth, kernel_1d
-R,C=30,24
-NU0=4.0; PSI0=5*.02**2; CAP=2000.
-LOGPI=np.log(np.pi)
-VAL_G=3.0; VAL_R=0.85
-def lg2(a): return .5*LOGPI+gammaln(a)+gammaln(a-.5)
-def CONSTf(): return -lg2(NU0/2)+NU0*np.log(PSI0)
-def evidence(s):
-    n=np.maximum(s[...,0],1e-9)
-    xx=s[...,3]-s[...,1]**2/n; yy=s[...,5]-s[...,2]**2/n; xy=s[...,4]-s[...,1]*s[...,2]/n
-    m=np.maximum(n,1.); a=.5*(NU0+m-1)
-    det=(PSI0+xx)*(PSI0+yy)-xy**2
-    return np.where(s[...,0]>0,-(m-1)*LOGPI-np.log(m)+lg2(a)+CONSTf()-a*np.log(det),0.)
-def score(ns,evs,n0):
-    K=len(ns)
-    return 2*gammaln(K+1)-gammaln(ns.sum()+n0+K+1)+gammaln(ns+1).sum()+gammaln(n0+1)+evs.sum()
-W=1.25
-KR,KC=kernel_1d(R,W),kernel_1d(C,W)
-S1=np.outer(KR.sum(0),KC.sum(0)); S2=np.outer((KR**2).sum(0),(KC**2).sum(0))
-def floor(count):
-    n=count.astype(float); lam=n.mean()
-    for _ in range(8):
-        # Poisson clip
-        cut=lam+3*np.sqrt(lam)+1; lo=n[n<=cut]
-        new=lo.mean()
-        if abs(new-lam)<1e-6: break
-        lam=max(new,1e-6)
-    sm=KR@n@KC
-    eff=sm*S1/S2; mean=lam*S1**2/S2
-    p=gammainc(np.maximum(eff,1e-9),mean)   # P(N>=eff)
-    keep=(n>0)&(p<.02)&(n>lam+2*np.sqrt(lam))
-    return lam,keep
-def cellstats(sums):
-    st=np.stack([g.ravel() for g in sums],-1).astype(float)
-    st/= np.array([1,4096,4096,4096**2,4096**2,4096**2])
-    return st
-def assign(st,mom,lab,K,n0):
-    z=np.zeros((K,6)); np.add.at(z,lab[lab>=0],st[lab>=0])
-    n=z[:,0]; 
-    nn=np.maximum(n,1e-9)
-    mx,my=z[:,1]/nn,z[:,2]/nn
-    xx=z[:,3]-n*mx*mx; xy=z[:,4]-n*mx*my; yy=z[:,5]-n*my*my
-    d=n+NU0-1
-    xx=(PSI0+xx)/d; yy=(PSI0+yy)/d; xy=xy/d
-    det=xx*yy-xy*xy
-    dx=mom[:,0,None]-mx; dy=mom[:,1,None]-my
-    q=(yy*(dx*dx+mom[:,2,None])-2*xy*(dx*dy+mom[:,3,None])+xx*(dy*dy+mom[:,4,None]))/det
-    ll=np.log(nn+1)-np.log(2*np.pi)-.5*np.log(det)-.5*q
-    best=ll.argmax(1)
-    new=np.where(ll[np.arange(len(ll)),best]>np.log(n0+1),best,-1)
-    return new
-def zstats(st,lab,K):
-    z=np.zeros((K+1,6)); np.add.at(z,lab,st)   # -1 -> last
-    return z
-ANG=np.arange(8)*np.pi/8
-DIR=np.stack([np.cos(ANG),np.sin(ANG)],1)
-def valley(st,mom,u,lo,hi,M=28):
-    """best valley G between the two masses; lo,hi scanning range; returns (G, ratio)"""
-    s=mom[:,0]*u[0]+mom[:,1]*u[1]
-    v=np.sqrt(np.maximum(mom[:,2]*u[0]**2+2*mom[:,3]*u[0]*u[1]+mom[:,4]*u[1]**2,0)+1e-6)
-    g=np.linspace(lo,hi,M)
-    F=(st[:,0]*ndtr((g[:,None]-s)/v)).sum(1)
-    n=np.maximum(F[None,:]-F[:,None],0); w=np.maximum(g[None,:]-g[:,None],1e-12)   # interval i..j
-    r=n/w
-    i=np.arange(M)
-    # valley (i,j); left flank (k,i)
-    def G(nv,wv,nf,wf):
-        rr=(nv+nf)/(wv+wf); rv=nv/wv; rf=nf/wf
-        out=nv*np.log(np.maximum(rv,1e-12)/np.maximum(rr,1e-12))+nf*np.log(np.maximum(rf,1e-12)/np.maximum(rr,1e-12))
-        return np.where(rv<VAL_R*rf,out,0)
-    k,ii,j=np.meshgrid(i,i,i,indexing="ij")
-    ok=(k<ii)&(ii<j)
-    k,ii,j=k[ok],ii[ok],j[ok]
-    left=np.zeros((M,M)); np.maximum.at(left,(ii,j),G(n[ii,j],w[ii,j],n[k,ii],w[k,ii]))
-    # right flank (j,l): reuse triple (a<b<c): valley (a,b), flank (b,c)
-    right=np.zeros((M,M)); np.maximum.at(right,(k,ii),G(n[k,ii],w[k,ii],n[ii,j],w[ii,j]))
-    return np.minimum(left,right).max()
-def pair_valley(st,mom,lab,za,zb,ka,kb):
-    """valley between groups a and b (masks), clutter cells in the tube between included."""
-    def mc(z):
-        n=z[0]; m=z[1:3]/n; S=np.array([[z[3],z[4]],[z[4],z[5]]])-n*np.outer(m,m)
-        return n,m,(S+PSI0*np.eye(2))/(n+NU0-1)
-    na,ma,Ca=mc(za); nb,mb,Cb=mc(zb)
-    Wm=(na*Ca+nb*Cb)/(na+nb)
-    u=np.linalg.solve(Ca+Cb,mb-ma); u/=np.hypot(*u)+1e-300
-    # tube: perpendicular in the pooled metric
-    p=np.array([-u[1],u[0]])
-    mid=mom[:,:2]
-    t=(mid-ma)@u; T=(mb-ma)@u; f=np.clip(t/T,0,1)
-    cen=ma+f[:,None]*(mb-ma); dev=np.abs((mid-cen)@p); sp=np.sqrt(max(p@Ca@p,p@Cb@p))
-    sel=(lab==ka)|(lab==kb)|((lab==-1)&(dev<2*sp)&(t>0)&(t<T))
-    sa,sb=np.sqrt(u@Ca@u),np.sqrt(u@Cb@u)
-    return valley(st[sel],mom[sel],u,ma@u-2*sa,mb@u+2*sb)
-def splits(st,mom,lab,k):
-    idx=np.where(lab==k)[0]
-    if len(idx)<2: return None
-    best=[]
-    s=st[idx]; 
-    pr=mom[idx,:2]@DIR.T    # (m,A)
-    order=pr.argsort(0)      # (m,A)
-    cs=np.cumsum(s[order],axis=0)  # (m,A,6)
-    tot=cs[-1]
-    L=cs[:-1]; Rr=tot[None]-L
-    e0=evidence(tot[0]); n=tot[0,0]
-    g=evidence(L)+evidence(Rr)+gammaln(L[...,0]+1)+gammaln(Rr[...,0]+1)-e0-gammaln(n+1)
-    a=g.max(0).argsort()[::-1][:3]
-    out=[]
-    for q in a:
-        c=g[:,q].argmax()
-        out.append((g[c,q],idx[order[:c+1,q]],idx[order[c+1:,q]]))
-    return out
+"""Which cells of a camera's grid make a zone: DaSpec, made robust (thesis 4.2; `daspec`).
 
-G_ALONE=8.
-def peel(g,w):
-    """labels (720,) by DaSpec, again over what no kept eigenvector reaches."""
-    full=np.full(R*C,-1); K=0; g=g.copy()
-    for _ in range(6):
-        sp=data_spectroscopy(g,w)
-        eps=sp.vectors.max(0)*max(1/g.sum(),1e-3)
-        own=sp.vectors[np.arange(len(sp.cells)),sp.labels]>eps[sp.labels]
-        full[sp.cells[own]]=sp.labels[own]+K; K+=sp.groups
-        g.ravel()[sp.cells[own]]=0
-        if not g.any() or not own.any(): break
-    return full,K
-def gains(zs,ev,n0):
-    """score gain of merging each pair"""
-    K=len(zs); a,b=np.triu_indices(K,1)
-    zz=zs[a]+zs[b]
-    e=evidence(zz)-ev[a]-ev[b]
-    N=zs[:,0].sum()+n0
-    pr=2*gammaln(K)-2*gammaln(K+1)-gammaln(N+K)+gammaln(N+K+1)
-    return a,b,zz,e+pr+gammaln(zz[:,0]+1)-gammaln(zs[a,0]+1)-gammaln(zs[b,0]+1)
-def separate(gain,v):
-    """gain: of the split (score)."""
-    return v>=VAL_G and (gain>0 or v>=G_ALONE)
-def near(za,zb):
-    def mc(z):
-        n=z[0]; m=z[1:3]/n; S=np.array([[z[3],z[4]],[z[4],z[5]]])-n*np.outer(m,m)
-        return n,m,(S+PSI0*np.eye(2))/(n+NU0-1)
-    na,ma,Ca=mc(za); nb,mb,Cb=mc(zb); d=mb-ma
-    u=np.linalg.solve(Ca+Cb,d); 
-    return abs(u@d)/(np.sqrt(u@Ca@u)+np.sqrt(u@Cb@u)+1e-300)
-NEAR=3.
-def compact(lab):
-    u,inv=np.unique(lab[lab>=0],return_inverse=True); lab=lab.copy(); lab[lab>=0]=inv
-    return lab,len(u)
-def settle(st,mom,lab,K,keepocc,verbose):
-    for rnd in range(6):
-        changed=False
-        lab,K=compact(lab)
-        z=zstats(st,lab,K); zs,n0=z[:-1],z[-1,0]; ev=evidence(zs)
-        if verbose: print("  round",rnd,zs[:,0].round(1),"clutter",n0.round(1))
-        known={}
-        while K>1:
-            a,b,zz,g=gains(zs,ev,n0)
-            o=np.argsort(-g); best=None
-            for q in o:
-                key=(zs[a[q]].tobytes(),zs[b[q]].tobytes())
-                if key in known: v=known[key]
-                elif near(zs[a[q]],zs[b[q]])>NEAR: v=7.9
-                else: v=pair_valley(st,mom,lab,zs[a[q]],zs[b[q]],a[q],b[q])
-                known[key]=v
-                if not separate(-g[q],v): best=q;break
-            if best is None: break
-            A,B=a[best],b[best]
-            if g[best]<0:
-                base=score(zs[:,0],ev,n0)
-                k=A if zs[A,0]<zs[B,0] else B
-                d=score(np.delete(zs[:,0],k),np.delete(ev,k),n0+zs[k,0])-base
-                if d>g[best]:
-                    if verbose: print("   drop-not-merge",zs[k,0].round(1),d.round(1))
-                    n0+=zs[k,0]; lab[lab==k]=-1; lab[lab>k]-=1; zs=np.delete(zs,k,0); ev=np.delete(ev,k); K-=1; changed=True
-                    continue
-            if verbose: print("   merge",zs[A,0].round(1),zs[B,0].round(1),g[best].round(1))
-            lab[lab==B]=A; lab[lab>B]-=1; zs[A]=zz[best]; zs=np.delete(zs,B,0); ev=evidence(zs); K-=1; changed=True
-        while K>1:
-            base=score(zs[:,0],ev,n0)
-            d=[score(np.delete(zs[:,0],k),np.delete(ev,k),n0+zs[k,0])-base for k in range(K)]
-            k=int(np.argmax(d))
-            if d[k]<=0: break
-            if verbose: print("   drop",zs[k,0].round(1),d[k].round(1))
-            n0+=zs[k,0]; lab[lab==k]=-1; lab[lab>k]-=1; zs=np.delete(zs,k,0); ev=np.delete(ev,k); K-=1; changed=True
-        old=lab
-        for _ in range(2):
-            lab=assign(st,mom,lab,K,st[lab<0,0].sum())
-        lab,K=compact(lab)
-        if K==0: break
-        z=zstats(st,lab,K); zs,n0=z[:-1],z[-1,0]; ev=evidence(zs)
-        for k in range(K):
-            out=splits(st,mom,lab,k)
-            if not out: continue
-            base=score(zs[:,0],ev,n0)
-            for g,a,b in out:
-                za,zb=st[a].sum(0),st[b].sum(0)
-                ns=np.append(np.delete(zs[:,0],k),[za[0],zb[0]]); ee=np.append(np.delete(ev,k),evidence(np.stack([za,zb])))
-                gain=score(ns,ee,n0)-base
-                if gain<=-20: continue
-                l2=lab.copy(); l2[b]=K; 
-                v=pair_valley(st,mom,l2,za,zb,k,K)
-                if verbose: print("   try split",k,"gain",round(gain,1),"valley",round(v,2),za[0],zb[0])
-                if not separate(gain,v): continue
-                lab=l2; K+=1; zs=np.vstack([zs,zb]); zs[k]=za; ev=evidence(zs); changed=True
-                break
-        if not changed: break
-    z=zstats(st,lab,K)
-    return lab,K,score(z[:-1,0],evidence(z[:-1]),z[-1,0])
+1. The *density floor*: the rate of uniform clutter is estimated from the sparse cells, and cells whose surroundings are
+   explained by it are left out.
+2. *DaSpec* over the remaining cells, and again over those that no kept eigenvector reaches (a zone with under 5 % of the
+   points is such), at half the bandwidth of the rule: too many groups rather than too few.
+3. *Moves* until none helps: groups that are not two zones are merged, groups that are not denser than clutter are dropped,
+   cells go to the Gaussian that explains them best, and groups that are two zones are split.
+
+Two groups are two zones when two Gaussians explain them better than one (`evidence`) and there is a valley between them
+(`valley`). The first alone would cut every zone that is not Gaussian, the second is weak with few events.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammainc, gammaln
+
+from camtopod.learn.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy, kernel_1d
+from camtopod.learn.evidence import gaussians, log_evidence, log_share, log_zones
+from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.valley import valley
+
+Floats = NDArray[np.float64]
+Labels = NDArray[np.intp]
+
+EVENTS_MIN = 5
+"""Below this a camera is one zone."""
+PAIR_EVENTS = 1000.0
+"""No zone is exactly Gaussian: in splitting and merging, n events weigh as n / (1 + n / PAIR_EVENTS) (Miller, Dunson:
+Robust Bayesian inference via coarsening, JASA 2019)."""
+VALLEY_MIN = 3.0
+"""Log likelihood ratio of a valley that two Gaussians' evidence needs beside it."""
+VALLEY_ALONE = 8.0
+"""One that needs no other evidence (several doors in a row look like one Gaussian to any single cut)."""
+FAR = 3.0
+"""Two centres further apart than this many of their summed standard deviations need no valley."""
+CONTRAST_MIN = 2.0
+"""A zone is at least so many times as dense as clutter."""
+FLOOR_CHANCE = 0.02
+"""A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this probability."""
+_FLOOR_WIDTH = 1.25
+_ROUNDS_MAX = 6
+_PEELS_MAX = 6
+_GAIN_HOPELESS = -20.0
+_ANGLES = np.arange(8) * np.pi / 8
+_DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+_CUTS_TRIED = 2
+
 
 class Cells(NamedTuple):
-    stats: np.ndarray
-    index: np.ndarray
+    """The m occupied cells: flat index, sums (m, 6) in image units (see `evidence`), mean (m, 2) and the spread of the
+    events within the cell (m, 3: xx, xy, yy)."""
+
+    index: NDArray[np.intp]
+    sums: Floats
+    mean: Floats
+    spread: Floats
+
     @classmethod
-    def of(cls, stats, index):
-        return cls(stats, index)
+    def of(cls, sums: Floats, index: NDArray[np.intp]) -> Cells:
+        n = sums[:, 0]
+        x, y = sums[:, 1] / n, sums[:, 2] / n
+        xx, yy = np.maximum(sums[:, 3] / n - x * x, 0), np.maximum(sums[:, 5] / n - y * y, 0)
+        return cls(index, sums, np.stack([x, y], 1), np.stack([xx, sums[:, 4] / n - x * y, yy], 1))
 
 
-def partition(cells, count, scales=(1.0, 0.5)):
-    lam,keep=floor(count)
-    st,occ=cells.stats.astype(float),cells.index
-    n=st[:,0]; mx,my=st[:,1]/n,st[:,2]/n
-    mom=np.stack([mx,my,np.maximum(st[:,3]/n-mx*mx,0),st[:,4]/n-mx*my,np.maximum(st[:,5]/n-my*my,0)],1)
-    ntot=n.sum()
-    if ntot<5: return np.zeros(len(occ),int)
-    st=st*(CAP/(CAP+ntot))
-    best=None
-    g=np.where(keep,np.maximum(count-lam,.5),0)
-    if not keep.any(): g=count.astype(float)
-    w0=min(bandwidth(g),4.)
-    for sc in scales:
-        w=max(.75,w0*sc)
-        full,K=peel(g,w); lab=full[occ]
-        r=settle(st,mom,lab,K,keep.ravel()[occ],False)
-        if best is None or r[2]>best[2]: best=r
-        if w==.75: break
-    lab,K,_=best
-    return lab if K else np.zeros(len(occ),int)
+def partition(cells: Cells, count: NDArray[np.int64]) -> Labels:
+    """The zone of each occupied cell, counted from 0, or -1 for clutter; ``count`` (rows, columns) are all events."""
+    one = np.zeros(len(cells.index), dtype=np.intp)
+    if count.sum() < EVENTS_MIN:
+        return one
+    labels = _Moves(cells, _first_groups(count)[cells.index]).settle()
+    return labels if labels.max() >= 0 else one
+
+
+def clutter_rate(count: NDArray[np.int64]) -> float:
+    """Events of uniform clutter per cell: the mean over the cells that are not significantly above it."""
+    n = count.ravel().astype(np.float64)
+    rate = float(n.mean())
+    for _ in range(8):
+        below = float(n[n <= rate + 3 * np.sqrt(rate) + 1].mean())
+        if abs(below - rate) < 1e-6:
+            break
+        rate = below
+    return max(rate, 1e-6)
+
+
+def dense_cells(count: NDArray[np.int64]) -> Floats:
+    """Counts above the clutter, 0 in cells whose surroundings clutter explains."""
+    rate = clutter_rate(count)
+    # A kernel-weighted sum of Poisson counts behaves like a Poisson count over an area of (sum K)^2 / (sum K^2).
+    inside = _ROWS @ count @ _COLUMNS * _AREA / _AREA_SQUARED
+    expected = rate * _AREA**2 / _AREA_SQUARED
+    chance = gammainc(np.maximum(inside, 1e-9), expected)
+    keep = (count > 0) & (chance < FLOOR_CHANCE) & (count > rate + 2 * np.sqrt(rate))
+    if not keep.any():
+        return count.astype(np.float64)
+    return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
+
+
+_ROWS, _COLUMNS = kernel_1d(GRID_ROWS, _FLOOR_WIDTH), kernel_1d(GRID_COLUMNS, _FLOOR_WIDTH)
+_AREA = np.outer(_ROWS.sum(axis=0), _COLUMNS.sum(axis=0))
+_AREA_SQUARED = np.outer((_ROWS**2).sum(axis=0), (_COLUMNS**2).sum(axis=0))
+
+
+def _first_groups(count: NDArray[np.int64]) -> Labels:
+    """DaSpec's groups of the dense cells, flat (rows * columns), -1 elsewhere."""
+    dense = dense_cells(count)
+    width = max(bandwidth(dense) / 2, BANDWIDTH_MIN)
+    labels = np.full(dense.size, -1, dtype=np.intp)
+    groups = 0
+    for _ in range(_PEELS_MAX):
+        found = data_spectroscopy(dense, width)
+        own = found.vectors[np.arange(len(found.cells)), found.labels]
+        reached = own > found.vectors.max(axis=0)[found.labels] * max(1 / dense.sum(), 1e-3)
+        labels[found.cells[reached]] = found.labels[reached] + groups
+        groups += found.groups
+        dense.ravel()[found.cells[reached]] = 0
+        if not dense.any():
+            break
+    return labels
+
+
+class _Moves:
+    """A partition of the cells being improved. ``zones`` (K, 6) are the sums of the groups, ``clutter`` the number of
+    events outside."""
+
+    def __init__(self, cells: Cells, labels: Labels) -> None:
+        self.cells = cells
+        self.total = float(cells.sums[:, 0].sum())
+        self.valleys: dict[bytes, float] = {}
+        self.uncut: set[bytes] = set()
+        self._set(labels)
+
+    def _set(self, labels: Labels) -> None:
+        inside = labels >= 0
+        _, compact = np.unique(labels[inside], return_inverse=True)
+        self.labels = np.full(len(labels), -1, dtype=np.intp)
+        self.labels[inside] = compact
+        self.zones = np.zeros((int(self.labels.max(initial=-1)) + 1, 6))
+        np.add.at(self.zones, compact, self.cells.sums[inside])
+        self.clutter = self.total - float(self.zones[:, 0].sum())
+
+    def settle(self) -> Labels:
+        for _ in range(_ROUNDS_MAX):
+            self._merge()
+            self._drop()
+            self._assign()
+            self._assign()
+            if not self._split():
+                break
+        return self.labels
+
+    def _join(self, a: int, b: int) -> None:
+        self._set(np.where(self.labels == b, a, self.labels))
+
+    def _remove(self, k: int) -> None:
+        self._set(np.where(self.labels == k, -1, self.labels))
+
+    def _merge(self) -> None:
+        """Merge pairs that are not two zones, the likeliest first; a small one that is unlike its neighbour goes to the
+        clutter instead where that costs less."""
+        while len(self.zones) > 1:
+            a, b = np.triu_indices(len(self.zones), 1)
+            gain = -self._split_gain(self.zones[a], self.zones[b])
+            for pair in gain.argsort(kind="stable")[::-1]:
+                i, j = int(a[pair]), int(b[pair])
+                if not self._two_zones(
+                    -gain[pair], self.zones[i], self.zones[j], (self.labels == i) | (self.labels == j)
+                ):
+                    break
+            else:
+                return
+            if gain[pair] < 0:
+                small = i if self.zones[i, 0] < self.zones[j, 0] else j
+                if self._drop_gain()[small] > gain[pair]:
+                    self._remove(small)
+                    continue
+            self._join(i, j)
+
+    def _drop(self) -> None:
+        while len(self.zones) > 1:
+            gain = self._drop_gain()
+            k = int(gain.argmax())
+            if gain[k] <= 0:
+                return
+            self._remove(k)
+
+    def _drop_gain(self) -> Floats:
+        """What the log posterior gains when a zone is clutter instead; infinite where it is hardly denser."""
+        n, count = self.zones[:, 0], len(self.zones)
+        total = np.array(self.total)
+        prior = log_zones(count - 1, total) - log_zones(count, total) - log_share(n)
+        prior = prior + gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1)
+        _, cov = gaussians(self.zones)
+        area = 4 * np.pi * np.sqrt(cov[:, 0] * cov[:, 2] - cov[:, 1] ** 2)
+        faint = n < (CONTRAST_MIN - 1) * self.clutter * area
+        return np.where(faint, np.inf, prior - log_evidence(self.zones))
+
+    def _split_gain(self, a: Floats, b: Floats) -> Floats:
+        """What the log posterior gains by two zones ``a`` and ``b`` (..., 6) instead of one, coarsened."""
+        n = a[..., 0] + b[..., 0]
+        weigh = 1 / (1 + n / PAIR_EVENTS)
+        a, b = a * weigh[..., None], b * weigh[..., None]
+        both, count = a + b, len(self.zones)
+        total = self.total * weigh
+        gain: Floats = log_evidence(a) + log_evidence(b) - log_evidence(both)
+        gain += log_share(a[..., 0]) + log_share(b[..., 0]) - log_share(both[..., 0])
+        return gain + log_zones(count + 1, total) - log_zones(count, total)
+
+    def _two_zones(self, gain: float, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> bool:
+        """Whether groups with sums ``a`` and ``b`` (6,), cells ``inside``, are two zones; ``gain`` as `_split_gain`."""
+        key = min(a.tobytes() + b.tobytes(), b.tobytes() + a.tobytes())
+        if key not in self.valleys:
+            self.valleys[key] = self._valley(a, b, inside)
+        depth = self.valleys[key]
+        return depth >= VALLEY_MIN and (gain > 0 or depth >= VALLEY_ALONE)
+
+    def _valley(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
+        (mean_a, mean_b), (cov_a, cov_b) = gaussians(np.stack([a, b]))
+        difference = mean_b - mean_a
+        (xx, xy, yy) = cov_a + cov_b
+        line = np.array([yy * difference[0] - xy * difference[1], xx * difference[1] - xy * difference[0]])
+        line /= np.hypot(*line) + 1e-300
+        sd_a, sd_b = (_sd_along(cov, line) for cov in (cov_a, cov_b))
+        apart = float(line @ difference)
+        if apart > FAR * (sd_a + sd_b):
+            return float(np.nextafter(VALLEY_ALONE, 0))
+        # Clutter in the tube between the two belongs to the valley.
+        mean = self.cells.mean
+        along = (mean - mean_a) @ line
+        aside = np.array([-line[1], line[0]])
+        centre = mean_a + np.clip(along / apart, 0, 1)[:, None] * difference
+        width = max(_sd_along(cov, aside) for cov in (cov_a, cov_b))
+        tube = (
+            (self.labels < 0) & (along > 0) & (along < apart) & (np.abs((mean - centre) @ aside) < 2 * width)
+        )
+        chosen = inside | tube
+        n = self.cells.sums[chosen, 0] / (1 + (a[0] + b[0]) / PAIR_EVENTS)
+        sd = _sd_along(self.cells.spread[chosen], line)
+        return valley(n, along[chosen], sd, -2 * sd_a, apart + 2 * sd_b)
+
+    def _assign(self) -> None:
+        """Each cell to the Gaussian, or the clutter, that explains its events best on average."""
+        if not len(self.zones):
+            return
+        mean, cov = gaussians(self.zones)
+        xx, xy, yy = cov.T
+        determinant = xx * yy - xy * xy
+        dx, dy = (self.cells.mean[:, None, :] - mean).transpose(2, 0, 1)
+        inner = self.cells.spread[:, None, :]
+        squared = (
+            yy * (dx * dx + inner[..., 0])
+            - 2 * xy * (dx * dy + inner[..., 1])
+            + xx * (dy * dy + inner[..., 2])
+        )
+        score = (
+            np.log(self.zones[:, 0] + 1)
+            - np.log(2 * np.pi)
+            - 0.5 * np.log(determinant)
+            - 0.5 * squared / determinant
+        )
+        best = score.argmax(axis=1)
+        explained = score[np.arange(len(best)), best] > np.log(self.clutter + 1)
+        self._set(np.where(explained, best, -1))
+
+    def _split(self) -> bool:
+        """Split every group that is two zones; whether any was."""
+        labels = self.labels.copy()
+        for k in range(len(self.zones)):
+            key = self.zones[k].tobytes()
+            if key in self.uncut:
+                continue
+            part = self._cut(np.flatnonzero(self.labels == k))
+            if part is None:
+                self.uncut.add(key)
+            else:
+                labels[part] = labels.max() + 1
+        changed = bool((labels != self.labels).any())
+        self._set(labels)
+        return changed
+
+    def _cut(self, members: NDArray[np.intp]) -> NDArray[np.intp] | None:
+        """The cells of ``members`` on one side of the best straight cut, None when no cut makes two zones."""
+        if len(members) < 2:
+            return None
+        order = (self.cells.mean[members] @ _DIRECTIONS).argsort(axis=0, kind="stable")
+        left = np.cumsum(self.cells.sums[members][order], axis=0)
+        whole, left = left[-1:], left[:-1]
+        gain = self._split_gain(left, whole - left)
+        inside = np.zeros(len(self.labels), dtype=np.bool_)
+        inside[members] = True
+        for angle in gain.max(axis=0).argsort(kind="stable")[::-1][:_CUTS_TRIED]:
+            at = int(gain[:, angle].argmax())
+            if gain[at, angle] > _GAIN_HOPELESS:
+                a, b = left[at, angle], whole[0, angle] - left[at, angle]
+                if self._two_zones(gain[at, angle], a, b, inside):
+                    return members[order[at + 1 :, angle]]
+        return None
+
+
+def _sd_along(cov: Floats, line: Floats) -> Floats:
+    """Standard deviation along a unit vector of covariances (..., 3); never zero."""
+    variance = cov[..., 0] * line[0] ** 2 + 2 * cov[..., 1] * line[0] * line[1] + cov[..., 2] * line[1] ** 2
+    return np.asarray(np.sqrt(np.maximum(variance, 0) + 1e-6))

@@ -33,7 +33,7 @@ PLACE_SD_MIN = 0.02
 class CellSums(NamedTuple):
     """Sums over the events of each cell, int64, shape (GRID_ROWS, GRID_COLUMNS); positions in fixed point."""
 
-    count: Integers
+    count: Integers  # type: ignore[assignment]  # hides a method of tuple nobody needs
     sx: Integers
     sy: Integers
     sxx: Integers
