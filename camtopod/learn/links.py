@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.evidence import Ways, explained_by_missed, log_likelihood_ratio, q_values
+from camtopod.learn.significance import Ways, explained_by_missed, log_likelihood_ratio, q_values
 from camtopod.learn.joint import smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.settings import Settings
