@@ -56,7 +56,7 @@ class StateSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """``[state]``: what survives a restart."""
 
     directory: str = ""
-    """Where journal and spools live; empty: $STATE_DIRECTORY, or camtopod in $XDG_STATE_HOME (~/.local/state)."""
+    """Where journal and spools live; empty: $STATE_DIRECTORY, else ~/.local/state/camtopod (XDG)."""
 
 
 class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -78,7 +78,7 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     future_seconds_max: Positive = 60.0
     """Events stamped further ahead of this machine's clock are set aside, not learned."""
     inbox_events_max: Count = 50_000
-    """Received and not yet stored; beyond it events are dropped, and pulled from the grabber's spool later."""
+    """Received and not yet stored; beyond it events are dropped here and pulled from the spool later."""
     commit_events_max: Count = 2_000
     """Events a transaction of the journal."""
     commit_seconds: float = 0.0

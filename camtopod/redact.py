@@ -1,4 +1,4 @@
-"""The one place where secrets are taken out of text: whatever a person or the bus sees goes through `redact`."""
+"""The one place where secrets are taken out of text: what a person or the bus sees goes through `redact`."""
 
 from __future__ import annotations
 

@@ -1,0 +1,260 @@
+"""The bus: the only module that knows zenoh. Keys as in contract 5, always below ``camtopo/{site}/``.
+
+Clients dial explicit endpoints; the daemon may be the meeting point itself (mode ``router``). No multicast
+scouting and no shared memory: both cost more in trouble than they bring. What arrives is handed to callbacks
+which must not block: a handler that is full starves the whole session.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import zenoh
+
+from camtopod import codec
+from camtopod.config import Config
+from camtopod.redact import redact
+
+log = logging.getLogger(__name__)
+
+PREFIX = "camtopo"
+_PACK = "application/msgpack;schema=camtopod.{}.1"
+_JSON = "application/json"
+_OPEN_RETRY_SECONDS = 0.2
+_REPLIES_MAX = 4096
+"""Answers to one query that are kept; the rest is dropped by closing the channel."""
+
+OnMessage = Callable[[str, bytes], None]
+"""Called with (key below the site, payload), from a thread of the bus; must not block."""
+Answer = Callable[[str, dict[str, str]], Any]
+"""Called with (key below the site, parameters); returns the noun to answer or raises `QueryError`."""
+
+
+class BusError(OSError):
+    """The bus cannot be reached or opened; ``str()`` says where and what to do."""
+
+
+class QueryError(Exception):
+    """A question that cannot be answered; ``str()`` goes to the asker."""
+
+
+class Bus:
+    """One session on the bus of one site.
+
+    Not for use inside its own callbacks, except `put` (asking there waits for itself). Close it before
+    leaving: a process with callbacks and an open session does not end.
+    """
+
+    def __init__(self, session: zenoh.Session, site: str, endpoint: str, query_seconds: float) -> None:
+        self.site = site
+        self.endpoint = endpoint
+        """The endpoint listened at, with its real port, or the first one dialled."""
+        self._session = session
+        self._query_seconds = query_seconds
+        self._declared: list[Any] = []
+        self._closed = threading.Event()
+
+    def put(self, key: str, noun: Any, schema: str) -> None:
+        """Publish a noun, as MessagePack. What becomes of it is not known; see `camtopod.serve.spool`."""
+        self.put_raw(key, codec.to_pack(noun), schema)
+
+    def put_raw(self, key: str, payload: bytes, schema: str) -> None:
+        """Publish bytes that are MessagePack already. Does nothing once the bus is closed."""
+        if self._closed.is_set():
+            return
+        try:
+            self._session.put(
+                self._full(key),
+                payload,
+                encoding=_PACK.format(schema),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+        except zenoh.ZError as error:
+            if not self._closed.is_set():
+                log.warning("cannot publish on %s: %s", key, error)
+
+    def subscribe(self, key: str, on_message: OnMessage) -> None:
+        """Hand every publication on ``key`` (may hold ``*``) to ``on_message``."""
+
+        def receive(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                on_message(self._below(str(sample.key_expr)), sample.payload.to_bytes())
+
+        self._declared.append(self._session.declare_subscriber(self._full(key), receive))
+
+    def answer(self, key: str, answer: Answer, schema: str) -> None:
+        """Answer queries on ``key`` (may hold ``*``) in MessagePack, or JSON if format=application/json."""
+
+        def reply(query: zenoh.Query) -> None:
+            with query:
+                parameters = {name: str(query.parameters.get(name)) for name in _names(str(query.parameters))}
+                asked = str(query.key_expr) if "*" in key else self._full(key)
+                try:
+                    noun = answer(self._below(asked), parameters)
+                except QueryError as error:
+                    query.reply_err(redact(str(error)).encode(), encoding="text/plain")
+                    return
+                if noun is None:
+                    return
+                as_json = parameters.get("format") == _JSON
+                payload = codec.to_json(noun) if as_json else codec.to_pack(noun)
+                query.reply(asked, payload, encoding=_JSON if as_json else _PACK.format(schema))
+
+        self._declared.append(self._session.declare_queryable(self._full(key), reply))
+
+    def ask(
+        self, key: str, parameters: Mapping[str, object] | None = None, seconds: float | None = None
+    ) -> list[tuple[str, bytes]]:
+        """All answers to a query as (key below the site, payload); none if nobody answers in time.
+
+        Raises `QueryError` if the only answer is that it cannot be answered.
+        """
+        if self._closed.is_set():
+            return []
+        given = ";".join(f"{name}={value}" for name, value in (parameters or {}).items())
+        answers: list[tuple[str, bytes]] = []
+        refusal = None
+        try:
+            replies = self._session.get(
+                f"{self._full(key)}?{given}",
+                zenoh.handlers.FifoChannel(_REPLIES_MAX),
+                timeout=seconds or self._query_seconds,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+            for reply in replies:
+                if reply.ok is not None:
+                    answers.append((self._below(str(reply.ok.key_expr)), reply.ok.payload.to_bytes()))
+                elif reply.err is not None and str(reply.err.encoding).startswith("text/plain"):
+                    refusal = reply.err.payload.to_bytes().decode("utf-8", "replace")
+        except zenoh.ZError as error:
+            log.debug("query on %s: %s", key, error)
+        if refusal is not None and not answers:
+            raise QueryError(refusal)
+        return answers
+
+    def appear(self, role: str, name: str) -> None:
+        """Declare ``alive/{role}/{name}``, which vanishes with this session."""
+        token = self._session.liveliness().declare_token(self._full(f"alive/{role}/{name}"))
+        self._declared.append(token)
+
+    def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
+        """Call ``on_change(name, alive)`` for those of a role who are there, appear, and vanish."""
+
+        def change(sample: zenoh.Sample) -> None:
+            name = str(sample.key_expr).rsplit("/", 1)[-1]
+            on_change(name, sample.kind == zenoh.SampleKind.PUT)
+
+        key = self._full(f"alive/{role}/*")
+        self._declared.append(self._session.liveliness().declare_subscriber(key, change, history=True))
+
+    @property
+    def connected(self) -> bool:
+        """Whether a meeting point is reached at this moment; the session keeps trying by itself."""
+        return not self._closed.is_set() and bool(self._session.info.routers_zid())
+
+    def close(self) -> None:
+        """Flush and close; may be called twice."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        for declared in self._declared:
+            with contextlib.suppress(zenoh.ZError):
+                declared.undeclare()
+        with contextlib.suppress(zenoh.ZError):  # after its own timeout (zenoh#2675)
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Bus:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _full(self, key: str) -> str:
+        return f"{PREFIX}/{self.site}/{key}"
+
+    def _below(self, key: str) -> str:
+        return key.removeprefix(f"{PREFIX}/{self.site}/")
+
+
+def dial(config: Config) -> Bus:
+    """Open a client session, trying for ``bus.connect_seconds``. Raises `BusError`."""
+    endpoints = config.dials
+    deadline = time.monotonic() + config.bus.connect_seconds
+    while True:
+        try:
+            session = zenoh.open(_settings(config, "client", connect=endpoints))
+        except zenoh.ZError as error:
+            if time.monotonic() >= deadline:
+                raise BusError(
+                    f"cannot reach the bus at {', '.join(endpoints)}: is `camtopod run` running there? "
+                    f"({_short(error)})"
+                ) from None
+            time.sleep(_OPEN_RETRY_SECONDS)
+        else:
+            return Bus(session, config.site.name, endpoints[0], config.bus.query_seconds)
+
+
+def meet(config: Config) -> Bus:
+    """The daemon's session: the meeting point at ``config.listens``, or a client if there are none.
+
+    A port 0 stands for a free one. Raises `BusError`.
+    """
+    if not config.listens:
+        return dial(config)
+    endpoints = [_with_port(endpoint) for endpoint in config.listens]
+    try:
+        settings = _settings(config, "router", connect=config.bus.connect, listen=endpoints)
+        session = zenoh.open(settings)
+    except zenoh.ZError as error:
+        raise BusError(
+            f"cannot listen at {', '.join(endpoints)}: another daemon may be running there; "
+            f"stop it or set other endpoints in [bus] ({_short(error)})"
+        ) from None
+    return Bus(session, config.site.name, endpoints[0], config.bus.query_seconds)
+
+
+def _settings(
+    config: Config, mode: str, connect: Sequence[str] = (), listen: Sequence[str] = ()
+) -> zenoh.Config:
+    settings = zenoh.Config()
+    values: dict[str, object] = {
+        "mode": mode,
+        "connect/endpoints": list(connect),
+        "listen/endpoints": list(listen),
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/rx/max_message_size": config.bus.message_bytes_max,
+    }
+    if mode == "client":
+        values["connect/timeout_ms"] = int(config.bus.connect_seconds * 1000)
+    for key, value in values.items():
+        settings.insert_json5(key, json.dumps(value))
+    return settings
+
+
+def _with_port(endpoint: str) -> str:
+    """``tcp/host:0`` with a port that is free now: zenoh takes port 0 but does not tell which it got."""
+    if not endpoint.endswith(":0"):
+        return endpoint
+    host = endpoint.split("/", 1)[1].removesuffix(":0")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.bind((host.strip("[]"), 0))
+        return f"{endpoint.removesuffix('0')}{probe.getsockname()[1]}"
+
+
+def _names(parameters: str) -> list[str]:
+    return [pair.partition("=")[0] for pair in parameters.split(";") if pair]
+
+
+def _short(error: Exception) -> str:
+    """Zenoh's message without the path of its source file."""
+    return str(error).split(" at /")[0].strip()

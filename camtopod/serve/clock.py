@@ -1,0 +1,23 @@
+"""The only place that reads the wall clock, and the ids made from it."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+
+Clock = Callable[[], float]
+"""Seconds since the Unix epoch."""
+
+_CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+
+
+def wall() -> float:
+    """Seconds since the Unix epoch, now."""
+    return time.time()
+
+
+def ulid(now: float) -> str:
+    """A ULID: 26 characters, 48 bits of milliseconds since the epoch and 80 random bits, sorted by time."""
+    number = (int(now * 1000) & (2**48 - 1)) << 80 | secrets.randbits(80)
+    return "".join(_CROCKFORD[number >> shift & 31] for shift in range(125, -1, -5))

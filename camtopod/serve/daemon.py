@@ -1,0 +1,247 @@
+"""The daemon: events from the bus into the learner, topology, predictions, acks and status onto the bus.
+
+Theory of operation. Four threads besides the bus's own. *Receive* owns the journal: it orders what came
+in, commits it, acknowledges it, and stores each version before it is published. *Learn* feeds the learner
+what is committed, in the journal's order. *Predict* answers exits over the newest version. *Pull* asks the
+publishers' spools for what is missing. Every hand-over is a bounded queue; when one is full, events stay in the spools.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from camtopod.config import Config
+from camtopod.learn.learner import Learner
+from camtopod.records import Event, Prediction, Topology
+from camtopod.redact import redact
+from camtopod.serve import clock as clocks
+from camtopod.serve.bus import Bus, QueryError, meet
+from camtopod.serve.journal import Journal
+from camtopod.serve.learning import Learning, MakeLearner, ReplayMismatch, replay
+from camtopod.serve.live import Live
+from camtopod.serve.puller import Puller
+from camtopod.serve.receiver import Received, Receiver, Version
+
+log = logging.getLogger(__name__)
+
+STOP_SECONDS = 4.0
+"""How long `stop` waits for the threads; what they had not done is in the journal."""
+REPLAY_EVENTS_KEPT = 4000
+"""The newest replayed events, which predictions remember after a restart."""
+
+
+class Daemon:
+    """Everything `camtopod run` does, also usable inside another process.
+
+    With ``bus`` it works on that session and leaves it open; without, it opens (and closes) its own as the
+    configuration says. ``start`` returns when it is ready to receive. Raises `BusError` or `StateError`.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        bus: Bus | None = None,
+        clock: clocks.Clock = clocks.wall,
+        make_learner: MakeLearner = Learner,
+    ) -> None:
+        self._config, self._clock, self._make_learner = config, clock, make_learner
+        self._given_bus = bus
+        self._bus: Bus | None = bus
+        self._stopping = threading.Event()
+        self._failed = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self.topology: Topology | None = None
+        """The newest version, as published."""
+        self.epoch = ""
+
+    @property
+    def endpoint(self) -> str:
+        """Where the others reach the bus; valid after `start`."""
+        assert self._bus is not None, "the daemon has not been started"
+        return self._bus.endpoint
+
+    def start(self) -> None:
+        """Replay the journal, then join the bus and begin."""
+        self._journal = Journal(self._config.state_directory, self._config.limits.versions_kept)
+        try:
+            learner, new, recent = self._replay()
+            if self._bus is None:
+                self._bus = meet(self._config)
+        except BaseException:
+            self._journal.close()
+            raise
+        self._build(self._bus, learner, recent)
+        self._serve(self._bus)
+        for topology in new:  # made, but not published before the last stop
+            self._receiver.on_version(Version(topology, None))
+        if self.topology is not None and not new:
+            self._bus.put("topology", self.topology, "topology")
+        self._run("receive", self._receive)
+        self._run("learn", lambda: self._learning.work(self._stopping))
+        self._run("predict", lambda: self._live.work(self._stopping))
+        self._run("pull", lambda: self._puller.work(self._stopping))
+        self._run("status", self._tell_status)
+        log.info("site %s, epoch %s: ready at %s", self._config.site.name, self.epoch, self._bus.endpoint)
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait until a thread has died of an error (True) or the time is over (False)."""
+        return self._failed.wait(seconds)
+
+    def stop(self) -> None:
+        """Stop cleanly, within `STOP_SECONDS` or so; may be called twice."""
+        if self._stopping.is_set():
+            return
+        self._stopping.set()
+        deadline = time.monotonic() + STOP_SECONDS
+        for thread in self._threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+        if self._bus is not None and self._given_bus is None:
+            self._bus.close()
+        if not any(thread.name == "receive" and thread.is_alive() for thread in self._threads):
+            self._journal.close()
+
+    def status(self) -> dict[str, Any]:
+        """What ``status/daemon`` says: state, reason, counters."""
+        receiver, learning = self._receiver, self._learning
+        reason = receiver.reason or ("a part of the daemon has failed" if self._failed.is_set() else "")
+        return {
+            "state": "degraded" if reason else "running",
+            "reason": redact(reason),
+            "site": self._config.site.name,
+            "epoch": self.epoch,
+            "version": 0 if self.topology is None else self.topology.version,
+            "t": self._clock(),
+            "events": {**receiver.counts, "lost": receiver.streams.lost, "waiting": learning.waiting},
+            "rejects": dict(receiver.rejects.counts),
+            "learner": learning.statistics,
+            **self._live.counts,
+            "pulls": self._puller.pulls,
+            "journal": len(self._journal),
+            "cameras": {
+                camera: {**counters, "alive": camera in self._puller.alive}
+                for camera, counters in sorted(receiver.cameras.copy().items())
+            },
+        }
+
+    def __enter__(self) -> Daemon:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _replay(self) -> tuple[Any, list[Topology], list[Event]]:
+        """A learner that has learned the journal, its versions never published, and the newest events."""
+        epoch = self._journal.meta("epoch")
+        if epoch is None:
+            epoch = self._new_epoch()
+        recent: list[Event] = []
+
+        def remember(event: Event) -> None:
+            recent.append(event)
+            if len(recent) >= 2 * REPLAY_EVENTS_KEPT:
+                del recent[:-REPLAY_EVENTS_KEPT]
+
+        learner = self._make_learner(self._config.learn, self._config.site.name, epoch)
+        try:
+            new = replay(self._journal, learner, remember)
+        except ReplayMismatch as error:
+            log.warning("%s (other settings, program or processor?): a new epoch begins", error)
+            epoch = self._new_epoch()
+            recent.clear()
+            learner = self._make_learner(self._config.learn, self._config.site.name, epoch)
+            new = replay(self._journal, learner, remember)
+        self.epoch = epoch
+        self.topology = learner.topology
+        return learner, new, recent
+
+    def _new_epoch(self) -> str:
+        epoch = clocks.ulid(self._clock())
+        self._journal.forget_versions()
+        self._journal.set_meta("epoch", epoch)
+        return epoch
+
+    def _build(self, bus: Bus, learner: Any, recent: list[Event]) -> None:
+        limits = self._config.limits
+        self._live = Live(limits.learn_events_max, self._publish_prediction)
+        if learner.topology is not None:
+            self._live.use(learner.topology)
+        self._live.remember(recent)
+        self._receiver = Receiver(
+            self._journal, bus, limits, self._clock,
+            learn=self._learn, room=lambda: self._learning.room(), publish=self._publish,
+        )  # fmt: skip
+        self._learning = Learning(
+            learner, limits.learn_events_max, self._receiver.on_version, self._receiver.on_deadline
+        )
+        self._puller = Puller(
+            bus, limits, self._receiver.streams.wanted, self._receiver.on_pulled, self._receiver.gap
+        )
+
+    def _serve(self, bus: Bus) -> None:
+        bus.answer("topology", lambda key, parameters: self._newest(), "topology")
+        bus.answer("predict/*", self._live.answer, "prediction")
+        bus.answer("status/daemon", lambda key, parameters: self.status(), "status")
+        bus.subscribe("event/*", self._receiver.on_event)
+        bus.watch_alive("grabber", self._on_alive)
+        bus.appear("daemon", self._config.site.name)
+
+    def _on_alive(self, camera: str, alive: bool) -> None:
+        if alive:
+            self._receiver.with_spool.add(camera)
+        self._puller.on_alive(camera, alive)
+
+    def _newest(self) -> Topology:
+        if self.topology is None:
+            raise QueryError("nothing has been learned yet")
+        return self.topology
+
+    def _learn(self, batch: list[Received]) -> None:
+        for received in batch:
+            if received.event is not None:
+                self._live.feed(received.event)
+        self._learning.feed(batch)
+
+    def _publish(self, version: Version) -> None:
+        """A version that is stored: everybody may know it."""
+        assert self._bus is not None
+        self.topology = version.topology
+        self._live.use(version.topology)
+        if version.delta is not None:
+            self._bus.put("topology/delta", version.delta, "topology-delta")
+        self._bus.put("topology", version.topology, "topology")
+        log.info(
+            "version %d: %d cameras, %d zones, %d links",
+            version.topology.version, len(version.topology.cameras),
+            len(version.topology.zones), len(version.topology.links),
+        )  # fmt: skip
+
+    def _publish_prediction(self, prediction: Prediction) -> None:
+        assert self._bus is not None
+        self._bus.put(f"prediction/{prediction.camera}", prediction, "prediction")
+
+    def _receive(self) -> None:
+        self._receiver.work(self._stopping)
+
+    def _tell_status(self) -> None:
+        assert self._bus is not None
+        while not self._stopping.wait(self._config.limits.status_seconds):
+            self._bus.put("status/daemon", self.status(), "status")
+
+    def _run(self, name: str, work: Callable[[], None]) -> None:
+        def guarded() -> None:
+            done = False
+            try:
+                work()
+                done = True
+            finally:
+                if not done:  # the traceback goes to standard error by itself
+                    self._failed.set()
+
+        thread = threading.Thread(target=guarded, name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()

@@ -1,0 +1,98 @@
+"""Predictions as objects leave: a path of its own that no refit and no disk holds up."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable, Sequence
+
+from camtopod.learn.predict import Predictor
+from camtopod.records import Event, Prediction, Topology
+from camtopod.serve.bus import QueryError
+
+log = logging.getLogger(__name__)
+
+_TICK_SECONDS = 0.2
+
+
+class Live:
+    """Feed it events in the order they were stored; run `work` in a thread of its own."""
+
+    def __init__(self, events_max: int, publish: Callable[[Prediction], None]) -> None:
+        self._queue: queue.Queue[Event] = queue.Queue(events_max)
+        self._publish = publish
+        self._mutex = threading.Lock()
+        self._predictor: Predictor | None = None
+        self._topology: Topology | None = None
+        self.counts = {"predictions": 0, "predictions_skipped": 0}
+
+    def feed(self, event: Event) -> None:
+        """An event just stored. Never blocks: what cannot be predicted in time is skipped and counted."""
+        try:
+            self._queue.put_nowait(event)
+        except queue.Full:
+            self.counts["predictions_skipped"] += 1
+
+    def remember(self, events: Sequence[Event]) -> None:
+        """Events of before the start, so that the first predictions know what was going on."""
+        predictor = self._newest()
+        if predictor is not None:
+            for event in events:
+                predictor.observe(event)
+
+    def use(self, topology: Topology) -> None:
+        """Predict from this version on, remembering what was observed. Never blocks."""
+        self._topology = topology
+
+    def work(self, stopping: threading.Event) -> None:
+        """Predict until ``stopping``."""
+        while not stopping.is_set():
+            try:
+                event = self._queue.get(timeout=_TICK_SECONDS)
+            except queue.Empty:
+                continue
+            prediction = self._step(event)
+            if prediction is not None:
+                self._publish(prediction)
+                self.counts["predictions"] += 1
+
+    def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
+        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone. Raises `QueryError`."""
+        camera = key.removeprefix("predict/")
+        try:
+            t = float(parameters["t"]) if "t" in parameters else None
+            x = float(parameters["x"]) if "x" in parameters else None
+            y = float(parameters["y"]) if "y" in parameters else None
+        except ValueError:
+            raise QueryError("t, x and y are numbers") from None
+        if (x is None) != (y is None):
+            raise QueryError("x and y go together")
+        with self._mutex:
+            predictor = self._newest()
+            if predictor is None:
+                raise QueryError("nothing has been learned yet")
+            if t is None:
+                t = predictor.topology.as_of
+            if "zone" not in parameters:
+                return predictor.predict(Event(camera, "exit", t, x, y))
+            zones = [zone.id for zone in predictor.zones]
+            if parameters["zone"] not in zones or not parameters["zone"].startswith(f"{camera}/"):
+                raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
+            return predictor.predict_from(zones.index(parameters["zone"]), t)
+
+    def _step(self, event: Event) -> Prediction | None:
+        with self._mutex:
+            predictor = self._newest()
+            if predictor is None:
+                return None
+            prediction = predictor.predict(event) if event.kind == "exit" else None
+            predictor.observe(event)
+            return prediction
+
+    def _newest(self) -> Predictor | None:
+        """The predictor over the newest version, made when first needed."""
+        topology, old = self._topology, self._predictor
+        if topology is not None and (old is None or old.topology is not topology):
+            self._predictor = Predictor(topology) if old is None else old.follow(topology)
+        return self._predictor

@@ -1,0 +1,112 @@
+"""Events onto the bus so that none is lost: into the spool first, then the put; and answers to pulls."""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from camtopod import codec
+from camtopod.records import Ack, Event
+from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.spool import Spool, SpoolBatch
+
+log = logging.getLogger(__name__)
+
+PENDING_EVENTS_MAX = 10_000
+"""Events kept in memory while the spool cannot be written (disk full); beyond it the newest are dropped."""
+
+
+class Publisher:
+    """Publishes the events of some cameras. `publish`, `retry` and `close` from one thread.
+
+    Works without a bus: events then wait in the spool until `attach`. The spool belongs to the caller.
+    """
+
+    def __init__(self, spool: Spool, limit_batch_events: int) -> None:
+        self._spool = spool
+        self._bus: Bus | None = None
+        self._batch_max = limit_batch_events
+        self._pending: list[Event] = []
+        self._acked = threading.Condition()
+        self.published = 0
+        """Events spooled (and put, if there is a bus) since the start."""
+        self.dropped = 0
+        """Events lost because the spool could not be written for too long."""
+
+    def attach(self, bus: Bus, cameras: Sequence[str], role: str = "grabber") -> None:
+        """From now on put on ``bus``, answer ``spool/{camera}`` there, obey acks, be seen as ``role``."""
+        for camera in cameras:
+            bus.answer(f"spool/{camera}", self._answer, "spool")
+            bus.subscribe(f"ack/{camera}", self._on_ack)
+        self._bus = bus
+        for camera in cameras:
+            bus.appear(role, camera)
+
+    def publish(self, *events: Event) -> None:
+        """Spool and put. A spool that cannot be written is said once and tried again with the next events."""
+        room = PENDING_EVENTS_MAX - len(self._pending)
+        self._pending.extend(events[:room])
+        self.dropped += max(0, len(events) - room)
+        self.retry()
+
+    def retry(self) -> None:
+        """Try again what could not be spooled; cheap when there is nothing."""
+        while self._pending:
+            batch = self._pending[: self._batch_max]
+            try:
+                numbered = self._spool.append(batch)
+            except sqlite3.Error as error:
+                log.error("cannot write the spool: %s; %d events wait in memory", error, len(self._pending))
+                return
+            del self._pending[: self._batch_max]
+            self.published += len(numbered)
+            if self._bus is not None:
+                for event in numbered:
+                    self._bus.put_raw(f"event/{event.camera}", codec.to_pack(event), "event")
+
+    def drained(self, seconds: float) -> bool:
+        """Wait until everything is acknowledged; False if that takes longer than ``seconds``."""
+        with self._acked:
+            return self._acked.wait_for(lambda: not self._pending and len(self._spool) == 0, seconds)
+
+    def statistics(self) -> dict[str, int]:
+        """Counters for the status."""
+        return {
+            "published": self.published,
+            "unacknowledged": len(self._spool) + len(self._pending),
+            "dropped": self.dropped + self._spool.dropped,
+        }
+
+    def _answer(self, key: str, parameters: dict[str, str]) -> SpoolBatch:
+        try:
+            start, most = int(parameters.get("from", "-1")), int(parameters.get("max", "1000"))
+        except ValueError:
+            raise QueryError("from and max are whole numbers") from None
+        camera = key.removeprefix("spool/")
+        try:
+            return self._spool.batch(camera, parameters.get("boot"), start, max(1, min(most, 10_000)))
+        except sqlite3.Error as error:
+            raise QueryError(f"the spool cannot be read: {error}") from None
+
+    def _on_ack(self, key: str, payload: bytes) -> None:
+        try:
+            ack = codec.read(Ack, payload, pack=True)
+            if ack.camera != key.removeprefix("ack/"):
+                return
+            self._spool.ack(ack.camera, ack.boot, ack.seq)
+        except codec.Rejected as error:
+            log.debug("an ack that cannot be read on %s: %s", key, error)
+            return
+        except sqlite3.Error as error:
+            log.warning("cannot write the spool: %s", error)
+            return
+        with self._acked:
+            self._acked.notify_all()
+
+
+def status_answer(status: Callable[[], dict[str, Any]]) -> Callable[[str, dict[str, str]], dict[str, Any]]:
+    """An answer for ``status/...`` which ignores its parameters."""
+    return lambda key, parameters: status()
