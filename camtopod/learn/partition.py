@@ -38,14 +38,25 @@ VALLEY_ALONE = 8.0
 """One that needs no other evidence (several doors in a row look like one Gaussian to any single cut)."""
 FAR = 3.0
 """Two centres further apart than this many of their summed standard deviations need no valley."""
-CONTRAST_MIN = 2.0
-"""A zone is at least so many times as dense as clutter."""
+UNLIKE = 4.0
+"""So much log likelihood for each event of the smaller group shows two zones without a valley."""
+CONTRAST_MIN = 1.5
+EXCESS_MIN = 15.0
+"""Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's zone, say, though
+half of the events in its cells are clutter and so its Gaussian fits badly. It must be `CONTRAST_MIN` as dense."""
 FLOOR_CHANCE = 0.02
 """A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this probability."""
 _FLOOR_WIDTH = 1.25
 _ROUNDS_MAX = 6
 _PEELS_MAX = 6
 _GAIN_HOPELESS = -20.0
+_CENTRES = np.stack(
+    [
+        np.tile((np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS, GRID_ROWS),
+        np.repeat((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS, GRID_COLUMNS),
+    ]
+)
+_CELL_SPREAD = np.array([1 / GRID_COLUMNS**2, 0.0, 1 / GRID_ROWS**2]) / 12
 _ANGLES = np.arange(8) * np.pi / 8
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _CUTS_TRIED = 2
@@ -162,25 +173,25 @@ class _Moves:
         self._set(np.where(self.labels == k, -1, self.labels))
 
     def _merge(self) -> None:
-        """Merge pairs that are not two zones, the likeliest first; a small one that is unlike its neighbour goes to the
-        clutter instead where that costs less."""
+        """Merge pairs that are not two zones, the likeliest first; a small one that is unlike its neighbour goes to
+        the clutter instead where that costs less."""
         while len(self.zones) > 1:
             a, b = np.triu_indices(len(self.zones), 1)
-            gain = -self._split_gain(self.zones[a], self.zones[b])
-            for pair in gain.argsort(kind="stable")[::-1]:
+            gain, clear = self._apart(self.zones[a], self.zones[b])
+            for pair in gain.argsort(kind="stable"):
                 i, j = int(a[pair]), int(b[pair])
-                if not self._two_zones(
-                    -gain[pair], self.zones[i], self.zones[j], (self.labels == i) | (self.labels == j)
+                inside = (self.labels == i) | (self.labels == j)
+                if not clear[pair] and not self._valley_between(
+                    gain[pair], self.zones[i], self.zones[j], inside
                 ):
                     break
             else:
                 return
-            if gain[pair] < 0:
-                small = i if self.zones[i, 0] < self.zones[j, 0] else j
-                if self._drop_gain()[small] > gain[pair]:
-                    self._remove(small)
-                    continue
-            self._join(i, j)
+            small = i if self.zones[i, 0] < self.zones[j, 0] else j
+            if gain[pair] > 0 and self._drop_gain()[small] > -gain[pair]:
+                self._remove(small)
+            else:
+                self._join(i, j)
 
     def _drop(self) -> None:
         while len(self.zones) > 1:
@@ -191,51 +202,70 @@ class _Moves:
             self._remove(k)
 
     def _drop_gain(self) -> Floats:
-        """What the log posterior gains when a zone is clutter instead; infinite where it is hardly denser."""
+        """What the log posterior gains when a zone is clutter instead, but nothing where it stands out (`_excess`)."""
         n, count = self.zones[:, 0], len(self.zones)
         total = np.array(self.total)
         prior = log_zones(count - 1, total) - log_zones(count, total) - log_share(n)
         prior = prior + gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1)
-        _, cov = gaussians(self.zones)
-        area = 4 * np.pi * np.sqrt(cov[:, 0] * cov[:, 2] - cov[:, 1] ** 2)
-        faint = n < (CONTRAST_MIN - 1) * self.clutter * area
-        return np.where(faint, np.inf, prior - log_evidence(self.zones))
+        return np.minimum(prior - log_evidence(self.zones), EXCESS_MIN - self._excess())
 
-    def _split_gain(self, a: Floats, b: Floats) -> Floats:
-        """What the log posterior gains by two zones ``a`` and ``b`` (..., 6) instead of one, coarsened."""
+    def _excess(self) -> Floats:
+        """Log likelihood ratio of each zone's surplus over clutter within two standard deviations (Poisson)."""
+        mean, cov = gaussians(self.zones)
+        xx, xy, yy = (cov + _CELL_SPREAD).T[:, :, None]
+        dx, dy = _CENTRES[0] - mean[:, :1], _CENTRES[1] - mean[:, 1:]
+        inside = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy < 4 * (xx * yy - xy * xy)
+        others = np.zeros((len(self.zones), inside.shape[1]), dtype=np.bool_)
+        others[:, self.cells.index] = (self.labels >= 0) & (
+            self.labels != np.arange(len(self.zones))[:, None]
+        )
+        inside &= ~others
+        open_cells = inside.shape[1] - int((self.labels >= 0).sum())
+        expected = np.maximum(inside.sum(axis=1), 1) * (self.clutter + 1) / max(open_cells, 1)
+        n = np.maximum((inside[:, self.cells.index] * self.cells.sums[:, 0]).sum(axis=1), 1e-9)
+        excess = n * np.log(n / expected) - n + expected
+        return np.where(n > CONTRAST_MIN * expected, excess, 0.0)
+
+    def _apart(self, a: Floats, b: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """What the log posterior gains by two zones ``a`` and ``b`` (..., 6) instead of one, and whether that alone
+        shows two: where they are far apart, or where an event of the smaller one is very unlike the other. Otherwise
+        the gain is a coarsened one, and a valley is wanted.
+        """
         n = a[..., 0] + b[..., 0]
         weigh = 1 / (1 + n / PAIR_EVENTS)
+        (mean_a, cov_a), (mean_b, cov_b) = gaussians(a), gaussians(b)
+        line = _discriminant(cov_a + cov_b, mean_b - mean_a)
+        sd = _sd_along(cov_a, line) + _sd_along(cov_b, line)
+        far = ((mean_b - mean_a) * line).sum(axis=-1) > FAR * sd
+        weigh = np.where(far, 1.0, weigh)
         a, b = a * weigh[..., None], b * weigh[..., None]
         both, count = a + b, len(self.zones)
         total = self.total * weigh
         gain: Floats = log_evidence(a) + log_evidence(b) - log_evidence(both)
         gain += log_share(a[..., 0]) + log_share(b[..., 0]) - log_share(both[..., 0])
-        return gain + log_zones(count + 1, total) - log_zones(count, total)
+        gain += log_zones(count + 1, total) - log_zones(count, total)
+        unlike = gain > UNLIKE * np.minimum(a[..., 0], b[..., 0])
+        return gain, (gain > 0) & (far | unlike)
 
-    def _two_zones(self, gain: float, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> bool:
-        """Whether groups with sums ``a`` and ``b`` (6,), cells ``inside``, are two zones; ``gain`` as `_split_gain`."""
+    def _valley_between(self, gain: float, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> bool:
+        """Whether a valley shows groups with sums ``a`` and ``b`` (6,), cells ``inside``, to be two zones."""
         key = min(a.tobytes() + b.tobytes(), b.tobytes() + a.tobytes())
         if key not in self.valleys:
             self.valleys[key] = self._valley(a, b, inside)
-        depth = self.valleys[key]
-        return depth >= VALLEY_MIN and (gain > 0 or depth >= VALLEY_ALONE)
+        return self.valleys[key] >= (VALLEY_MIN if gain > 0 else VALLEY_ALONE)
 
     def _valley(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
         (mean_a, mean_b), (cov_a, cov_b) = gaussians(np.stack([a, b]))
         difference = mean_b - mean_a
-        (xx, xy, yy) = cov_a + cov_b
-        line = np.array([yy * difference[0] - xy * difference[1], xx * difference[1] - xy * difference[0]])
-        line /= np.hypot(*line) + 1e-300
-        sd_a, sd_b = (_sd_along(cov, line) for cov in (cov_a, cov_b))
+        line = _discriminant(cov_a + cov_b, difference)
+        sd_a, sd_b = float(_sd_along(cov_a, line)), float(_sd_along(cov_b, line))
         apart = float(line @ difference)
-        if apart > FAR * (sd_a + sd_b):
-            return float(np.nextafter(VALLEY_ALONE, 0))
         # Clutter in the tube between the two belongs to the valley.
         mean = self.cells.mean
         along = (mean - mean_a) @ line
         aside = np.array([-line[1], line[0]])
         centre = mean_a + np.clip(along / apart, 0, 1)[:, None] * difference
-        width = max(_sd_along(cov, aside) for cov in (cov_a, cov_b))
+        width = max(float(_sd_along(cov, aside)) for cov in (cov_a, cov_b))
         tube = (
             (self.labels < 0) & (along > 0) & (along < apart) & (np.abs((mean - centre) @ aside) < 2 * width)
         )
@@ -291,19 +321,27 @@ class _Moves:
         order = (self.cells.mean[members] @ _DIRECTIONS).argsort(axis=0, kind="stable")
         left = np.cumsum(self.cells.sums[members][order], axis=0)
         whole, left = left[-1:], left[:-1]
-        gain = self._split_gain(left, whole - left)
+        gain, clear = self._apart(left, whole - left)
         inside = np.zeros(len(self.labels), dtype=np.bool_)
         inside[members] = True
         for angle in gain.max(axis=0).argsort(kind="stable")[::-1][:_CUTS_TRIED]:
             at = int(gain[:, angle].argmax())
             if gain[at, angle] > _GAIN_HOPELESS:
                 a, b = left[at, angle], whole[0, angle] - left[at, angle]
-                if self._two_zones(gain[at, angle], a, b, inside):
+                if clear[at, angle] or self._valley_between(gain[at, angle], a, b, inside):
                     return members[order[at + 1 :, angle]]
         return None
 
 
+def _discriminant(cov: Floats, difference: Floats) -> Floats:
+    """Unit vectors (..., 2) along which groups with this summed covariance (..., 3) are told apart best."""
+    x, y = difference[..., 0], difference[..., 1]
+    line = np.stack([cov[..., 2] * x - cov[..., 1] * y, cov[..., 0] * y - cov[..., 1] * x], axis=-1)
+    return np.asarray(line / (np.hypot(line[..., 0], line[..., 1]) + 1e-300)[..., None])
+
+
 def _sd_along(cov: Floats, line: Floats) -> Floats:
     """Standard deviation along a unit vector of covariances (..., 3); never zero."""
-    variance = cov[..., 0] * line[0] ** 2 + 2 * cov[..., 1] * line[0] * line[1] + cov[..., 2] * line[1] ** 2
+    x, y = line[..., 0], line[..., 1]
+    variance = cov[..., 0] * x**2 + 2 * cov[..., 1] * x * y + cov[..., 2] * y**2
     return np.asarray(np.sqrt(np.maximum(variance, 0) + 1e-6))
