@@ -1,8 +1,9 @@
 """The settled scene: what each pixel shows when nothing is in front of it.
 
-A median over the first seconds, then a running mean of the pixels nothing moves in. Lighting is not learned into the
-model but compensated by a tone curve from model to picture: for each of 16 levels of the model, how bright such pixels
-are now. A cloud or an exposure change is then no motion, at once and without relearning.
+A median over the first seconds, then a running mean of the pixels nothing moves in. Lighting is not learned
+into the model but compensated by a tone curve from model to picture: for each of 16 levels of the model,
+how bright such pixels are now. A cloud or an exposure change is then no motion, at once and without
+relearning.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Luma = npt.NDArray[np.uint8]
+Luma = cv2.typing.MatLike
+"""A picture of grey levels or a mask: (H, W), uint8. (OpenCV types its pictures no closer.)"""
 
 TONE_BINS = 16
 _TONE_PIXELS_MIN = 24
@@ -25,11 +27,12 @@ class Background:
     """Model of the settled scene, (H, W) grey levels."""
 
     def __init__(self, frames: Sequence[Luma], seconds: float) -> None:
-        """``frames`` are some seconds of pictures, at least one; ``seconds`` is the time constant of learning."""
+        """``frames`` are some seconds of pictures, at least one; ``seconds`` is the time constant of
+        learning."""
         self._seconds = seconds
         stack = np.sort(np.stack(frames), axis=0)
         self._model = stack[len(frames) // 2].astype(np.float32)
-        self._picture = stack[len(frames) // 2].copy()
+        self._picture: Luma = stack[len(frames) // 2].copy()
 
     @property
     def picture(self) -> Luma:
@@ -45,7 +48,8 @@ class Background:
         return np.asarray(cv2.LUT(self._picture, curve), dtype=np.uint8)
 
     def _tone_shift(self, frame: Luma, settled: Luma) -> npt.NDArray[np.float32]:
-        """Grey levels to add to each of the model's 256 levels: the median change of the pixels around that level."""
+        """Grey levels to add to each of the model's 256 levels: the median change of the pixels around that
+        level."""
         sample = settled[::4, ::4] != 0
         model = self._picture[::4, ::4][sample]
         change = frame[::4, ::4][sample].astype(np.int16) - model
@@ -69,6 +73,7 @@ class Background:
         self._picture = cv2.convertScaleAbs(self._model)
 
     def adopt(self, frame: Luma, where: Luma) -> None:
-        """Take ``frame`` over at once where ``where`` (H, W) is not 0: something was moved, or stood there at first."""
+        """Take ``frame`` over at once where ``where`` (H, W) is not 0: something was moved, or stood there
+        at first."""
         cv2.copyTo(frame.astype(np.float32), where, self._model)
         self._picture = cv2.convertScaleAbs(self._model)

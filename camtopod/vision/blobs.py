@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from camtopod.vision.motion import Box, Motion
 
@@ -67,7 +66,7 @@ class Blob:
 def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     """The frame's blobs, in no particular order."""
     mask = cv2.morphologyEx(motion.moving, cv2.MORPH_CLOSE, _CLOSE)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     areas = stats[1:, cv2.CC_STAT_AREA]
     kept = 1 + np.flatnonzero(areas >= FRAGMENT_PIXELS_MIN)
     if len(kept) > BLOBS_MAX:
@@ -83,12 +82,14 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     return blobs
 
 
-def _box(row: npt.NDArray[np.int32]) -> Box:
+def _box(row: cv2.typing.MatLike) -> Box:
     left, top, width, height = (float(value) for value in row[:4])
     return (left, top, left + width, top + height)
 
 
-def _blob(group: list[int], stats: npt.NDArray[np.int32], labels: npt.NDArray[np.int32], motion: Motion) -> Blob | None:
+def _blob(
+    group: list[int], stats: cv2.typing.MatLike, labels: cv2.typing.MatLike, motion: Motion
+) -> Blob | None:
     """One blob of the fragments ``group``, or None if it has too few edges of its own."""
     boxes = [_box(stats[label]) for label in group]
     left, top = int(min(b[0] for b in boxes)), int(min(b[1] for b in boxes))
@@ -107,7 +108,8 @@ def _blob(group: list[int], stats: npt.NDArray[np.int32], labels: npt.NDArray[np
 
 
 def _merge(fragments: list[tuple[int, Box]], expected_height: ExpectedHeight) -> list[list[int]]:
-    """Groups of labels that are one person: one above the other, or nearly touching, and not too tall together."""
+    """Groups of labels that are one person: one above the other, or nearly touching, and not too tall
+    together."""
     groups = [([label], box) for label, box in fragments]
     merged = True
     while merged:

@@ -1,7 +1,8 @@
 """Tracks -> events: who crossed the edge of the view, when and where.
 
-An edge is the border of the picture, or a door learned in mid-view (`doors`). The time of an entry is that of the
-first sighting although it is reported only when the object is confirmed; that of an exit is the last sighting's.
+An edge is the border of the picture, or a door learned in mid-view (`doors`). The time of an entry is that
+of the first sighting although it is reported only when the object is confirmed; that of an exit is the last
+sighting's.
 """
 
 from __future__ import annotations
@@ -40,14 +41,20 @@ class Crossings:
         self.entries = 0
         self.exits = 0
 
-    # -- where ---------------------------------------------------------------------------------------------------
+    # -- where ------------------------------
 
     def touches(self, box: Box) -> bool:
-        """Whether the box is cut by a side or the bottom of the picture (heads may be cut far inside the view)."""
-        return box[0] <= TOUCH_PIXELS or box[2] >= self._width - TOUCH_PIXELS or box[3] >= self._height - TOUCH_PIXELS
+        """Whether the box is cut by a side or the bottom of the picture (heads may be cut far inside the
+        view)."""
+        return (
+            box[0] <= TOUCH_PIXELS
+            or box[2] >= self._width - TOUCH_PIXELS
+            or box[3] >= self._height - TOUCH_PIXELS
+        )
 
     def _at_border(self, box: Box, dx: float = 0.0, dy: float = 0.0) -> bool:
-        """Box within the margin of the border, or across it when moved by (dx, dy). At the top the foot counts."""
+        """Box within the margin of the border, or across it when moved by (dx, dy). At the top the foot
+        counts."""
         left, bottom, right = box[0], box[3], box[2]
         near = min(left, self._width - right, self._height - bottom, bottom) <= self._margin
         return near or min(left + dx, self._width - right - dx, self._height - bottom - dy, bottom + dy) <= 0
@@ -60,9 +67,11 @@ class Crossings:
     def begins_at_edge(self, track: Track) -> bool:
         """Whether the track, followed for a short while only, was first seen where objects enter the view."""
         dx, dy = _drift(track)
-        return self._at_border(track.first.box, -dx, -dy) or self.doors.is_door(*track.first.foot, track.height)
+        return self._at_border(track.first.box, -dx, -dy) or self.doors.is_door(
+            *track.first.foot, track.height
+        )
 
-    # -- what ----------------------------------------------------------------------------------------------------
+    # -- what ------------------------------
 
     def report(self, changes: Changes, active: list[Track]) -> list[Event]:
         """The events of one frame's changes; ``active`` are all tracks, for learning where people walk."""

@@ -1,8 +1,9 @@
 """Doors in mid-view: places away from the border where people appear and disappear again and again.
 
-One track that begins or ends in mid-view is most often a mistake - somebody walked out of a group, behind a tree, or
-stood until the tracker lost him. A place is admitted as a door only when several objects began or ended there without
-any other explanation, and more of them did so than walked through; until then nothing is reported there.
+One track that begins or ends in mid-view is most often a mistake - somebody walked out of a group, behind a
+tree, or stood until the tracker lost him. A place is admitted as a door only when several objects began or
+ended there without any other explanation, and more of them did so than walked through; until then nothing
+is reported there.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Constant-velocity Kalman filter for a person's head and foot (R. E. Kalman, 1960).
 
-Four coordinates (head x, y, foot x, y), each with its velocity, share one 2 x 2 covariance, because they are measured
-together with the same uncertainty. Lengths are pixels; noise is given in heights of the person, so that near and far
-people move alike.
+Four coordinates (head x, y, foot x, y), each with its velocity, share one 2 x 2 covariance, because they
+are measured together with the same uncertainty. Lengths are pixels; noise is given in heights of the
+person, so that near and far people move alike.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Moving pixels against the settled scene, and which of the scene may be learned meanwhile.
 
-Three things decide how well this works on real video: the background must not learn what stands under a confirmed
-track; light must not be motion (tone curve in `background`, gradients here); and freezing must end - a picture that
-changed as a whole is learned anew, and what nobody claims is adopted after some seconds.
+Three things decide how well this works on real video: the background must not learn what stands under a
+confirmed track; light must not be motion (tone curve in `background`, gradients here); and freezing must
+end - a picture that changed as a whole is learned anew, and what nobody claims is adopted after some
+seconds.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ DIFFERENCE_MIN = 14.0
 """A pixel moves from this difference on, grey levels, in a picture without noise."""
 NOISE_FACTOR = 4.0
 EDGE_MIN = 18.0
-"""Step of the logarithmic difference between neighbours that a change of light does not make; 100 is a factor of e."""
+"""Step of the logarithmic difference between neighbours that a change of light does not make; 100 is a
+factor of e."""
 STRONG_MIN = 75.0
 """Logarithmic difference that no shadow makes."""
 WHOLE_PICTURE_SHARE = 0.6
@@ -33,7 +35,8 @@ ADOPT_SECONDS = 6.0
 """What differs from the model for this long and belongs to no object becomes part of the scene."""
 BOOTSTRAP_FRAMES_MAX = 24
 GHOST_RATIO = 1.5
-"""Along a ghost's outline the model has this many times the gradient of the picture: what left is in the model."""
+"""Along a ghost's outline the model has this many times the gradient of the picture: what left is in the
+model."""
 _NOISE_RATE = 0.1
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE = np.ones((3, 3), np.uint8)
@@ -47,8 +50,8 @@ _LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).ast
 class Motion:
     """One frame against the settled scene, masks (H, W) of 0 and 255.
 
-    ``changed``: differs from the scene; ``moving``: of these, without shadows and reflections; ``edges``: edges that the
-    scene does not have.
+    ``changed``: differs from the scene; ``moving``: of these, without shadows and reflections; ``edges``:
+    edges that the scene does not have.
     """
 
     moving: Luma
@@ -114,14 +117,16 @@ class MotionDetector:
         edges, strong = self._own_texture(frame, expected)
         near = cv2.dilate(edges, _WIDE)
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
-        solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)  # outlines of furniture are lines, people are not
+        solid = cv2.morphologyEx(
+            solid, cv2.MORPH_OPEN, _CROSS
+        )  # outlines of furniture are lines, people are not
         return Motion(solid, edges, moving)
 
     def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
         """Where the picture has edges the scene has not, and where it differs more than a shadow makes it.
 
-        A shadow or a reflection multiplies the scene by a factor that varies slowly, so in logarithms it adds a flat
-        patch, whatever texture lies below.
+        A shadow or a reflection multiplies the scene by a factor that varies slowly, so in logarithms it
+        adds a flat patch, whatever texture lies below.
         """
         ratio = cv2.absdiff(cv2.LUT(frame, _LOGARITHM), cv2.LUT(expected, _LOGARITHM))
         steps = cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS)
@@ -151,7 +156,8 @@ class MotionDetector:
         self._unclaimed_seconds[where != 0] = 0.0
 
     def is_ghost(self, frame: Luma, motion: Motion, box: Box) -> bool:
-        """Whether the moving pixels in ``box`` are where something *was*; if so the scene adopts what is there now."""
+        """Whether the moving pixels in ``box`` are where something *was*; if so the scene adopts what is
+        there now."""
         assert self._background is not None, "bootstrap first"
         left, top, right, bottom = (max(0, int(value)) for value in box)
         rows, columns = slice(max(0, top - 2), bottom + 2), slice(max(0, left - 2), right + 2)
@@ -162,7 +168,9 @@ class MotionDetector:
         if not outline.any():
             return False
         now = cv2.morphologyEx(frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
-        model = cv2.morphologyEx(self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
+        model = cv2.morphologyEx(self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[
+            outline
+        ].mean()
         if float(model) < GHOST_RATIO * max(1.0, float(now)):
             return False
         where = np.zeros(frame.shape, np.uint8)

@@ -9,7 +9,8 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of one grabber (the ``[vision]`` table of the configuration)."""
 
     analysed_fps: float = 7.0
-    """Frames per second that are looked at (as near as the source's rate allows); the rest are only grabbed."""
+    """Frames per second that are looked at (as near as the source's rate allows); the rest are only
+    grabbed."""
     working_width: int = 320
     """Frames wider than this are scaled down to it before anything else, pixels."""
     bootstrap_seconds: float = 3.0

@@ -1,4 +1,5 @@
-"""How tall a person looks in each row of the picture: a line through the heights of the people seen so far."""
+"""How tall a person looks in each row of the picture: a line through the heights of the people seen so
+far."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ _REFIT_SAMPLES = 10
 
 
 class Stature:
-    """Learns height = a + b * foot row from whole, confirmed, single objects; robust to some that are none."""
+    """Learns height = a + b * foot row from whole, confirmed, single objects; robust to some that are
+    none."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, float]] = deque(maxlen=SAMPLES_MAX)
@@ -29,7 +31,11 @@ class Stature:
         if len(self._objects) < OBJECTS_MIN:
             self._objects.add(track)
         self._new += 1
-        if self._new >= _REFIT_SAMPLES and len(self._samples) >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
+        if (
+            self._new >= _REFIT_SAMPLES
+            and len(self._samples) >= SAMPLES_MIN
+            and len(self._objects) >= OBJECTS_MIN
+        ):
             self._fit()
             self._new = 0
 

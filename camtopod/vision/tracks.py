@@ -1,11 +1,12 @@
 """Blobs -> tracks: who is where, within one view.
 
-Theory of operation. A track is *tentative* until it has been followed for half a second and its head or foot has
-moved; then it is *confirmed*. Each frame, blobs that cover several confirmed tracks update these as a group (people
-crossing or walking side by side); the rest are assigned one to one (Kalman prediction, Hungarian method, gate in heights of
-the person). A confirmed track that is out of sight for longer than the patience has *ended* if it was at an edge of the
-view; in mid-view it is *broken*: kept for some seconds, and a track confirmed nearby continues it, so that a passage
-that breaks behind a lamp post stays one passage.
+Theory of operation. A track is *tentative* until it has been followed for half a second and its head or
+foot has moved; then it is *confirmed*. Each frame, blobs that cover several confirmed tracks update these
+as a group (people crossing or walking side by side); the rest are assigned one to one (Kalman prediction,
+Hungarian method, gate in heights of the person). A confirmed track that is out of sight for longer than the
+patience has *ended* if it was at an edge of the view; in mid-view it is *broken*: kept for some seconds,
+and a track confirmed nearby continues it, so that a passage that breaks behind a lamp post stays one
+passage.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ COVERED_PATIENCE_FACTOR = 2.0
 STITCH_HEIGHTS = 1.0
 STITCH_HEIGHTS_PER_SECOND = 0.4
 STITCH_HEIGHTS_MAX = 2.5
-"""How far from where it broke a passage may go on: the first plus the second times the gap, at most the third."""
+"""How far from where it broke a passage may go on: the first plus the second times the gap, at most the
+third."""
 STITCH_AT_EDGE_SECONDS = 1.5
 STITCH_AT_EDGE_HEIGHTS = 0.5
 """What begins at an edge is somebody new, unless somebody was lost this short a time ago and this near."""
@@ -44,7 +46,8 @@ PIECE_HEIGHT_MIN = 0.35
 BIRTH_HEIGHT_MIN = 0.4
 """A blob in mid-view that is smaller than this share of a person is none."""
 STATURE_STEP_HEIGHTS = 0.15
-"""Somebody's height is taken again after this much of a way, so that standing people do not outvote the others."""
+"""Somebody's height is taken again after this much of a way, so that standing people do not outvote the
+others."""
 HISTORY_SIGHTINGS = 16
 _SIZE_RATE = 0.2
 _NEVER = 1e9
@@ -153,7 +156,7 @@ class Tracker:
             self._give_birth(t, blob)
         return self._retire(t, self._confirm(t))
 
-    # -- sightings -------------------------------------------------------------------------------------------------
+    # -- sightings ------------------------------
 
     def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
         """Blobs that hide several confirmed people update all of them; the other blobs are returned."""
@@ -175,7 +178,7 @@ class Tracker:
         lowest = max(inside, key=lambda track: track.box[3])
         highest = min(inside, key=lambda track: track.box[1])
         for track in inside:
-            left, top, right, bottom = track.box
+            left, _, right, bottom = track.box
             x = min(max((left + right) / 2, blob.left), blob.right)
             if track is leftmost:
                 x = blob.left + track.width / 2
@@ -246,7 +249,7 @@ class Tracker:
             if track.last.t < t and track.confirmed:
                 track.covered = any(_holds(blob.box, track.box) for blob in blobs)
 
-    # -- births and deaths -----------------------------------------------------------------------------------------
+    # -- births and deaths ------------------------------
 
     def _give_birth(self, t: float, blob: Blob) -> None:
         if len(self.active) >= self._settings.tracks_max:
@@ -295,7 +298,9 @@ class Tracker:
             if self._begins_at_edge(track):
                 reach = STITCH_AT_EDGE_HEIGHTS if gap <= STITCH_AT_EDGE_SECONDS else 0.0
             reach *= max(track.height, other.height)
-            distance = float(np.hypot(track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1]))
+            distance = float(
+                np.hypot(track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1])
+            )
             ratio = track.height / other.height
             if distance < reach * best_score and 0.4 < ratio < 2.5:
                 best, best_score = other, distance / reach
@@ -342,7 +347,8 @@ class Tracker:
         self._t = self._start = None
 
     def finish(self, t: float) -> list[Track]:
-        """The recording ends at ``t``: objects out of sight at an edge have left; the others are still in view."""
+        """The recording ends at ``t``: objects out of sight at an edge have left; the others are still in
+        view."""
         unseen = TENTATIVE_PATIENCE_SECONDS
         left = [x for x in self.active if x.confirmed and x.unseen_seconds(t) > unseen and self._at_edge(x)]
         self.active, self.broken = [], []

@@ -34,7 +34,8 @@ class Watcher:
         self.ghosts = 0
 
     def see(self, t: float, frame: Luma) -> list[Event]:
-        """Take the picture (H, W) captured at ``t`` seconds, later than the last; returns what became certain by it.
+        """Take the picture (H, W) captured at ``t`` seconds, later than the last; returns what became
+        certain by it.
 
         The first seconds' pictures wait until there is a background, then all are looked at.
         """
@@ -72,7 +73,8 @@ class Watcher:
         return events
 
     def _step(self, t: float, frame: Luma) -> list[Event]:
-        assert self._tracker is not None and self._crossings is not None
+        assert self._tracker is not None
+        assert self._crossings is not None
         dt = 0.0 if self._t is None else max(0.0, t - self._t)
         self._t = t
         motion = self._motion.look(frame, dt)
@@ -85,7 +87,11 @@ class Watcher:
             if self._is_still(track, t) and self._motion.is_ghost(frame, motion, track.last.box):
                 self._tracker.drop(track)
                 self.ghosts += 1
-        claimed = [track.last.box if track.last.t == t else track.box for track in self._tracker.active if track.confirmed]
+        claimed = [
+            track.last.box if track.last.t == t else track.box
+            for track in self._tracker.active
+            if track.confirmed
+        ]
         self._motion.learn(frame, motion, dt, claimed)
         return events
 
@@ -95,7 +101,9 @@ class Watcher:
         if track.last.t < t or len(track.history) < 8 or t - track.first.t < GHOST_SECONDS:
             return False
         reach = GHOST_MOVE_HEIGHTS * track.height
-        return abs(past.foot[0] - track.last.foot[0]) < reach and abs(past.foot[1] - track.last.foot[1]) < reach
+        return (
+            abs(past.foot[0] - track.last.foot[0]) < reach and abs(past.foot[1] - track.last.foot[1]) < reach
+        )
 
     def finish(self) -> list[Event]:
         """The recording is over: what is certain now. Objects still in view have no exit."""

@@ -1,0 +1,92 @@
+"""A video file -> frames, as fast as it decodes or at a multiple of its own pace."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from typing import Literal
+
+from camtopod.vision.capture import Cadence, Capture, Frame
+from camtopod.vision.errors import SourceError
+from camtopod.vision.settings import VisionSettings
+
+FPS_UNKNOWN = 25.0
+"""Assumed where a file has neither time stamps nor a frame rate."""
+HEARTBEAT_SECONDS = 0.5
+
+
+class RecordedSource:
+    """Times are ``start`` plus the position in the file, seconds."""
+
+    def __init__(self, path: str, settings: VisionSettings, start: float, speed: float | None) -> None:
+        """``speed``: None for as fast as it decodes, 1.0 for the file's own pace. Raises `OSError`,
+        `SourceError`."""
+        with open(path, "rb") as file:  # says clearly why not, which OpenCV does not
+            if os.fstat(file.fileno()).st_size == 0:
+                raise SourceError(f"{path}: the file is empty")
+        self._path = path
+        self._settings = settings
+        self._start = start
+        self._speed = speed
+        self._capture: Capture | None = Capture(path, settings)
+        if not self._capture.is_open:
+            self.close()
+            raise SourceError(f"{path}: not a video this program can decode")
+        self.state: Literal["connecting", "running", "ended"] = "connecting"
+        self.reason = "not read yet"
+        self.grabbed = 0
+        self.dropped = 0
+        self.connections = 1
+        self.failures = 0
+        self.untrusted_stamps = 0
+
+    def frames(self) -> Iterator[Frame | None]:
+        """The frames to analyse; None while waiting. Raises `SourceError` if there is not one frame."""
+        cadence = Cadence(self._settings.analysed_fps)
+        began = time.monotonic()
+        position = 0.0
+        while self._capture is not None:
+            grab = self._capture.grab()
+            if grab is None:
+                break
+            position = self._position(grab.stamp, position)
+            self.grabbed += 1
+            self.state, self.reason = "running", ""
+            if not cadence.wants(position):
+                continue
+            luma = self._capture.retrieve()
+            if luma is None:
+                self.dropped += 1
+                continue
+            if self._speed is not None:
+                yield from _until(began + position / self._speed)
+            yield Frame(self._start + position, luma)
+        self.close()
+        if not self.grabbed:
+            raise SourceError(f"{self._path}: no frame in it can be decoded")
+        self.state, self.reason = "ended", "the file is at its end"
+
+    def _position(self, stamp: float, last: float) -> float:
+        """Seconds from the beginning; by the frame rate where the stamps do not go on."""
+        if not self.grabbed:
+            return max(0.0, stamp)
+        if stamp > last:
+            return stamp
+        self.untrusted_stamps += 1
+        assert self._capture is not None
+        return last + 1.0 / (self._capture.fps or FPS_UNKNOWN)
+
+    def close(self) -> None:
+        """Release the file."""
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
+
+
+def _until(due: float) -> Iterator[None]:
+    """Sleep until ``due`` on the monotonic clock, giving control back now and then."""
+    while (remaining := due - time.monotonic()) > 0:
+        time.sleep(min(remaining, HEARTBEAT_SECONDS))
+        if remaining > HEARTBEAT_SECONDS:
+            yield None
