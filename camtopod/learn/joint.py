@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.rates import chance_rates
+from camtopod.learn.slowness import NO_PERSISTENCE, adjusted_lag, agreement, combined, persistence
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -35,21 +36,25 @@ PAIR_TABLE_MAX = 20_000_000
 
 
 class Departures(NamedTuple):
-    """Objects leaving, by time: ``t`` seconds, ``zone``, ``camera``, and ``since`` when the passage began (-inf: unknown)."""
+    """Objects leaving, by time: ``t`` seconds, ``zone``, ``camera``, ``since`` when the passage began (-inf: unknown), and
+    its log slowness (nan: unknown)."""
 
     t: Floats
     zone: Ints
     camera: Ints
     since: Floats
+    slow: Floats
 
 
 class Arrivals(NamedTuple):
-    """Objects appearing, by time: ``t`` seconds, ``zone``, ``camera``, and the local rate of arrivals there (1/s)."""
+    """Objects appearing, by time: ``t`` seconds, ``zone``, ``camera``, the local rate of arrivals there (1/s), and the log
+    slowness of the passage that begins (nan: unknown)."""
 
     t: Floats
     zone: Ints
     camera: Ints
     rate: Floats
+    slow: Floats
 
 
 class Candidates(NamedTuple):
@@ -144,8 +149,12 @@ def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -
     return exposed
 
 
-START_SMOOTHING_SD_BINS = 2.0
+START_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
 START_NOISE_SD = 2.0
+STRIDE = 1.8
+"""Steps are longer than EM's own by this much (on the log scale; convergent below 2), as EM creeps here."""
+SETTLING_ITERATIONS = 3
+"""The last iterations take EM's own steps."""
 START_FLOOR = 0.002
 """Share of a pair's own histogram that it starts with even where nothing exceeds chance."""
 
@@ -181,12 +190,25 @@ class JointFitter:
         self.candidates, self.departures, self.arrivals = candidates, departures, arrivals
         self.exposure = exposures(departures, bins, zones, until)
         self.cell = candidates.pair.astype(np.int64) * bins.size + candidates.bin
+        self.agreement = np.ones(len(candidates.arrival))
         self.pairs = len(candidates.source)
         self.per_zone = np.bincount(arrivals.zone, minlength=zones).astype(float)
         self.outside = np.full(zones, 0.5)
+        self.persistence = NO_PERSISTENCE
         self.message = np.ones(len(candidates.arrival))
         self.responsibility = np.zeros(len(candidates.arrival))
         self.own = np.zeros(self.pairs * bins.size)
+
+    def use_slowness(self, responsibility: Floats) -> Floats:
+        """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins)."""
+        c = self.candidates
+        left, came = self.departures.slow[c.departure], self.arrivals.slow[c.arrival]
+        found = persistence(left, came, c.lag, c.pair, responsibility)
+        self.persistence = found
+        lag = adjusted_lag(c.lag, combined(left, came), found.scaling, self.bins)
+        self.cell = c.pair.astype(np.int64) * self.bins.size + self.bins.index(lag)
+        self.agreement = agreement(left, came, found)
+        return self.hazards(self.count(responsibility))
 
     def start(self) -> Floats:
         """First hazards: what exceeds chance in each pair's own histogram (cross-correlation, Makris et al. 2004)."""
@@ -195,9 +217,11 @@ class JointFitter:
         left, came = self.departures, self.arrivals
         by_chance = chance_rates(left.t, left.zone, came.t, came.zone, self.zones)
         chance = by_chance[self.candidates.source, self.candidates.target][:, None] * exposed
-        flat = smoother(self.bins.size, START_SMOOTHING_SD_BINS)
-        noise = np.sqrt(np.maximum(chance, 0.5) @ (flat**2).T)
-        excess = np.maximum(seen @ flat.T - chance @ flat.T - START_NOISE_SD * noise, START_FLOOR * seen @ flat.T)
+        excess = START_FLOOR * seen
+        for sd_bins in START_SMOOTHING_SD_BINS:
+            flat = smoother(self.bins.size, sd_bins)
+            noise = np.sqrt(np.maximum(chance, 0.5) @ (flat**2).T)
+            excess = np.maximum(excess, (seen - chance) @ flat.T - START_NOISE_SD * noise)
         return excess / np.maximum(exposed, self.bins.widths)
 
     def count(self, responsibility: Floats) -> Floats:
@@ -224,7 +248,7 @@ class JointFitter:
         """E step: responsibilities (M,) and background rates (arrivals,)."""
         c = self.candidates
         background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
-        weight = hazard.ravel()[self.cell] * self.others()
+        weight = hazard.ravel()[self.cell] * self.others() * self.agreement
         seen_again = np.bincount(c.source, self.appears(hazard), minlength=self.zones)
         leave = np.maximum(1.0 - seen_again, LEAVE_FLOOR)[self.departures.zone]
         taken = weight * self.message
@@ -248,12 +272,14 @@ class JointFitter:
         hazard = self.start() if hazard is None else hazard
         if outside is not None:
             self.outside = outside
-        for _ in range(iterations):
+        for iteration in range(iterations):
             responsibility, background = self.expect(hazard)
             counts = self.count(responsibility)
             explained = np.bincount(self.arrivals.zone, self.explained(responsibility), minlength=self.zones)
             self.outside = np.clip(1.0 - explained / np.maximum(self.per_zone, 1.0), 0.01, 1.0)
-            hazard = self.hazards(counts)
+            fresh = self.hazards(counts)
+            stride = STRIDE if iteration < iterations - SETTLING_ITERATIONS else 1.0
+            hazard = fresh * (fresh / np.maximum(hazard, 1e-300)) ** (stride - 1.0)
         return Fit(hazard, counts, responsibility, self.outside, background, self.exposure)
 
     def explained(self, responsibility: Floats) -> Floats:

@@ -29,7 +29,7 @@ REFIT_EVENTS_MIN = 10
 """No new version for fewer new events, unless they have waited ``refit_hours``."""
 ZONES_REFRESH_SHARE = 0.1
 """A camera's zones are learned again when this share of its events is new."""
-ITERATIONS = 20
+ITERATIONS = 12
 
 
 class Learner:
@@ -186,7 +186,9 @@ class Learner:
             return None, tabulate(none, leaving, self.bins, zones)
         candidates = find_candidates(scene.departures, scene.arrivals, self.bins, zones, self.settings.candidates_max)
         fitter = JointFitter(scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last)
-        fit = fitter.run(ITERATIONS)
+        first = fitter.run(ITERATIONS)
+        fit = fitter.run(ITERATIONS, fitter.use_slowness(first.responsibility), first.outside)
+        self.fitter = fitter
         transitions = Transitions(
             candidates.source[candidates.pair], candidates.target[candidates.pair], candidates.lag, fit.responsibility
         )

@@ -36,10 +36,11 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     left = scene.departures.camera == camera
     zones = len(scene.zones)
     starts = Departures(
-        scene.arrivals.t[came], scene.arrivals.zone[came], scene.arrivals.camera[came], scene.arrivals.t[came]
-    )
+        scene.arrivals.t[came], scene.arrivals.zone[came], scene.arrivals.camera[came], scene.arrivals.t[came],
+        scene.arrivals.slow[came],
+    )  # fmt: skip
     t, zone = scene.departures.t[left], scene.departures.zone[left]
-    ends = Arrivals(t, zone, scene.departures.camera[left], local_rates(t, zone, zones))
+    ends = Arrivals(t, zone, scene.departures.camera[left], local_rates(t, zone, zones), scene.departures.slow[left])
     if len(starts.t) == 0 or len(ends.t) == 0:
         return join([])
     candidates = find_candidates(starts, ends, bins, zones, candidates_max)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.joint import Arrivals, Departures
 from camtopod.learn.rates import local_rates
+from camtopod.learn.slowness import slowness
 from camtopod.learn.window import Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape
 
@@ -82,11 +83,14 @@ def see(window: Window, maps: list[ZoneMap]) -> Scene:
     comes = np.flatnonzero(entry & (zone >= 0))
     began = mate[leaves]
     since = np.where(began >= 0, t[np.maximum(began, 0)], -np.inf)
-    departures = Departures(t[leaves], zone[leaves], camera[leaves], since)
-    arrivals = Arrivals(t[comes], zone[comes], camera[comes], local_rates(t[comes], zone[comes], n))
     known = leaves[began >= 0]
     known = known[zone[mate[known]] >= 0]
     start = mate[known]
+    slow = np.full(len(t), np.nan)
+    slow[known] = slow[start] = slowness(zone[start], zone[known], t[known] - t[start], n)
+    departures = Departures(t[leaves], zone[leaves], camera[leaves], since, slow[leaves])
+    rate = local_rates(t[comes], zone[comes], n)
+    arrivals = Arrivals(t[comes], zone[comes], camera[comes], rate, slow[comes])
     passages = Passages(zone[start], zone[known], t[start], t[known])
     cameras = len(window.cameras)
     exits_of = np.bincount(camera[~entry], minlength=cameras)
