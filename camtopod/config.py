@@ -272,7 +272,7 @@ class _Reader:
         title = ".".join(str(part) for part in path[:3])
         if field.type == tuple[Endpoint, ...] and isinstance(value, list):
             for index, endpoint in enumerate(value):
-                if not isinstance(endpoint, str) or not _ENDPOINT.match(endpoint):
+                if not is_endpoint(endpoint):
                     what = f"{title}: {endpoint!r} is not an endpoint; write it like {DEFAULT_ENDPOINT!r}"
                     self._say((*path, index), what)
             return tuple(value)
@@ -288,6 +288,11 @@ class _Reader:
         while path and path not in self._lines:
             path = path[:-1]
         self.problems.append(Problem(self._lines.get(path, 1), what))
+
+
+def is_endpoint(value: object) -> bool:
+    """Whether ``value`` looks like an endpoint of zenoh: protocol/address."""
+    return isinstance(value, str) and _ENDPOINT.match(value) is not None
 
 
 def _check_number(value: Any, default: Any) -> None:

@@ -3,7 +3,8 @@
 Theory of operation. Four threads besides the bus's own. *Receive* owns the journal: it orders what came
 in, commits it, acknowledges it, and stores each version before it is published. *Learn* feeds the learner
 what is committed, in the journal's order. *Predict* answers exits over the newest version. *Pull* asks the
-publishers' spools for what is missing. Every hand-over is a bounded queue; when one is full, events stay in the spools.
+publishers' spools for what is missing. Every hand-over is a bounded queue; when one is
+full, events stay in the spools.
 """
 
 from __future__ import annotations

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 import sqlite3
 import threading
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from camtopod import codec
 from camtopod.records import Ack, Event
@@ -30,20 +29,18 @@ class Publisher:
         self._bus: Bus | None = None
         self._batch_max = limit_batch_events
         self._pending: list[Event] = []
+        self._introduced: set[str] = set()
         self._acked = threading.Condition()
         self.published = 0
         """Events spooled (and put, if there is a bus) since the start."""
         self.dropped = 0
         """Events lost because the spool could not be written for too long."""
 
-    def attach(self, bus: Bus, cameras: Sequence[str], role: str = "grabber") -> None:
-        """From now on put on ``bus``, answer ``spool/{camera}`` there, obey acks, be seen as ``role``."""
-        for camera in cameras:
-            bus.answer(f"spool/{camera}", self._answer, "spool")
-            bus.subscribe(f"ack/{camera}", self._on_ack)
+    def attach(self, bus: Bus, cameras: Sequence[str] = ()) -> None:
+        """From now on put on ``bus``, for these cameras, those in the spool, and those whose events come."""
+        for camera in {*cameras, *self._spool.cameras()}:
+            self._introduce(bus, camera)
         self._bus = bus
-        for camera in cameras:
-            bus.appear(role, camera)
 
     def publish(self, *events: Event) -> None:
         """Spool and put. A spool that cannot be written is said once and tried again with the next events."""
@@ -65,20 +62,34 @@ class Publisher:
             self.published += len(numbered)
             if self._bus is not None:
                 for event in numbered:
+                    self._introduce(self._bus, event.camera)
                     self._bus.put_raw(f"event/{event.camera}", codec.to_pack(event), "event")
 
-    def drained(self, seconds: float) -> bool:
-        """Wait until everything is acknowledged; False if that takes longer than ``seconds``."""
+    def drained(self, seconds: float, most: int = 0) -> bool:
+        """Wait until at most ``most`` events are unacknowledged; False if it takes longer than ``seconds``."""
         with self._acked:
-            return self._acked.wait_for(lambda: not self._pending and len(self._spool) == 0, seconds)
+            return self._acked.wait_for(lambda: self.unacknowledged <= most, seconds)
+
+    @property
+    def unacknowledged(self) -> int:
+        """Events that are not known to be stored by a daemon."""
+        return len(self._spool) + len(self._pending)
 
     def statistics(self) -> dict[str, int]:
         """Counters for the status."""
         return {
             "published": self.published,
-            "unacknowledged": len(self._spool) + len(self._pending),
+            "unacknowledged": self.unacknowledged,
             "dropped": self.dropped + self._spool.dropped,
         }
+
+    def _introduce(self, bus: Bus, camera: str) -> None:
+        """Answer for the camera's spool, obey its acks, be seen alive."""
+        if camera not in self._introduced:
+            self._introduced.add(camera)
+            bus.answer(f"spool/{camera}", self._answer, "spool")
+            bus.subscribe(f"ack/{camera}", self._on_ack)
+            bus.appear("grabber", camera)
 
     def _answer(self, key: str, parameters: dict[str, str]) -> SpoolBatch:
         try:
@@ -105,8 +116,3 @@ class Publisher:
             return
         with self._acked:
             self._acked.notify_all()
-
-
-def status_answer(status: Callable[[], dict[str, Any]]) -> Callable[[str, dict[str, str]], dict[str, Any]]:
-    """An answer for ``status/...`` which ignores its parameters."""
-    return lambda key, parameters: status()

@@ -234,7 +234,7 @@ class Receiver:
         return ready
 
     def _time_went_on(self) -> list[Received]:
-        """An advance, when events in step with the clock have stopped coming and the learner waits for time."""
+        """An advance, when events in step with the clock have stopped and the learner waits for time."""
         if self._live is None or self._deadline is None:
             return []
         newest, since = self._live
@@ -256,7 +256,7 @@ class Receiver:
                 break
             except sqlite3.Error as error:
                 if not self.reason:
-                    log.error("cannot write the journal: %s; nothing is acknowledged until then", error)
+                    log.error("cannot write the journal, so nothing is acknowledged: %s", error)
                 self.reason = f"cannot write the journal: {error}"
                 if stopping.wait(_RETRY_SECONDS):
                     return

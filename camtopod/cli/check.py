@@ -1,0 +1,45 @@
+"""`camtopod check`: every mistake in a configuration, in one pass; or an example with every default."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from camtopod import config
+from camtopod.cli import exits
+from camtopod.cli.exits import CommandError, InputError
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `check`."""
+    summary = "every mistake in a configuration, in one pass"
+    parser = subparsers.add_parser("check", help=summary, description=summary.capitalize() + ".")
+    parser.add_argument(
+        "file", nargs="?", type=Path, metavar="CONFIG", help="the configuration (or --config)"
+    )
+    parser.add_argument(
+        "--example", action="store_true", help="write an example with every setting, its default and its unit"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Mistakes go to standard error as ``file:line: what``, a good configuration to nobody."""
+    if args.example:
+        from camtopod.cli.example import example
+
+        sys.stdout.write(example())
+        return exits.DONE
+    path = args.file or args.config
+    if path is None:
+        raise CommandError("which configuration? camtopod check CONFIG", exits.USAGE)
+    try:
+        loaded = config.load(path)
+    except config.ConfigError as error:
+        print(error, file=sys.stderr)
+        return exits.CONFIG
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    print(f"{path}: no mistakes; site {loaded.site.name}, {len(loaded.cameras)} cameras", file=sys.stderr)
+    return exits.DONE

@@ -1,0 +1,76 @@
+"""An example configuration, made from the settings' own defaults and docstrings."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import textwrap
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from camtopod.config import TABLES, CameraSettings
+
+_HEAD = """\
+# camtopod: an example configuration. Every setting is here; a line with a leading # shows its default.
+# Made by `camtopod check --example`; see whether yours is right with `camtopod check FILE`.
+"""
+_CAMERAS = """\
+# One table a camera; the name is the camera's id on the bus.
+[cameras.lobby]
+source = "rtsp://user:password@192.0.2.10:554/stream1"
+
+[cameras.hall]
+source = "rtsp://user:password@192.0.2.11:554/stream1"
+"""
+_WIDTH = 110
+
+
+def example() -> str:
+    """The text of a configuration file which is right as it stands and says what everything means."""
+    parts = [_HEAD, _table("site", TABLES["site"], {"name": "hq"})]
+    parts += [_table(name, TABLES[name], {}) for name in ("bus", "state")]
+    parts += [_CAMERAS + "\n".join(_settings(CameraSettings, {}))]
+    parts += [_table(name, TABLES[name], {}) for name in ("vision", "learn", "limits")]
+    return "\n".join(part.rstrip("\n") + "\n" for part in parts)
+
+
+def _table(name: str, kind: type[Struct], given: dict[str, Any]) -> str:
+    return "\n".join([f"[{name}]", *_settings(kind, given)])
+
+
+def _settings(kind: type[Struct], given: dict[str, Any]) -> list[str]:
+    documents = attribute_docs(kind)
+    lines = []
+    for field in msgspec.structs.fields(kind):
+        if field.required:
+            continue
+        lines += [f"# {line}" for line in textwrap.wrap(documents.get(field.name, ""), _WIDTH - 2)]
+        if field.name in given:
+            lines.append(f"{field.name} = {_value(given[field.name])}")
+        else:
+            lines.append(f"# {field.name} = {_value(field.default)}")
+    return lines
+
+
+def attribute_docs(kind: type[Struct]) -> dict[str, str]:
+    """The string literal below each field of a Struct's source."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    assert isinstance(body, ast.ClassDef)
+    documents = {}
+    for statement, following in zip(body.body, body.body[1:], strict=False):
+        if (
+            isinstance(statement, ast.AnnAssign)
+            and isinstance(statement.target, ast.Name)
+            and isinstance(following, ast.Expr)
+            and isinstance(following.value, ast.Constant)
+        ):
+            documents[statement.target.id] = " ".join(str(following.value.value).split())
+    return documents
+
+
+def _value(value: Any) -> str:
+    """As TOML writes it; JSON does the same for everything used here."""
+    return json.dumps(list(value) if isinstance(value, tuple) else value)

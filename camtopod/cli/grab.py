@@ -1,0 +1,267 @@
+"""`camtopod grab`: one camera to events, on the bus or as lines; or all cameras of a configuration."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import os
+import re
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import msgspec
+
+from camtopod import codec, redact
+from camtopod.cli import exits
+from camtopod.cli.common import configuration, start_logging, until_signal
+from camtopod.cli.exits import CommandError
+from camtopod.config import CameraSettings, Config
+from camtopod.records import CAMERA_PATTERN
+from camtopod.serve import clock
+
+if TYPE_CHECKING:
+    from camtopod.serve.bus import Bus
+    from camtopod.serve.publisher import Publisher
+    from camtopod.vision.grabber import Grabber
+
+log = logging.getLogger(__name__)
+
+DRAIN_SECONDS = 10.0
+"""How long a file's grabber waits at the end for its last events to be acknowledged."""
+LEAVE_SECONDS = 4.0
+"""After a signal, how long a source that blocks may hold up the end."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `grab`."""
+    parser = subparsers.add_parser(
+        "grab",
+        help="one camera to entry and exit events",
+        description="Watches one camera and publishes an event for whoever enters or leaves its view. "
+        "Without --camera it runs all cameras of --config, a process each.",
+    )
+    parser.add_argument(
+        "source", nargs="?", metavar="SOURCE", help="rtsp:// URL, video file or device number"
+    )
+    parser.add_argument("--camera", metavar="ID", help="the camera's id, [A-Za-z0-9_.-]{1,64}")
+    parser.add_argument(
+        "--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus"
+    )
+    parser.add_argument(
+        "--start", type=float, metavar="SECONDS", help="a file: time of its first frame (default 0)"
+    )
+    parser.add_argument("--realtime", action="store_true", default=None, help="a file: at its own pace")
+    parser.add_argument(
+        "--speed", type=float, metavar="FACTOR", help="a file: with --realtime, times its own pace"
+    )
+    parser.add_argument(
+        "--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)"
+    )
+    parser.add_argument("--with-parent", type=int, help=argparse.SUPPRESS)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Grab until the file ends or a signal comes."""
+    start_logging(args)
+    config = configuration(args)
+    if args.camera is None:
+        if args.source is not None or args.out is not None:
+            raise CommandError("which camera is it? add --camera ID", exits.USAGE)
+        if not config.cameras:
+            raise CommandError(
+                "nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE
+            )
+        from camtopod.cli.supervise import supervise
+
+        return supervise(args, config)
+    settings = _camera(args, config)
+    redact.remember(settings.source)
+    from camtopod.vision.grabber import Grabber
+
+    grabber = Grabber(
+        args.camera, settings.source, start=settings.start, realtime=settings.realtime, speed=settings.speed,
+        wall_clock=clock.wall, settings=config.vision,
+    )  # fmt: skip
+    with until_signal() as stop, contextlib.closing(grabber):
+        threading.Thread(target=_leave_anyway, args=(stop,), daemon=True).start()
+        if args.out is not None:
+            return _to_lines(grabber, args.out, stop)
+        return _to_bus(grabber, args, config, settings, stop)
+
+
+def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
+    """The camera's settings: the configuration's, with the command line on top."""
+    if not re.match(CAMERA_PATTERN, args.camera):
+        raise CommandError(
+            f"--camera {args.camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
+        )
+    known = config.cameras.get(args.camera)
+    if args.source is None and known is None:
+        raise CommandError(f"camera {args.camera} has no SOURCE, and no configuration names it", exits.USAGE)
+    given = {name: getattr(args, name) for name in CameraSettings.__struct_fields__}
+    given = {name: value for name, value in given.items() if value is not None}
+    if given.get("speed", 1.0) <= 0:
+        raise CommandError("--speed must be above 0", exits.USAGE)
+    return msgspec.structs.replace(known or CameraSettings(""), **given)
+
+
+def _to_lines(grabber: Grabber, path: str, stop: threading.Event) -> int:
+    """Event lines, each out at once."""
+    with contextlib.ExitStack() as stack:
+        out: BinaryIO = sys.stdout.buffer
+        if path != "-":
+            try:
+                out = stack.enter_context(open(path, "wb"))
+            except OSError as error:
+                raise CommandError(f"cannot write {path}: {error.strerror}") from None
+        for event in grabber.events():
+            if event is not None:
+                out.write(codec.to_json(event) + b"\n")
+                out.flush()
+            if stop.is_set():
+                break
+    return exits.DONE
+
+
+def _to_bus(
+    grabber: Grabber,
+    args: argparse.Namespace,
+    config: Config,
+    settings: CameraSettings,
+    stop: threading.Event,
+) -> int:
+    from camtopod.serve.bus import BusError, dial
+    from camtopod.serve.database import StateError
+    from camtopod.serve.publisher import Publisher
+    from camtopod.serve.spool import Spool
+
+    path = config.state_directory / f"spool-{args.camera}.db"
+    with contextlib.ExitStack() as stack:
+        try:
+            spool = Spool(path, clock.ulid(clock.wall()), config.limits.spool_events_max)
+        except StateError as error:
+            raise CommandError(str(error), exits.STATE) from None
+        stack.callback(spool.close)
+        publisher = Publisher(spool, config.limits.spool_batch_events)
+        connection = _Connection(config, grabber, publisher)
+        stack.callback(connection.close)
+        if _is_live(settings.source):
+            connection.keep_dialling()
+        else:
+            try:
+                connection.use(dial(config))
+            except BusError as error:
+                raise CommandError(str(error), exits.BUS) from None
+        _publish_all(grabber, publisher, connection, config, stop, args.with_parent)
+        if not stop.is_set() and not publisher.drained(DRAIN_SECONDS):
+            left = publisher.unacknowledged
+            raise CommandError(
+                f"{left} events are not acknowledged: is `camtopod run` running for site {config.site.name}? "
+                f"They wait in {path} and go out when this camera is grabbed again"
+            )
+    return exits.DONE
+
+
+def _publish_all(
+    grabber: Grabber,
+    publisher: Publisher,
+    connection: _Connection,
+    config: Config,
+    stop: threading.Event,
+    parent: int | None,
+) -> None:
+    state, next_status = "", 0.0
+    for event in grabber.events():
+        if event is not None:
+            publisher.publish(event)
+        else:
+            publisher.retry()
+        if grabber.state != state:
+            state = grabber.state
+            log.info(
+                "camera %s is %s%s", grabber.camera, state, f": {grabber.reason}" if grabber.reason else ""
+            )
+        now = time.monotonic()
+        if now >= next_status:
+            next_status = now + config.limits.status_seconds
+            connection.tell_status()
+        if stop.is_set() or (parent is not None and os.getppid() != parent):
+            return
+    publisher.retry()
+    connection.tell_status()
+
+
+class _Connection:
+    """The grabber's way to the bus, which may come later than the first events."""
+
+    def __init__(self, config: Config, grabber: Grabber, publisher: Publisher) -> None:
+        self._config, self._grabber, self._publisher = config, grabber, publisher
+        self._bus: Bus | None = None
+        self._closed = threading.Event()
+        self._mutex = threading.Lock()
+
+    def use(self, bus: Bus) -> None:
+        """Publish there from now on."""
+        with self._mutex:
+            if self._closed.is_set():
+                bus.close()
+                return
+            self._publisher.attach(bus, [self._grabber.camera])
+            bus.answer(f"status/{self._grabber.camera}", lambda key, parameters: self.status(), "status")
+            self._bus = bus
+
+    def keep_dialling(self) -> None:
+        """Dial in the background until there is a bus; events wait in the spool."""
+
+        def keep() -> None:
+            from camtopod.serve.bus import BusError, dial
+
+            said = False
+            while not self._closed.is_set():
+                try:
+                    self.use(dial(self._config))
+                    return
+                except BusError as error:
+                    if not said:
+                        log.warning("%s; events wait in the spool", error)
+                    said = True
+
+        threading.Thread(target=keep, daemon=True).start()
+
+    def status(self) -> dict[str, Any]:
+        """What ``status/{camera}`` says."""
+        return {
+            "camera": self._grabber.camera,
+            "state": self._grabber.state,
+            "reason": redact.redact(self._grabber.reason),
+            "t": clock.wall(),
+            **self._grabber.statistics(),
+            **self._publisher.statistics(),
+        }
+
+    def tell_status(self) -> None:
+        """Publish the status, if there is a bus."""
+        if self._bus is not None:
+            self._bus.put(f"status/{self._grabber.camera}", self.status(), "status")
+
+    def close(self) -> None:
+        """Close the bus, now or as soon as it is reached."""
+        self._closed.set()
+        with self._mutex:
+            if self._bus is not None:
+                self._bus.close()
+
+
+def _is_live(source: str) -> bool:
+    """A stream or a device, which goes on whether the bus is there or not; a file can wait."""
+    return "://" in source or source.isdigit()
+
+
+def _leave_anyway(stop: threading.Event) -> None:
+    """A source that blocks must not hold up the end; every event is in the spool or the file already."""
+    stop.wait()
+    time.sleep(LEAVE_SECONDS)
+    os._exit(exits.DONE)
