@@ -24,7 +24,7 @@ STEP_METRES = 0.1
 CORNER_METRES = 1.5
 """Over this length people cut a corner."""
 WALKING_SPEED, SPEED_SD = 1.35, 0.2
-KEEP_RIGHT_METRES, LANE_SD_METRES = 0.45, 0.25
+KEEP_RIGHT_METRES, LANE_SD_METRES = 0.2, 0.3
 STREET_WEIGHT = 0.7
 """How much rather than another way people take one that leads outside."""
 CROSSINGS_MAX = 12
@@ -70,6 +70,17 @@ class View:
             (x >= 0) & (x <= 1) & (y >= 0) & (y <= 1) & (depth > 0)
         )
         return seen
+
+    def footprint(self) -> Floats:
+        """The floor that is in the picture: its four corners in metres, (4, 2)."""
+        here = np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], dtype=float) + self.target
+        seen = self.feet(here)[:, :2]
+        rows = [(x, y, 1, 0, 0, 0, -u * x, -u * y) for (x, y), (u, _) in zip(here, seen, strict=True)]
+        rows += [(0, 0, 0, x, y, 1, -v * x, -v * y) for (x, y), (_, v) in zip(here, seen, strict=True)]
+        homography = np.append(np.linalg.solve(np.array(rows), seen.T.ravel()), 1.0).reshape(3, 3)
+        corners = np.array([(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]) @ np.linalg.inv(homography).T
+        floor: Floats = corners[:, :2] / corners[:, 2:]
+        return floor
 
 
 Floor = Literal["wood", "stone", "brick", "grass"]

@@ -133,6 +133,20 @@ def render(plan: Plan, view: View, walks: list[Walk], seconds: float, path: Path
     writer.release()
 
 
+def busy_scene(plan: Plan, view: View, walks: list[Walk]) -> Picture:
+    """What a camera sees at a moment when most people are well inside its picture."""
+    end = max((float(walk.t[-1]) for walk in walks if len(walk.t)), default=0.0)
+    frames = _figures(view, walks, round(end * FPS) + 1)
+    inside = [
+        sum(0.1 < f.foot[0] / WIDTH < 0.9 and 0.3 < f.foot[1] / HEIGHT < 0.9 for f in frame)
+        for frame in frames
+    ]
+    picture = scene(plan, view)
+    for figure in sorted(frames[int(np.argmax(inside))], reverse=True):
+        _draw(picture, figure)
+    return picture
+
+
 def _figures(view: View, walks: list[Walk], frames: int) -> list[list[_Figure]]:
     """Who is in each frame, at least with a part of the body."""
     result: list[list[_Figure]] = [[] for _ in range(frames)]
