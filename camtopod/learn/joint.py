@@ -78,6 +78,8 @@ class Fit(NamedTuple):
     """(P, bins) expected transitions."""
     responsibility: Floats
     """(M,) probability that the candidate is one object."""
+    flat: Floats
+    """(M,) hazard of the pair of zones if it did not depend on the lag, over the hazard."""
     outside: Floats
     """(zones,) share of the local rate of arrivals that no departure explains."""
     background: Floats
@@ -280,7 +282,13 @@ class JointFitter:
             fresh = self.hazards(counts)
             stride = STRIDE if iteration < iterations - SETTLING_ITERATIONS else 1.0
             hazard = fresh * (fresh / np.maximum(hazard, 1e-300)) ** (stride - 1.0)
-        return Fit(hazard, counts, responsibility, self.outside, background, self.exposure)
+        return Fit(hazard, counts, responsibility, self.flatness(hazard), self.outside, background, self.exposure)
+
+    def flatness(self, hazard: Floats) -> Floats:
+        """Hazard without its dependence on the lag over the hazard, of each candidate (M,)."""
+        even = (hazard * self.bins.widths).sum(axis=1) / self.bins.widths.sum()
+        flat: Floats = even[self.candidates.pair] / np.maximum(hazard.ravel()[self.cell], 1e-300)
+        return flat
 
     def explained(self, responsibility: Floats) -> Floats:
         """Share of each arrival that some departure explains, (arrivals,)."""

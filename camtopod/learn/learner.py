@@ -15,7 +15,7 @@ from camtopod.learn.assemble import assemble, link_records
 from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
 from camtopod.learn.joint import Fit, JointFitter, find_candidates
 from camtopod.learn.lags import LagBins
-from camtopod.learn.links import LinkTable, Transitions, significant, tabulate, weak, without_missed
+from camtopod.learn.links import LinkTable, Transitions, join, significant, tabulate, weak, without_missed
 from camtopod.learn.passages import visible_transitions
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Scene, see
@@ -180,16 +180,16 @@ class Learner:
     def _between_views(self, scene: Scene) -> tuple[Fit | None, LinkTable]:
         """Links that leave a view: the joint fit of departures and arrivals."""
         zones = len(scene.zones)
-        none = Transitions(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0))
         leaving = scene.exits.astype(float)
         if len(scene.departures.t) == 0 or len(scene.arrivals.t) == 0:
-            return None, tabulate(none, leaving, self.bins, zones)
+            return None, tabulate(join([]), leaving, self.bins, zones)
         candidates = find_candidates(scene.departures, scene.arrivals, self.bins, zones, self.settings.candidates_max)
         fitter = JointFitter(scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last)
         first = fitter.run(ITERATIONS)
         fit = fitter.run(ITERATIONS, fitter.use_slowness(first.responsibility), first.outside)
         self.fitter = fitter
         transitions = Transitions(
-            candidates.source[candidates.pair], candidates.target[candidates.pair], candidates.lag, fit.responsibility
-        )
+            candidates.source[candidates.pair], candidates.target[candidates.pair], candidates.lag, fit.responsibility,
+            fit.flat,
+        )  # fmt: skip
         return fit, tabulate(transitions, leaving, self.bins, zones)

@@ -29,17 +29,19 @@ MONTE_CARLO_SEED = 2011
 
 
 class Transitions(NamedTuple):
-    """Joined departures and arrivals: zones, lag in seconds, and the probability that they are one object, (M,) each."""
+    """Joined departures and arrivals, (M,) each: zones, lag in seconds, the probability that they are one object, and the
+    hazard over the lag's own of a link without a transit time."""
 
     source: Ints
     target: Ints
     lag: Floats
     weight: Floats
+    flat: Floats
 
 
 def join(parts: list[Transitions]) -> Transitions:
     """Several lists of transitions as one."""
-    none = Transitions(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0))
+    none = Transitions(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0), np.zeros(0))
     return Transitions(*(np.concatenate(columns) for columns in zip(none, *parts, strict=True)))
 
 
@@ -77,7 +79,7 @@ def tabulate(transitions: Transitions, leaving: Floats, bins: LagBins, zones: in
     counts = flat.reshape(pairs, bins.size)
     density = smooth(counts)[0] / bins.widths
     transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins)
-    ratio = log_likelihood_ratio(pair, transitions.weight, pairs)
+    ratio = log_likelihood_ratio(pair, transitions.weight, transitions.flat, pairs)
     sigma = np.nan_to_num(transit.sd)
     samples = montecarlo.observe(density, sigma, bins, MONTE_CARLO_SEED)
     chance = mahalanobis.chance_variance(bins.lag_min, bins.lag_max)

@@ -22,8 +22,9 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
     tracked = scene.tracked[camera_of[scene.passages.source]] if len(scene.passages.source) else np.zeros(0, bool)
     p = scene.passages
+    n = int(tracked.sum())
     parts = [
-        Transitions(p.source[tracked], p.target[tracked], (p.left - p.entered)[tracked], np.ones(int(tracked.sum())))
+        Transitions(p.source[tracked], p.target[tracked], (p.left - p.entered)[tracked], np.ones(n), np.zeros(n))
     ]
     for camera in np.flatnonzero(~scene.tracked):
         parts.append(_joined(scene, int(camera), bins, candidates_max))
@@ -46,5 +47,6 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     candidates = find_candidates(starts, ends, bins, zones, candidates_max)
     fit = JointFitter(starts, ends, candidates, bins, zones, scene.last).run(ITERATIONS)
     return Transitions(
-        candidates.source[candidates.pair], candidates.target[candidates.pair], candidates.lag, fit.responsibility
-    )
+        candidates.source[candidates.pair], candidates.target[candidates.pair], candidates.lag, fit.responsibility,
+        fit.flat,
+    )  # fmt: skip

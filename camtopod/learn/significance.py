@@ -15,14 +15,21 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 RESPONSIBILITY_MAX = 1.0 - 1e-6
+FLAT_MAX = 1e6
 MISSED_LAG_SD = 3.0
 """A way over a missed passage must fit the link's mean lag within this many standard deviations."""
 
 
-def log_likelihood_ratio(pair: Ints, responsibility: Floats, pairs: int) -> Floats:
-    """Evidence (P,) in nats for each pair from the responsibilities (M,) of its candidates."""
+def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs: int) -> Floats:
+    """Evidence (P,) in nats for each pair from the responsibilities (M,) of its candidates.
+
+    Against two nulls, the stronger counts: the zones have nothing to do with each other; or arrivals at one follow
+    departures from the other at no particular lag, as when both follow a rhythm (``flat`` (M,): hazard of that over hazard).
+    """
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
-    return np.bincount(pair, -np.log1p(-share) - share, minlength=pairs)
+    unrelated = np.bincount(pair, -np.log1p(-share) - share, minlength=pairs)
+    untimed = np.bincount(pair, -np.log1p(share * (np.minimum(flat, FLAT_MAX) - 1.0)), minlength=pairs)
+    return np.minimum(unrelated, untimed)
 
 
 def q_values(ratio: Floats, tests: int) -> Floats:
