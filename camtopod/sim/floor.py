@@ -19,7 +19,8 @@ from camtopod.sim.truth import TRUTH_SCHEMA, Floats, TrueLink, TrueZone, Truth, 
 WIDTH, HEIGHT = 192, 144
 """Size of the cameras' pictures, pixels."""
 FPS = 7.0
-PERSON_METRES = 1.75
+PERSON_METRES, SHOULDER_METRES = 1.75, 0.2
+"""Height and half the width of a person."""
 STEP_METRES = 0.1
 CORNER_METRES = 1.5
 """Over this length people cut a corner."""
@@ -38,8 +39,8 @@ class View:
     camera: str
     target: tuple[float, float]
     heading: float = math.pi / 2
-    height: float = 7.0
-    distance: float = 7.0
+    height: float = 8.0
+    distance: float = 5.0
     focal: float = 1.15
     """Focal length in widths of the picture."""
 
@@ -63,11 +64,13 @@ class View:
         return self.project(np.column_stack([floor, np.zeros(len(floor))]))
 
     def sees(self, floor: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Of people at floor points (n, 2), which are in the picture with the middle of their body."""
-        middle = np.column_stack([floor, np.full(len(floor), PERSON_METRES / 2)])
-        x, y, depth = self.project(middle).T
+        """Of people at floor points (n, 2), which are in the picture, at least with a part of the body."""
+        x, y, depth = self.feet(floor).T
+        head_x, head_y, _ = self.project(np.column_stack([floor, np.full(len(floor), PERSON_METRES)])).T
+        half = self.focal * SHOULDER_METRES / np.maximum(depth, 1e-3)
+        left, right = np.minimum(x, head_x) - half, np.maximum(x, head_x) + half
         seen: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
-            (x >= 0) & (x <= 1) & (y >= 0) & (y <= 1) & (depth > 0)
+            (right > 0) & (left < 1) & (y > 0) & (head_y < 1) & (depth > 0)
         )
         return seen
 
@@ -139,15 +142,15 @@ def site() -> Plan:
     places = {
         "street west": (-6.0, 12.0),
         "entrance": (5.0, 12.0),
-        "hall": (10.4, 12.0),
+        "hall": (10.8, 12.0),
         "corridor": (27.0, 12.0),
-        "garden": (32.4, 12.0),
+        "garden": (32.8, 12.0),
         "street east": (45.0, 12.0),
-        "cafe": (10.4, -7.0),
-        "street south": (0.5, -7.0),
-        "kitchen door": (27.0, -7.0),
-        "gate": (32.4, 21.5),
-        "arbour": (5.0, 21.5),
+        "cafe": (14.0, -7.0),
+        "street south": (3.0, -7.0),
+        "kitchen door": (22.0, -7.0),
+        "gate": (36.5, 21.5),
+        "arbour": (1.0, 21.5),
     }
     ways = [
         ("street west", "entrance"),
@@ -171,7 +174,7 @@ def site() -> Plan:
         Area("brick", (4.5, -13, 17, 1.0)),
     ]
     south, north = -math.pi / 2, math.pi / 2
-    views = {"entrance": north, "hall": south, "corridor": south, "cafe": north, "garden": north}
+    views = {"entrance": south, "hall": north, "corridor": north, "cafe": south, "garden": south}
     return Plan(places, ways, areas, [View(name, places[name], heading) for name, heading in views.items()])
 
 
@@ -221,7 +224,7 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Ints]:
 
 
 def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
-    """Who was in whose view when, by walker and time: body in the picture, begun and ended in time."""
+    """Who was in whose view when, by walker and time: begun and ended within the recording."""
     result = []
     for walker, walk in enumerate(walks):
         for view in plan.views:
