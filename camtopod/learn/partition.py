@@ -32,23 +32,24 @@ EVENTS_MIN = 5
 PAIR_EVENTS = 1000.0
 """No zone is exactly Gaussian: in splitting and merging, n events weigh as n / (1 + n / PAIR_EVENTS) (Miller, Dunson:
 Robust Bayesian inference via coarsening, JASA 2019)."""
-VALLEY_MIN = 3.0
+VALLEY_MIN = 2.5
 """Log likelihood ratio of a valley that two Gaussians' evidence needs beside it."""
 VALLEY_ALONE = 8.0
 """One that needs no other evidence (several doors in a row look like one Gaussian to any single cut)."""
 FAR = 3.0
 """Two centres further apart than this many of their summed standard deviations need no valley."""
-UNLIKE = 4.0
+UNLIKE = 2.0
 """So much log likelihood for each event of the smaller group shows two zones without a valley."""
 CONTRAST_MIN = 1.5
 EXCESS_MIN = 15.0
 """Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's zone, say, though
 half of the events in its cells are clutter and so its Gaussian fits badly. It must be `CONTRAST_MIN` as dense."""
-FLOOR_CHANCE = 0.02
+FLOOR_CHANCE = 0.05
 """A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this probability."""
-_FLOOR_WIDTH = 1.25
+FLOOR_WIDTHS = (1.75,)
+"""Widths of the surroundings in grid steps: a door's, and that of a broad zone with few events."""
 _ROUNDS_MAX = 6
-_PEELS_MAX = 6
+PEELS_MAX = 6
 _GAIN_HOPELESS = -20.0
 _CENTRES = np.stack(
     [
@@ -88,7 +89,7 @@ def partition(cells: Cells, count: NDArray[np.int64]) -> Labels:
     return labels if labels.max() >= 0 else one
 
 
-def clutter_rate(count: NDArray[np.int64]) -> float:
+def clutter_rate(count: NDArray[np.generic]) -> float:
     """Events of uniform clutter per cell: the mean over the cells that are not significantly above it."""
     n = count.ravel().astype(np.float64)
     rate = float(n.mean())
@@ -100,31 +101,37 @@ def clutter_rate(count: NDArray[np.int64]) -> float:
     return max(rate, 1e-6)
 
 
-def dense_cells(count: NDArray[np.int64]) -> Floats:
+def dense_cells(count: NDArray[np.generic]) -> Floats:
     """Counts above the clutter, 0 in cells whose surroundings clutter explains."""
     rate = clutter_rate(count)
+    dense = np.zeros(count.shape, dtype=np.bool_)
     # A kernel-weighted sum of Poisson counts behaves like a Poisson count over an area of (sum K)^2 / (sum K^2).
-    inside = _ROWS @ count @ _COLUMNS * _AREA / _AREA_SQUARED
-    expected = rate * _AREA**2 / _AREA_SQUARED
-    chance = gammainc(np.maximum(inside, 1e-9), expected)
-    keep = (count > 0) & (chance < FLOOR_CHANCE) & (count > rate + 2 * np.sqrt(rate))
+    for rows, columns, area, area_squared in _SURROUNDINGS:
+        inside = rows @ count @ columns * area / area_squared
+        dense |= gammainc(np.maximum(inside, 1e-9), rate * area**2 / area_squared) < FLOOR_CHANCE
+    keep = dense & (count > rate + 2 * np.sqrt(rate))
     if not keep.any():
         return count.astype(np.float64)
     return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
 
 
-_ROWS, _COLUMNS = kernel_1d(GRID_ROWS, _FLOOR_WIDTH), kernel_1d(GRID_COLUMNS, _FLOOR_WIDTH)
-_AREA = np.outer(_ROWS.sum(axis=0), _COLUMNS.sum(axis=0))
-_AREA_SQUARED = np.outer((_ROWS**2).sum(axis=0), (_COLUMNS**2).sum(axis=0))
+def _surroundings(width: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Kernels over rows and columns, and the kernel's and its square's sum around each cell."""
+    rows, columns = kernel_1d(GRID_ROWS, width), kernel_1d(GRID_COLUMNS, width)
+    squared = np.outer((rows**2).sum(axis=0), (columns**2).sum(axis=0))
+    return rows, columns, np.outer(rows.sum(axis=0), columns.sum(axis=0)), squared
 
 
-def _first_groups(count: NDArray[np.int64]) -> Labels:
+_SURROUNDINGS = [_surroundings(width) for width in FLOOR_WIDTHS]
+
+
+def _first_groups(count: NDArray[np.generic], peels: int = PEELS_MAX) -> Labels:
     """DaSpec's groups of the dense cells, flat (rows * columns), -1 elsewhere."""
     dense = dense_cells(count)
     width = max(bandwidth(dense) / 2, BANDWIDTH_MIN)
     labels = np.full(dense.size, -1, dtype=np.intp)
     groups = 0
-    for _ in range(_PEELS_MAX):
+    for _ in range(peels):
         found = data_spectroscopy(dense, width)
         own = found.vectors[np.arange(len(found.cells)), found.labels]
         reached = own > found.vectors.max(axis=0)[found.labels] * max(1 / dense.sum(), 1e-3)
@@ -145,6 +152,7 @@ class _Moves:
         self.total = float(cells.sums[:, 0].sum())
         self.valleys: dict[bytes, float] = {}
         self.uncut: set[bytes] = set()
+        self.tried: set[bytes] = set()
         self._set(labels)
 
     def _set(self, labels: Labels) -> None:
@@ -162,9 +170,31 @@ class _Moves:
             self._drop()
             self._assign()
             self._assign()
-            if not self._split():
-                break
+            if not self._split() and not self._found():
+                return self.labels
+        self._merge()
+        self._drop()
         return self.labels
+
+    def _found(self) -> bool:
+        """Make zones of what DaSpec finds among the clutter, where it is more than clutter; whether any was.
+
+        Such are zones that DaSpec had put together with a bigger one, and whose cells that one's Gaussian then left.
+        """
+        outside = self.labels < 0
+        if len(self.zones) == 0 or not outside.any():
+            return False
+        count = np.zeros(GRID_ROWS * GRID_COLUMNS)
+        count[self.cells.index[outside]] = self.cells.sums[outside, 0]
+        labels, known = self.labels, len(self.zones)
+        groups = _first_groups(count.reshape(GRID_ROWS, GRID_COLUMNS), peels=1)[self.cells.index]
+        self._set(np.where(groups >= 0, groups + known, labels))
+        keys = [zone.tobytes() for zone in self.zones[known:]]
+        for k in range(len(self.zones) - 1, known - 1, -1):
+            if keys[k - known] in self.tried or self._drop_gain()[k] >= 0:
+                self._remove(k)
+        self.tried.update(keys)
+        return len(self.zones) > known
 
     def _join(self, a: int, b: int) -> None:
         self._set(np.where(self.labels == b, a, self.labels))
