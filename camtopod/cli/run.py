@@ -37,7 +37,8 @@ def run(args: argparse.Namespace) -> int:
     daemon = Daemon(configuration(args))
     with until_signal() as stop:
         try:
-            daemon.start()
+            if not daemon.start(stop):
+                return exits.DONE
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         except BusError as error:

@@ -65,11 +65,15 @@ class Daemon:
         assert self._bus is not None, "the daemon has not been started"
         return self._bus.endpoint
 
-    def start(self) -> None:
-        """Replay the journal, then join the bus and begin."""
+    def start(self, cancel: threading.Event | None = None) -> bool:
+        """Replay the journal, then join the bus and begin; False if ``cancel`` was set before that was done."""
+        cancelled = cancel or self._stopping
         self._journal = Journal(self._config.state_directory, self._config.limits.versions_kept)
         try:
-            learner, new, recent = self._replay()
+            learner, new, recent = self._replay(cancelled)
+            if cancelled.is_set():
+                self._journal.close()
+                return False
             if self._bus is None:
                 self._bus = meet(self._config)
         except BaseException:
@@ -87,6 +91,7 @@ class Daemon:
         self._run("pull", lambda: self._puller.work(self._stopping))
         self._run("status", self._tell_status)
         log.info("site %s, epoch %s: ready at %s", self._config.site.name, self.epoch, self._bus.endpoint)
+        return True
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait until a thread has died of an error (True) or the time is over (False)."""
@@ -135,7 +140,7 @@ class Daemon:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def _replay(self) -> tuple[Any, list[Topology], list[Event]]:
+    def _replay(self, cancelled: threading.Event) -> tuple[Any, list[Topology], list[Event]]:
         """A learner that has learned the journal, its versions never published, and the newest events."""
         epoch = self._journal.meta("epoch")
         if epoch is None:
@@ -149,13 +154,13 @@ class Daemon:
 
         learner = self._make_learner(self._config.learn, self._config.site.name, epoch)
         try:
-            new = replay(self._journal, learner, remember)
+            new = replay(self._journal, learner, remember, cancelled)
         except ReplayMismatch as error:
             log.warning("%s (other settings, program or processor?): a new epoch begins", error)
             epoch = self._new_epoch()
             recent.clear()
             learner = self._make_learner(self._config.learn, self._config.site.name, epoch)
-            new = replay(self._journal, learner, remember)
+            new = replay(self._journal, learner, remember, cancelled)
         self.epoch = epoch
         self.topology = learner.topology
         return learner, new, recent

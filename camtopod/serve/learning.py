@@ -110,17 +110,21 @@ def feed_one(learner: Learns, received: Received) -> None:
         learner.advance(received.advance)
 
 
-def replay(journal: Journal, learner: Learns, on_event: Callable[[Event], None]) -> list[Topology]:
+def replay(
+    journal: Journal, learner: Learns, on_event: Callable[[Event], None], cancelled: threading.Event
+) -> list[Topology]:
     """Feed a fresh learner all of the journal; returns the versions that had not been stored yet.
 
     Raises `ReplayMismatch` when the versions that were stored do not come out again. ``on_event`` sees the
-    events too.
+    events too. Ends early once ``cancelled`` is set.
     """
     published = journal.versions()
     last = max(published, default=0)
     new: list[Topology] = []
     damaged = 0
     for number, (_, entry) in enumerate(journal.entries(), start=1):
+        if cancelled.is_set():
+            return []
         if entry is None:
             damaged += 1
             continue

@@ -66,7 +66,7 @@ class Publisher:
                     self._bus.put_raw(f"event/{event.camera}", codec.to_pack(event), "event")
 
     def drained(self, seconds: float, most: int = 0) -> bool:
-        """Wait until at most ``most`` events are unacknowledged; False if it takes longer than ``seconds``."""
+        """Wait until at most ``most`` events are unacknowledged; False if that takes over ``seconds``."""
         with self._acked:
             return self._acked.wait_for(lambda: self.unacknowledged <= most, seconds)
 

@@ -64,7 +64,8 @@ class Spool:
         self.boot = str(self._db.execute("SELECT value FROM meta WHERE key = 'boot'").fetchone()[0])
         """This spool's incarnation: the one given when its file was made."""
         self._seqs = dict(self._db.execute("SELECT camera, seq FROM count"))
-        self._held = int(self._db.execute("SELECT COUNT(*) FROM event").fetchone()[0])
+        self._held = self._count()
+        self._sure = True
         self.dropped = 0
         """Events dropped because the spool was full, since it was opened."""
 
@@ -82,6 +83,7 @@ class Spool:
                     event = msgspec.structs.replace(event, boot=self.boot, seq=seq)
                 numbered.append(event)
             rows = [(event.camera, event.boot, event.seq, codec.to_pack(event)) for event in numbered]
+            self._sure, sure = False, self._sure  # should this raise, its rows may be there or not
             with database.transaction(self._db):
                 stored = self._db.executemany(_INSERT, rows).rowcount
                 self._db.executemany(
@@ -89,7 +91,8 @@ class Spool:
                     [(event.camera, seqs[event.camera]) for event in numbered if event.camera in seqs],
                 )
             self._seqs = seqs
-            self._held += stored
+            self._held = self._held + stored if sure else self._count()
+            self._sure = True
             self._drop_oldest()
             return numbered
 
@@ -142,6 +145,9 @@ class Spool:
         with self._mutex:
             self._db.close()
             self._lock.close()
+
+    def _count(self) -> int:
+        return int(self._db.execute("SELECT COUNT(*) FROM event").fetchone()[0])
 
     def _has(self, camera: str, boot: str, from_seq: int) -> bool:
         row = self._db.execute(

@@ -1,0 +1,224 @@
+"""The journal and the spool: what is committed stays, once, in order, and damage is noticed."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from camtopod import codec
+from camtopod.records import Event
+from camtopod.serve.database import StateError
+from camtopod.serve.journal import Entry, Journal
+from camtopod.serve.spool import Spool
+
+
+def entry(number: int) -> Entry:
+    return Entry("event", "lobby", "b1", number, f"raw {number}".encode())
+
+
+def event(number: int, camera: str = "lobby") -> Event:
+    return Event(camera, "entry", float(number))
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    one = Journal(tmp_path, versions_kept=3)
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def spool(tmp_path: Path) -> Iterator[Spool]:
+    one = Spool(tmp_path / "spool.db", "boot-1", events_max=1000)
+    yield one
+    one.close()
+
+
+# --- journal ----------------------------------------------------------------------------------------------------
+
+
+def test_the_journal_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: Path) -> None:
+    journal.commit([entry(1), entry(2)])
+    journal.commit([entry(3), Entry("advance", "", None, None, b"12.5")], [(1, "sha256:a")])
+    expected = [entry(1), entry(2), entry(3), Entry("advance", "", None, None, b"12.5")]
+    assert [one for _, one in journal.entries()] == expected
+    journal.close()
+    again = Journal(tmp_path, versions_kept=3)
+    assert [one for _, one in again.entries()] == expected
+    assert again.streams() == {("lobby", "b1"): 3}
+    assert again.versions() == {1: "sha256:a"}
+    assert len(again) == 4
+    again.close()
+
+
+def test_the_journal_writes_safely(journal: Journal, tmp_path: Path) -> None:
+    assert journal._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    assert journal._db.execute("PRAGMA synchronous").fetchone() == (2,)
+    assert journal._db.execute("PRAGMA wal_autocheckpoint").fetchone() == (200,)
+
+
+def test_a_directory_has_one_daemon(journal: Journal, tmp_path: Path) -> None:
+    with pytest.raises(StateError, match="held by another camtopod process"):
+        Journal(tmp_path, versions_kept=3)
+    journal.close()
+    Journal(tmp_path, versions_kept=3).close()
+
+
+def test_a_directory_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StateError, match="cannot write the state directory"):
+        Journal(tmp_path / "file" / "state", versions_kept=3)
+
+
+def test_a_damaged_entry_is_noticed_and_left_where_it_is(journal: Journal) -> None:
+    journal.commit([entry(1), entry(2), entry(3)])
+    journal._db.execute("UPDATE entry SET raw = x'00' WHERE id = 2")
+    assert [one for _, one in journal.entries()] == [entry(1), None, entry(3)]
+    assert len(list(journal.entries())) == 3
+
+
+def test_a_file_that_is_no_database_is_refused_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "journal.db").write_bytes(b"something else" * 100)
+    with pytest.raises(StateError, match="it is left as it is"):
+        Journal(tmp_path, versions_kept=3)
+    assert (tmp_path / "journal.db").read_bytes() == b"something else" * 100
+
+
+def test_another_format_is_refused(journal: Journal, tmp_path: Path) -> None:
+    journal.set_meta("format", "99")
+    journal.close()
+    with pytest.raises(StateError, match="has format 99"):
+        Journal(tmp_path, versions_kept=3)
+
+
+class Failing:
+    """A connection whose COMMIT raises once, before or after it took effect."""
+
+    def __init__(self, database: sqlite3.Connection, durable: bool) -> None:
+        self._database, self._durable, self._failed = database, durable, False
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._database, name)
+
+    def execute(self, statement: str, *parameters: object) -> object:
+        if statement == "COMMIT" and not self._failed:
+            self._failed = True
+            if self._durable:
+                self._database.execute(statement)
+            raise sqlite3.OperationalError("disk I/O error")
+        return self._database.execute(statement, *parameters)
+
+
+@pytest.mark.parametrize("durable", [False, True])
+def test_a_commit_that_raises_may_be_repeated(journal: Journal, durable: bool) -> None:
+    journal.commit([entry(1)])
+    journal._db = Failing(journal._db, durable)  # type: ignore[assignment]
+    with pytest.raises(sqlite3.OperationalError):
+        journal.commit([entry(2), entry(3)], [(1, "a")])
+    journal.commit([entry(2), entry(3)], [(1, "a")])
+    journal.commit([entry(4)])
+    assert [one for _, one in journal.entries()] == [entry(n) for n in (1, 2, 3, 4)]
+    assert journal.versions() == {1: "a"}
+
+
+def test_old_digests_are_forgotten(journal: Journal) -> None:
+    for version in range(1, 8):
+        journal.commit([], [(version, f"d{version}")])
+    assert journal.versions() == {5: "d5", 6: "d6", 7: "d7"}
+    journal.forget_versions()
+    assert journal.versions() == {}
+
+
+# --- spool ------------------------------------------------------------------------------------------------------
+
+
+def test_the_spool_counts_each_camera_without_gaps(spool: Spool) -> None:
+    out = spool.append([event(1), event(2, "hall"), event(3)])
+    assert [(one.camera, one.boot, one.seq) for one in out] == [
+        ("lobby", "boot-1", 1),
+        ("hall", "boot-1", 1),
+        ("lobby", "boot-1", 2),
+    ]
+    batch = spool.batch("lobby", "boot-1", 0, 10)
+    assert [codec.event_from_pack(raw) for _, raw in batch.events] == [out[0], out[2]]
+    assert (batch.boot, batch.first, batch.more, batch.dropped) == ("boot-1", 1, False, 0)
+
+
+def test_what_is_acknowledged_is_gone_and_the_count_goes_on(spool: Spool, tmp_path: Path) -> None:
+    spool.append([event(n) for n in range(5)])
+    spool.ack("lobby", "boot-1", 3)
+    assert len(spool) == 2
+    assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [4, 5]
+    spool.ack("lobby", "other boot", 99)
+    spool.ack("lobby", "boot-1", 2)
+    assert len(spool) == 2
+    spool.ack("lobby", "boot-1", 5)
+    spool.close()
+    again = Spool(tmp_path / "spool.db", "boot-2", events_max=1000)
+    assert again.boot == "boot-1", "a spool keeps its boot, so that its count goes on"
+    assert again.append([event(6)])[0].seq == 6
+    assert again.batch("lobby", None, 0, 10).first == 6
+    again.close()
+
+
+def test_an_empty_spool_says_where_it_will_begin(spool: Spool) -> None:
+    assert spool.batch("lobby", None, 0, 10).first == 1
+    spool.append([event(1), event(2)])
+    spool.ack("lobby", "boot-1", 2)
+    batch = spool.batch("lobby", "boot-1", 0, 10)
+    assert (batch.first, batch.events) == (3, [])
+
+
+def test_batches_are_bounded_and_go_on(spool: Spool) -> None:
+    spool.append([event(n) for n in range(25)])
+    seqs: list[int] = []
+    start, more = 0, True
+    while more:
+        batch = spool.batch("lobby", "boot-1", start, 10)
+        assert len(batch.events) <= 10
+        seqs += [seq for seq, _ in batch.events]
+        start, more = seqs[-1] + 1, batch.more
+    assert seqs == list(range(1, 26))
+
+
+def test_an_event_with_its_own_boot_and_seq_keeps_them_and_is_spooled_once(spool: Spool) -> None:
+    own = Event("lobby", "entry", 1.0, boot="theirs", seq=77)
+    assert spool.append([own, own]) == [own, own]
+    assert len(spool) == 1
+    spool.append([event(2)])
+    assert [seq for seq, _ in spool.batch("lobby", "theirs", 0, 10).events] == [77]
+    assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [1]
+    assert spool.batch("lobby", "unknown", 5, 10).boot == "theirs", "the oldest that waits"
+    spool.ack("lobby", "theirs", 77)
+    assert len(spool) == 1
+
+
+def test_a_full_spool_drops_the_oldest_and_says_so(tmp_path: Path) -> None:
+    spool = Spool(tmp_path / "small.db", "b", events_max=10)
+    spool.append([event(n) for n in range(8)])
+    spool.append([event(n) for n in range(8)])
+    assert len(spool) == 10
+    batch = spool.batch("lobby", "b", 0, 100)
+    assert [seq for seq, _ in batch.events] == list(range(7, 17))
+    assert (batch.first, batch.dropped, spool.dropped) == (7, 6, 6)
+    spool.close()
+
+
+def test_a_spool_has_one_process(spool: Spool, tmp_path: Path) -> None:
+    with pytest.raises(StateError, match="held by another"):
+        Spool(tmp_path / "spool.db", "b", events_max=10)
+
+
+@pytest.mark.parametrize("durable", [False, True])
+def test_an_append_that_raises_may_be_repeated(spool: Spool, durable: bool) -> None:
+    spool.append([event(1)])
+    spool._db = Failing(spool._db, durable)  # type: ignore[assignment]
+    with pytest.raises(sqlite3.OperationalError):
+        spool.append([event(2), event(3)])
+    assert [one.seq for one in spool.append([event(2), event(3)])] == [2, 3]
+    assert [seq for seq, _ in spool.batch("lobby", None, 0, 10).events] == [1, 2, 3]
+    spool.ack("lobby", "boot-1", 3)
+    assert len(spool) == 0

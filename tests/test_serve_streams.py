@@ -1,0 +1,124 @@
+"""Order within each stream: everything once, in order, whatever the network and the spool do."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camtopod.serve.streams import Streams
+
+KEY = ("lobby", "b1")
+
+
+def streams(
+    held: int = 100, streams_max: int = 10, stored: dict[tuple[str, str], int] | None = None
+) -> Streams[int]:
+    return Streams(stored or {}, held, streams_max)
+
+
+def test_in_order_is_ready_at_once_and_a_repetition_is_a_duplicate() -> None:
+    order = streams()
+    assert order.offer(KEY, 1, 1, 0.0) == ("ready", [1])
+    assert order.offer(KEY, 2, 2, 0.0) == ("ready", [2])
+    assert order.offer(KEY, 2, 2, 0.0) == ("duplicate", [])
+    assert order.offer(KEY, 1, 1, 0.0) == ("duplicate", [])
+    assert order.wanted("lobby") == ("b1", 3)
+
+
+def test_a_stream_may_count_from_zero() -> None:
+    order = streams()
+    assert order.offer(KEY, 0, 0, 0.0) == ("ready", [0])
+    assert order.offer(KEY, 1, 1, 0.0) == ("ready", [1])
+
+
+def test_after_a_restart_it_goes_on_behind_what_is_stored() -> None:
+    order = streams(stored={KEY: 41})
+    assert order.offer(KEY, 41, 41, 0.0) == ("duplicate", [])
+    assert order.offer(KEY, 43, 43, 0.0) == ("held", [])
+    assert order.offer(KEY, 42, 42, 0.0) == ("ready", [42, 43])
+    assert order.gaps == set()
+
+
+def test_a_gap_is_waited_for_while_a_spool_may_fill_it() -> None:
+    order = streams()
+    order.offer(KEY, 1, 1, 0.0)
+    assert order.offer(KEY, 3, 3, 1.0) == ("held", [])
+    assert order.gaps == {"lobby"}
+    assert order.give_up(1000.0, 5.0, has_spool={"lobby"}) == []
+    order.answered(KEY, asked_from=2)
+    assert order.give_up(5.9, 5.0, has_spool={"lobby"}) == []
+    assert order.give_up(6.0, 5.0, has_spool={"lobby"}) == [3]
+    assert order.lost == 1
+    assert order.offer(KEY, 2, 2, 7.0) == ("duplicate", [])
+
+
+def test_without_a_spool_a_gap_is_given_up_after_a_while() -> None:
+    order = streams()
+    order.offer(KEY, 1, 1, 0.0)
+    order.offer(KEY, 4, 4, 0.0)
+    order.offer(KEY, 5, 5, 1.0)
+    assert order.give_up(4.9, 5.0, has_spool=set()) == []
+    assert order.give_up(5.0, 5.0, has_spool=set()) == [4, 5]
+    assert order.lost == 2
+
+
+def test_an_answer_to_another_question_does_not_end_the_waiting() -> None:
+    order = streams(stored={KEY: 4})
+    order.offer(KEY, 7, 7, 0.0)
+    order.answered(KEY, asked_from=6)  # asked before it was known what is missing
+    assert order.give_up(100.0, 5.0, has_spool={"lobby"}) == []
+    order.answered(KEY, asked_from=5)
+    assert order.give_up(100.0, 5.0, has_spool={"lobby"}) == [7]
+
+
+def test_what_the_spool_no_longer_has_is_lost() -> None:
+    order = streams(stored={KEY: 3})
+    order.offer(KEY, 6, 6, 0.0)
+    assert order.begins_at(KEY, 6, 0.0) == [6]
+    assert order.lost == 2
+    assert order.begins_at(KEY, 2, 0.0) == []
+    assert order.begins_at(("new", "b9"), 500, 0.0) == []
+    assert order.lost == 2, "a stream never seen before has lost nothing here"
+    assert order.offer(("new", "b9"), 500, 500, 0.0) == ("ready", [500])
+
+
+def test_limits() -> None:
+    order = streams(held=2, streams_max=1)
+    order.offer(KEY, 1, 1, 0.0)
+    assert [order.offer(KEY, seq, seq, 0.0)[0] for seq in (3, 4, 5)] == ["held", "held", "dropped"]
+    assert order.offer(("other", "b1"), 1, 1, 0.0) == ("refused", [])
+    assert order.begins_at(("other", "b1"), 7, 0.0) == []
+    assert len(order) == 1
+
+
+@given(st.permutations(range(1, 12)), st.lists(st.integers(1, 11), max_size=10))
+@settings(max_examples=200, deadline=None)
+def test_any_order_with_repetitions_comes_out_once_in_order(order: list[int], again: list[int]) -> None:
+    one = streams()
+    out: list[int] = []
+    for seq in [*order, *again]:
+        out += one.offer(KEY, seq, seq, 0.0)[1]
+    assert out == list(range(1, 12))
+    assert one.lost == 0
+
+
+@given(st.data())
+@settings(max_examples=200, deadline=None)
+def test_losses_with_pulls_lose_nothing(data: st.DataObject) -> None:
+    """Some puts get lost, some are repeated; now and then the spool answers from what is wanted on."""
+    one = streams(held=3)
+    total = 20
+    out: list[int] = []
+    spooled = 0
+    while spooled < total:
+        spooled += 1
+        if data.draw(st.booleans()):
+            out += one.offer(KEY, spooled, spooled, 0.0)[1]
+        if data.draw(st.integers(0, 3)) == 0:
+            _, start = one.wanted("lobby") or ("", 0)
+            for seq in range(max(start, 1), spooled + 1):
+                out += one.offer(KEY, seq, seq, 0.0)[1]
+    _, start = one.wanted("lobby") or ("", 0)
+    for seq in range(max(start, 1), spooled + 1):
+        out += one.offer(KEY, seq, seq, 0.0)[1]
+    assert out == list(range(1, total + 1))
