@@ -193,6 +193,6 @@ def _text(
 ) -> None:
     (width, _), _ = cv2.getTextSize(text, FONT, size, 1)
     origin = round(at[0] - (width / 2 if centred else 0)), round(at[1])
-    if halo:
-        cv2.putText(picture, text, origin, FONT, size, PAPER, 4, cv2.LINE_AA)
+    for dx, dy in ((-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (1, 1), (-1, 1), (1, -1)) if halo else ():
+        cv2.putText(picture, text, (origin[0] + dx, origin[1] + dy), FONT, size, PAPER, 1, cv2.LINE_AA)
     cv2.putText(picture, text, origin, FONT, size, colour, 1, cv2.LINE_AA)

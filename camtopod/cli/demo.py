@@ -1,0 +1,292 @@
+"""`camtopod demo`: the whole system on one machine with nothing to configure.
+
+Made-up people walk past five rendered cameras. One real grabber a camera, each a process of its own, watches its
+video at many times its pace; the real daemon, in this process, learns from their events over a real bus. The
+daemon's clock is the demo's, so that for everybody it looks like an ordinary day that began a while ago.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+
+from camtopod.cli import exits
+from camtopod.codec import to_json
+from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
+from camtopod.learn.settings import Settings
+from camtopod.records import Topology
+from camtopod.serve import clock as clocks
+from camtopod.serve.bus import BusError
+from camtopod.serve.daemon import Daemon
+from camtopod.sim.floor import Plan, Walk, passages, site, stroll, truth_of
+from camtopod.sim.picture import Times, camera_times, write_map
+from camtopod.sim.render import SUFFIX, render
+from camtopod.sim.score import score
+from camtopod.sim.truth import Truth
+
+WALKERS_PER_SECOND = 0.1
+SITE = "demo"
+SPEED = 60.0
+"""The videos are played at this many times their pace, if the machine is fast enough."""
+LATENESS_SECONDS = 120.0
+"""Event time by which the grabbers may be apart: two seconds of the demo."""
+AFTERWARDS_SECONDS = 3600.0
+"""When the recording is over the demo's clock goes on by this much, so that nothing is waited for any more."""
+QUIET_SECONDS = 1.0
+"""So long nothing has to change before all is taken as learned."""
+PATIENCE_SECONDS = 120.0
+"""The demo gives up waiting after this long."""
+_TICK_SECONDS = 0.1
+_LINE_SECONDS = 2.0
+"""Between two lines of progress where standard error is no terminal."""
+
+
+class Recording(Struct):
+    """The people and what is true about them, and the videos of the cameras."""
+
+    plan: Plan
+    walks: list[Walk]
+    truth: Truth
+    seconds: float
+    videos: dict[str, Path]
+
+
+class DemoClock:
+    """Seconds since the epoch as the demo's daemon sees them: ``speed`` times as fast, from ``start`` on."""
+
+    def __init__(self, start: float, speed: float) -> None:
+        self._start, self._speed, self._begin = start, speed, time.monotonic()
+
+    def __call__(self) -> float:
+        return self._start + self._speed * (time.monotonic() - self._begin)
+
+    def skip(self, seconds: float) -> None:
+        """Let this much time pass at once."""
+        self._start += seconds
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `demo`."""
+    summary = (
+        "the whole system on made-up cameras: rendered walkers, real grabbers, a real bus, the real daemon"
+    )
+    parser = subparsers.add_parser("demo", help=summary, description=summary.capitalize() + ".")
+    parser.add_argument(
+        "--out", type=Path, default=Path("camtopod-demo"), metavar="DIR", help="default: %(default)s"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="other people, same site (default: %(default)s)")
+    parser.add_argument(
+        "--minutes", type=float, default=20.0, help="length of the recording (default: %(default)s)"
+    )
+    parser.add_argument("--keep", action="store_true", help="keep the videos and the state too")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demo; raises `exits.CommandError` when a part of it fails."""
+    if not 1 <= args.minutes <= 600 or args.seed < 0:
+        raise exits.CommandError("demo: 1 to 600 minutes, and a seed from 0 on", exits.USAGE)
+    begin = time.monotonic()
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise exits.CommandError(f"demo: cannot write {args.out}: {error.strerror}") from None
+    with _work_directory(args.out, args.keep) as work:
+        recording = _record(work, 60.0 * args.minutes, args.seed)
+        topology = _watch(recording, work)
+    result = score(topology, recording.truth)
+    (args.out / "topology.json").write_bytes(to_json(topology) + b"\n")
+    (args.out / "truth.json").write_bytes(to_json(recording.truth) + b"\n")
+    picture = args.out / "map.png"
+    write_map(picture, recording.plan, recording.walks, recording.truth, topology, result.text().splitlines())
+    print("\n".join([*_table(recording.truth, topology), "", result.text()]))
+    _say(f"picture in {picture}, topology in {args.out / 'topology.json'}; {time.monotonic() - begin:.0f} s")
+    return exits.DONE
+
+
+@contextlib.contextmanager
+def _work_directory(out: Path, keep: bool) -> Iterator[Path]:
+    """Where videos and state go: beside the results to be kept, or somewhere that vanishes."""
+    if keep:
+        yield Path(tempfile.mkdtemp(prefix="work-", dir=out))
+        return
+    with tempfile.TemporaryDirectory(prefix="camtopod-demo-", ignore_cleanup_errors=True) as name:
+        yield Path(name)
+
+
+def _record(work: Path, seconds: float, seed: int) -> Recording:
+    """Walk, and render every camera's video, on all cores."""
+    plan = site()
+    walks = stroll(plan, seconds, WALKERS_PER_SECOND, np.random.default_rng(seed))
+    truth = truth_of(plan, passages(plan, walks))
+    videos = {view.camera: work / f"{view.camera}{SUFFIX}" for view in plan.views}
+    _say(f"rendering {len(videos)} cameras, {seconds / 60:g} minutes, {len(walks)} people")
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(len(videos), os.cpu_count() or 1), context) as pool:
+        tasks = [
+            pool.submit(render, plan, view, walks, seconds, videos[view.camera], seed) for view in plan.views
+        ]
+        for task in tasks:
+            task.result()
+    return Recording(plan, walks, truth, seconds, videos)
+
+
+def _watch(recording: Recording, work: Path) -> Topology:
+    """Play the videos to the grabbers and let the daemon learn; returns what it has learned."""
+    start = clocks.wall() - 2 * (recording.seconds + AFTERWARDS_SECONDS)  # nothing lies in the future
+    clock = DemoClock(start, SPEED)
+    config = Config(
+        site=SiteSettings(SITE),
+        bus=BusSettings(listen=("tcp/127.0.0.1:0",)),
+        state=StateSettings(str(work / "state")),
+        learn=Settings(lateness_seconds=LATENESS_SECONDS, refit_share=0.03),
+        limits=Limits(future_seconds_max=AFTERWARDS_SECONDS, settle_seconds=recording.seconds),
+    )
+    try:
+        with (
+            Daemon(config, clock=clock) as daemon,
+            _grabbers(recording, start, daemon.endpoint, work) as grabbers,
+        ):
+            _say(f"watching them at {SPEED:g} times their pace")
+            deadline = time.monotonic() + PATIENCE_SECONDS
+            _until(daemon, deadline, lambda: all(grabber.poll() is not None for grabber in grabbers.values()))
+            _check(grabbers, work)
+            clock.skip(AFTERWARDS_SECONDS + recording.seconds)
+            _until(daemon, deadline, _Quiet(daemon))
+            topology = daemon.topology
+    except BusError as error:
+        raise exits.CommandError(f"demo: {error}", exits.BUS) from None
+    if topology is None:
+        raise exits.CommandError("demo: nothing was learned")
+    return topology
+
+
+@contextlib.contextmanager
+def _grabbers(
+    recording: Recording, start: float, endpoint: str, work: Path
+) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    """One `camtopod grab` process a camera; whatever happens, they end with the block."""
+    environment = {
+        **os.environ,
+        "XDG_STATE_HOME": str(work),
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    environment.pop("STATE_DIRECTORY", None)
+    running: dict[str, subprocess.Popen[bytes]] = {}
+    try:
+        for camera, video in recording.videos.items():
+            command = [sys.executable, "-m", "camtopod", "grab", "--camera", camera, str(video)]
+            command += ["--start", repr(start), "--realtime", "--speed", repr(SPEED)]
+            command += ["--site", SITE, "--connect", endpoint]
+            with (work / f"{camera}.log").open("wb") as log:
+                running[camera] = subprocess.Popen(
+                    command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+                )
+        yield running
+    finally:
+        for grabber in running.values():
+            if grabber.poll() is None:
+                grabber.terminate()
+        for grabber in running.values():
+            try:
+                grabber.wait(5.0)
+            except subprocess.TimeoutExpired:
+                grabber.kill()
+
+
+def _check(grabbers: dict[str, subprocess.Popen[bytes]], work: Path) -> None:
+    """Raise for a grabber that failed, with what it said last."""
+    for camera, grabber in grabbers.items():
+        if grabber.poll() not in (0, None):
+            said = (work / f"{camera}.log").read_text("utf-8", "replace").strip().splitlines()
+            raise exits.CommandError(
+                f"demo: the grabber of {camera} ended with status {grabber.returncode}: {' | '.join(said[-3:])}"
+            )
+
+
+class _Quiet:
+    """Whether for `QUIET_SECONDS` nothing has come in, been learned or been published."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self._daemon, self._state, self._since = daemon, (-1, -1, -1.0), time.monotonic()
+
+    def __call__(self) -> bool:
+        status = self._daemon.status()
+        state = status["events"]["stored"], status["version"], status["learner"]["held"]
+        if state != self._state or status["events"]["waiting"]:
+            self._state, self._since = state, time.monotonic()
+        return time.monotonic() - self._since >= QUIET_SECONDS
+
+
+def _until(daemon: Daemon, deadline: float, done: Any) -> None:
+    """Show progress until ``done()``; raises when it takes too long or the daemon fails."""
+    terminal = sys.stderr.isatty()
+    shown, last = 0.0, ""
+    while not done():
+        if time.monotonic() > deadline:
+            raise exits.CommandError(
+                f"demo: not done after {PATIENCE_SECONDS:g} s; is the machine very busy?"
+            )
+        if daemon.wait(_TICK_SECONDS):
+            raise exits.CommandError("demo: the daemon has failed")
+        line = _progress(daemon)
+        if line != last and time.monotonic() - shown > (_TICK_SECONDS if terminal else _LINE_SECONDS):
+            print(
+                f"\r{line}\033[K" if terminal else line,
+                end="" if terminal else "\n",
+                file=sys.stderr,
+                flush=True,
+            )
+            shown, last = time.monotonic(), line
+    if terminal and last:
+        print(f"\r{_progress(daemon)}\033[K", file=sys.stderr)
+
+
+def _progress(daemon: Daemon) -> str:
+    status = daemon.status()
+    topology = daemon.topology
+    events = f"{len(status['cameras'])} cameras, {status['events']['stored']} events"
+    if topology is None:
+        return f"{events}, nothing learned yet"
+    links = sum(link.relation != "visible" for link in topology.links)
+    return (
+        f"{events}, version {topology.version}: {len(topology.zones)} zones, {links} links,"
+        f" {len(topology.pairs)} pairs"
+    )
+
+
+def _table(truth: Truth, topology: Topology) -> list[str]:
+    """Both maps side by side, a pair of cameras a line."""
+    camera = {zone.id: zone.camera for zone in truth.zones}
+    true = camera_times(truth.links, camera)
+    camera = {zone.id: zone.camera for zone in topology.zones}
+    learned = camera_times(topology.links, camera)
+    pairs = sorted({(min(key), max(key)) for key in [*true, *learned]})
+    lines = [f"{'cameras':24}{'true map':32}learned map (most popular seconds there and back)"]
+    lines += [f"{f'{a} - {b}':24}{_relation(true, a, b):32}{_relation(learned, a, b)}" for a, b in pairs]
+    return lines
+
+
+def _relation(times: Times, a: str, b: str) -> str:
+    ways = [times.get((a, b)), times.get((b, a))]
+    if ways == [None, None]:
+        return "-"
+    relation = "overlapped" if any(way[0] for way in ways if way) else "unseen path"
+    return f"{relation:12}" + " / ".join(f"{way[1]:5.1f}" if way else "    -" for way in ways)
+
+
+def _say(text: str) -> None:
+    print(f"demo: {text}", file=sys.stderr, flush=True)
