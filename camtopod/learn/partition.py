@@ -191,10 +191,18 @@ class _Moves:
         self._set(np.where(groups >= 0, groups + known, labels))
         keys = [zone.tobytes() for zone in self.zones[known:]]
         for k in range(len(self.zones) - 1, known - 1, -1):
-            if keys[k - known] in self.tried or self._drop_gain()[k] >= 0:
+            if keys[k - known] in self.tried or self._drop_gain()[k] >= 0 or self._is_tail(k):
                 self._remove(k)
         self.tried.update(keys)
         return len(self.zones) > known
+
+    def _is_tail(self, k: int) -> bool:
+        """Whether the density falls all the way from a bigger zone to this one, however far: a heavy tail's events."""
+        others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
+        return any(
+            not self._valley_between(1.0, self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k))
+            for j in others
+        )
 
     def _join(self, a: int, b: int) -> None:
         self._set(np.where(self.labels == b, a, self.labels))
