@@ -1,8 +1,8 @@
 """`camtopod demo`: the whole system on one machine with nothing to configure.
 
-Made-up people walk past five rendered cameras. One real grabber a camera, each a process of its own, watches its
-video at many times its pace; the real daemon, in this process, learns from their events over a real bus. The
-daemon's clock is the demo's, so that for everybody it looks like an ordinary day that began a while ago.
+Made-up people walk past five rendered cameras. One real grabber a camera, each a process of its own, watches
+its video at many times its pace; the real daemon, in this process, learns from their events over a real bus.
+The daemon's clock is the demo's, so that it looks like an ordinary recording that began a while ago.
 """
 
 from __future__ import annotations
@@ -38,13 +38,14 @@ from camtopod.sim.score import score
 from camtopod.sim.truth import Truth
 
 WALKERS_PER_SECOND = 0.1
+MINUTES = 18.0
 SITE = "demo"
 SPEED = 60.0
 """The videos are played at this many times their pace, if the machine is fast enough."""
 LATENESS_SECONDS = 120.0
 """Event time by which the grabbers may be apart: two seconds of the demo."""
 AFTERWARDS_SECONDS = 3600.0
-"""When the recording is over the demo's clock goes on by this much, so that nothing is waited for any more."""
+"""When the recording is over the demo's clock jumps this far, so that nothing is waited for any more."""
 QUIET_SECONDS = 1.0
 """So long nothing has to change before all is taken as learned."""
 PATIENCE_SECONDS = 120.0
@@ -80,17 +81,14 @@ class DemoClock:
 
 def add_parser(subparsers: Any) -> None:
     """Add `demo`."""
-    summary = (
-        "the whole system on made-up cameras: rendered walkers, real grabbers, a real bus, the real daemon"
-    )
+    summary = "the whole system on one machine: rendered cameras, real grabbers, a real bus, the real daemon"
     parser = subparsers.add_parser("demo", help=summary, description=summary.capitalize() + ".")
+    shown = " (default: %(default)s)"
     parser.add_argument(
-        "--out", type=Path, default=Path("camtopod-demo"), metavar="DIR", help="default: %(default)s"
+        "--out", type=Path, default=Path("camtopod-demo"), metavar="DIR", help="results go here" + shown
     )
-    parser.add_argument("--seed", type=int, default=1, help="other people, same site (default: %(default)s)")
-    parser.add_argument(
-        "--minutes", type=float, default=20.0, help="length of the recording (default: %(default)s)"
-    )
+    parser.add_argument("--seed", type=int, default=1, help="other people, same site" + shown)
+    parser.add_argument("--minutes", type=float, default=MINUTES, help="length of the recording" + shown)
     parser.add_argument("--keep", action="store_true", help="keep the videos and the state too")
 
 
@@ -212,9 +210,8 @@ def _check(grabbers: dict[str, subprocess.Popen[bytes]], work: Path) -> None:
     for camera, grabber in grabbers.items():
         if grabber.poll() not in (0, None):
             said = (work / f"{camera}.log").read_text("utf-8", "replace").strip().splitlines()
-            raise exits.CommandError(
-                f"demo: the grabber of {camera} ended with status {grabber.returncode}: {' | '.join(said[-3:])}"
-            )
+            what = f"demo: the grabber of {camera} ended with status {grabber.returncode}"
+            raise exits.CommandError(f"{what}: {' | '.join(said[-3:])}")
 
 
 class _Quiet:
@@ -234,25 +231,19 @@ class _Quiet:
 def _until(daemon: Daemon, deadline: float, done: Any) -> None:
     """Show progress until ``done()``; raises when it takes too long or the daemon fails."""
     terminal = sys.stderr.isatty()
+    begin, end, pause = ("\r\033[K", "", _TICK_SECONDS) if terminal else ("", "\n", _LINE_SECONDS)
     shown, last = 0.0, ""
     while not done():
         if time.monotonic() > deadline:
-            raise exits.CommandError(
-                f"demo: not done after {PATIENCE_SECONDS:g} s; is the machine very busy?"
-            )
+            raise exits.CommandError(f"demo: not done after {PATIENCE_SECONDS:g} s; is the machine busy?")
         if daemon.wait(_TICK_SECONDS):
             raise exits.CommandError("demo: the daemon has failed")
         line = _progress(daemon)
-        if line != last and time.monotonic() - shown > (_TICK_SECONDS if terminal else _LINE_SECONDS):
-            print(
-                f"\r{line}\033[K" if terminal else line,
-                end="" if terminal else "\n",
-                file=sys.stderr,
-                flush=True,
-            )
+        if line != last and time.monotonic() - shown > pause:
+            print(f"{begin}{line}", end=end, file=sys.stderr, flush=True)
             shown, last = time.monotonic(), line
-    if terminal and last:
-        print(f"\r{_progress(daemon)}\033[K", file=sys.stderr)
+    if terminal:
+        print(file=sys.stderr)
 
 
 def _progress(daemon: Daemon) -> str:

@@ -18,8 +18,10 @@ from camtopod.sim.truth import Floats, TrueLink, Truth
 
 MAP_WIDTH, MAP_HEIGHT = 776, 560
 THUMB_WIDTH, THUMBS_PER_ROW = 300, 5
+FRAME = 16
+"""Paper around a camera's view, so that zones at its border are seen whole."""
 GAP = 16
-BORDER_METRES = 2.5
+BORDER_METRES = 3.0
 NARROW_PIXELS = 120
 HEADER, TITLE, LINE = 58, 34, 22
 INK: Colour = (40, 40, 40)
@@ -30,6 +32,7 @@ NODE: Colour = (190, 120, 40)
 FOUND: Colour = (70, 160, 60)
 FALSE: Colour = (40, 60, 210)
 FONT = cv2.FONT_HERSHEY_DUPLEX
+ZONES_LEGEND = "ellipses: learned zones, two standard deviations; green: a true zone; diamonds: true centres"
 LEGEND = "black: views overlap   grey: unseen path   seconds left to right / right to left"
 Point = tuple[float, float]
 Times = dict[tuple[str, str], tuple[bool, float]]
@@ -43,7 +46,7 @@ def write_map(
     rows = -(-len(plan.views) // THUMBS_PER_ROW)
     thumb_height = THUMB_WIDTH * HEIGHT // WIDTH
     width = 2 * MAP_WIDTH + 3 * GAP
-    height = HEADER + MAP_HEIGHT + GAP + rows * (TITLE + thumb_height) + LINE * (len(notes) + 1)
+    height = HEADER + MAP_HEIGHT + GAP + rows * (TITLE + thumb_height) + LINE * (len(notes) + 2)
     sheet: Picture = np.full((height, width, 3), PAPER, dtype=np.uint8)
     camera = {zone.id: zone.camera for zone in truth.zones}
     true_times = camera_times(truth.links, camera)
@@ -62,13 +65,14 @@ def write_map(
     for k, view in enumerate(plan.views):
         left = GAP + (k % THUMBS_PER_ROW) * (THUMB_WIDTH + GAP)
         y = top + (k // THUMBS_PER_ROW) * (thumb_height + TITLE)
-        size = THUMB_WIDTH, thumb_height
-        thumb = cv2.resize(busy_scene(plan, view, walks), size, interpolation=cv2.INTER_CUBIC)
+        view_size = THUMB_WIDTH - 2 * FRAME, thumb_height - 2 * FRAME
+        seen = cv2.resize(busy_scene(plan, view, walks), view_size, interpolation=cv2.INTER_CUBIC)
+        thumb = cv2.copyMakeBorder(seen, FRAME, FRAME, FRAME, FRAME, cv2.BORDER_CONSTANT, value=PAPER)
         _zones(thumb, view.camera, topology, truth, matched)
         sheet[y : y + thumb_height, left : left + THUMB_WIDTH] = thumb
-        _text(sheet, f"{view.camera}: learned zones", (left + 2, y - 9), 0.48)
-    bottom = height - LINE * len(notes)
-    for k, note in enumerate(notes):
+        _text(sheet, f"{view.camera}: learned zones", (left + FRAME, y + 4), 0.48)
+    bottom = height - LINE * (len(notes) + 1)
+    for k, note in enumerate([ZONES_LEGEND, *notes]):
         _text(sheet, note, (GAP + 2, bottom + k * LINE), 0.5)
     if not cv2.imwrite(str(path), sheet):
         raise OSError(f"cannot write the picture {path}")
@@ -152,7 +156,7 @@ def _curve(a: Point, b: Point, others: list[Point]) -> Floats:
     for other in others:
         share = float((np.array(other) - start) @ along) / length**2
         if 0.02 < share < 0.98 and abs(float((np.array(other) - start) @ normal)) < 40:
-            bend = 0.5 * length
+            bend = 0.4 * length
     middle = (start + end) / 2 + bend * normal
     s = np.linspace(0, 1, 41)[:, None]
     result: Floats = (1 - s) ** 2 * start + 2 * s * (1 - s) * middle + s**2 * end
@@ -160,12 +164,12 @@ def _curve(a: Point, b: Point, others: list[Point]) -> Floats:
 
 
 def _zones(picture: NDArray[Any], camera: str, topology: Topology, truth: Truth, matched: set[str]) -> None:
-    """Learned zones as ellipses (two standard deviations), green if true; true centres as white diamonds."""
-    height, width = picture.shape[:2]
+    """Learned zones as ellipses (two standard deviations), green if true; true centres as diamonds."""
+    height, width = picture.shape[0] - 2 * FRAME, picture.shape[1] - 2 * FRAME
     for true in truth.zones:
         if true.camera == camera and true.x is not None and true.y is not None:
-            at = round(true.x * width), round(true.y * height)
-            cv2.drawMarker(picture, at, (255, 255, 255), cv2.MARKER_DIAMOND, 11, 2, cv2.LINE_AA)
+            at = FRAME + round(true.x * width), FRAME + round(true.y * height)
+            cv2.drawMarker(picture, at, INK, cv2.MARKER_DIAMOND, 9, 1, cv2.LINE_AA)
     for zone in topology.zones:
         if zone.camera != camera or zone.x is None or zone.y is None or zone.cov is None:
             continue
@@ -173,10 +177,10 @@ def _zones(picture: NDArray[Any], camera: str, topology: Topology, truth: Truth,
         values, axes = np.linalg.eigh(scale @ np.array(zone.cov) @ scale)
         radii = np.maximum(2 * np.sqrt(np.maximum(values, 0)), 6)
         angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
-        centre = zone.x * width, zone.y * height
+        centre = FRAME + zone.x * width, FRAME + zone.y * height
         colour = FOUND if zone.id in matched else FALSE
         cv2.ellipse(picture, (centre, (2 * radii[1], 2 * radii[0]), angle), colour, 2, cv2.LINE_AA)
-        inwards = np.array((width / 2, height / 2)) - centre
+        inwards = np.array((FRAME + width / 2, FRAME + height / 2)) - centre
         x, y = centre + inwards / max(float(np.linalg.norm(inwards)), 1.0) * 24
         number = zone.id.rpartition("/")[2]
         _text(picture, number, (float(x), float(y) + 6), 0.55, colour, centred=True, halo=True)
