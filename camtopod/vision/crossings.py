@@ -12,12 +12,15 @@ from statistics import median
 from camtopod.records import Event, Kind
 from camtopod.vision.doors import Doors
 from camtopod.vision.motion import Box
-from camtopod.vision.tracks import Changes, Sighting, Track
+from camtopod.vision.sighting import Sighting
+from camtopod.vision.tracks import Changes, Track
 
 BORDER_SHARE = 0.025
 """A box this near the border is at it, share of the picture's diagonal."""
 REACH_SECONDS = 0.4
 """So is one that at its speed is this long before (or after) it."""
+CUT_SHARE = 0.7
+"""Somebody of whom the top of the picture leaves less than this to be seen is at the border."""
 TOUCH_PIXELS = 1.5
 """A box this near the border is cut by it."""
 FOOT_SIGHTINGS = 5
@@ -34,7 +37,7 @@ class Crossings:
     def __init__(self, camera: str, width: int, height: int) -> None:
         """``width`` x ``height`` pixels of the working picture."""
         self._camera = camera
-        self._width, self._height = width, height
+        self._width, self._height = self.size = (width, height)
         self._margin = BORDER_SHARE * (width**2 + height**2) ** 0.5
         self.doors = Doors(width, height)
         self._walks: dict[int, set[tuple[int, int]]] = {}
@@ -44,32 +47,36 @@ class Crossings:
     # -- where ------------------------------
 
     def touches(self, box: Box) -> bool:
-        """Whether the box is cut by a side or the bottom of the picture (heads may be cut far inside the
-        view)."""
-        return (
-            box[0] <= TOUCH_PIXELS
-            or box[2] >= self._width - TOUCH_PIXELS
-            or box[3] >= self._height - TOUCH_PIXELS
-        )
+        """Whether the box is cut by the border of the picture."""
+        near = min(box[0], box[1], self._width - box[2], self._height - box[3])
+        return near <= TOUCH_PIXELS
 
-    def _at_border(self, box: Box, dx: float = 0.0, dy: float = 0.0) -> bool:
-        """Box within the margin of the border, or across it when moved by (dx, dy). At the top the foot
-        counts."""
-        left, bottom, right = box[0], box[3], box[2]
-        near = min(left, self._width - right, self._height - bottom, bottom) <= self._margin
-        return near or min(left + dx, self._width - right - dx, self._height - bottom - dy, bottom + dy) <= 0
+    def _at_border(self, box: Box, height: float, drift: tuple[float, float] = (0.0, 0.0)) -> bool:
+        """Box of a person ``height`` tall within the margin of the border, or across it when moved by ``drift``.
+
+        At the top it is the foot that counts: heads are cut off far inside the view.
+        """
+        left, top, right, bottom = box
+        margin = self._margin
+        if top <= TOUCH_PIXELS:
+            margin = max(margin, CUT_SHARE * height)
+        dx, dy = drift
+        inside = min(left, self._width - right, self._height - bottom)
+        ahead = min(left + dx, self._width - right - dx, self._height - bottom - dy, bottom + dy)
+        return inside <= self._margin or bottom <= margin or ahead <= 0
 
     def at_edge(self, track: Track) -> bool:
         """Whether the track was last seen where objects leave the view."""
-        dx, dy = _drift(track)
-        return self._at_border(track.last.box, dx, dy) or self.doors.is_door(*track.last.foot, track.height)
+        if self._at_border(track.last.box, track.height, _drift(track)):
+            return True
+        return self.doors.is_door(*track.last.foot, track.height)
 
     def begins_at_edge(self, track: Track) -> bool:
         """Whether the track, followed for a short while only, was first seen where objects enter the view."""
         dx, dy = _drift(track)
-        return self._at_border(track.first.box, -dx, -dy) or self.doors.is_door(
-            *track.first.foot, track.height
-        )
+        if self._at_border(track.first.box, track.height, (-dx, -dy)):
+            return True
+        return self.doors.is_door(*track.first.foot, track.height)
 
     # -- what ------------------------------
 

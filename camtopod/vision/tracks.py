@@ -12,8 +12,8 @@ passage.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -21,7 +21,9 @@ from scipy.optimize import linear_sum_assignment
 from camtopod.vision.blobs import Blob
 from camtopod.vision.kalman import Kalman, Vector
 from camtopod.vision.motion import Box
+from camtopod.vision.handover import find_handover
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.sighting import Sighting
 from camtopod.vision.stature import Stature
 
 GATE_HEIGHTS = 0.35
@@ -51,14 +53,6 @@ others."""
 HISTORY_SIGHTINGS = 16
 _SIZE_RATE = 0.2
 _NEVER = 1e9
-
-
-class Sighting(NamedTuple):
-    """One look at an object: time, foot point and box in pixels of the working picture."""
-
-    t: float
-    foot: tuple[float, float]
-    box: Box
 
 
 @dataclass(slots=True, eq=False)
@@ -114,6 +108,9 @@ class Changes:
 class Edges(Protocol):
     """Where the view ends."""
 
+    size: tuple[int, int]
+    """Width and height of the working picture."""
+
     def touches(self, box: Box) -> bool:
         """Whether the box is cut by the border of the picture."""
 
@@ -132,6 +129,7 @@ class Tracker:
         self._at_edge = edges.at_edge
         self._begins_at_edge = edges.begins_at_edge
         self._touches = edges.touches
+        self._size = edges.size
         self._next = 1
         self._t: float | None = None
         self._start: float | None = None
@@ -154,7 +152,9 @@ class Tracker:
         self._cover(t, blobs)
         for blob in free:
             self._give_birth(t, blob)
-        return self._retire(t, self._confirm(t))
+        appeared = self._confirm(t)
+        left = self._hand_over(t, appeared)
+        return self._retire(t, appeared, left)
 
     # -- sightings ------------------------------
 
@@ -223,12 +223,12 @@ class Tracker:
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
         measured = np.array([*blob.head, *blob.foot])
-        rate = _SIZE_RATE
         if self._touches(blob.box) or self._touches(track.last.box) or not track.confirmed:
-            rate = 0.0  # it is coming into sight or going out of it
+            # It is coming into sight or going out of it.
             track.height, track.width = max(track.height, blob.height), max(track.width, blob.width)
-        track.height += rate * (blob.height - track.height)
-        track.width += rate * (blob.width - track.width)
+        else:
+            track.height += _SIZE_RATE * (blob.height - track.height)
+            track.width += _SIZE_RATE * (blob.width - track.width)
         track.kalman.update(measured, track.height)
         self._seen(track, Sighting(t, blob.foot, blob.box))
         step = float(np.hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1]))
@@ -317,8 +317,32 @@ class Tracker:
         self.broken = [other for other in self.broken if other is not earlier]
         self.active = [other for other in self.active if other is not earlier]
 
-    def _retire(self, t: float, appeared: list[Track]) -> Changes:
-        left, kept = [], []
+    def _hand_over(self, t: float, appeared: list[Track]) -> list[Track]:
+        """Where somebody took another's place at the border, the other has left; adds the new one to ``appeared``."""
+        left = []
+        for track in self.active:
+            if not track.confirmed or track.last.t < t or track in appeared:
+                continue
+            turn = find_handover(track.history, self._size, track.width, track.height)
+            if turn is not None:
+                left.append(self._split(track, turn))
+                appeared.append(track)
+        return left
+
+    def _split(self, track: Track, turn: int) -> Track:
+        """The part of ``track`` up to sighting ``turn``, which keeps the number; the rest becomes a new object."""
+        past = list(track.history)
+        earlier = replace(track, last=past[turn], history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS))
+        track.number, self._next = self._next, self._next + 1
+        track.first, track.history = past[turn], deque(past[turn:], maxlen=HISTORY_SIGHTINGS)
+        track.from_start = track.beside_others = track.entered = False
+        left, top, right, _ = track.first.box
+        track.origin = np.array([(left + right) / 2, top, *track.first.foot])
+        track.reach = 0.0
+        return earlier
+
+    def _retire(self, t: float, appeared: list[Track], left: list[Track]) -> Changes:
+        kept = []
         for track in self.active:
             patience = self._settings.patience_seconds if track.confirmed else TENTATIVE_PATIENCE_SECONDS
             if track.covered:
