@@ -41,11 +41,13 @@ FAR = 3.0
 UNLIKE = 2.0
 """So much log likelihood for each event of the smaller group shows two zones without a valley."""
 CONTRAST_MIN = 1.5
-EXCESS_MIN = 15.0
+EXCESS_MIN = 12.0
 """Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's zone, say, though
 half of the events in its cells are clutter and so its Gaussian fits badly. It must be `CONTRAST_MIN` as dense."""
 FLOOR_CHANCE = 0.05
 """A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this probability."""
+FOUND_CHANCE = 0.001
+"""The same for looking again among what was left as clutter."""
 FLOOR_WIDTHS = (1.75,)
 """Widths of the surroundings in grid steps: a door's, and that of a broad zone with few events."""
 _ROUNDS_MAX = 6
@@ -85,7 +87,9 @@ def partition(cells: Cells, count: NDArray[np.int64]) -> Labels:
     one = np.zeros(len(cells.index), dtype=np.intp)
     if count.sum() < EVENTS_MIN:
         return one
-    labels = _Moves(cells, _first_groups(count)[cells.index]).settle()
+    dense = dense_cells(count, FLOOR_CHANCE)
+    groups = _first_groups(dense if dense.any() else count.astype(np.float64))
+    labels = _Moves(cells, groups[cells.index]).settle()
     return labels if labels.max() >= 0 else one
 
 
@@ -101,17 +105,15 @@ def clutter_rate(count: NDArray[np.generic]) -> float:
     return max(rate, 1e-6)
 
 
-def dense_cells(count: NDArray[np.generic]) -> Floats:
-    """Counts above the clutter, 0 in cells whose surroundings clutter explains."""
+def dense_cells(count: NDArray[np.generic], chance: float) -> Floats:
+    """Counts above the clutter, 0 in cells whose surroundings clutter would fill like this with at least ``chance``."""
     rate = clutter_rate(count)
     dense = np.zeros(count.shape, dtype=np.bool_)
     # A kernel-weighted sum of Poisson counts behaves like a Poisson count over an area of (sum K)^2 / (sum K^2).
     for rows, columns, area, area_squared in _SURROUNDINGS:
         inside = rows @ count @ columns * area / area_squared
-        dense |= gammainc(np.maximum(inside, 1e-9), rate * area**2 / area_squared) < FLOOR_CHANCE
-    keep = dense & (count > rate + 2 * np.sqrt(rate))
-    if not keep.any():
-        return count.astype(np.float64)
+        dense |= gammainc(np.maximum(inside, 1e-9), rate * area**2 / area_squared) < chance
+    keep = dense & (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
     return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
 
 
@@ -125,13 +127,13 @@ def _surroundings(width: float) -> tuple[Floats, Floats, Floats, Floats]:
 _SURROUNDINGS = [_surroundings(width) for width in FLOOR_WIDTHS]
 
 
-def _first_groups(count: NDArray[np.generic], peels: int = PEELS_MAX) -> Labels:
+def _first_groups(dense: Floats) -> Labels:
     """DaSpec's groups of the dense cells, flat (rows * columns), -1 elsewhere."""
-    dense = dense_cells(count)
+    dense = dense.copy()
     width = max(bandwidth(dense) / 2, BANDWIDTH_MIN)
     labels = np.full(dense.size, -1, dtype=np.intp)
     groups = 0
-    for _ in range(peels):
+    for _ in range(PEELS_MAX):
         found = data_spectroscopy(dense, width)
         own = found.vectors[np.arange(len(found.cells)), found.labels]
         reached = own > found.vectors.max(axis=0)[found.labels] * max(1 / dense.sum(), 1e-3)
@@ -187,11 +189,14 @@ class _Moves:
         count = np.zeros(GRID_ROWS * GRID_COLUMNS)
         count[self.cells.index[outside]] = self.cells.sums[outside, 0]
         labels, known = self.labels, len(self.zones)
-        groups = _first_groups(count.reshape(GRID_ROWS, GRID_COLUMNS), peels=1)[self.cells.index]
+        dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), FOUND_CHANCE)
+        if not dense.any():
+            return False
+        groups = _first_groups(dense)[self.cells.index]
         self._set(np.where(groups >= 0, groups + known, labels))
         keys = [zone.tobytes() for zone in self.zones[known:]]
         for k in range(len(self.zones) - 1, known - 1, -1):
-            if keys[k - known] in self.tried or self._drop_gain()[k] >= 0 or self._is_tail(k):
+            if keys[k - known] in self.tried or self._drop_gain(np.array([k]))[0] >= 0 or self._is_tail(k):
                 self._remove(k)
         self.tried.update(keys)
         return len(self.zones) > known
@@ -200,7 +205,9 @@ class _Moves:
         """Whether the density falls all the way from a bigger zone to this one, however far: a heavy tail's events."""
         others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
         return any(
-            not self._valley_between(1.0, self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k))
+            not self._valley_between(
+                1.0, self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k)
+            )
             for j in others
         )
 
@@ -226,38 +233,41 @@ class _Moves:
             else:
                 return
             small = i if self.zones[i, 0] < self.zones[j, 0] else j
-            if gain[pair] > 0 and self._drop_gain()[small] > -gain[pair]:
+            if gain[pair] > 0 and self._drop_gain(np.array([small]))[0] > -gain[pair]:
                 self._remove(small)
             else:
                 self._join(i, j)
 
     def _drop(self) -> None:
         while len(self.zones) > 1:
-            gain = self._drop_gain()
+            gain = self._drop_gain(np.arange(len(self.zones)))
             k = int(gain.argmax())
             if gain[k] <= 0:
                 return
             self._remove(k)
 
-    def _drop_gain(self) -> Floats:
+    def _drop_gain(self, which: Labels) -> Floats:
         """What the log posterior gains when a zone is clutter instead, but nothing where it stands out (`_excess`)."""
-        n, count = self.zones[:, 0], len(self.zones)
+        n, count = self.zones[which, 0], len(self.zones)
         total = np.array(self.total)
         prior = log_zones(count - 1, total) - log_zones(count, total) - log_share(n)
-        prior = prior + gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1)
-        return np.minimum(prior - log_evidence(self.zones), EXCESS_MIN - self._excess())
+        gain = (
+            prior
+            + gammaln(self.clutter + n + 1)
+            - gammaln(self.clutter + 1)
+            - log_evidence(self.zones[which])
+        )
+        doubtful = gain > 0
+        gain[doubtful] = np.minimum(gain[doubtful], EXCESS_MIN - self._excess(which[doubtful]))
+        return np.asarray(gain)
 
-    def _excess(self) -> Floats:
+    def _excess(self, which: Labels) -> Floats:
         """Log likelihood ratio of each zone's surplus over clutter within two standard deviations (Poisson)."""
-        mean, cov = gaussians(self.zones)
+        mean, cov = gaussians(self.zones[which])
         xx, xy, yy = (cov + _CELL_SPREAD).T[:, :, None]
         dx, dy = _CENTRES[0] - mean[:, :1], _CENTRES[1] - mean[:, 1:]
         inside = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy < 4 * (xx * yy - xy * xy)
-        others = np.zeros((len(self.zones), inside.shape[1]), dtype=np.bool_)
-        others[:, self.cells.index] = (self.labels >= 0) & (
-            self.labels != np.arange(len(self.zones))[:, None]
-        )
-        inside &= ~others
+        inside[:, self.cells.index] &= (self.labels < 0) | (self.labels == which[:, None])
         open_cells = inside.shape[1] - int((self.labels >= 0).sum())
         expected = np.maximum(inside.sum(axis=1), 1) * (self.clutter + 1) / max(open_cells, 1)
         n = np.maximum((inside[:, self.cells.index] * self.cells.sums[:, 0]).sum(axis=1), 1e-9)
