@@ -94,7 +94,7 @@ class Crossings:
         events += [self.exit(track) for track in changes.left if went_somewhere(track)]
         for track in changes.vanished:
             self._forget(track)
-            if not track.covered:
+            if not (track.covered or track.interrupted):
                 self.doors.learn(*track.last.foot)
         for track in active:
             if track.confirmed:

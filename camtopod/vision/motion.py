@@ -29,7 +29,7 @@ EDGE_MIN = 18.0
 factor of e."""
 STRONG_MIN = 75.0
 """Logarithmic difference that no shadow makes."""
-WHOLE_PICTURE_SHARE = 0.6
+WHOLE_PICTURE_SHARE = 0.5
 WHOLE_PICTURE_SECONDS = 1.5
 ADOPT_SECONDS = 6.0
 """What differs from the model for this long and belongs to no object becomes part of the scene."""

@@ -75,6 +75,8 @@ class Track:
     covered: bool = False
     entered: bool = False
     """An entry was reported for it."""
+    interrupted: bool = False
+    """There were no pictures when it was lost."""
     reach: float = 0.0
     """The farthest its head or foot has been from where it began, pixels."""
     origin: Vector = field(default_factory=lambda: np.zeros(4))
@@ -143,6 +145,9 @@ class Tracker:
         dt = 0.0 if self._t is None else t - self._t
         self._t = t
         self._start = t if self._start is None else self._start
+        left = []
+        if dt > self._settings.patience_seconds:
+            left = self._interrupt(t)
         for track in self.active:
             track.kalman.predict(dt, track.height, coasting=track.last.t < t - 1.5 * dt)
             track.frames += 1
@@ -153,7 +158,7 @@ class Tracker:
         for blob in free:
             self._give_birth(t, blob)
         appeared = self._confirm(t)
-        left = self._hand_over(t, appeared)
+        left += self._hand_over(t, appeared)
         return self._retire(t, appeared, left)
 
     # -- sightings ------------------------------
@@ -364,6 +369,15 @@ class Tracker:
     def drop(self, track: Track) -> None:
         """Forget ``track`` without a trace: it was none."""
         self.active = [other for other in self.active if other is not track]
+
+    def _interrupt(self, t: float) -> list[Track]:
+        """There were no pictures for a while: all are out of sight, and who is in view now was so all along."""
+        self._start = t
+        objects, self.active = [track for track in self.active if track.confirmed], []
+        for track in [*objects, *self.broken]:
+            track.interrupted = True
+        self.broken += [track for track in objects if not self._at_edge(track)]
+        return [track for track in objects if self._at_edge(track)]
 
     def restart(self) -> None:
         """The picture changed as a whole: forget everybody; who is in view next was there from the start."""

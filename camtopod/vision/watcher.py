@@ -15,6 +15,8 @@ from camtopod.vision.tracks import Track, Tracker
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is looked at again: it may be where something was."""
 GHOST_MOVE_HEIGHTS = 0.1
+STEP_SECONDS_MAX = 1.0
+"""A gap between two pictures counts as no more than this for what is learned of the scene."""
 BOOTSTRAP_FRAMES_KEPT = 100
 """At most so many pictures wait for the first background."""
 
@@ -75,7 +77,7 @@ class Watcher:
     def _step(self, t: float, frame: Luma) -> list[Event]:
         assert self._tracker is not None
         assert self._crossings is not None
-        dt = 0.0 if self._t is None else max(0.0, t - self._t)
+        dt = 0.0 if self._t is None else min(max(0.0, t - self._t), STEP_SECONDS_MAX)
         self._t = t
         motion = self._motion.look(frame, dt)
         if motion is None:  # another picture altogether: begin again

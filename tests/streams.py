@@ -1,0 +1,118 @@
+"""Real streams for tests: an RTSP server, and a proxy in front of it that can stall, cut and refuse."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+SYSTEM_PYTHON = "/usr/bin/python3"
+_PROBE = "import gi; gi.require_version('GstRtspServer', '1.0'); from gi.repository import GstRtspServer"
+
+
+@cache
+def missing() -> str | None:
+    """What is missing to serve RTSP here, for the reason of a skip; None if nothing is."""
+    if shutil.which("ffmpeg") is None:
+        return "no ffmpeg"
+    if not Path(SYSTEM_PYTHON).exists():
+        return f"no {SYSTEM_PYTHON}"
+    probe = subprocess.run([SYSTEM_PYTHON, "-c", _PROBE], capture_output=True, check=False)
+    return None if probe.returncode == 0 else "no GStreamer RTSP server (gir1.2-gst-rtsp-server-1.0)"
+
+
+def transcode(source: Path, target: Path, fps: float, seconds: float | None = None) -> None:
+    """``source`` as H.264 at ``fps`` frames a second (frames kept, times changed), at most ``seconds`` of it."""
+    limit = [] if seconds is None else ["-t", str(seconds)]
+    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-y", "-r", str(fps), "-i", str(source), *limit]
+    command += ["-an", "-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-bf", "0", "-g", str(round(fps))]
+    subprocess.run([*command, "-pix_fmt", "yuv420p", str(target)], check=True)
+
+
+@contextmanager
+def served(path: Path) -> Iterator[int]:
+    """Serve an H.264 file at rtsp://127.0.0.1:PORT/camera; gives the port."""
+    script = Path(__file__).parent / "rtsp_server.py"
+    with subprocess.Popen([SYSTEM_PYTHON, str(script), str(path)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield int(process.stdout.readline())
+        finally:
+            process.kill()
+
+
+class FaultProxy:
+    """Forwards TCP to a port on this machine until told otherwise."""
+
+    def __init__(self, target_port: int) -> None:
+        self._target = target_port
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self._pairs: list[tuple[socket.socket, socket.socket]] = []
+        self._flowing = threading.Event()
+        self._flowing.set()
+        self._closed = False
+        self.refusing = False
+        self.connections = 0
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def stall(self) -> None:
+        """Keep connections, pass nothing on."""
+        self._flowing.clear()
+
+    def resume(self) -> None:
+        """Pass things on again."""
+        self._flowing.set()
+
+    def cut(self) -> None:
+        """Close all connections."""
+        pairs, self._pairs = self._pairs, []
+        for pair in pairs:
+            for side in pair:
+                _shut(side)
+
+    def close(self) -> None:
+        """Stop."""
+        self._closed = True
+        _shut(self._listener)
+        self.resume()
+        self.cut()
+
+    def _accept(self) -> None:
+        while not self._closed:
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            self.connections += 1
+            if self.refusing:
+                _shut(client)
+                continue
+            server = socket.create_connection(("127.0.0.1", self._target))
+            self._pairs.append((client, server))
+            for a, b in ((client, server), (server, client)):
+                threading.Thread(target=self._forward, args=(a, b), daemon=True).start()
+
+    def _forward(self, source: socket.socket, target: socket.socket) -> None:
+        try:
+            while data := source.recv(65536):
+                self._flowing.wait()
+                target.sendall(data)
+        except OSError:
+            pass
+        finally:
+            _shut(source)
+            _shut(target)
+
+
+def _shut(side: socket.socket) -> None:
+    try:
+        side.shutdown(socket.SHUT_RDWR)
+    except OSError:
+        pass
+    side.close()
