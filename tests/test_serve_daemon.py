@@ -1,0 +1,436 @@
+"""The daemon on a real bus in this process: what comes in, what goes out, what is asked of it."""
+
+from __future__ import annotations
+
+import logging
+import random
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import serving
+from serving import T0, closing_event, numbered, small_config, wait_for, walkers
+
+from camtopod import codec
+from camtopod.learn.learner import Learner
+from camtopod.learn.topology import make_delta
+from camtopod.records import Ack, Event, Prediction, Topology
+from camtopod.serve import bus as buses
+from camtopod.serve.bus import Bus, BusError, QueryError
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.journal import Journal
+from camtopod.serve.publisher import Publisher
+from camtopod.serve.spool import Spool
+from camtopod.serve.subscriber import TopologyView
+
+NOW = T0 + 20 * serving.SPAN_SECONDS
+
+
+class Site:
+    """A daemon and clients on its bus; the clock stands still unless it is moved."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.now = NOW
+        self._open: list[Any] = []
+
+    def daemon(self, bus: Bus | None = None, **limits: float) -> Daemon:
+        daemon = Daemon(small_config(self.directory / "state", **limits), bus, clock=lambda: self.now)
+        daemon.start()
+        self._open.append(daemon.stop)
+        return daemon
+
+    def client(self, daemon: Daemon) -> Bus:
+        bus = buses.dial(small_config(self.directory, daemon.endpoint))
+        self._open.append(bus.close)
+        return bus
+
+    def publisher(self, bus: Bus, name: str = "spool") -> tuple[Publisher, Spool]:
+        spool = Spool(self.directory / f"{name}.db", f"boot-{name}", 100_000)
+        publisher = Publisher(spool, 100)
+        publisher.attach(bus)
+        self._open.append(spool.close)
+        return publisher, spool
+
+    def close(self) -> None:
+        for close in reversed(self._open):
+            close()
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[Site]:
+    one = Site(tmp_path)
+    yield one
+    one.close()
+
+
+def put(bus: Bus, *events: Event) -> None:
+    for event in events:
+        bus.put(f"event/{event.camera}", event, "event")
+
+
+def stored(daemon: Daemon, count: int) -> None:
+    wait_for(lambda: daemon.status()["events"]["stored"] >= count, f"{count} stored events")
+    assert daemon.status()["events"]["stored"] == count
+
+
+def learned(events: list[Event]) -> Topology:
+    """The newest version of the plain learner over the same events."""
+    learner = Learner(small_config(Path()).learn, site="site", epoch="any")
+    for event in sorted(events, key=lambda event: event.t):
+        learner.receive(event)
+    assert learner.topology is not None
+    return learner.topology
+
+
+def journal_of(site: Site) -> list[tuple[str, str, str | None, int | None]]:
+    journal = Journal(site.directory / "state", 10)
+    rows = [(e.kind, e.camera, e.boot, e.seq) for _, e in journal.entries() if e is not None]
+    journal.close()
+    return rows
+
+
+# --- events in, versions out ------------------------------------------------------------------------------------
+
+
+def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    events = [*numbered(walkers(40)), closing_event()]
+    view = TopologyView(bus)
+    expected = learned(events)
+    put(bus, *events, *events[:50])
+    assert view.wait_for(expected.version, 20) is not None
+    assert view.topology is not None
+    assert (view.topology.version, view.topology.digest) == (expected.version, expected.digest)
+    assert view.topology.epoch == daemon.epoch
+    wait_for(lambda: daemon.status()["events"]["duplicate"] == 50, "duplicates")
+    stored(daemon, len(events))
+    late = TopologyView(site.client(daemon))
+    assert late.wait_for(1, 10) == view.topology, "a late joiner gets the whole"
+
+
+def test_a_restart_replays_the_journal_to_the_same_version(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    events = [*numbered(walkers(40)), closing_event()]
+    expected = learned(events)
+    put(bus, *events)
+    wait_for(
+        lambda: daemon.topology is not None and daemon.topology.version == expected.version,
+        "the last version",
+    )
+    before = daemon.topology
+    daemon.stop()
+    again = site.daemon()
+    assert again.topology == before
+    assert again.epoch == daemon.epoch
+    put(site.client(again), *events[:10])
+    wait_for(lambda: again.status()["events"]["duplicate"] == 10, "duplicates of what was stored before")
+
+
+def test_other_settings_begin_a_new_epoch(site: Site) -> None:
+    daemon = site.daemon()
+    put(site.client(daemon), *numbered(walkers(40)), closing_event())
+    wait_for(lambda: daemon.topology is not None and daemon.topology.version >= 2, "a version")
+    daemon.stop()
+    config = small_config(site.directory / "state")
+    config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, publish_q_max=0.5))
+    config = msgspec.structs.replace(
+        config, learn=msgspec.structs.replace(config.learn, version_seconds=17.0)
+    )
+    with Daemon(config, clock=lambda: site.now) as again:
+        assert again.epoch > daemon.epoch
+        assert again.topology is not None
+        assert again.topology.epoch == again.epoch
+
+
+def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    put(bus, *numbered(walkers(60)), closing_event())
+    wait_for(lambda: daemon.topology is not None and len(daemon.topology.links) > 0, "links")
+    wait_for(lambda: daemon.status()["events"]["waiting"] == 0, "the learner")
+    predictions: list[Prediction] = []
+    bus.subscribe("prediction/*", lambda key, raw: predictions.append(codec.read(Prediction, raw, pack=True)))
+    t = T0 + 11 * serving.SPAN_SECONDS
+    put(bus, Event("a", "exit", t, 0.9, 0.5, "x1"), Event("a", "entry", t + 1, 0.1, 0.5))
+    put(bus, Event("a", "exit", t + 2, 0.9, 0.5))
+    wait_for(lambda: len(predictions) == 2, "predictions")
+    assert [(p.camera, p.t, p.track) for p in predictions] == [("a", t, "x1"), ("a", t + 2, None)]
+    assert daemon.topology is not None
+    assert predictions[0].version == daemon.topology.version
+    assert {following.camera for following in predictions[0].next_} <= {"b", "c", "a"}
+    assert sum(following.probability for following in predictions[0].next_) + predictions[
+        0
+    ].leave == pytest.approx(1)
+
+    [(key, raw)] = bus.ask("predict/a", {"x": 0.9, "y": 0.5, "t": t})
+    asked = codec.read(Prediction, raw, pack=True)
+    assert (key, asked.camera, asked.zone) == ("predict/a", "a", predictions[0].zone)
+    [(_, raw)] = bus.ask("predict/a", {"zone": asked.zone, "t": t, "format": "application/json"})
+    assert codec.read(Prediction, raw).zone == asked.zone
+    for parameters in ({"zone": "b/1"}, {"x": 0.5}, {"t": "noon"}, {"zone": "a/99"}):
+        with pytest.raises(QueryError):
+            bus.ask("predict/a", parameters)
+
+    [(key, raw)] = bus.ask("topology", {"format": "application/json"})
+    assert codec.read(Topology, raw).digest == daemon.topology.digest
+    [(key, raw)] = bus.ask("status/*")
+    assert key == "status/daemon"
+    assert msgspec.msgpack.decode(raw)["state"] == "running"
+
+
+def test_nothing_learned_yet_is_an_answer(site: Site) -> None:
+    bus = site.client(site.daemon())
+    for key in ("topology", "predict/a"):
+        with pytest.raises(QueryError, match="nothing has been learned yet"):
+            bus.ask(key)
+
+
+def test_status_is_published(site: Site) -> None:
+    daemon = site.daemon()
+    seen: list[dict[str, Any]] = []
+    site.client(daemon).subscribe("status/daemon", lambda key, raw: seen.append(msgspec.msgpack.decode(raw)))
+    wait_for(lambda: bool(seen), "a status")
+    assert seen[0]["site"] == "site"
+    assert seen[0]["epoch"] == daemon.epoch
+
+
+def test_time_goes_on_without_events(site: Site) -> None:
+    """When the events of a live site stop coming, what is held back is learned all the same."""
+    daemon = site.daemon(settle_seconds=1.0)
+    events = numbered(walkers(10))
+    shift = NOW - 5.0 - events[-1].t
+    events = [msgspec.structs.replace(event, t=event.t + shift) for event in events]
+    put(site.client(daemon), *events)
+    stored(daemon, len(events))
+    assert daemon.topology is None
+    site.now += 4 * serving.SPAN_SECONDS
+    wait_for(lambda: daemon.topology is not None, "a version")
+    assert daemon.topology is not None
+    wait_for(lambda: daemon.status()["learner"]["learned"] == len(events), "every event to be learned")
+    before = daemon.topology
+    daemon.stop()
+    assert site.daemon().topology == before, "the passing of time is in the journal too"
+
+
+# --- what does not fit ------------------------------------------------------------------------------------------
+
+
+def test_garbage_is_counted_quoted_once_and_survived(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    chance = random.Random(7)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(300):
+            bus.put_raw("event/lobby", chance.randbytes(chance.randrange(0, 80)), "event")
+        bus.put_raw("event/lobby", b"\xff" * 5000, "event")
+        bus.put_raw(
+            "event/lobby", b'{"camera":"lobby","kind":"entry","t":1,"track":"rtsp://u:p@ss@h"', "event"
+        )
+        put(bus, Event("hall", "entry", T0))
+        bus.put("event/lobby", Event("hall", "entry", T0), "event")
+        good = Event("lobby", "entry", T0)
+        bus.put_raw("event/lobby", codec.to_json(good), "event")
+        stored(daemon, 2)
+    counts = daemon.status()["rejects"]
+    assert sum(counts.values()) == 303
+    assert counts["wrong-camera"] == 1
+    assert counts["too-long"] == 1
+    quoted = [record for record in caplog.records if record.getMessage().startswith("rejected")]
+    assert len(quoted) == len(counts)
+    assert "p@ss" not in caplog.text
+    assert daemon.status()["state"] == "running"
+    daemon.stop()
+    assert journal_of(site) == [("event", "hall", None, None), ("event", "lobby", None, None)]
+
+
+def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
+    daemon = site.daemon(future_seconds_max=60)
+    bus = site.client(daemon)
+    first, wild, third = numbered([Event("lobby", "entry", t) for t in (NOW - 5, NOW + 3600, NOW + 50)])
+    acks: list[Ack] = []
+    bus.subscribe("ack/lobby", lambda key, raw: acks.append(codec.read(Ack, raw, pack=True)))
+    put(bus, first, wild, third)
+    stored(daemon, 2)
+    assert daemon.status()["events"]["future"] == 1
+    wait_for(
+        lambda: bool(acks) and acks[-1] == Ack("lobby", "b1", 3),
+        "the ack of all three: none is asked for again",
+    )
+    daemon.stop()
+    assert [kind for kind, *_ in journal_of(site)] == ["event", "future", "event"]
+
+
+def test_a_publisher_without_spool_loses_only_what_was_lost(site: Site) -> None:
+    daemon = site.daemon(gap_seconds=0.2)
+    bus = site.client(daemon)
+    events = numbered([Event("lobby", "entry", T0 + n) for n in range(6)])
+    put(bus, *events[:2], *events[4:])
+    stored(daemon, 4)
+    assert daemon.status()["events"]["lost"] == 2
+
+
+# --- nothing is lost --------------------------------------------------------------------------------------------
+
+
+def test_what_the_network_lost_is_pulled_from_the_spool(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    publisher, spool = site.publisher(bus)
+    deliver, chance = bus.put_raw, random.Random(3)
+    monkeypatch.setattr(bus, "put_raw", lambda *given: deliver(*given) if chance.random() < 0.5 else None)
+    events = walkers(50)
+    for event in events:
+        publisher.publish(event)
+    assert publisher.drained(20), "everything is acknowledged"
+    stored(daemon, len(events))
+    assert daemon.status()["events"]["lost"] == 0
+    daemon.stop()
+    rows = journal_of(site)
+    for camera in "abc":
+        seqs = [seq for _, where, _, seq in rows if where == camera]
+        assert seqs == list(range(1, len(seqs) + 1)), "in order, without gap or repetition"
+    assert len(rows) == len(events)
+    assert len(spool) == 0
+
+
+def test_events_from_before_the_daemon_wait_in_the_spool(site: Site) -> None:
+    daemon = site.daemon()
+    spool = Spool(site.directory / "early.db", "boot-early", 1000)
+    publisher = Publisher(spool, 100)
+    events = [Event("lobby", "entry", T0 + n) for n in range(250)]
+    publisher.publish(*events)
+    assert publisher.unacknowledged == 250
+    publisher.attach(site.client(daemon))
+    assert publisher.drained(20)
+    stored(daemon, 250)
+    spool.close()
+
+
+def test_a_lost_ack_is_given_again(site: Site) -> None:
+    daemon = site.daemon()
+    events = [Event("lobby", "entry", T0 + n) for n in range(5)]
+    publisher, spool = site.publisher(site.client(daemon))
+    sent = numbered(events, spool.boot)
+    put(site.client(daemon), *sent)  # stored and acknowledged before this spool has the events
+    stored(daemon, 5)
+    time.sleep(0.2)  # the ack has gone by
+    publisher.publish(*events)
+    assert publisher.drained(20)
+    stored(daemon, 5)
+
+
+def test_poison_in_a_spool_does_not_stop_the_stream(site: Site) -> None:
+    daemon = site.daemon()
+    publisher, spool = site.publisher(site.client(daemon))
+    good = numbered([Event("lobby", "entry", T0 + n) for n in range(4)], spool.boot)
+    spool.append([Event("lobby", "entry", event.t) for event in good])
+    spool._db.execute("UPDATE event SET raw = x'c1ff' WHERE seq = 2")
+    publisher.attach(site.client(daemon), ["lobby"])
+    assert publisher.drained(20)
+    stored(daemon, 3)
+    assert daemon.status()["rejects"] == {"malformed": 1}
+    daemon.stop()
+    assert [(kind, seq) for kind, _, _, seq in journal_of(site)] == [
+        ("event", 1), ("refused", 2), ("event", 3), ("event", 4),
+    ]  # fmt: skip
+
+
+def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = site.daemon()
+    publisher, _ = site.publisher(site.client(daemon))
+    full = True
+    commit = daemon._journal.commit
+
+    def failing(*given: Any) -> None:
+        if full and given[0]:
+            raise sqlite3.OperationalError("database or disk is full")
+        commit(*given)
+
+    monkeypatch.setattr(daemon._journal, "commit", failing)
+    publisher.publish(*(Event("lobby", "entry", T0 + n) for n in range(20)))
+    wait_for(lambda: daemon.status()["state"] == "degraded", "the status to say so")
+    assert "disk is full" in daemon.status()["reason"]
+    assert publisher.unacknowledged == 20
+    full = False
+    assert publisher.drained(20)
+    assert daemon.status()["state"] == "running"
+    stored(daemon, 20)
+
+
+# --- the bus itself ---------------------------------------------------------------------------------------------
+
+
+def test_nobody_there_is_said_with_what_to_do(tmp_path: Path) -> None:
+    config = small_config(tmp_path, "tcp/127.0.0.1:1")
+    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, connect_seconds=0.3))
+    with pytest.raises(BusError, match=r"cannot reach the bus at tcp/127.0.0.1:1: is `camtopod run` running"):
+        buses.dial(config)
+
+
+def test_a_second_daemon_at_the_same_endpoint_is_refused(site: Site, tmp_path: Path) -> None:
+    daemon = site.daemon()
+    config = small_config(tmp_path / "other")
+    config = msgspec.structs.replace(
+        config, bus=msgspec.structs.replace(config.bus, listen=(daemon.endpoint,))
+    )
+    with pytest.raises(BusError, match="another daemon may be running there"):
+        Daemon(config).start()
+    other = Daemon(small_config(tmp_path / "other"))
+    other.start()
+    other.stop()
+
+
+def test_a_daemon_on_a_given_bus_leaves_it_open(site: Site) -> None:
+    bus = buses.meet(small_config(site.directory))
+    daemon = site.daemon(bus)
+    put(site.client(daemon), Event("lobby", "entry", T0))
+    stored(daemon, 1)
+    daemon.stop()
+    got: list[bytes] = []
+    bus.subscribe("x", lambda key, raw: got.append(raw))
+    bus.put_raw("x", b"1", "x")
+    wait_for(lambda: bool(got), "a message over the bus that stayed open")
+    bus.close()
+
+
+def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> None:
+    versions: list[Topology] = []
+    learner = Learner(small_config(Path()).learn, site="site", epoch="01A")
+    for event in [*walkers(40), closing_event()]:
+        learner.receive(event)
+        versions += learner.updates()
+    assert len(versions) >= 4
+    bus = buses.meet(small_config(site.directory))
+    whole = versions[0]
+    bus.answer("topology", lambda key, parameters: whole, "topology")
+    bus.appear("daemon", "site")
+    client = buses.dial(small_config(site.directory, bus.endpoint))
+    view = TopologyView(client)
+    assert view.wait_for(1, 10) == versions[0]
+    fetched = view.fetched
+
+    def delta(old: Topology, new: Topology) -> Callable[[], bool]:
+        bus.put("topology/delta", make_delta(old, new), "topology-delta")
+        return lambda: view.update() is not None
+
+    wait_for(delta(versions[0], versions[1]), "the delta")
+    assert (view.topology, view.fetched) == (versions[1], fetched)
+    whole = versions[3]
+    wait_for(delta(versions[2], versions[3]), "the whole, as a delta is missing")
+    assert view.topology == versions[3]
+    assert view.fetched == fetched + 1
+    renamed = [msgspec.structs.replace(version, epoch="01B") for version in versions]
+    whole = renamed[1]
+    wait_for(delta(renamed[0], renamed[1]), "the whole of a new epoch")
+    assert view.topology == renamed[1]
+    client.close()
+    bus.close()
