@@ -96,7 +96,7 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
     values, vectors = eigh(matrix, subset_by_index=wanted, check_finite=False, overwrite_a=True)
     values, vectors = values[::-1], vectors[:, ::-1] / np.sqrt(weights)[:, None]
     # A group of even one point has an eigenvalue of at least 1/n: below lies only rounding noise.
-    real = values > 0.5 / n
+    real = values >= min(0.5 / n, values[0])
     values, vectors = values[real], vectors[:, real]
     peaks = np.abs(vectors).argmax(axis=0)
     vectors = vectors * np.sign(vectors[peaks, np.arange(len(peaks))])

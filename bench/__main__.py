@@ -1,0 +1,23 @@
+"""``python -m bench PART [ARGUMENTS]``: each part is a module of this package with ``main(argv) -> int``."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from pkgutil import iter_modules
+
+import bench
+
+
+def main(argv: list[str]) -> int:
+    parts = sorted(module.name for module in iter_modules(bench.__path__) if not module.name.startswith("_"))
+    if not argv or argv[0] not in parts:
+        print(f"usage: python -m bench {{{','.join(parts)}}} [ARGUMENTS]", file=sys.stderr)
+        return 2
+    part = import_module(f"bench.{argv[0]}")
+    status: int = part.main(argv[1:])
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
