@@ -50,7 +50,9 @@ def valley(positions, low, high, steps):
     for b in range(steps):
         for c in range(b + 1, steps):
             left = max((_valley_ratio(positions, grid, b, c, a, b) for a in range(b)), default=0.0)
-            right = max((_valley_ratio(positions, grid, b, c, c, d) for d in range(c + 1, steps)), default=0.0)
+            right = max(
+                (_valley_ratio(positions, grid, b, c, c, d) for d in range(c + 1, steps)), default=0.0
+            )
             best = max(best, min(left, right))
     return best
 

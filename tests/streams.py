@@ -93,7 +93,11 @@ class FaultProxy:
             if self.refusing:
                 _shut(client)
                 continue
-            server = socket.create_connection(("127.0.0.1", self._target))
+            try:
+                server = socket.create_connection(("127.0.0.1", self._target))
+            except OSError:
+                _shut(client)
+                continue
             self._pairs.append((client, server))
             for a, b in ((client, server), (server, client)):
                 threading.Thread(target=self._forward, args=(a, b), daemon=True).start()

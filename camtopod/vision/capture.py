@@ -96,10 +96,13 @@ class Capture:
             return None
         grey = _grey(picture)
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
-        good, luma = self._capture.retrieve()
+        try:
+            good, luma = self._capture.retrieve()
+        except cv2.error:  # a format whose planes it does not know
+            good, luma = False, grey
         self._luma_only = bool(good) and luma is not None and _is_luma(luma, grey)
         if self._luma_only:
-            return np.asarray(luma, dtype=np.uint8)
+            return luma
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 1)
         return grey
 

@@ -50,16 +50,21 @@ class LiveSource:
     def frames(self) -> Iterator[Frame | None]:
         """Frames with capture times on the wall clock; None when there was none for half a second."""
         self._thread.start()
-        while not self._stop.is_set():
-            try:
-                frame = self._queue.get(timeout=HEARTBEAT_SECONDS)
-            except queue.Empty:
-                yield None
-                continue
-            if frame.t < self._latest + TIME_STEP_MIN_SECONDS:  # re-anchored: time goes on all the same
-                frame = frame._replace(t=self._latest + TIME_STEP_MIN_SECONDS)
-            self._latest = frame.t
-            yield frame
+        try:
+            while not self._stop.is_set():
+                yield self._next()
+        finally:
+            self.close()  # a thread left in OpenCV at the interpreter's end crashes it
+
+    def _next(self) -> Frame | None:
+        try:
+            frame = self._queue.get(timeout=HEARTBEAT_SECONDS)
+        except queue.Empty:
+            return None
+        if frame.t < self._latest + TIME_STEP_MIN_SECONDS:  # re-anchored: time goes on all the same
+            frame = frame._replace(t=self._latest + TIME_STEP_MIN_SECONDS)
+        self._latest = frame.t
+        return frame
 
     def close(self) -> None:
         """Stop; waits for a blocked read to come back, at most the sum of the timeouts."""

@@ -1,0 +1,110 @@
+"""Capture times out of stamps and arrivals; which frames are analysed; how sources are spelled."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from camtopod.vision.capture import Cadence
+from camtopod.vision.source import kind_of, percent_encoded
+from camtopod.vision.timing import StampClock
+
+
+def errors(stamps: np.ndarray, captured: np.ndarray, delays: np.ndarray) -> np.ndarray:
+    """Of the estimated capture times, seconds."""
+    clock = StampClock()
+    found = []
+    for stamp, t, delay in zip(stamps, captured, delays, strict=True):
+        clock.see(float(stamp), float(t + delay))
+        found.append(clock.captured(float(stamp), float(t + delay)))
+    return np.array(found) - captured
+
+
+def test_delays_that_vary_are_taken_out() -> None:
+    captured = 1000.0 + np.arange(2000) / 15
+    delays = 0.03 + np.random.default_rng(1).exponential(0.1, 2000)
+    found = errors(captured - 990.0, captured, delays)
+    assert np.abs(found[100:] - 0.03).max() < 0.02, "what is left is the smallest delay"
+    assert delays.std() > 0.08
+
+
+def test_old_frames_after_opening_are_found_out_by_prompt_ones() -> None:
+    captured = 1000.0 + np.arange(300) / 15
+    delays = np.maximum(0.05, 1.9 - 0.1 * np.arange(300))
+    found = errors(captured - 990.0, captured, delays)
+    assert found[0] > 1.5
+    assert np.abs(found[30:] - 0.05).max() < 0.01
+
+
+def test_a_time_base_at_a_wrong_rate_is_followed() -> None:
+    captured = 1000.0 + np.arange(6000) / 10
+    for rate in (0.98, 1.0001, 1.02):
+        found = errors((captured - 990.0) * rate, captured, np.full(6000, 0.1))
+        assert np.abs(found).max() < 0.75
+
+
+def test_a_new_time_base_begins_anew() -> None:
+    captured = 1000.0 + np.arange(200) / 10
+    stamps = np.where(np.arange(200) < 100, captured - 990.0, captured - 1009.0)
+    assert np.abs(errors(stamps, captured, np.full(200, 0.1))).max() < 0.11
+    stamps = np.where(np.arange(200) < 100, captured - 990.0, captured + 5000.0)
+    assert np.abs(errors(stamps, captured, np.full(200, 0.1))).max() < 0.11
+
+
+@pytest.mark.parametrize("stamp", [0.0, -1.0, float("nan"), float("inf")])
+def test_without_a_stamp_it_is_the_arrival(stamp: float) -> None:
+    clock = StampClock()
+    clock.see(stamp, 50.0)
+    assert clock.captured(stamp, 50.0) == 50.0
+    assert clock.untrusted == 1
+
+
+def test_never_later_than_the_arrival() -> None:
+    rng = np.random.default_rng(5)
+    clock = StampClock()
+    for stamp, arrival in rng.uniform(0.1, 100, (500, 2)):
+        clock.see(stamp, arrival)
+        assert clock.captured(stamp, arrival) <= arrival
+
+
+@pytest.mark.parametrize(
+    ("fps", "wanted", "taken"),
+    [(7.0, 7.0, 7.0), (10.0, 7.0, 10.0), (15.0, 7.0, 7.5), (25.0, 7.0, 6.25), (30.0, 7.0, 7.5), (5.0, 7.0, 5.0)],
+)
+def test_cadence_is_the_nearest_even_one(fps: float, wanted: float, taken: float) -> None:
+    cadence = Cadence(wanted)
+    count = sum(cadence.wants(k / fps) for k in range(round(20 * fps)))
+    assert count / 20 == pytest.approx(taken, rel=0.05)
+
+
+def test_cadence_goes_on_when_the_stamps_go_back() -> None:
+    cadence = Cadence(7.0)
+    assert sum(cadence.wants(100.0 + k / 7) for k in range(70)) == 70
+    assert sum(cadence.wants(k / 7) for k in range(70)) == 70
+
+
+@pytest.mark.parametrize(
+    ("url", "encoded"),
+    [
+        ("rtsp://user:p@ss:w/rd@host/path", "rtsp://user:p%40ss%3Aw%2Frd@host/path"),
+        ("rtsp://user:p@ss:w/rd@host", "rtsp://user:p%40ss%3Aw%2Frd@host"),
+        ("rtsp://us er:plain@10.0.0.5:554/s?a=b@c", "rtsp://us%20er:plain@10.0.0.5:554/s?a=b@c"),
+        ("rtsp://user:p%40ss@host:554/s", "rtsp://user:p%40ss@host:554/s"),
+        ("rtsp://user:50%@host/s", "rtsp://user:50%25@host/s"),
+        ("rtsp://user:x?y#z@[fe80::1]:554/s", "rtsp://user:x%3Fy%23z@[fe80::1]:554/s"),
+        ("rtsp://user@host/s", "rtsp://user@host/s"),
+        ("rtsp://host:554/stream@1", "rtsp://host:554/stream@1"),
+        ("rtsp://host/stream", "rtsp://host/stream"),
+        ("film.mp4", "film.mp4"),
+    ],
+)
+def test_passwords_are_percent_encoded(url: str, encoded: str) -> None:
+    assert percent_encoded(url) == encoded
+
+
+@pytest.mark.parametrize(
+    ("source", "kind"),
+    [("0", "device"), ("rtsp://h/s", "stream"), ("http://h/s", "stream"), ("film.mp4", "file"), ("file:///f", "file")],
+)
+def test_kinds_of_sources(source: str, kind: str) -> None:
+    assert kind_of(source) == kind
