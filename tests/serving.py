@@ -30,7 +30,7 @@ def wait_for(condition: Callable[[], bool], what: str, seconds: float = WAIT_SEC
 
 
 def small_config(state: Path, connect: str | None = None, **limits: float) -> Config:
-    """A daemon on a free port (or programs that dial ``connect``) whose learner takes any order of arrival."""
+    """A daemon on a free port, or programs that dial ``connect``; the learner takes any order of arrival."""
     bus = BusSettings(connect=(connect,)) if connect else BusSettings(listen=("tcp/127.0.0.1:0",))
     quick = {"pull_seconds": 0.2, "ack_seconds": 0.05, "status_seconds": 0.1, "gap_seconds": 0.5, **limits}
     return Config(

@@ -1,4 +1,4 @@
-"""A subscriber in a process of its own: follows the versions and writes each as one line, until standard input ends."""
+"""A subscriber's process: follows the versions and writes each as one line, until standard input ends."""
 
 from __future__ import annotations
 

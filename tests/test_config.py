@@ -135,11 +135,14 @@ def test_any_text_is_a_configuration_or_a_mistake_with_a_line(text: str) -> None
     try:
         parse(text)
     except ConfigError as error:
-        assert error.problems
-        assert all(1 <= problem.line <= text.count("\n") + 1 for problem in error.problems)
+        problems = error.problems
+    else:
+        return
+    assert problems
+    assert all(1 <= problem.line <= text.count("\n") + 1 for problem in problems)
 
 
-# --- which line a key is on -------------------------------------------------------------------------------------
+# --- which line a key is on -----------------------------------------------------------------------
 
 LINES = '''\
 top = 1 # comment = 2
@@ -178,15 +181,17 @@ k = 2
 '''
 
 EXPECTED = {
-    ("top",): 1, ("quoted key",): 2, ("lit.eral",): 3, ("dotted",): 4, ("dotted", "x y"): 4, ("dotted", "x y", "z"): 4,
-    ("multi",): 5, ("literal",): 9, ("array",): 11, ("array", 0): 12, ("array", 1): 13, ("array", 2): 14,
-    ("array", 2, 0): 14, ("array", 2, 1): 14, ("array", 2, 1, 0): 14, ("array", 2, 1, 1): 15, ("when",): 17,
-    ("inline",): 18, ("inline", "a"): 18, ("inline", "b"): 18, ("inline", "b", "c"): 18, ("inline", "b", "c", 0): 18,
-    ("inline", "b", "c", 0, "d"): 18, ("inline", "b", "c", 1): 18, ("inline", "e"): 18,
-    ("table",): 20, ("table", "key"): 21, ("table", "sub.table"): 22, ("table", "sub.table", "key"): 23,
-    ("list",): 24, ("list", 0): 24, ("list", 0, "name"): 25, ("list", 1): 26, ("list", 1, "name"): 27,
-    ("list", 1, "inner"): 28, ("list", 1, "inner", "deep"): 29, ("list", 1, "many"): 30, ("list", 1, "many", 0): 30,
-    ("list", 1, "many", 0, "k"): 31, ("list", 1, "many", 1): 32, ("list", 1, "many", 1, "k"): 33,
+    ("top",): 1, ("quoted key",): 2, ("lit.eral",): 3, ("dotted",): 4, ("dotted", "x y"): 4,
+    ("dotted", "x y", "z"): 4, ("multi",): 5, ("literal",): 9, ("array",): 11, ("array", 0): 12,
+    ("array", 1): 13, ("array", 2): 14, ("array", 2, 0): 14, ("array", 2, 1): 14,
+    ("array", 2, 1, 0): 14, ("array", 2, 1, 1): 15, ("when",): 17, ("inline",): 18, ("inline", "a"): 18,
+    ("inline", "b"): 18, ("inline", "b", "c"): 18, ("inline", "b", "c", 0): 18,
+    ("inline", "b", "c", 0, "d"): 18, ("inline", "b", "c", 1): 18, ("inline", "e"): 18, ("table",): 20,
+    ("table", "key"): 21, ("table", "sub.table"): 22, ("table", "sub.table", "key"): 23, ("list",): 24,
+    ("list", 0): 24, ("list", 0, "name"): 25, ("list", 1): 26, ("list", 1, "name"): 27,
+    ("list", 1, "inner"): 28, ("list", 1, "inner", "deep"): 29, ("list", 1, "many"): 30,
+    ("list", 1, "many", 0): 30, ("list", 1, "many", 0, "k"): 31, ("list", 1, "many", 1): 32,
+    ("list", 1, "many", 1, "k"): 33,
 }  # fmt: skip
 
 
@@ -258,7 +263,7 @@ def test_lines_agree_with_the_parser(top: dict[str, Any], tables: dict[str, dict
     assert {path: lines[path] for path in expected} == expected
 
 
-# --- the example ------------------------------------------------------------------------------------------------
+# --- the example ----------------------------------------------------------------------------------
 
 
 def test_the_example_is_right_and_says_every_default() -> None:

@@ -94,7 +94,7 @@ def journal_of(site: Site) -> list[tuple[str, str, str | None, int | None]]:
     return rows
 
 
-# --- events in, versions out ------------------------------------------------------------------------------------
+# --- events in, versions out ----------------------------------------------------------------------
 
 
 def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site) -> None:
@@ -219,7 +219,7 @@ def test_time_goes_on_without_events(site: Site) -> None:
     assert site.daemon().topology == before, "the passing of time is in the journal too"
 
 
-# --- what does not fit ------------------------------------------------------------------------------------------
+# --- what does not fit ----------------------------------------------------------------------------
 
 
 def test_garbage_is_counted_quoted_once_and_survived(site: Site, caplog: pytest.LogCaptureFixture) -> None:
@@ -276,7 +276,7 @@ def test_a_publisher_without_spool_loses_only_what_was_lost(site: Site) -> None:
     assert daemon.status()["events"]["lost"] == 2
 
 
-# --- nothing is lost --------------------------------------------------------------------------------------------
+# --- nothing is lost ------------------------------------------------------------------------------
 
 
 def test_what_the_network_lost_is_pulled_from_the_spool(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -366,7 +366,7 @@ def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(
     stored(daemon, 20)
 
 
-# --- the bus itself ---------------------------------------------------------------------------------------------
+# --- the bus itself -------------------------------------------------------------------------------
 
 
 def test_nobody_there_is_said_with_what_to_do(tmp_path: Path) -> None:

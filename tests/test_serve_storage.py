@@ -37,7 +37,7 @@ def spool(tmp_path: Path) -> Iterator[Spool]:
     one.close()
 
 
-# --- journal ----------------------------------------------------------------------------------------------------
+# --- journal --------------------------------------------------------------------------------------
 
 
 def test_the_journal_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_old_digests_are_forgotten(journal: Journal) -> None:
     assert journal.versions() == {}
 
 
-# --- spool ------------------------------------------------------------------------------------------------------
+# --- spool ----------------------------------------------------------------------------------------
 
 
 def test_the_spool_counts_each_camera_without_gaps(spool: Spool) -> None:

@@ -22,7 +22,7 @@ from camtopod.redact import redact
 
 
 def configuration(args: argparse.Namespace) -> config.Config:
-    """The configuration, or the defaults, under ``--site``, ``--connect``, ``--state``. Raises `CommandError`."""
+    """The configuration with ``--site``, ``--connect``, ``--state`` on top. Raises `CommandError`."""
     loaded = config.Config()
     if args.config is not None:
         try:

@@ -10,6 +10,7 @@ import re
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import msgspec
@@ -79,14 +80,14 @@ def run(args: argparse.Namespace) -> int:
         return supervise(args, config)
     settings = _camera(args, config)
     redact.remember(settings.source)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own messages may hold passwords
     from camtopod.vision.grabber import Grabber
 
     grabber = Grabber(
         args.camera, settings.source, start=settings.start, realtime=settings.realtime, speed=settings.speed,
         wall_clock=clock.wall, settings=config.vision,
     )  # fmt: skip
-    with until_signal() as stop, contextlib.closing(grabber):
-        threading.Thread(target=_leave_anyway, args=(stop,), daemon=True).start()
+    with until_signal() as stop, _leaving(stop), contextlib.closing(grabber):
         if args.out is not None:
             return _to_lines(grabber, args.out, stop)
         return _to_bus(grabber, args, config, settings, stop)
@@ -260,8 +261,19 @@ def _is_live(source: str) -> bool:
     return "://" in source or source.isdigit()
 
 
-def _leave_anyway(stop: threading.Event) -> None:
-    """A source that blocks must not hold up the end; every event is in the spool or the file already."""
-    stop.wait()
-    time.sleep(LEAVE_SECONDS)
-    os._exit(exits.DONE)
+@contextlib.contextmanager
+def _leaving(stop: threading.Event) -> Iterator[None]:
+    """A source that blocks must not hold up the end: every event is in the spool or the file already."""
+    done = threading.Event()
+
+    def leave_anyway() -> None:
+        stop.wait()
+        if not done.wait(LEAVE_SECONDS):
+            os._exit(exits.DONE)
+
+    threading.Thread(target=leave_anyway, daemon=True).start()
+    try:
+        yield
+    finally:
+        done.set()
+        stop.set()

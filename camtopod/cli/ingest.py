@@ -54,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
     path = config.state_directory / "spool-ingest.db"
     with contextlib.ExitStack() as stack, until_signal() as stop:
         file = open_input(args.file)
+        if args.file != "-":
+            stack.callback(file.close)
         try:
             bus = dial(config)
         except BusError as error:
@@ -78,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def batches(events: Iterator[Event], most: int, stop: threading.Event) -> Iterator[list[Event]]:
-    """What is there already, together, at most ``most``: lines that trickle in go out at once, a file in bulk."""
+    """What is there already, at most ``most``: lines that trickle in go out at once, a file in bulk."""
     waiting: queue.Queue[Event | None] = queue.Queue(2 * most)
 
     def read() -> None:

@@ -50,13 +50,11 @@ def backoff_after(
 
 
 def supervise(args: argparse.Namespace, config: Config) -> int:
-    """Run `camtopod grab` for every camera until all have ended or a signal comes; returns the worst status."""
+    """Run `camtopod grab` for every camera until all have ended or a signal comes; the worst status."""
     children = [Child(camera) for camera in config.cameras]
     with until_signal() as stop:
         try:
-            while not stop.is_set() and any(
-                child.again_at is not None or child.process for child in children
-            ):
+            while not stop.is_set() and any(c.again_at is not None or c.process for c in children):
                 for child in children:
                     _look_after(child, args)
                 stop.wait(_LOOK_SECONDS)

@@ -133,7 +133,8 @@ def _head(topology: Topology | None, daemon: dict[str, Any] | None, site: str) -
         events = daemon.get("events", {})
         first = (
             f"site {site}: daemon {daemon.get('state')}{_because(daemon)}, "
-            f"{events.get('stored', 0)} events stored, {events.get('duplicate', 0)} duplicates, {sum(daemon.get('rejects', {}).values())} rejected"
+            f"{events.get('stored', 0)} events stored, {events.get('duplicate', 0)} duplicates, "
+            f"{sum(daemon.get('rejects', {}).values())} rejected"
         )
     if topology is None:
         return [first, "topology: nothing learned yet"]

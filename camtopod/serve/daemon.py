@@ -66,7 +66,7 @@ class Daemon:
         return self._bus.endpoint
 
     def start(self, cancel: threading.Event | None = None) -> bool:
-        """Replay the journal, then join the bus and begin; False if ``cancel`` was set before that was done."""
+        """Replay the journal, join the bus and begin; False if ``cancel`` was set before that was done."""
         cancelled = cancel or self._stopping
         self._journal = Journal(self._config.state_directory, self._config.limits.versions_kept)
         try:

@@ -1,0 +1,299 @@
+"""`grab` and the supervision of many cameras, with a grabber that says what the test wants."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+import pytest
+import serving
+from serving import T0, small_config, wait_for
+
+from camtopod.cli import supervise
+from camtopod.cli.main import main
+from camtopod.codec import event_from_json
+from camtopod.config import CameraSettings, Config
+from camtopod.records import Event
+from camtopod.serve import bus as buses
+from camtopod.serve.daemon import Daemon
+from camtopod.vision import grabber as grabbers
+from camtopod.vision.errors import SourceError
+
+EVENTS = [Event("lobby", "entry", T0 + n, 0.5, 0.25, str(n)) for n in range(20)]
+
+
+class FakeGrabber:
+    """Yields `EVENTS`, with a heartbeat after each."""
+
+    made: ClassVar[list[FakeGrabber]] = []
+    error: ClassVar[OSError | None] = None
+    between: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
+
+    def __init__(self, camera: str, source: str, **options: Any) -> None:
+        self.camera, self.source, self.options = camera, source, options
+        self.state, self.reason, self.closed = "connecting", "rtsp://admin:p@ss@h is slow", False
+        FakeGrabber.made.append(self)
+
+    def events(self) -> Iterator[Event | None]:
+        if self.error is not None:
+            raise self.error
+        self.state, self.reason = "running", ""
+        for event in EVENTS:
+            yield event
+            FakeGrabber.between()
+            yield None
+        self.state = "ended"
+
+    def statistics(self) -> dict[str, int | float]:
+        return {"frames": 7}
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture(autouse=True)
+def fake(monkeypatch: pytest.MonkeyPatch) -> type[FakeGrabber]:
+    monkeypatch.setattr(grabbers, "Grabber", FakeGrabber)
+    monkeypatch.setattr(FakeGrabber, "made", [])
+    monkeypatch.setattr(FakeGrabber, "error", None)
+    return FakeGrabber
+
+
+def test_lines_to_a_file_and_to_standard_output(
+    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    out = tmp_path / "e.jsonl"
+    arguments = ["grab", "--camera", "lobby", "x.mp4", "--start", "5", "--realtime", "--speed", "2", "--out"]
+    assert main([*arguments, str(out)]) == 0
+    assert [event_from_json(line) for line in out.read_bytes().splitlines()] == EVENTS
+    made = FakeGrabber.made[0]
+    assert (made.source, made.closed) == ("x.mp4", True)
+    assert (made.options["start"], made.options["realtime"], made.options["speed"]) == (5.0, True, 2.0)
+    assert main([*arguments, "-"]) == 0
+    assert capfdbinary.readouterr().out == out.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (FileNotFoundError(2, "No such file or directory", "x.mp4"), "cannot read x.mp4: No such file"),
+        (SourceError("x.mp4: not a video"), "x.mp4: not a video"),
+    ],
+)
+def test_a_file_that_cannot_be_read(error: OSError, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    FakeGrabber.error = error
+    assert main(["grab", "--camera", "lobby", "x.mp4", "--out", "-"]) == 66
+    out, err = capsys.readouterr()
+    assert (out, said in err) == ("", True)
+    assert FakeGrabber.made[0].closed
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["x.mp4"],
+        [],
+        ["--camera", "a b", "x"],
+        ["--camera", "lobby"],
+        ["--camera", "a", "x", "--speed", "0"],
+        ["--out", "-"],
+    ],
+)
+def test_usage(arguments: list[str]) -> None:
+    assert main(["grab", *arguments]) == 2
+
+
+def test_an_output_that_cannot_be_written(tmp_path: Path) -> None:
+    assert main(["grab", "--camera", "lobby", "x", "--out", str(tmp_path / "none" / "e")]) == 1
+
+
+def test_no_bus_and_no_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n')
+    grab = ["--config", str(config), "grab", "--camera", "lobby", "x.mp4", "--state"]
+    assert main([*grab, str(tmp_path)]) == 69
+    assert "is `camtopod run` running there?" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert main([*grab, str(tmp_path / "file" / "state")]) == 74
+    assert "cannot write the state directory" in capsys.readouterr().err
+
+
+def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> None:
+    with Daemon(small_config(tmp_path / "daemon")) as daemon:
+        client = buses.dial(small_config(tmp_path, daemon.endpoint))
+        said: list[dict[str, Any]] = []
+        client.subscribe("status/lobby", lambda key, raw: said.append(msgspec.msgpack.decode(raw)))
+        arguments = [
+            "--connect",
+            daemon.endpoint,
+            "grab",
+            "--camera",
+            "lobby",
+            "x.mp4",
+            "--state",
+            str(tmp_path),
+        ]
+        assert main(arguments) == 0
+        assert daemon.status()["events"]["stored"] == len(EVENTS)
+        wait_for(lambda: bool(said) and said[-1]["state"] == "ended", "the last status")
+        assert (said[-1]["frames"], said[-1]["published"], said[-1]["camera"]) == (7, len(EVENTS), "lobby")
+        assert main(arguments) == 0
+        assert daemon.status()["events"]["stored"] == 2 * len(EVENTS), "the spool's count goes on"
+        client.close()
+
+
+def test_without_a_daemon_events_wait_in_the_spool(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("camtopod.cli.grab.DRAIN_SECONDS", 0.1)
+    meeting = buses.meet(small_config(tmp_path))
+    arguments = [
+        "--connect",
+        meeting.endpoint,
+        "grab",
+        "--camera",
+        "lobby",
+        "x.mp4",
+        "--state",
+        str(tmp_path),
+    ]
+    assert main(arguments) == 1
+    assert (
+        "20 events are not acknowledged: is `camtopod run` running for site site?" in capsys.readouterr().err
+    )
+    with Daemon(small_config(tmp_path / "daemon"), meeting) as daemon:
+        monkeypatch.setattr("camtopod.cli.grab.DRAIN_SECONDS", serving.WAIT_SECONDS)
+        assert main(arguments) == 0
+        assert daemon.status()["events"]["stored"] == 2 * len(EVENTS)
+    meeting.close()
+
+
+def test_a_live_source_goes_on_while_the_bus_is_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The daemon comes only after the first events; a stream does not wait for it."""
+    config = small_config(tmp_path / "daemon")
+    bus = buses.meet(config)
+    endpoint = bus.endpoint
+    bus.close()
+    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, listen=(endpoint,)))
+    daemon = Daemon(config)
+    count = 0
+
+    def between() -> None:
+        nonlocal count
+        count += 1
+        if count == 10:
+            daemon.start()
+        if count == 19:
+            wait_for(
+                lambda: daemon.status()["events"]["stored"] >= 10, "the events of before, from the spool"
+            )
+
+    monkeypatch.setattr(FakeGrabber, "between", staticmethod(between))
+    path = tmp_path / "c.toml"
+    path.write_text(
+        f'[bus]\nconnect = ["{endpoint}"]\nconnect_seconds = 0.2\n[cameras.lobby]\nsource = "rtsp://h/x"\n'
+    )
+    assert main(["--config", str(path), "grab", "--camera", "lobby", "--state", str(tmp_path)]) == 0
+    assert daemon.status()["events"]["stored"] == len(EVENTS)
+    assert FakeGrabber.made[0].source == "rtsp://h/x"
+    daemon.stop()
+
+
+# --- many cameras ---------------------------------------------------------------------------------
+
+
+def supervised(**given: Any) -> argparse.Namespace:
+    names = {"config": Path("c.toml"), "site": None, "connect": [], "log_format": "json", "state": None}
+    return argparse.Namespace(**{**names, "start": None, "speed": None, "realtime": None, **given})
+
+
+def test_a_camera_s_command_line_has_no_source_in_it() -> None:
+    args = supervised(site="hq", connect=["tcp/h:1"], state="/s", realtime=True, speed=2.0)
+    line = supervise.command("lobby", args)
+    text = " ".join(line)
+    assert "--config c.toml --log-format json --site hq --connect tcp/h:1 grab --camera lobby" in text
+    assert text.endswith("--state /s --speed 2.0 --realtime")
+
+
+def test_backoff_grows_has_jitter_and_starts_anew_after_a_steady_run() -> None:
+    waits, backoff = [], supervise.BACKOFF_MIN_SECONDS
+    for _ in range(10):
+        wait, backoff = supervise.backoff_after(backoff, 0.5, chance=lambda: 0.5)
+        waits.append(wait)
+    assert waits == [1, 2, 4, 8, 16, 32, 60, 60, 60, 60]
+    assert supervise.backoff_after(60.0, 61.0, chance=lambda: 0.0) == (0.5, 2.0)
+    assert supervise.backoff_after(8.0, 1.0, chance=lambda: 1.0)[0] == 12.0
+
+
+def test_a_camera_that_fails_is_started_again_and_harms_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """good ends at once; flaky fails twice and then ends; hopeless cannot be helped."""
+    script = (
+        "import pathlib, sys; path = pathlib.Path(sys.argv[1]); path.open('a').write('x')\n"
+        "sys.exit({'good': 0, 'hopeless': 78}.get(path.name, 0 if len(path.read_text()) > 2 else 1))"
+    )
+    monkeypatch.setattr(
+        supervise, "command", lambda camera, args: [sys.executable, "-c", script, str(tmp_path / camera)]
+    )
+    monkeypatch.setattr(supervise, "backoff_after", lambda backoff, ran: (0.01, backoff))
+    cameras = {name: CameraSettings("x") for name in ("good", "flaky", "hopeless")}
+    assert supervise.supervise(supervised(), Config(cameras=cameras)) == 78
+    assert {name: len((tmp_path / name).read_text()) for name in cameras} == {
+        "good": 1,
+        "flaky": 3,
+        "hopeless": 1,
+    }
+
+
+def test_a_signal_ends_every_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = "import sys, time, pathlib; pathlib.Path(sys.argv[1]).write_text('x'); time.sleep(60)"
+    monkeypatch.setattr(
+        supervise, "command", lambda camera, args: [sys.executable, "-c", script, str(tmp_path / camera)]
+    )
+    stop = threading.Event()
+
+    class UntilStop:
+        def __enter__(self) -> threading.Event:
+            return stop
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+    monkeypatch.setattr(supervise, "until_signal", UntilStop)
+
+    def when_running() -> None:
+        wait_for(lambda: all((tmp_path / name).exists() for name in "ab"), "both processes")
+        stop.set()
+
+    threading.Thread(target=when_running).start()
+    assert (
+        supervise.supervise(supervised(), Config(cameras={name: CameraSettings("x") for name in "ab"})) == 0
+    )
+
+
+def test_ingest_counts_bad_lines_with_file_and_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "e.jsonl"
+    lines = [json.dumps({"camera": "lobby", "kind": "entry", "t": T0 + n}) for n in range(5)]
+    lines[1:1] = ['{"camera":"lobby","kind":"entry"}', "", "nonsense rtsp://u:p@ss@h", "more nonsense"]
+    path.write_text("\n".join(lines))
+    with Daemon(small_config(tmp_path / "daemon")) as daemon:
+        assert (
+            main(["--connect", daemon.endpoint, "ingest", "jsonl", str(path), "--state", str(tmp_path)]) == 0
+        )
+        assert daemon.status()["events"]["stored"] == 5
+    err = capsys.readouterr().err
+    assert f"{path}:2: " in err
+    assert f"{path}:4: " in err
+    assert f"{path}:5: " not in err, "one of a kind is enough"
+    assert "p@ss" not in err
+    assert "3 of 8 lines changed nothing: bad-value 1, malformed 2" in err
+    assert main(["ingest", "jsonl", str(tmp_path / "none")]) == 66

@@ -1,0 +1,256 @@
+"""The dispatcher: commands, common options, exit statuses, and no traceback for what can be expected."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import re
+import subprocess
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import pytest
+from serving import camtopod
+
+from camtopod import config
+from camtopod.cli import exits, main
+from camtopod.cli.common import configuration, start_logging
+from camtopod.cli.exits import CommandError, InputError
+from camtopod.serve.bus import BusError
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
+    """A command ``probe`` which keeps its arguments and does what ``act`` says."""
+    module = types.ModuleType("camtopod.cli.probe")
+    module.seen = []  # type: ignore[attr-defined]
+    module.act = lambda args: 0  # type: ignore[attr-defined]
+
+    def add_parser(subparsers: Any) -> None:
+        subparsers.add_parser("probe").add_argument("word", nargs="?")
+
+    def run(args: argparse.Namespace) -> int:
+        module.seen.append(args)
+        return int(module.act(args))
+
+    module.add_parser, module.run = add_parser, run  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "camtopod.cli.probe", module)
+    monkeypatch.setitem(main.COMMANDS, "probe", ("camtopod.cli.probe", "for this test"))
+    return module
+
+
+def test_help_names_every_command_and_is_quick_to_load(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main(["--help"])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    for name in main.COMMANDS:
+        assert re.search(rf"(?m)^    {name}\b", out)
+    script = (
+        "import sys; sys.argv = ['camtopod', '--help']\n"
+        "from camtopod.cli.main import main\n"
+        "try: main()\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'cv2', 'zenoh', 'sqlite3', 'msgspec'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    subprocess.run(
+        [sys.executable, "-c", script],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        cwd=Path(__file__).parent.parent,
+    )
+
+
+@pytest.mark.parametrize("name", list(main.COMMANDS))
+def test_every_command_has_its_own_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main([name, "--help"])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    assert f"camtopod {name}" in out
+    assert "--connect ENDPOINT" in out
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["nonsense"], ["probe", "--nonsense"], ["--log-format", "xml", "probe"]]
+)
+def test_usage(arguments: list[str], command: types.ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main(arguments)
+    assert caught.value.code == exits.USAGE
+    assert capsys.readouterr().out == ""
+
+
+def test_common_options_stand_before_or_after_the_command(command: types.ModuleType) -> None:
+    options = ["--site", "hq", "--connect", "tcp/a:1", "--connect", "tcp/b:2", "--log-format", "json"]
+    assert main.main([*options, "probe", "w"]) == 0
+    assert main.main(["probe", "w", *options]) == 0
+    assert main.main(["--site", "hq", "probe", "w"]) == 0
+    before, after, few = command.seen
+    assert vars(before) == vars(after)
+    assert (before.site, before.connect, before.log_format, before.word) == (
+        "hq",
+        ["tcp/a:1", "tcp/b:2"],
+        "json",
+        "w",
+    )
+    assert (few.config, few.connect, few.log_format) == (None, [], "text")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "said"),
+    [
+        (CommandError("no good"), 1, "no good"),
+        (InputError("cannot read x"), 66, "cannot read x"),
+        (CommandError("no bus", exits.BUS), 69, "no bus"),
+        (
+            FileNotFoundError(2, "No such file or directory", "x.jsonl"),
+            66,
+            "cannot read x.jsonl: No such file",
+        ),
+        (OSError("rtsp://a:p@ss@h failed"), 1, "rtsp://***@h failed"),
+        (KeyboardInterrupt(), 1, "interrupted"),
+        (BrokenPipeError(), 1, ""),
+    ],
+)
+def test_expected_errors_become_statuses(
+    error: BaseException, status: int, said: str, command: types.ModuleType,
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    def fail(args: argparse.Namespace) -> int:
+        raise error
+
+    command.act = fail  # type: ignore[attr-defined]
+    monkeypatch.setattr(main.os, "dup2", lambda *given: None)
+    assert main.main(["probe"]) == status
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert said in err
+    assert "Traceback" not in err
+
+
+def test_what_nobody_expects_is_not_hidden(command: types.ModuleType) -> None:
+    command.act = lambda args: 1 // 0  # type: ignore[attr-defined]
+    with pytest.raises(ZeroDivisionError):
+        main.main(["probe"])
+
+
+def test_a_package_that_is_missing_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(main.COMMANDS, "probe", ("camtopod.cli.none_such", ""))
+    assert main.main(["probe"]) == 1
+    monkeypatch.setitem(sys.modules, "zenoh", None)
+    monkeypatch.delitem(sys.modules, "camtopod.serve.bus", raising=False)
+    for module in ("run", "watch", "ingest"):
+        monkeypatch.delitem(sys.modules, f"camtopod.cli.{module}", raising=False)
+    monkeypatch.delitem(sys.modules, "camtopod.serve.daemon", raising=False)
+    assert main.main(["run"]) == 1
+    assert "run needs the package 'zenoh', which is not installed" in capsys.readouterr().err
+
+
+def test_a_reader_that_goes_away_is_no_error_message() -> None:
+    process = camtopod("check", "--example", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (1, b"")
+
+
+# --- check, and the configuration with the common options on top ----------------------------------
+
+
+def test_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good, bad = tmp_path / "good.toml", tmp_path / "bad.toml"
+    good.write_text('[site]\nname = "hq"\n')
+    bad.write_text('[site]\nnmae = "hq"\n[learn]\nwindow_hours = "x"\n')
+    assert main.main(["check", str(good)]) == 0
+    assert main.main(["--config", str(good), "check"]) == 0
+    assert capsys.readouterr().out == ""
+    assert main.main(["check", str(bad)]) == 78
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines() == [
+        f"{bad}:2: site.nmae: no such key; did you mean 'name'?",
+        f"{bad}:4: learn.window_hours: expected a number, got a string",
+    ]
+    assert main.main(["check", str(tmp_path / "none.toml")]) == 66
+    assert main.main(["check"]) == 2
+    capsys.readouterr()
+    assert main.main(["check", "--example"]) == 0
+    config.parse(capsys.readouterr().out)
+
+
+def arguments(**given: Any) -> argparse.Namespace:
+    return argparse.Namespace(**{"config": None, "site": None, "connect": [], "log_format": "text", **given})
+
+
+def test_the_command_line_is_on_top_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('[site]\nname = "hq"\n[bus]\nlisten = ["tcp/0.0.0.0:7000"]\n[state]\ndirectory = "/x"\n')
+    assert configuration(arguments(config=path)).site.name == "hq"
+    loaded = configuration(arguments(config=path, site="lab", connect=["tcp/h:1"], state="/y"))
+    assert (loaded.site.name, loaded.dials, loaded.listens) == ("lab", ("tcp/h:1",), ())
+    assert loaded.state_directory == Path("/y")
+    assert configuration(arguments()) == config.Config()
+
+
+@pytest.mark.parametrize(
+    ("given", "status"),
+    [
+        ({"site": "a/b"}, 2),
+        ({"connect": ["localhost"]}, 2),
+        ({"config": Path("/nonexistent/c.toml")}, 66),
+        ({"config": Path(__file__)}, 78),
+    ],
+)
+def test_a_wrong_common_option(given: dict[str, Any], status: int) -> None:
+    with pytest.raises(CommandError) as caught:
+        configuration(arguments(**given))
+    assert caught.value.status == status
+
+
+def test_where_the_state_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", "/home/someone")
+    assert config.Config().state_directory == Path("/home/someone/.local/state/camtopod")
+    monkeypatch.setenv("XDG_STATE_HOME", "/xdg")
+    assert config.Config().state_directory == Path("/xdg/camtopod")
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/camtopod")
+    assert config.Config().state_directory == Path("/var/lib/camtopod")
+    assert config.parse('[state]\ndirectory = "~/x"').state_directory == Path("/home/someone/x")
+
+
+# --- logs -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def _root_logger() -> Any:
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:], root.level = handlers, level
+
+
+@pytest.mark.usefixtures("_root_logger")
+@pytest.mark.parametrize("form", main.LOG_FORMATS)
+def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+    start_logging(arguments(log_format=form))
+    logging.getLogger("camtopod.serve.x").warning('says "%s"', "no")
+    line = capsys.readouterr().err.rstrip("\n")
+    if form == "text":
+        assert line == 'warning: says "no"'
+    elif form == "json":
+        record = json.loads(line)
+        assert (record["level"], record["from"], record["message"]) == ("warning", "serve.x", 'says "no"')
+        assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", record["t"])
+    else:
+        assert re.fullmatch(r't=\S+Z level=warning from=serve\.x message="says \\"no\\""', line)
+
+
+def test_the_bus_s_error_is_an_expected_one() -> None:
+    assert issubclass(BusError, OSError)
