@@ -8,11 +8,12 @@ arrival among its candidates:
 * the *hazard* ``h[u, v](lag)`` is the rate at which an object that left zone u appears next at zone v, per second, per
   departure whose lag bin was exposed (its window is over; for a negative lag: its passage had begun);
 * the *background* of zone v is a share of the local rate of arrivals there, so that a rhythm common to all zones (day and
-  night) explains itself and makes no links.
+  night) explains itself and makes no links;
+* *slowness* through a view foretells slowness on the way and in the next view, as far as the site shows that it does.
 
-The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses and clutter
-(Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep an iteration; the M step counts. Related: Marinakis and Dudek
-(2005) sample what is summed here.
+The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses and clutter (Williams
+and Lau, IEEE Trans. AES 50(4), 2014), one sweep an iteration, each candidate judged by the hazard that the others make
+(leave one out). The M step counts. Related: Marinakis and Dudek (2005) sample what is summed here.
 """
 
 from __future__ import annotations
@@ -22,51 +23,38 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.rates import chance_rates
-from camtopod.learn.slowness import NO_PERSISTENCE, adjusted_lag, agreement, combined, persistence
+from camtopod.learn.slowness import NO_PERSISTENCE, Persistence, adjusted_lag, agreement, combined, persistence
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 LEAVE_FLOOR = 0.02
 """An object is never surer than this to be seen again."""
-PAIR_TABLE_MAX = 20_000_000
-"""Largest dense table from (zone, zone) to candidate pair, entries."""
-
-
-class Departures(NamedTuple):
-    """Objects leaving, by time: ``t`` seconds, ``zone``, ``camera``, ``since`` when the passage began (-inf: unknown), and
-    its log slowness (nan: unknown)."""
-
-    t: Floats
-    zone: Ints
-    camera: Ints
-    since: Floats
-    slow: Floats
-
-
-class Arrivals(NamedTuple):
-    """Objects appearing, by time: ``t`` seconds, ``zone``, ``camera``, the local rate of arrivals there (1/s), and the log
-    slowness of the passage that begins (nan: unknown)."""
-
-    t: Floats
-    zone: Ints
-    camera: Ints
-    rate: Floats
-    slow: Floats
-
-
-class Candidates(NamedTuple):
-    """Every (departure, arrival) that may be one object, in order of arrival: indices (M,), and the pairs of zones (P,)."""
-
-    departure: Ints
-    arrival: Ints
-    pair: Ints
-    bin: Ints
-    lag: Floats
-    source: Ints
-    target: Ints
+OUTSIDE_FLOOR = 0.01
+START_NOISE_SD = 2.0
+START_FLOOR = 0.002
+"""Share of a pair's own histogram that it starts with even where nothing exceeds chance."""
+ITERATIONS = 6
+"""EM iterations a round; speed is looked at between rounds."""
+ROUNDS_MAX = 5
+SETTLED = 0.03
+"""Rounds end when what speed tells changes by less than this."""
+STRIDE = 1.8
+"""Steps are longer than EM's own by this much (on the log scale; convergent below 2), as EM creeps here."""
+STRIDE_RATIO_MAX = 4.0
+SETTLING_ITERATIONS = 3
+"""The last iterations of a round take EM's own steps."""
+SPARSITY = 1.0
+"""Most pairs of zones are not linked: their totals have a sparse prior (a Gamma with shape 0), which takes one transition
+off each. Left out, thousands of pairs share the arrivals that come from outside among them."""
+FOLLOWED_TRANSITIONS_MIN = 0.05
+"""A pair of zones with fewer expected transitions is not followed in later rounds."""
+UNSPARING_ROUNDS = 2
+"""The first rounds do without, while weak links are still taking shape."""
+SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
+"""(at least this many expected transitions, smooth by this many bins)."""
 
 
 class Fit(NamedTuple):
@@ -82,50 +70,170 @@ class Fit(NamedTuple):
     """(M,) hazard of the pair of zones if it did not depend on the lag, over the hazard."""
     outside: Floats
     """(zones,) share of the local rate of arrivals that no departure explains."""
-    background: Floats
-    """(arrivals,) rate of arrivals from outside at each arrival, 1/s."""
-    exposure: Floats
-    """(zones, bins) departures that were exposed in the bin."""
+    candidates: Candidates
+    """The candidates still followed, to which ``responsibility`` and the pairs belong."""
+    persistence: Persistence
 
 
-def find_candidates(
-    departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, candidates_max: int
-) -> Candidates:
-    """All departures within the lag range of each arrival; the oldest arrivals are left out beyond ``candidates_max``."""
-    low = np.searchsorted(departures.t, arrivals.t - bins.lag_max, side="left")
-    high = np.searchsorted(departures.t, arrivals.t - bins.lag_min, side="right")
-    count = high - low
-    beyond = np.cumsum(count[::-1])[::-1] > candidates_max
-    count = np.where(beyond, 0, count)
-    arrival = np.repeat(np.arange(len(count)), count)
-    departure = np.arange(len(arrival)) + np.repeat(low - (np.cumsum(count) - count), count)
-    lag = arrivals.t[arrival] - departures.t[departure]
-    index = bins.index(lag)
-    # A negative lag means two views at once: another camera, and the passage had begun.
-    ahead = (departures.camera[departure] != arrivals.camera[arrival]) & (
-        arrivals.t[arrival] > departures.since[departure]
-    )
-    keep = np.flatnonzero((index >= 0) & ((lag > 0) | ahead))
-    arrival, departure, lag, index = arrival[keep], departure[keep], lag[keep], index[keep]
-    key = departures.zone[departure].astype(np.int64) * zones + arrivals.zone[arrival]
-    pair, present = _number_pairs(key, zones)
-    return Candidates(
-        departure.astype(np.int32), arrival.astype(np.int32), pair, index, lag,
-        (present // max(zones, 1)).astype(np.int32), (present % max(zones, 1)).astype(np.int32),
-    )  # fmt: skip
+def fit_jointly(
+    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
+    known: tuple[Floats, Persistence] | None = None,
+) -> Fit:  # fmt: skip
+    """The joint fit of everything that left and came up to ``until`` (seconds).
+
+    ``known``: hazards (P, bins; rows of zeros where unknown) and persistence of an earlier fit to go on from.
+    """
+    fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
+    if known is None:
+        fit = fitter.run(fitter.start())
+    else:
+        fitter.use(known[1])
+        fit = fitter.run(np.maximum(known[0], START_FLOOR * fitter.start()))
+    for done in range(1 if known is None else UNSPARING_ROUNDS, ROUNDS_MAX):
+        before = fitter.persistence
+        if done >= UNSPARING_ROUNDS:
+            fitter.sparsity = SPARSITY
+        fit = fitter.run(fitter.use_slowness(fit))
+        change = max(abs(now - then) for now, then in zip(fitter.persistence, before, strict=True))
+        if fitter.sparsity and change < SETTLED:
+            break
+        if fitter.sparsity:
+            fit = fitter.prune(fit)
+    return fit
 
 
-def _number_pairs(key: NDArray[np.int64], zones: int) -> tuple[Ints, NDArray[np.int64]]:
-    """Consecutive numbers for the pairs of zones that occur, and their keys."""
-    if zones * zones > PAIR_TABLE_MAX:
-        present, number = np.unique(key, return_inverse=True)
-        return number.astype(np.int32), present
-    seen = np.zeros(zones * zones, bool)
-    seen[key] = True
-    present = np.flatnonzero(seen)
-    table = np.zeros(zones * zones, np.int32)
-    table[present] = np.arange(len(present), dtype=np.int32)
-    return table[key], present
+class JointFitter:
+    """The fit in progress: what does not change from one iteration to the next, and the messages between them."""
+
+    def __init__(
+        self, departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins,
+        zones: int, until: float,
+    ) -> None:  # fmt: skip
+        self.bins, self.zones = bins, zones
+        self.candidates, self.departures, self.arrivals = candidates, departures, arrivals
+        self.exposure = exposures(departures, bins, zones, until)
+        self.sparsity = 0.0
+        self.persistence = NO_PERSISTENCE
+        self.outside = np.full(zones, 0.5)
+        self._per_zone = np.maximum(np.bincount(arrivals.zone, minlength=zones), 1.0)
+        self._message = np.ones(len(candidates.lag))
+        self._responsibility = np.zeros(len(candidates.lag))
+        self._own = np.zeros(self.pairs * bins.size)
+        self.use(NO_PERSISTENCE)
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs of zones followed, P."""
+        return len(self.candidates.source)
+
+    def start(self) -> Floats:
+        """First hazards (P, bins): what exceeds chance in each pair's own histogram."""
+        seen = self._count(np.ones(len(self.candidates.lag)))
+        exposed = self.exposure[self.candidates.source] * self.bins.widths
+        left, came = self.departures, self.arrivals
+        rates = chance_rates(left.t, left.zone, came.t, came.zone, self.zones)
+        chance = rates[self.candidates.source, self.candidates.target][:, None] * exposed
+        above = np.maximum(excess(seen, chance, self.bins, START_NOISE_SD), START_FLOOR * seen)
+        return above / np.maximum(exposed, self.bins.widths)
+
+    def run(self, hazard: Floats) -> Fit:
+        """One round of EM from the given hazards (P, bins)."""
+        for iteration in range(ITERATIONS):
+            responsibility = self._expect(hazard)
+            counts = self._count(responsibility)
+            explained = np.bincount(self.candidates.arrival, responsibility, minlength=len(self.arrivals.t))
+            per_zone = np.bincount(self.arrivals.zone, explained, minlength=self.zones)
+            self.outside = np.clip(1.0 - per_zone / self._per_zone, OUTSIDE_FLOOR, 1.0)
+            fresh = self._hazards(counts)
+            stride = STRIDE if iteration < ITERATIONS - SETTLING_ITERATIONS else 1.0
+            ratio = np.minimum(fresh / np.maximum(hazard, 1e-300), STRIDE_RATIO_MAX)
+            hazard = fresh * ratio ** (stride - 1.0)
+        flat = self._flatness(hazard)
+        return Fit(hazard, counts, responsibility, flat, self.outside, self.candidates, self.persistence)
+
+    def use_slowness(self, fit: Fit) -> Floats:
+        """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins).
+
+        What is sure is judged without looking at whether the slownesses agree, else agreement would breed itself.
+        """
+        self._agreement = np.ones(len(self.candidates.lag))
+        plain = self._expect(fit.hazard)
+        left, came = self._slownesses()
+        self.use(persistence(left, came, self.candidates.lag, self.candidates.pair, plain))
+        return self._hazards(self._count(fit.responsibility))
+
+    def use(self, found: Persistence) -> None:
+        """Adjust lags and weigh candidates by what speed tells."""
+        c, (left, came) = self.candidates, self._slownesses()
+        self.persistence = found
+        lag = adjusted_lag(c.lag, combined(left, came), found.scaling, self.bins)
+        self._cell = c.pair.astype(np.int64) * self.bins.size + self.bins.index(lag)
+        self._agreement = agreement(left, came, found)
+
+    def _slownesses(self) -> tuple[Floats, Floats]:
+        """Slowness before and after of each candidate (M,)."""
+        return self.departures.slow[self.candidates.departure], self.arrivals.slow[self.candidates.arrival]
+
+    def prune(self, fit: Fit) -> Fit:
+        """Follow only the pairs of zones that have any transitions left."""
+        c = self.candidates
+        alive = fit.counts.sum(axis=1) > FOLLOWED_TRANSITIONS_MIN
+        kept = np.flatnonzero(alive[c.pair])
+        number = np.cumsum(alive, dtype=np.int32) - 1
+        self.candidates = Candidates(
+            c.departure[kept], c.arrival[kept], number[c.pair[kept]], c.lag[kept], c.source[alive], c.target[alive]
+        )
+        self._message, self._responsibility = self._message[kept], self._responsibility[kept]
+        self.use(self.persistence)
+        self._own = self._own.reshape(-1, self.bins.size)[alive].ravel()
+        return Fit(
+            fit.hazard[alive], fit.counts[alive], fit.responsibility[kept], fit.flat[kept], fit.outside,
+            self.candidates, self.persistence,
+        )  # fmt: skip
+
+    def _expect(self, hazard: Floats) -> Floats:
+        """E step: responsibilities (M,)."""
+        c = self.candidates
+        background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
+        # Leave one out: left in, a lone arrival would be its own evidence and all clutter would find a departure.
+        others = np.maximum(1.0 - self._responsibility * self._own[self._cell], 0.0)
+        weight = hazard.ravel()[self._cell] * others * self._agreement
+        again = np.bincount(c.source, self._appears(hazard), minlength=self.zones)
+        leave = np.maximum(1.0 - again, LEAVE_FLOOR)[self.departures.zone]
+        taken = weight * self._message
+        free = (leave + np.bincount(c.departure, taken, minlength=len(leave)))[c.departure] - taken
+        offer = weight / free
+        demand = (background + np.bincount(c.arrival, offer, minlength=len(background)))[c.arrival]
+        self._message = 1.0 / np.maximum(demand - offer, 1e-12)
+        self._responsibility = offer / demand
+        return self._responsibility
+
+    def _count(self, responsibility: Floats) -> Floats:
+        """Expected transitions (P, bins)."""
+        flat = np.bincount(self._cell, responsibility, minlength=self.pairs * self.bins.size)
+        return flat.reshape(self.pairs, self.bins.size)
+
+    def _hazards(self, counts: Floats) -> Floats:
+        """M step: counts over exposure, smoothed, per second, (P, bins)."""
+        total = counts.sum(axis=1, keepdims=True)
+        kept = np.maximum(total - self.sparsity, 1e-3 * total) / np.maximum(total, 1e-300)
+        smoothed, stays = smooth(counts * kept)
+        self._own = np.repeat(stays, self.bins.size) / np.maximum(smoothed.ravel(), 1e-300)
+        exposed = self.exposure[self.candidates.source]
+        return smoothed / (np.maximum(exposed, 1.0) * self.bins.widths)
+
+    def _appears(self, hazard: Floats) -> Floats:
+        """Probability (P,) that an object leaving at the source appears next at the target."""
+        n = np.maximum(self.exposure.max(axis=1, keepdims=True), 1.0)
+        share = np.where(self.bins.edges[1:] > 0, 1.0, self.exposure / n)[self.candidates.source]
+        total: Floats = (hazard * self.bins.widths * share).sum(axis=1)
+        return total
+
+    def _flatness(self, hazard: Floats) -> Floats:
+        """Hazard without its dependence on the lag over the hazard, of each candidate (M,)."""
+        even = (hazard * self.bins.widths).sum(axis=1) / self.bins.widths.sum()
+        flat: Floats = even[self.candidates.pair] / np.maximum(hazard.ravel()[self._cell], 1e-300)
+        return flat
 
 
 def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
@@ -136,32 +244,15 @@ def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -
     """
     exposed = np.zeros((zones, bins.size))
     ahead = bins.edges[1:] <= 0
-    stay = departures.t - departures.since
-    left = until - departures.t
-    for zone in range(zones):
-        here = departures.zone == zone
-        sorted_left = np.sort(left[here])
-        sorted_stay = np.sort(stay[here])
-        n = len(sorted_left)
-        exposed[zone] = np.where(
-            ahead,
-            n - np.searchsorted(sorted_stay, -bins.centres, side="left"),
-            n - np.searchsorted(sorted_left, bins.edges[1:], side="left"),
-        )
+    order = np.argsort(departures.zone, kind="stable")
+    starts = np.cumsum(np.bincount(departures.zone, minlength=zones))[:-1]
+    for zone, here in enumerate(np.split(order, starts)):
+        stay = np.sort(departures.t[here] - departures.since[here])
+        left = np.sort(until - departures.t[here])
+        begun = np.searchsorted(stay, -bins.centres, side="left")
+        over = np.searchsorted(left, bins.edges[1:], side="left")
+        exposed[zone] = len(here) - np.where(ahead, begun, over)
     return exposed
-
-
-START_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
-START_NOISE_SD = 2.0
-STRIDE = 1.8
-"""Steps are longer than EM's own by this much (on the log scale; convergent below 2), as EM creeps here."""
-SETTLING_ITERATIONS = 3
-"""The last iterations take EM's own steps."""
-START_FLOOR = 0.002
-"""Share of a pair's own histogram that it starts with even where nothing exceeds chance."""
-
-SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
-"""(at least this many expected transitions, smooth by this many bins)."""
 
 
 def smooth(counts: Floats) -> tuple[Floats, Floats]:
@@ -179,117 +270,3 @@ def smooth(counts: Floats) -> tuple[Floats, Floats]:
             result[rows] = counts[rows] @ spread.T
             stays[rows] = spread[size // 2, size // 2]
     return result, stays
-
-
-class JointFitter:
-    """One run of the fit: holds the arrays that do not change from one iteration to the next."""
-
-    def __init__(
-        self, departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins,
-        zones: int, until: float,
-    ) -> None:  # fmt: skip
-        self.bins, self.zones = bins, zones
-        self.candidates, self.departures, self.arrivals = candidates, departures, arrivals
-        self.exposure = exposures(departures, bins, zones, until)
-        self.cell = candidates.pair.astype(np.int64) * bins.size + candidates.bin
-        self.agreement = np.ones(len(candidates.arrival))
-        self.pairs = len(candidates.source)
-        self.per_zone = np.bincount(arrivals.zone, minlength=zones).astype(float)
-        self.outside = np.full(zones, 0.5)
-        self.persistence = NO_PERSISTENCE
-        self.message = np.ones(len(candidates.arrival))
-        self.responsibility = np.zeros(len(candidates.arrival))
-        self.own = np.zeros(self.pairs * bins.size)
-
-    def use_slowness(self, responsibility: Floats) -> Floats:
-        """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins)."""
-        c = self.candidates
-        left, came = self.departures.slow[c.departure], self.arrivals.slow[c.arrival]
-        found = persistence(left, came, c.lag, c.pair, responsibility)
-        self.persistence = found
-        lag = adjusted_lag(c.lag, combined(left, came), found.scaling, self.bins)
-        self.cell = c.pair.astype(np.int64) * self.bins.size + self.bins.index(lag)
-        self.agreement = agreement(left, came, found)
-        return self.hazards(self.count(responsibility))
-
-    def start(self) -> Floats:
-        """First hazards: what exceeds chance in each pair's own histogram (cross-correlation, Makris et al. 2004)."""
-        seen = self.count(np.ones(len(self.candidates.arrival)))
-        exposed = self.exposure[self.candidates.source] * self.bins.widths
-        left, came = self.departures, self.arrivals
-        by_chance = chance_rates(left.t, left.zone, came.t, came.zone, self.zones)
-        chance = by_chance[self.candidates.source, self.candidates.target][:, None] * exposed
-        excess = START_FLOOR * seen
-        for sd_bins in START_SMOOTHING_SD_BINS:
-            flat = smoother(self.bins.size, sd_bins)
-            noise = np.sqrt(np.maximum(chance, 0.5) @ (flat**2).T)
-            excess = np.maximum(excess, (seen - chance) @ flat.T - START_NOISE_SD * noise)
-        return excess / np.maximum(exposed, self.bins.widths)
-
-    def count(self, responsibility: Floats) -> Floats:
-        """Expected transitions (P, bins)."""
-        flat = np.bincount(self.cell, responsibility, minlength=self.pairs * self.bins.size)
-        return flat.reshape(self.pairs, self.bins.size)
-
-    def hazards(self, counts: Floats) -> Floats:
-        """Counts over exposure, smoothed, per second: (P, bins)."""
-        exposed = self.exposure[self.candidates.source]
-        smoothed, stays = smooth(counts)
-        self.own = np.repeat(stays, self.bins.size) / np.maximum(smoothed.ravel(), 1e-300)
-        return smoothed / (np.maximum(exposed, 1.0) * self.bins.widths)
-
-    def appears(self, hazard: Floats) -> Floats:
-        """Probability (P,) that an object leaving at the source appears next at the target."""
-        n = np.maximum(self.exposure.max(axis=1, keepdims=True), 1.0)
-        share = (self.exposure / n)[self.candidates.source]
-        share[:, self.bins.edges[1:] > 0] = 1.0
-        total: Floats = (hazard * self.bins.widths * share).sum(axis=1)
-        return total
-
-    def expect(self, hazard: Floats) -> tuple[Floats, Floats]:
-        """E step: responsibilities (M,) and background rates (arrivals,)."""
-        c = self.candidates
-        background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
-        weight = hazard.ravel()[self.cell] * self.others() * self.agreement
-        seen_again = np.bincount(c.source, self.appears(hazard), minlength=self.zones)
-        leave = np.maximum(1.0 - seen_again, LEAVE_FLOOR)[self.departures.zone]
-        taken = weight * self.message
-        free = (leave + np.bincount(c.departure, taken, minlength=len(leave)))[c.departure] - taken
-        offer = weight / free
-        demand = (background + np.bincount(c.arrival, offer, minlength=len(background)))[c.arrival]
-        self.message = 1.0 / np.maximum(demand - offer, 1e-12)
-        self.responsibility = offer / demand
-        return self.responsibility, background
-
-    def others(self) -> Floats:
-        """Share (M,) of each candidate's hazard that does not come from the candidate itself.
-
-        Left in, a lone arrival would be its own evidence, and every piece of clutter would find a departure to belong to.
-        """
-        share: Floats = np.maximum(1.0 - self.responsibility * self.own[self.cell], 0.0)
-        return share
-
-    def run(self, iterations: int, hazard: Floats | None = None, outside: Floats | None = None) -> Fit:
-        """EM from the given hazards (P, bins) and outside shares (zones,), or from an even start."""
-        hazard = self.start() if hazard is None else hazard
-        if outside is not None:
-            self.outside = outside
-        for iteration in range(iterations):
-            responsibility, background = self.expect(hazard)
-            counts = self.count(responsibility)
-            explained = np.bincount(self.arrivals.zone, self.explained(responsibility), minlength=self.zones)
-            self.outside = np.clip(1.0 - explained / np.maximum(self.per_zone, 1.0), 0.01, 1.0)
-            fresh = self.hazards(counts)
-            stride = STRIDE if iteration < iterations - SETTLING_ITERATIONS else 1.0
-            hazard = fresh * (fresh / np.maximum(hazard, 1e-300)) ** (stride - 1.0)
-        return Fit(hazard, counts, responsibility, self.flatness(hazard), self.outside, background, self.exposure)
-
-    def flatness(self, hazard: Floats) -> Floats:
-        """Hazard without its dependence on the lag over the hazard, of each candidate (M,)."""
-        even = (hazard * self.bins.widths).sum(axis=1) / self.bins.widths.sum()
-        flat: Floats = even[self.candidates.pair] / np.maximum(hazard.ravel()[self.cell], 1e-300)
-        return flat
-
-    def explained(self, responsibility: Floats) -> Floats:
-        """Share of each arrival that some departure explains, (arrivals,)."""
-        return np.bincount(self.candidates.arrival, responsibility, minlength=len(self.arrivals.t))

@@ -13,9 +13,11 @@ import numpy as np
 
 from camtopod.learn.assemble import assemble, link_records
 from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
-from camtopod.learn.joint import Fit, JointFitter, find_candidates
+from camtopod.learn.candidates import find_candidates
+from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lags import LagBins
-from camtopod.learn.links import LinkTable, Transitions, join, significant, tabulate, weak, without_missed
+from camtopod.learn.links import LinkTable, join, significant, tabulate, transitions_of, weak, without_missed
+from camtopod.learn.memory import Memory
 from camtopod.learn.passages import visible_transitions
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Scene, see
@@ -29,7 +31,6 @@ REFIT_EVENTS_MIN = 10
 """No new version for fewer new events, unless they have waited ``refit_hours``."""
 ZONES_REFRESH_SHARE = 0.1
 """A camera's zones are learned again when this share of its events is new."""
-ITERATIONS = 12
 
 
 class Learner:
@@ -43,6 +44,7 @@ class Learner:
         self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
         self._intake = Intake(self.settings.lateness_seconds, self.settings.cameras_max)
         self._window = Window(self.settings.window_events_max)
+        self._memory = Memory()
         self._maps: list[ZoneMap] = []
         self._zoned: list[int] = []  # events of the camera when its zones were last learned
         self._tick_us = microseconds(self.settings.version_seconds)
@@ -184,12 +186,7 @@ class Learner:
         if len(scene.departures.t) == 0 or len(scene.arrivals.t) == 0:
             return None, tabulate(join([]), leaving, self.bins, zones)
         candidates = find_candidates(scene.departures, scene.arrivals, self.bins, zones, self.settings.candidates_max)
-        fitter = JointFitter(scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last)
-        first = fitter.run(ITERATIONS)
-        fit = fitter.run(ITERATIONS, fitter.use_slowness(first.responsibility), first.outside)
-        self.fitter = fitter
-        transitions = Transitions(
-            candidates.source[candidates.pair], candidates.target[candidates.pair], candidates.lag, fit.responsibility,
-            fit.flat,
-        )  # fmt: skip
-        return fit, tabulate(transitions, leaving, self.bins, zones)
+        known = self._memory.recall(candidates, scene, self.bins, len(self._window))
+        fit = fit_jointly(scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last, known)
+        self._memory.remember(fit, scene, len(self._window), fresh=known is None)
+        return fit, tabulate(transitions_of(fit), leaving, self.bins, zones)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn import mahalanobis, montecarlo
 from camtopod.learn.significance import Ways, explained_by_missed, log_likelihood_ratio, q_values
-from camtopod.learn.joint import smooth
+from camtopod.learn.joint import Fit, smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.settings import Settings
 from camtopod.learn.transit import TransitFigures, transit_figures
@@ -43,6 +43,12 @@ def join(parts: list[Transitions]) -> Transitions:
     """Several lists of transitions as one."""
     none = Transitions(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0), np.zeros(0))
     return Transitions(*(np.concatenate(columns) for columns in zip(none, *parts, strict=True)))
+
+
+def transitions_of(fit: Fit) -> Transitions:
+    """The candidates of a joint fit."""
+    c = fit.candidates
+    return Transitions(c.source[c.pair], c.target[c.pair], c.lag, fit.responsibility, fit.flat)
 
 
 class LinkTable(NamedTuple):

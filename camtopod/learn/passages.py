@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.learn.joint import Arrivals, Departures, JointFitter, find_candidates
+from camtopod.learn.candidates import Arrivals, Departures, find_candidates
+from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins
-from camtopod.learn.links import Transitions, join
+from camtopod.learn.links import Transitions, join, transitions_of
 from camtopod.learn.rates import local_rates
 from camtopod.learn.scene import Scene
-
-ITERATIONS = 15
 
 
 def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:
@@ -45,8 +44,5 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     if len(starts.t) == 0 or len(ends.t) == 0:
         return join([])
     candidates = find_candidates(starts, ends, bins, zones, candidates_max)
-    fit = JointFitter(starts, ends, candidates, bins, zones, scene.last).run(ITERATIONS)
-    return Transitions(
-        candidates.source[candidates.pair], candidates.target[candidates.pair], candidates.lag, fit.responsibility,
-        fit.flat,
-    )  # fmt: skip
+    fit = fit_jointly(starts, ends, candidates, bins, zones, scene.last)
+    return transitions_of(fit)

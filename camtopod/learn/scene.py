@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.intake import MICROSECONDS
-from camtopod.learn.joint import Arrivals, Departures
+from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import slowness
 from camtopod.learn.window import Window, cells_of
