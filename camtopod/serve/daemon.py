@@ -10,6 +10,7 @@ full, events stay in the spools.
 from __future__ import annotations
 
 import logging
+import sqlite3
 import threading
 import time
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from camtopod.records import Event, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
 from camtopod.serve.bus import Bus, QueryError, meet
+from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
 from camtopod.serve.learning import Learning, MakeLearner, ReplayMismatch, replay
 from camtopod.serve.live import Live
@@ -76,11 +78,14 @@ class Daemon:
                 return False
             if self._bus is None:
                 self._bus = meet(self._config)
+            self._build(self._bus, learner, recent)
+            self._serve(self._bus)
+        except sqlite3.Error as error:
+            self._undo()
+            raise StateError(f"cannot read the journal in {self._config.state_directory}: {error}") from None
         except BaseException:
-            self._journal.close()
+            self._undo()
             raise
-        self._build(self._bus, learner, recent)
-        self._serve(self._bus)
         for topology in new:  # made, but not published before the last stop
             self._receiver.on_version(Version(topology, None))
         if self.topology is not None and not new:
@@ -139,6 +144,12 @@ class Daemon:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+    def _undo(self) -> None:
+        """A start that failed leaves nothing open."""
+        if self._bus is not None and self._given_bus is None:
+            self._bus.close()
+        self._journal.close()
 
     def _replay(self, cancelled: threading.Event) -> tuple[Any, list[Topology], list[Event]]:
         """A learner that has learned the journal, its versions never published, and the newest events."""
