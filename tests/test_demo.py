@@ -42,6 +42,23 @@ def test_demo_works_in_an_empty_directory(tmp_path: Path) -> None:
     assert picture.shape[1] > 1200
 
 
+def test_a_terminated_demo_leaves_nothing_behind(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent), "TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-m", "camtopod", "demo", "--minutes", "1"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True
+    ) as running:
+        assert running.stderr is not None
+        lines = iter(running.stderr.readline, "")
+        assert any("watching" in line for line in lines)
+        running.terminate()
+        rest = running.stderr.read()  # to its end: the grabbers are gone too
+    assert running.returncode == 1
+    assert "interrupted" in rest
+    assert [path.name for path in tmp_path.iterdir()] == ["camtopod-demo"]
+    assert not list((tmp_path / "camtopod-demo").iterdir())
+
+
 def test_a_grabber_that_fails_ends_the_demo_with_its_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -101,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise exits.CommandError(f"demo: cannot write {args.out}: {error.strerror}") from None
-    with _work_directory(args.out, args.keep) as work:
+    with _terminated_as_interrupted(), _work_directory(args.out, args.keep) as work:
         recording = _record(work, 60.0 * args.minutes, args.seed)
         topology = _watch(recording, work)
     result = score(topology, recording.truth)
@@ -112,6 +113,20 @@ def run(args: argparse.Namespace) -> int:
     print("\n".join([*_table(recording.truth, topology), "", result.text()]))
     _say(f"picture in {picture}, topology in {args.out / 'topology.json'}; {time.monotonic() - begin:.0f} s")
     return exits.DONE
+
+
+@contextlib.contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """SIGTERM ends the block as Ctrl-C does, so that no process and no directory stays behind."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
 @contextlib.contextmanager
@@ -132,13 +147,22 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
     videos = {view.camera: work / f"{view.camera}{SUFFIX}" for view in plan.views}
     _say(f"rendering {len(videos)} cameras, {seconds / 60:g} minutes, {len(walks)} people")
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(len(videos), os.cpu_count() or 1), context) as pool:
+    workers = min(len(videos), os.cpu_count() or 1)
+    with ProcessPoolExecutor(workers, context, initializer=_leave_interrupts_to_the_parent) as pool:
         tasks = [
             pool.submit(render, plan, view, walks, seconds, videos[view.camera], seed) for view in plan.views
         ]
-        for task in tasks:
-            task.result()
+        try:
+            for task in tasks:
+                task.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
     return Recording(plan, walks, truth, seconds, videos)
+
+
+def _leave_interrupts_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _watch(recording: Recording, work: Path) -> Topology:
@@ -164,6 +188,9 @@ def _watch(recording: Recording, work: Path) -> Topology:
             clock.skip(AFTERWARDS_SECONDS + recording.seconds)
             _until(daemon, deadline, _Quiet(daemon))
             topology = daemon.topology
+            late = daemon.status()["learner"]["late"]
+            if late:
+                _say(f"{late} events came too late to be learned: the machine was very busy")
     except BusError as error:
         raise exits.CommandError(f"demo: {error}", exits.BUS) from None
     if topology is None:
