@@ -20,6 +20,7 @@ from camtopod.cli import exits, main
 from camtopod.cli.common import configuration, start_logging
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.serve.bus import BusError
+from camtopod.serve.journal import Journal
 
 
 @pytest.fixture
@@ -254,3 +255,34 @@ def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_bus_s_error_is_an_expected_one() -> None:
     assert issubclass(BusError, OSError)
+
+
+# --- run --------------------------------------------------------------------------------------------
+
+
+def test_run_says_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    listen = tmp_path / "c.toml"
+    listen.write_text('[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
+    assert main.main(["--config", str(listen), "run", "--state", str(tmp_path / "file" / "x")]) == 74
+    assert "cannot write the state directory" in capsys.readouterr().err
+
+    damaged = tmp_path / "damaged"
+    Journal(damaged, 10).close()
+    content = bytearray((damaged / "journal.db").read_bytes())
+    content[4096:] = b"\xaa" * (len(content) - 4096)
+    (damaged / "journal.db").write_bytes(content)
+    assert main.main(["--config", str(listen), "run", "--state", str(damaged)]) == 74
+    assert (damaged / "journal.db").read_bytes()[4096:] == content[4096:]
+    err = capsys.readouterr().err
+    assert "journal" in err
+    assert "Traceback" not in err
+
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("[bus]\nlisten = 5\n")
+    assert main.main(["--config", str(wrong), "run"]) == 78
+    assert f"{wrong}:2: bus.listen: expected an array" in capsys.readouterr().err
+
+    away = tmp_path / "away.toml"
+    away.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n')
+    assert main.main(["--config", str(away), "run", "--state", str(tmp_path / "s")]) == 69

@@ -82,7 +82,8 @@ class Daemon:
             self._serve(self._bus)
         except sqlite3.Error as error:
             self._undo()
-            raise StateError(f"cannot read the journal in {self._config.state_directory}: {error}") from None
+            where = self._config.state_directory
+            raise StateError(f"cannot read the journal in {where}: {error}; it is left as it is") from None
         except BaseException:
             self._undo()
             raise

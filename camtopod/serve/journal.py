@@ -7,6 +7,7 @@ acknowledged only after its transaction is committed; a version is published onl
 
 from __future__ import annotations
 
+import sqlite3
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -57,10 +58,13 @@ class Journal:
                 raise database.StateError(
                     f"{self._path} has format {found}, this program {FORMAT}: use the one that wrote it"
                 )
+            self._last = self._stored_last()
+        except sqlite3.Error as error:
+            self._lock.close()
+            raise database.StateError(f"cannot read {self._path}: {error}; it is left as it is") from None
         except database.StateError:
             self._lock.close()
             raise
-        self._last = self._stored_last()
 
     def meta(self, key: str) -> str | None:
         """A value kept by `set_meta`."""
