@@ -20,7 +20,7 @@ def to_svg(topology: Topology) -> str:
     names = [camera.id for camera in topology.cameras]
     found = edges(topology)
     both = {tuple(sorted((edge.from_, edge.to))) for edge in found}
-    size = 190.0 * max(1.5, len(names) ** 0.5)
+    size = 230.0 * max(1.5, len(names) ** 0.5)
     at = spring_layout(names, [(a, b) for a, b in sorted(both)]) * size
     place = {name: (float(x) + 90, float(y) + 70) for name, (x, y) in zip(names, at, strict=True)}
     width, height = size + 180, size + 130
