@@ -20,7 +20,7 @@ FILL_SHARE_MIN = 0.2
 """Of its box, a person fills at least this share."""
 BLOBS_MAX = 400
 """More fragments than this in one frame are noise; the largest are kept."""
-_CLOSE = np.ones((3, 3), np.uint8)
+_CLOSE = np.ones((3, 1), np.uint8)
 
 ExpectedHeight = Callable[[float], float | None]
 """Height in pixels of a person whose feet are in this row, or None while unknown."""

@@ -40,7 +40,7 @@ model."""
 _NOISE_RATE = 0.1
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE = np.ones((3, 3), np.uint8)
-_WIDE = np.ones((5, 5), np.uint8)
+_WIDE = np.ones((3, 3), np.uint8)
 _DARK = 24.0
 """Below this level the logarithm flattens, so that noise in the dark is no edge."""
 _LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).astype(np.uint8)
