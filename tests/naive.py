@@ -7,7 +7,8 @@ import scipy.signal
 
 
 def data_spectroscopy(points, bandwidth):
-    """DaSpec over n points (n, 2) with the dense n x n kernel: kept eigenvalues and eigenvectors, label of each point."""
+    """DaSpec over n points (n, 2) with the dense n x n kernel: kept eigenvalues and eigenvectors, label of
+    each point."""
     n = len(points)
     squared = ((points[:, None, :] - points[None, :, :]) ** 2).sum(axis=2)
     values, vectors = np.linalg.eigh(np.exp(-squared / (2 * bandwidth**2)) / n)
@@ -44,7 +45,8 @@ def bandwidth_of_points(points):
 
 
 def valley(positions, low, high, steps):
-    """`camtopod.learn.valley.valley` over points on a line, by trying every pair of flanks and every valley."""
+    """`camtopod.learn.valley.valley` over points on a line, by trying every pair of flanks and every
+    valley."""
     grid = np.linspace(low, high, steps)
     best = 0.0
     for b in range(steps):
@@ -78,5 +80,6 @@ def gaussian_density(points, mean, cov):
 
 
 def wiener(image, size, noise):
-    """Wiener's filter over windows of ``size`` x ``size``; ``noise`` is a variance or None for scipy's guess."""
+    """Wiener's filter over windows of ``size`` x ``size``; ``noise`` is a variance or None for scipy's
+    guess."""
     return scipy.signal.wiener(image, size, noise)

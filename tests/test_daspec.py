@@ -25,7 +25,9 @@ def blobs(seed: int, sizes: list[int], sd: float) -> np.ndarray:
     """Points (n, 2) of whole grid steps, a blob for each size."""
     rng = np.random.default_rng(seed)
     centres = rng.uniform((4, 4), (26, 20), (len(sizes), 2))
-    points = np.concatenate([c + sd * rng.standard_normal((n, 2)) for c, n in zip(centres, sizes, strict=True)])
+    points = np.concatenate(
+        [c + sd * rng.standard_normal((n, 2)) for c, n in zip(centres, sizes, strict=True)]
+    )
     return np.clip(np.rint(points), 0, (29, 23)).astype(int)
 
 
@@ -68,7 +70,8 @@ def test_new_points_by_the_eigenfunction() -> None:
 
 
 def test_counts_scale_the_operator_not() -> None:
-    """Ten million times as many events are the same operator; only the tolerance max|v| / n of the sign test shrinks."""
+    """Ten million times as many events are the same operator; only the tolerance max|v| / n of the sign test
+    shrinks."""
     grid = grid_of(blobs(5, [20, 30], 1.0))
     few, many = data_spectroscopy(grid, 1.5), data_spectroscopy(grid * 10_000_000, 1.5)
     assert 1 <= many.groups <= few.groups == 2
@@ -80,7 +83,10 @@ def test_table_5_1_gives_its_two_zones() -> None:
     assert 3 <= bandwidth(grid) <= 4
     labels = data_spectroscopy(grid, bandwidth(grid)).grid()[tuple(TABLE.T)]
     assert (labels == 0).sum() == (TABLE_ZONES == 1).sum() or (labels == 0).sum() == (TABLE_ZONES == 2).sum()
-    assert set(zip(labels.tolist(), TABLE_ZONES.tolist(), strict=True)) in ({(0, 1), (1, 2)}, {(0, 2), (1, 1)})
+    assert set(zip(labels.tolist(), TABLE_ZONES.tolist(), strict=True)) in (
+        {(0, 1), (1, 2)},
+        {(0, 2), (1, 1)},
+    )
 
 
 @pytest.mark.parametrize(("width", "groups"), [(3.0, 2), (3.5, 2), (4.0, 2), (2.0, 3), (5.0, 1)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from thesis import (
     TABLE_5_2,
     TABLE_5_2_CAMERAS,
@@ -13,6 +12,7 @@ from thesis import (
     TABLE_5_4_CAMERAS,
     table_5_4_transit,
 )
+
 from camtopod.learn.overlap import overlap_rows
 
 

@@ -1,9 +1,11 @@
-"""Evidence of a group of events being one zone: the marginal likelihood of a Gaussian of unknown mean and covariance.
+"""Evidence of a group of events being one zone: the marginal likelihood of a Gaussian of unknown mean and
+covariance.
 
-A group is six sums (n, Sx, Sy, Sxx, Sxy, Syy) in image units, last axis of every array here; groups add up. The mean has a
-flat prior over the image (area 1), the covariance an inverse Wishart prior that expects a zone of `ZONE_SD`, weighing as
-much as one or two events. Clutter is uniform over the image, so its evidence is 1 (log 0) whatever its size: the number
-compared against. A group of one event has exactly that, too: a single event never makes a zone.
+A group is six sums (n, Sx, Sy, Sxx, Sxy, Syy) in image units, last axis of every array here; groups add up.
+The mean has a flat prior over the image (area 1), the covariance an inverse Wishart prior that expects a zone
+of `ZONE_SD`, weighing as much as one or two events. Clutter is uniform over the image, so its evidence is 1
+(log 0) whatever its size: the number compared against. A group of one event has exactly that, too: a single
+event never makes a zone.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ from scipy.special import gammaln
 Floats = NDArray[np.float64]
 
 ZONE_SD = 0.02
-"""Image units: the spread a zone is expected to have before anything is seen; from a third to thrice costs little."""
+"""Image units: the spread a zone is expected to have before anything is seen; from a third to thrice costs
+little."""
 _FREEDOM = 4.0
 _SCALE = 5 * ZONE_SD**2
 SHARE_PRIOR = 1.0

@@ -28,7 +28,8 @@ class Component(Protocol):
 
 
 def log_density(x: Floats, y: Floats, component: Component) -> Floats:
-    """Log of the Gaussian density (eq. 2.5, whose printed normaliser lacks a root) averaged over a cell at (x, y).
+    """Log of the Gaussian density (eq. 2.5, whose printed normaliser lacks a root) averaged over a cell at
+    (x, y).
 
     A zone may be narrower than a cell, so the cell's own spread, a twelfth of its squared sides, is added.
     """
@@ -44,11 +45,11 @@ def log_density(x: Floats, y: Floats, component: Component) -> Floats:
 def classify_cells(components: Sequence[Component], clutter: float) -> NDArray[np.int16]:
     """The component with the largest posterior (eq. 2.6) in each cell, or -1 where clutter is likelier.
 
-    ``clutter`` is the number of events outside all zones per event inside; it is spread evenly over the image.
-    Shape (GRID_ROWS, GRID_COLUMNS).
+    ``clutter`` is the number of events outside all zones per event inside; it is spread evenly over the
+    image. Shape (GRID_ROWS, GRID_COLUMNS).
     """
     x = np.broadcast_to((np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS, (GRID_ROWS, GRID_COLUMNS))
     y = np.broadcast_to(((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None], (GRID_ROWS, GRID_COLUMNS))
     scores = [np.full((GRID_ROWS, GRID_COLUMNS), np.log(max(clutter, 1e-3)))]
     scores += [np.log(component.weight) + log_density(x, y, component) for component in components]
-    return (np.stack(scores).argmax(axis=0) - 1).astype(np.int16)
+    return np.asarray(np.stack(scores).argmax(axis=0) - 1, dtype=np.int16)

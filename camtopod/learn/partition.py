@@ -1,14 +1,15 @@
 """Which cells of a camera's grid make a zone: DaSpec, made robust (thesis 4.2; `daspec`).
 
-1. The *density floor*: the rate of uniform clutter is estimated from the sparse cells, and cells whose surroundings are
-   explained by it are left out.
-2. *DaSpec* over the remaining cells, and again over those that no kept eigenvector reaches (a zone with under 5 % of the
-   points is such), at half the bandwidth of the rule: too many groups rather than too few.
-3. *Moves* until none helps: groups that are not two zones are merged, groups that are not denser than clutter are dropped,
-   cells go to the Gaussian that explains them best, and groups that are two zones are split.
+1. The *density floor*: the rate of uniform clutter is estimated from the sparse cells, and cells whose
+   surroundings are explained by it are left out.
+2. *DaSpec* over the remaining cells, and again over those that no kept eigenvector reaches (a zone with under
+   5 % of the points is such), at half the bandwidth of the rule: too many groups rather than too few.
+3. *Moves* until none helps: groups that are not two zones are merged, groups that are not denser than clutter
+   are dropped, cells go to the Gaussian that explains them best, and groups that are two zones are split.
 
-Two groups are two zones when two Gaussians explain them better than one (`evidence`) and there is a valley between them
-(`valley`). The first alone would cut every zone that is not Gaussian, the second is weak with few events.
+Two groups are two zones when two Gaussians explain them better than one (`evidence`) and there is a valley
+between them (`valley`). The first alone would cut every zone that is not Gaussian, the second is weak with
+few events.
 """
 
 from __future__ import annotations
@@ -26,12 +27,13 @@ from camtopod.learn.valley import valley
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.intp]
+Counts = NDArray[np.int64] | Floats
 
 EVENTS_MIN = 5
 """Below this a camera is one zone."""
 PAIR_EVENTS = 1000.0
-"""No zone is exactly Gaussian: in splitting and merging, n events weigh as n / (1 + n / PAIR_EVENTS) (Miller, Dunson:
-Robust Bayesian inference via coarsening, JASA 2019)."""
+"""No zone is exactly Gaussian: in splitting and merging, n events weigh as n / (1 + n / PAIR_EVENTS) (Miller,
+Dunson: Robust Bayesian inference via coarsening, JASA 2019)."""
 VALLEY_MIN = 2.5
 """Log likelihood ratio of a valley that two Gaussians' evidence needs beside it."""
 VALLEY_ALONE = 8.0
@@ -42,10 +44,12 @@ UNLIKE = 2.0
 """So much log likelihood for each event of the smaller group shows two zones without a valley."""
 CONTRAST_MIN = 1.5
 EXCESS_MIN = 12.0
-"""Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's zone, say, though
-half of the events in its cells are clutter and so its Gaussian fits badly. It must be `CONTRAST_MIN` as dense."""
+"""Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's zone,
+say, though half of the events in its cells are clutter and so its Gaussian fits badly. It must be
+`CONTRAST_MIN` as dense."""
 FLOOR_CHANCE = 0.05
-"""A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this probability."""
+"""A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this
+probability."""
 FOUND_CHANCE = 0.001
 """The same for looking again among what was left as clutter."""
 FLOOR_WIDTHS = (1.75,)
@@ -66,10 +70,10 @@ _CUTS_TRIED = 2
 
 
 class Cells(NamedTuple):
-    """The m occupied cells: flat index, sums (m, 6) in image units (see `evidence`), mean (m, 2) and the spread of the
-    events within the cell (m, 3: xx, xy, yy)."""
+    """The m occupied cells: flat index, sums (m, 6) in image units (see `evidence`), mean (m, 2) and the
+    spread of the events within the cell (m, 3: xx, xy, yy)."""
 
-    index: NDArray[np.intp]
+    index: NDArray[np.intp]  # type: ignore[assignment]  # hides a method of tuple nobody needs
     sums: Floats
     mean: Floats
     spread: Floats
@@ -83,7 +87,8 @@ class Cells(NamedTuple):
 
 
 def partition(cells: Cells, count: NDArray[np.int64]) -> Labels:
-    """The zone of each occupied cell, counted from 0, or -1 for clutter; ``count`` (rows, columns) are all events."""
+    """The zone of each occupied cell, counted from 0, or -1 for clutter; ``count`` (rows, columns) are all
+    events."""
     one = np.zeros(len(cells.index), dtype=np.intp)
     if count.sum() < EVENTS_MIN:
         return one
@@ -93,7 +98,7 @@ def partition(cells: Cells, count: NDArray[np.int64]) -> Labels:
     return labels if labels.max() >= 0 else one
 
 
-def clutter_rate(count: NDArray[np.generic]) -> float:
+def clutter_rate(count: Counts) -> float:
     """Events of uniform clutter per cell: the mean over the cells that are not significantly above it."""
     n = count.ravel().astype(np.float64)
     rate = float(n.mean())
@@ -105,11 +110,13 @@ def clutter_rate(count: NDArray[np.generic]) -> float:
     return max(rate, 1e-6)
 
 
-def dense_cells(count: NDArray[np.generic], chance: float) -> Floats:
-    """Counts above the clutter, 0 in cells whose surroundings clutter would fill like this with at least ``chance``."""
+def dense_cells(count: Counts, chance: float) -> Floats:
+    """Counts above the clutter, 0 in cells whose surroundings clutter would fill like this with at least
+    ``chance``."""
     rate = clutter_rate(count)
     dense = np.zeros(count.shape, dtype=np.bool_)
-    # A kernel-weighted sum of Poisson counts behaves like a Poisson count over an area of (sum K)^2 / (sum K^2).
+    # A kernel-weighted sum of Poisson counts behaves like a Poisson count over an area of (sum K)^2 / (sum
+    # K^2).
     for rows, columns, area, area_squared in _SURROUNDINGS:
         inside = rows @ count @ columns * area / area_squared
         dense |= gammainc(np.maximum(inside, 1e-9), rate * area**2 / area_squared) < chance
@@ -146,8 +153,8 @@ def _first_groups(dense: Floats) -> Labels:
 
 
 class _Moves:
-    """A partition of the cells being improved. ``zones`` (K, 6) are the sums of the groups, ``clutter`` the number of
-    events outside."""
+    """A partition of the cells being improved. ``zones`` (K, 6) are the sums of the groups, ``clutter`` the
+    number of events outside."""
 
     def __init__(self, cells: Cells, labels: Labels) -> None:
         self.cells = cells
@@ -181,7 +188,8 @@ class _Moves:
     def _found(self) -> bool:
         """Make zones of what DaSpec finds among the clutter, where it is more than clutter; whether any was.
 
-        Such are zones that DaSpec had put together with a bigger one, and whose cells that one's Gaussian then left.
+        Such are zones that DaSpec had put together with a bigger one, and whose cells that one's Gaussian
+        then left.
         """
         outside = self.labels < 0
         if len(self.zones) == 0 or not outside.any():
@@ -202,7 +210,8 @@ class _Moves:
         return len(self.zones) > known
 
     def _is_tail(self, k: int) -> bool:
-        """Whether the density falls all the way from a bigger zone to this one, however far: a heavy tail's events."""
+        """Whether the density falls all the way from a bigger zone to this one, however far: a heavy tail's
+        events."""
         others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
         return any(
             not self._valley_between(
@@ -218,8 +227,8 @@ class _Moves:
         self._set(np.where(self.labels == k, -1, self.labels))
 
     def _merge(self) -> None:
-        """Merge pairs that are not two zones, the likeliest first; a small one that is unlike its neighbour goes to
-        the clutter instead where that costs less."""
+        """Merge pairs that are not two zones, the likeliest first; a small one that is unlike its neighbour
+        goes to the clutter instead where that costs less."""
         while len(self.zones) > 1:
             a, b = np.triu_indices(len(self.zones), 1)
             gain, clear = self._apart(self.zones[a], self.zones[b])
@@ -247,7 +256,8 @@ class _Moves:
             self._remove(k)
 
     def _drop_gain(self, which: Labels) -> Floats:
-        """What the log posterior gains when a zone is clutter instead, but nothing where it stands out (`_excess`)."""
+        """What the log posterior gains when a zone is clutter instead, but nothing where it stands out
+        (`_excess`)."""
         n, count = self.zones[which, 0], len(self.zones)
         total = np.array(self.total)
         prior = log_zones(count - 1, total) - log_zones(count, total) - log_share(n)
@@ -262,7 +272,8 @@ class _Moves:
         return np.asarray(gain)
 
     def _excess(self, which: Labels) -> Floats:
-        """Log likelihood ratio of each zone's surplus over clutter within two standard deviations (Poisson)."""
+        """Log likelihood ratio of each zone's surplus over clutter within two standard deviations
+        (Poisson)."""
         mean, cov = gaussians(self.zones[which])
         xx, xy, yy = (cov + _CELL_SPREAD).T[:, :, None]
         dx, dy = _CENTRES[0] - mean[:, :1], _CENTRES[1] - mean[:, 1:]
@@ -275,9 +286,9 @@ class _Moves:
         return np.where(n > CONTRAST_MIN * expected, excess, 0.0)
 
     def _apart(self, a: Floats, b: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """What the log posterior gains by two zones ``a`` and ``b`` (..., 6) instead of one, and whether that alone
-        shows two: where they are far apart, or where an event of the smaller one is very unlike the other. Otherwise
-        the gain is a coarsened one, and a valley is wanted.
+        """What the log posterior gains by two zones ``a`` and ``b`` (..., 6) instead of one, and whether that
+        alone shows two: where they are far apart, or where an event of the smaller one is very unlike the
+        other. Otherwise the gain is a coarsened one, and a valley is wanted.
         """
         n = a[..., 0] + b[..., 0]
         weigh = 1 / (1 + n / PAIR_EVENTS)
@@ -377,7 +388,7 @@ class _Moves:
             if gain[at, angle] > _GAIN_HOPELESS:
                 a, b = left[at, angle], whole[0, angle] - left[at, angle]
                 if clear[at, angle] or self._valley_between(gain[at, angle], a, b, inside):
-                    return members[order[at + 1 :, angle]]
+                    return np.asarray(members[order[at + 1 :, angle]])
         return None
 
 

@@ -1,9 +1,9 @@
 """Is there a valley between two groups of events? A test that needs no shape.
 
-A single zone may have any shape with one hump; two zones have a dip between them. Along the line that tells the groups
-best apart, the events in a stretch (the valley) are compared with those in a stretch on either side (the flanks): the log
-likelihood ratio of two Poisson rates against one, maximised over stretches. Its smaller side counts, for one hump
-needs only one of them filled.
+A single zone may have any shape with one hump; two zones have a dip between them. Along the line that tells
+the groups best apart, the events in a stretch (the valley) are compared with those in a stretch on either
+side (the flanks): the log likelihood ratio of two Poisson rates against one, maximised over stretches. Its
+smaller side counts, for one hump needs only one of them filled.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from scipy.special import ndtr
 Floats = NDArray[np.float64]
 
 DEPTH = 0.85
-"""A valley is at most so dense in terms of its flanks; shallower ones are ripples, whatever their significance."""
+"""A valley is at most so dense in terms of its flanks; shallower ones are ripples, whatever their
+significance."""
 _STEPS = 18
 """Grid points along the line."""
 _A, _B, _C = (index.ravel() for index in np.meshgrid(*[np.arange(_STEPS)] * 3, indexing="ij"))

@@ -1,8 +1,9 @@
 """Entry/exit zones of one camera from the sums over its grid (thesis sections 2.4, 2.8, 4.2).
 
-The learner keeps integer sums per grid cell, so taking an old event out of the window is exact, and a refresh costs the
-same for a hundred events as for ten million. `partition` finds the groups of cells; here they become zones: exact
-statistics, a number that stays with the place, and a table that says which cell belongs to which zone.
+The learner keeps integer sums per grid cell, so taking an old event out of the window is exact, and a refresh
+costs the same for a hundred events as for ten million. `partition` finds the groups of cells; here they
+become zones: exact statistics, a number that stays with the place, and a table that says which cell belongs
+to which zone.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ class CellSums(NamedTuple):
 
 
 class ZoneShape(Struct, frozen=True):
-    """One zone: its number, mean and covariance in image units, and its share of the events that are in a zone."""
+    """One zone: its number, mean and covariance in image units, and its share of the events that are in a
+    zone."""
 
     number: int
     x: float
@@ -52,7 +54,8 @@ class ZoneShape(Struct, frozen=True):
 
 
 class ZoneMap(Struct, frozen=True, eq=False):
-    """The zones of a camera by number; ``cells`` (rows, columns) has each cell's index into ``zones``, or -1."""
+    """The zones of a camera by number; ``cells`` (rows, columns) has each cell's index into ``zones``, or
+    -1."""
 
     zones: tuple[ZoneShape, ...]
     cells: NDArray[np.int16]
@@ -87,9 +90,9 @@ def cell_sums(x: ArrayLike, y: ArrayLike) -> CellSums:
 
 
 def find_zones(sums: CellSums, previous: tuple[ZoneShape, ...] = (), next_number: int = 1) -> ZoneMap:
-    """The zones behind ``sums``. Those at the place of a zone of ``previous`` keep its number, others are numbered from
-    ``next_number``; ``previous`` may hold zones that had vanished, which so get their number back when they return.
-    Without events there are no zones.
+    """The zones behind ``sums``. Those at the place of a zone of ``previous`` keep its number, others are
+    numbered from ``next_number``; ``previous`` may hold zones that had vanished, which so get their number
+    back when they return. Without events there are no zones.
     """
     flat = np.stack([np.asarray(grid).ravel() for grid in sums], axis=1)
     occupied = np.flatnonzero(flat[:, 0])
@@ -114,8 +117,9 @@ def _shape(sums: Integers, total: int) -> ZoneShape:
 def match_zones(
     old: tuple[ZoneShape, ...], new: list[ZoneShape], next_number: int
 ) -> tuple[tuple[ZoneShape, ...], int]:
-    """Number the new zones: one at an old zone's place has its number, the others count up from ``next_number``, which
-    is above every number ever given. Returns the zones by number and the next free number.
+    """Number the new zones: one at an old zone's place has its number, the others count up from
+    ``next_number``, which is above every number ever given. Returns the zones by number and the next free
+    number.
 
     The assignment (Hungarian) minimises the summed Mahalanobis distances; a pair further apart than
     `MATCH_DISTANCE` is never made.

@@ -1,0 +1,124 @@
+"""The thesis's own figures: tables 5.1 to 5.4 and figure 4.4. ``python -m bench thesis [SEEDS]``."""
+
+from __future__ import annotations
+
+import time
+import warnings
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.daspec import authors_bandwidth, bandwidth, data_spectroscopy
+from camtopod.learn.overlap import overlap_rows
+from camtopod.learn.zones import cell_sums, find_zones
+from tests import thesis
+
+Floats = NDArray[np.float64]
+
+
+def main(argv: list[str]) -> int:
+    seeds = int(argv[0]) if argv else 20
+    good = [table_5_1(), table_5_3(), table_5_4(), figure_4_4(seeds)]
+    return 0 if all(good) else 1
+
+
+def table_5_1() -> bool:
+    table = np.array(thesis.TABLE_5_1)
+    points, zones = table[:, :2], table[:, 2]
+    grid = np.zeros((30, 24), dtype=np.int64)
+    np.add.at(grid, tuple(points.T), 1)
+    width = bandwidth(grid)
+    spectrum = data_spectroscopy(grid, width)
+    labels = spectrum.grid()[tuple(points.T)]
+    pairs = set(zip(labels.tolist(), zones.tolist(), strict=True))
+    good = spectrum.groups == 2 and len(pairs) == 2
+    authors = authors_bandwidth(points.astype(np.float64))
+    print(
+        f"table 5.1: 15 observations, bandwidth {width:.2f} grid steps: {spectrum.groups} zones, as printed: {good}"
+    )
+    split = data_spectroscopy(grid, authors).groups
+    print(f"           the authors' bandwidth rule gives {authors:.2f} and {split} zones")
+    return good
+
+
+def table_5_3() -> bool:
+    rows = overlap_rows(thesis.TABLE_5_2, thesis.TABLE_5_2_CAMERAS, 0.200)
+    found = [
+        (r.camera_ab, r.camera_c, r.a + 1, r.b + 1, r.c + 1, r.transit_ac, r.transit_cb, r.transit_ab)
+        for r in rows
+    ]
+    print(
+        f"table 5.3 from table 5.2 with T = 0.200: {len(rows)} rows, as printed: {found == thesis.TABLE_5_3}"
+    )
+    for row, overlap in zip(found, rows, strict=True):
+        print("          ", *row, f"  |AB - (AC + CB)| = {overlap.error:.3f}")
+    return found == thesis.TABLE_5_3
+
+
+def table_5_4() -> bool:
+    print("table 5.4 with T = 0.450:")
+    held = []
+    for row in thesis.TABLE_5_4:
+        rows = overlap_rows(thesis.table_5_4_transit(row), thesis.TABLE_5_4_CAMERAS, 0.450)
+        held.append(row[:5] in [(r.camera_ab, r.camera_c, r.a + 1, r.b + 1, r.c + 1) for r in rows])
+        error = abs(row[7] - (row[5] + row[6]))
+        print(
+            "          ",
+            *row,
+            f"  |AB - (AC + CB)| = {error:.3f}",
+            "holds" if held[-1] else "contradicts its text",
+        )
+    print(f"           {sum(held)} of {len(held)} rows hold")
+    return held == [True] * 8 + [False]
+
+
+def figure_4_4(seeds: int) -> bool:
+    print(f"figure 4.4: 5 cameras, 13 zones, 3,000 agents at differing speeds, {seeds} seeds;")
+    print(
+        "           share of networks with 13 zones, all in the right camera, and of cameras with the right number"
+    )
+    good = True
+    for clutter in (0.0, 0.1):
+        shares: dict[str, list[list[bool]]] = {}
+        seconds = 0.0
+        for seed in range(seeds):
+            right: dict[str, list[bool]] = {}
+            for place, truth in zip(*thesis.figure_4_4(seed, clutter), strict=True):
+                sums = cell_sums(*place.T)
+                started = time.perf_counter()
+                found = len(find_zones(sums).zones)
+                seconds += time.perf_counter() - started
+                k = int(truth.max()) + 1
+                right.setdefault("camtopod", []).append(found == k)
+                plain = data_spectroscopy(sums.count, bandwidth(sums.count)).groups
+                right.setdefault("plain DaSpec", []).append(plain == k)
+                for name, value in k_means(place, truth).items():
+                    right.setdefault(name, []).append(value)
+            for name, values in right.items():
+                shares.setdefault(name, []).append(values)
+        print(f"  clutter {clutter:.0%} ({1e3 * seconds / seeds / 5:.1f} ms a camera)")
+        for name, networks in shares.items():
+            whole = np.mean([all(values) for values in networks])
+            print(f"    {name:34s} networks {whole:.2f}, cameras {np.mean(networks):.2f}")
+        good &= all(all(values) for values in shares["camtopod"])
+    return good
+
+
+def k_means(place: Floats, truth: NDArray[np.intp]) -> dict[str, bool]:
+    """K-means with k chosen by silhouette; and told k, whether its clusters are the zones (95 % of each)."""
+    from sklearn.cluster import KMeans
+    from sklearn.metrics import silhouette_score
+
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(len(place), min(400, len(place)), replace=False)
+    sample, truth = place[chosen], truth[chosen]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        labels = {k: KMeans(k, n_init=1, random_state=0).fit_predict(sample) for k in range(2, 8)}
+        picked = max(labels, key=lambda k: silhouette_score(sample, labels[k]))
+    k = int(truth.max()) + 1
+    pure = all(
+        np.bincount(labels[k][truth == zone]).max() >= 0.95 * (truth == zone).sum() for zone in range(k)
+    )
+    distinct = len({int(np.bincount(labels[k][truth == zone]).argmax()) for zone in range(k)}) == k
+    return {"k-means, k by silhouette": picked == k, "k-means told k: clusters are zones": pure and distinct}

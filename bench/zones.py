@@ -1,0 +1,151 @@
+"""Share of made-up cameras whose number of zones is found. ``python -m bench zones [CAMERAS [FIRST_SEED]]``.
+
+Each camera has two to six zones (spread 0.01 to 0.05 of the image, unequal traffic), 10 to 30 % uniform
+clutter, and at least four events in each zone. Beside ours, over the same cameras: plain DaSpec with the
+bandwidth rule, k-means with k by silhouette, HDBSCAN. The seeds used in development were below 20,000.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.daspec import bandwidth, data_spectroscopy
+from camtopod.learn.zones import cell_sums, find_zones
+
+Floats = NDArray[np.float64]
+FIRST_SEED = 1_000_000
+SLOW_EVENTS_MAX = 1000
+"""The other methods see at most so many of a camera's events."""
+
+
+class Kind(NamedTuple):
+    """A kind of camera. ``apart``: least distance of two zones in mean standard deviations along the line
+    that tells them apart best; ``aspect``: longest over shortest spread; ``rare``: share of the first zone
+    (0: drawn)."""
+
+    name: str
+    apart: float
+    aspect: float = 1.6
+    line: bool = False
+    border: bool = False
+    uniform: bool = False
+    rare: float = 0.0
+
+
+KINDS = (
+    Kind("round, well apart", 8.0),
+    Kind("round", 5.0),
+    Kind("long", 5.0, aspect=5.0),
+    Kind("along the border", 6.0, aspect=5.0, border=True),
+    Kind("doors in a row", 6.0, line=True),
+    Kind("long, not Gaussian (boxes)", 6.0, aspect=5.0, uniform=True),
+    Kind("one zone of 1 %", 6.0, rare=0.01),
+)
+EVENTS = (60, 300, 3000, 100_000)
+
+
+def main(argv: list[str]) -> int: cameras = int(argv[0]) if argv else 8 first = int(argv[1]) if len(argv) > 1
+    else FIRST_SEED print( f"share of {cameras} cameras with the right number of zones: camtopod | plain
+    DaSpec | k-means | HDBSCAN" ) print(f"{'':28s}" + "".join(f"{events:>25,d} events" for events in EVENTS))
+    seconds, refreshed = 0.0, 0 for kind in KINDS: cells = [] for events in EVENTS: if kind.rare * events *
+    0.7 < 20 and kind.rare: cells.append(f"{'':>32s}") continue right = [] for seed in range(first, first +
+    cameras): positions, zones = camera(seed, kind, events) sums = cell_sums(*positions.T) started =
+    time.process_time() found = len(find_zones(sums).zones) seconds, refreshed = seconds + time.process_time()
+    - started, refreshed + 1 counts = [ found, data_spectroscopy(sums.count, bandwidth(sums.count)).groups,
+    *others(positions), ] right.append([count == zones for count in counts]) cells.append("     " + " |
+    ".join(f"{share:.2f}" for share in np.mean(right, axis=0)) + "  ") print(f"{kind.name:28s}" +
+    "".join(cells), flush=True) print(f"camtopod: {1e3 * seconds / refreshed:.1f} ms a camera") return 0
+
+
+def others(positions: Floats) -> tuple[int, int]:
+    """Zones found by k-means with k by silhouette and by HDBSCAN (smallest cluster 2.5 %, at least 5)."""
+    from sklearn.cluster import HDBSCAN, KMeans
+    from sklearn.metrics import silhouette_score
+
+    rng = np.random.default_rng(0)
+    few = positions[rng.choice(len(positions), min(200, len(positions)), replace=False)]
+    some = positions[rng.choice(len(positions), min(SLOW_EVENTS_MAX, len(positions)), replace=False)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        labels = {k: KMeans(k, n_init=1, random_state=0).fit_predict(few) for k in range(2, 8)}
+        k_means = max(labels, key=lambda k: float(silhouette_score(few, labels[k])))
+        density = HDBSCAN(min_cluster_size=max(5, len(some) // 40), copy=True).fit_predict(some)
+    return k_means, int(density.max()) + 1
+
+
+def camera(seed: int, kind: Kind, events: int) -> tuple[Floats, int]:
+    """Positions (n, 2) of a camera's events and the number of its zones."""
+    rng = np.random.default_rng([seed, events, KINDS.index(kind)])
+    clutter = rng.uniform(0.1, 0.3)
+    while True:
+        centres, roots = _zones(rng, kind, int(rng.integers(2, 7)))
+        weights = np.maximum(rng.dirichlet(np.full(len(centres), 3.0)), 0.04)
+        if kind.rare:
+            weights[0] = 0.0
+            weights *= (1 - kind.rare / (1 - clutter)) / weights.sum()
+            weights[0] = kind.rare / (1 - clutter)
+        labels = rng.choice(len(centres), events, p=weights / weights.sum())
+        labels[rng.random(events) < clutter] = -1
+        if min(np.bincount(labels + 1, minlength=len(centres) + 1)[1:]) >= 4:
+            break
+    positions = rng.random((events, 2))
+    for k, (centre, root) in enumerate(zip(centres, roots, strict=True)):
+        left = np.flatnonzero(labels == k)
+        while len(left):
+            spread = (
+                np.sqrt(3) * rng.uniform(-1, 1, (len(left), 2))
+                if kind.uniform
+                else rng.standard_normal((len(left), 2))
+            )
+            positions[left] = centre + spread @ root.T
+            left = left[((positions[left] < 0) | (positions[left] > 1)).any(axis=1)]
+    return positions, len(centres)
+
+
+def _zones(rng: np.random.Generator, kind: Kind, zones: int) -> tuple[list[Floats], list[Floats]]:
+    """Centres and roots of the covariances of so many zones, each apart from the others; from the start when
+    stuck."""
+    centres: list[Floats] = []
+    roots: list[Floats] = []
+    angle = rng.uniform(0, np.pi)
+    tried = 0
+    while len(centres) < zones:
+        tried += 1
+        if tried > 300:
+            centres, roots, tried, angle = [], [], 0, rng.uniform(0, np.pi)
+        centre, root = _zone(rng, kind)
+        if kind.line:
+            root = rng.uniform(0.01, 0.02) * np.eye(2)
+            reach = kind.apart / 2 * (root[0, 0] + roots[-1][0, 0]) * rng.uniform(1, 1.8) if roots else 0.0
+            centre = centres[-1] + reach * np.array([np.cos(angle), np.sin(angle)]) if centres else centre
+            if (np.abs(centre - 0.5) > 0.47).any():
+                centres, roots = [], []
+                continue
+        if all(_apart(centre, root, c, r) >= kind.apart for c, r in zip(centres, roots, strict=True)):
+            centres.append(centre)
+            roots.append(root)
+    return centres, roots
+
+
+def _zone(rng: np.random.Generator, kind: Kind) -> tuple[Floats, Floats]:
+    short = float(np.exp(rng.uniform(np.log(0.01), np.log(0.05 if kind.aspect < 2 else 0.03))))
+    long = min(short * rng.uniform(1, kind.aspect), 0.09)
+    centre, turn = rng.uniform(0.07, 0.93, 2), rng.uniform(0, np.pi)
+    if kind.border:
+        side = int(rng.integers(4))
+        turn = np.pi / 2 * (side // 2)
+        centre[1 - side // 2] = (0.03, 0.97)[side % 2]
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return centre, rotation * (long, short)
+
+
+def _apart(a: Floats, root_a: Floats, b: Floats, root_b: Floats) -> float:
+    """Distance in mean standard deviations along the best discriminating line."""
+    cov_a, cov_b = root_a @ root_a.T, root_b @ root_b.T
+    line = np.linalg.solve(cov_a + cov_b, a - b)
+    return float(2 * line @ (a - b) / (np.sqrt(line @ cov_a @ line) + np.sqrt(line @ cov_b @ line)))
