@@ -21,6 +21,8 @@ from camtopod.records import CAMERA_PATTERN
 from camtopod.vision.settings import VisionSettings
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+RESERVED = ("daemon",)
+"""No camera's id: ``status/daemon`` is the daemon's."""
 _SYNTAX_ERRORS_MAX = 20
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream|vsock|serial)/\S+\Z")
 _T = TypeVar("_T", bound=Struct)
@@ -237,6 +239,8 @@ class _Reader:
                 self._say(
                     path, f"cameras.{camera}: a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -"
                 )
+            if camera in RESERVED:
+                self._say(path, f"cameras.{camera}: this name is taken on the bus; call the camera otherwise")
             if isinstance(data[camera], dict) and isinstance(data[camera].get("source"), str):
                 redact.remember(data[camera]["source"])
             settings = self._table(CameraSettings, data, path)

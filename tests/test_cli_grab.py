@@ -100,6 +100,7 @@ def test_a_file_that_cannot_be_read(error: OSError, said: str, capsys: pytest.Ca
         ["x.mp4"],
         [],
         ["--camera", "a b", "x"],
+        ["--camera", "daemon", "x"],
         ["--camera", "lobby"],
         ["--camera", "a", "x", "--speed", "0"],
         ["--out", "-"],

@@ -111,6 +111,7 @@ def test_every_mistake_at_once_with_its_line() -> None:
         ("cameras = 5\n", [(1, "cameras: expected tables [cameras.ID]")]),
         ("[cameras]\nlobby = 'x'\n", [(2, "cameras.lobby: expected a table [cameras.lobby]")]),
         ("x = '''\n", [(1, "expected")]),
+        ("[cameras.daemon]\nsource = '0'\n", [(1, "cameras.daemon: this name is taken on the bus")]),
     ],
 )
 def test_syntax_and_shape(text: str, expected: list[tuple[int, str]]) -> None:

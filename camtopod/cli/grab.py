@@ -19,7 +19,7 @@ from camtopod import codec, redact
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
-from camtopod.config import CameraSettings, Config
+from camtopod.config import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve import clock
 
@@ -95,6 +95,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
     """The camera's settings: the configuration's, with the command line on top."""
+    if args.camera in RESERVED:
+        raise CommandError(f"--camera {args.camera}: this name is taken on the bus", exits.USAGE)
     if not re.match(CAMERA_PATTERN, args.camera):
         raise CommandError(
             f"--camera {args.camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE

@@ -10,6 +10,7 @@ full, events stay in the spools.
 from __future__ import annotations
 
 import logging
+import re
 import sqlite3
 import threading
 import time
@@ -18,7 +19,7 @@ from typing import Any
 
 from camtopod.config import Config
 from camtopod.learn.learner import Learner
-from camtopod.records import Event, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, Event, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
 from camtopod.serve.bus import Bus, QueryError, meet
@@ -209,8 +210,13 @@ class Daemon:
         bus.appear("daemon", self._config.site.name)
 
     def _on_alive(self, camera: str, alive: bool) -> None:
+        known = self._receiver.with_spool
+        if not re.match(CAMERA_PATTERN, camera) or (
+            camera not in known and len(known) >= self._config.limits.streams_max
+        ):
+            return
         if alive:
-            self._receiver.with_spool.add(camera)
+            known.add(camera)
         self._puller.on_alive(camera, alive)
 
     def _newest(self) -> Topology:

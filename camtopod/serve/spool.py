@@ -101,10 +101,12 @@ class Spool:
         with self._mutex:
             if seq <= self._acked.get((camera, boot), -1):
                 return
-            self._acked[camera, boot] = seq
-            self._held -= self._db.execute(
+            gone = self._db.execute(
                 "DELETE FROM event WHERE camera = ? AND boot = ? AND seq <= ?", (camera, boot, seq)
             ).rowcount
+            self._held -= gone
+            if gone or boot == self.boot:
+                self._acked[camera, boot] = seq
 
     def batch(self, camera: str, boot: str | None, from_seq: int, events_max: int) -> SpoolBatch:
         """Events of ``camera`` from ``from_seq`` of ``boot`` on; if there are none, of the oldest other."""
