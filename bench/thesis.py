@@ -33,9 +33,7 @@ def table_5_1() -> bool:
     pairs = set(zip(labels.tolist(), zones.tolist(), strict=True))
     good = spectrum.groups == 2 and len(pairs) == 2
     authors = authors_bandwidth(points.astype(np.float64))
-    print(
-        f"table 5.1: 15 observations, bandwidth {width:.2f} grid steps: {spectrum.groups} zones, as printed: {good}"
-    )
+    print(f"table 5.1: bandwidth {width:.2f} grid steps: {spectrum.groups} zones, as printed: {good}")
     split = data_spectroscopy(grid, authors).groups
     print(f"           the authors' bandwidth rule gives {authors:.2f} and {split} zones")
     return good
@@ -74,9 +72,7 @@ def table_5_4() -> bool:
 
 def figure_4_4(seeds: int) -> bool:
     print(f"figure 4.4: 5 cameras, 13 zones, 3,000 agents at differing speeds, {seeds} seeds;")
-    print(
-        "           share of networks with 13 zones, all in the right camera, and of cameras with the right number"
-    )
+    print("           share of networks with all 13 zones, and of cameras with the right number")
     good = True
     for clutter in (0.0, 0.1):
         shares: dict[str, list[list[bool]]] = {}

@@ -49,17 +49,33 @@ KINDS = (
 EVENTS = (60, 300, 3000, 100_000)
 
 
-def main(argv: list[str]) -> int: cameras = int(argv[0]) if argv else 8 first = int(argv[1]) if len(argv) > 1
-    else FIRST_SEED print( f"share of {cameras} cameras with the right number of zones: camtopod | plain
-    DaSpec | k-means | HDBSCAN" ) print(f"{'':28s}" + "".join(f"{events:>25,d} events" for events in EVENTS))
-    seconds, refreshed = 0.0, 0 for kind in KINDS: cells = [] for events in EVENTS: if kind.rare * events *
-    0.7 < 20 and kind.rare: cells.append(f"{'':>32s}") continue right = [] for seed in range(first, first +
-    cameras): positions, zones = camera(seed, kind, events) sums = cell_sums(*positions.T) started =
-    time.process_time() found = len(find_zones(sums).zones) seconds, refreshed = seconds + time.process_time()
-    - started, refreshed + 1 counts = [ found, data_spectroscopy(sums.count, bandwidth(sums.count)).groups,
-    *others(positions), ] right.append([count == zones for count in counts]) cells.append("     " + " |
-    ".join(f"{share:.2f}" for share in np.mean(right, axis=0)) + "  ") print(f"{kind.name:28s}" +
-    "".join(cells), flush=True) print(f"camtopod: {1e3 * seconds / refreshed:.1f} ms a camera") return 0
+def main(argv: list[str]) -> int:
+    cameras = int(argv[0]) if argv else 8
+    first = int(argv[1]) if len(argv) > 1 else FIRST_SEED
+    print(f"share of {cameras} cameras with the right number of zones:")
+    print("camtopod | plain DaSpec | k-means | HDBSCAN")
+    print(f"{'':28s}" + "".join(f"{events:>25,d} events" for events in EVENTS))
+    seconds, refreshed = 0.0, 0
+    for kind in KINDS:
+        columns = []
+        for events in EVENTS:
+            if 0 < kind.rare * events < 28:
+                columns.append(f"{'':>32s}")
+                continue
+            right = []
+            for seed in range(first, first + cameras):
+                positions, zones = camera(seed, kind, events)
+                sums = cell_sums(*positions.T)
+                started = time.process_time()
+                found = len(find_zones(sums).zones)
+                seconds, refreshed = seconds + time.process_time() - started, refreshed + 1
+                plain = data_spectroscopy(sums.count, bandwidth(sums.count)).groups
+                right.append([count == zones for count in (found, plain, *others(positions))])
+            shares = " | ".join(f"{share:.2f}" for share in np.mean(right, axis=0))
+            columns.append(f"{shares:>32s}")
+        print(f"{kind.name:28s}" + "".join(columns), flush=True)
+    print(f"camtopod: {1e3 * seconds / refreshed:.1f} ms of processor time a camera")
+    return 0
 
 
 def others(positions: Floats) -> tuple[int, int]:
@@ -97,11 +113,9 @@ def camera(seed: int, kind: Kind, events: int) -> tuple[Floats, int]:
     for k, (centre, root) in enumerate(zip(centres, roots, strict=True)):
         left = np.flatnonzero(labels == k)
         while len(left):
-            spread = (
-                np.sqrt(3) * rng.uniform(-1, 1, (len(left), 2))
-                if kind.uniform
-                else rng.standard_normal((len(left), 2))
-            )
+            spread = rng.standard_normal((len(left), 2))
+            if kind.uniform:
+                spread = rng.uniform(-np.sqrt(3), np.sqrt(3), (len(left), 2))
             positions[left] = centre + spread @ root.T
             left = left[((positions[left] < 0) | (positions[left] > 1)).any(axis=1)]
     return positions, len(centres)

@@ -50,13 +50,13 @@ say, though half of the events in its cells are clutter and so its Gaussian fits
 FLOOR_CHANCE = 0.05
 """A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this
 probability."""
-FOUND_CHANCE = 0.001
+FOUND_CHANCE = 0.0001
 """The same for looking again among what was left as clutter."""
 FLOOR_WIDTHS = (1.75,)
 """Widths of the surroundings in grid steps: a door's, and that of a broad zone with few events."""
 _ROUNDS_MAX = 6
-PEELS_MAX = 6
-_GAIN_HOPELESS = -20.0
+PEELS_MAX = 3
+_GAIN_HOPELESS = -10.0
 _CENTRES = np.stack(
     [
         np.tile((np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS, GRID_ROWS),
@@ -64,7 +64,7 @@ _CENTRES = np.stack(
     ]
 )
 _CELL_SPREAD = np.array([1 / GRID_COLUMNS**2, 0.0, 1 / GRID_ROWS**2]) / 12
-_ANGLES = np.arange(8) * np.pi / 8
+_ANGLES = np.arange(6) * np.pi / 6
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _CUTS_TRIED = 2
 
