@@ -20,6 +20,9 @@ Luma = cv2.typing.MatLike
 TONE_BINS = 16
 _TONE_PIXELS_MIN = 24
 """Sampled pixels a level needs to have a say in the tone curve."""
+SHIFT_MIN = 1.0
+NOISE_DOUBT = 0.4
+"""A median shift within the first plus the second times the noise is no change of light, grey levels."""
 _LEVELS = np.arange(256, dtype=np.float32)
 
 
@@ -39,10 +42,15 @@ class Background:
         """The model as a picture."""
         return self._picture
 
-    def expected(self, frame: Luma, settled: Luma) -> Luma:
-        """The model under the light of ``frame``, judged where ``settled`` (H, W) is not 0."""
+    def expected(self, frame: Luma, settled: Luma, noise: float = 0.0) -> Luma:
+        """The model under the light of ``frame``, judged where ``settled`` (H, W) is not 0.
+
+        Shifts that ``noise`` (one sigma, grey levels) can feign are none: what is frozen would drift with them.
+        """
         shift = self._tone_shift(frame, settled)
-        if float(np.abs(shift).max()) < 1.0:
+        doubt = SHIFT_MIN + NOISE_DOUBT * noise
+        shift -= np.clip(shift, -doubt, doubt)
+        if not shift.any():
             return self._picture
         curve = np.clip(_LEVELS + shift, 0, 255).astype(np.uint8)
         return np.asarray(cv2.LUT(self._picture, curve), dtype=np.uint8)
@@ -66,10 +74,14 @@ class Background:
             return np.zeros(256, np.float32)
         return np.interp(_LEVELS, centres, medians).astype(np.float32)
 
-    def learn(self, frame: Luma, dt: float, settled: Luma) -> None:
-        """Follow ``frame``, ``dt`` seconds after the last, where ``settled`` (H, W) is not 0."""
+    def learn(self, frame: Luma, expected: Luma, dt: float, settled: Luma) -> None:
+        """Follow ``frame``, ``dt`` seconds after the last, where ``settled`` (H, W) is not 0.
+
+        Elsewhere the model follows the light alone (``expected``), or what somebody stood in front of for a
+        while would come to light in that of an earlier hour.
+        """
         rate = 1.0 - float(np.exp(-dt / self._seconds))
-        cv2.accumulateWeighted(frame, self._model, rate, settled)
+        cv2.accumulateWeighted(cv2.copyTo(frame, settled, expected.copy()), self._model, rate)
         self._picture = cv2.convertScaleAbs(self._model)
 
     def adopt(self, frame: Luma, where: Luma) -> None:

@@ -21,7 +21,7 @@ from camtopod.vision.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels; right and bottom exclusive."""
 
-DIFFERENCE_MIN = 14.0
+DIFFERENCE_MIN = 15.0
 """A pixel moves from this difference on, grey levels, in a picture without noise."""
 NOISE_FACTOR = 4.0
 EDGE_MIN = 18.0
@@ -51,12 +51,13 @@ class Motion:
     """One frame against the settled scene, masks (H, W) of 0 and 255.
 
     ``changed``: differs from the scene; ``moving``: of these, without shadows and reflections; ``edges``:
-    edges that the scene does not have.
+    edges that the scene does not have; ``expected``: the picture of the scene in this light.
     """
 
     moving: Luma
     edges: Luma
     changed: Luma
+    expected: Luma
 
 
 class MotionDetector:
@@ -104,7 +105,7 @@ class MotionDetector:
         After None the caller forgets its objects and bootstraps again.
         """
         assert self._background is not None, "bootstrap first"
-        expected = self._background.expected(frame, self._settled)
+        expected = self._background.expected(frame, self._settled, self._noise)
         difference = cv2.absdiff(frame, expected)
         threshold = max(DIFFERENCE_MIN, NOISE_FACTOR * min(self._noise, NOISE_TO_FILTER))
         moving = cv2.threshold(difference, threshold, 255, cv2.THRESH_BINARY)[1]
@@ -120,7 +121,7 @@ class MotionDetector:
         solid = cv2.morphologyEx(
             solid, cv2.MORPH_OPEN, _CROSS
         )  # outlines of furniture are lines, people are not
-        return Motion(solid, edges, moving)
+        return Motion(solid, edges, moving, expected)
 
     def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
         """Where the picture has edges the scene has not, and where it differs more than a shadow makes it.
@@ -144,7 +145,7 @@ class MotionDetector:
             columns = slice(max(0, int(left - margin)), max(0, int(right + margin) + 1))
             unclaimed[rows, columns] = 0
             self._settled[rows, columns] = 0
-        self._background.learn(frame, dt, self._settled)
+        self._background.learn(frame, motion.expected, dt, self._settled)
         self._unclaimed_seconds += dt
         self._unclaimed_seconds[unclaimed == 0] = 0.0
         if float(self._unclaimed_seconds.max()) > ADOPT_SECONDS:

@@ -167,7 +167,8 @@ class Tracker:
         """Blobs that hide several confirmed people update all of them; the other blobs are returned."""
         free = []
         for blob in blobs:
-            inside = [track for track in self.active if track.confirmed and _holds(blob.box, track.box)]
+            waiting = [track for track in self.active if track.confirmed and track.last.t < t]
+            inside = [track for track in waiting if _holds(blob.box, track.box)]
             wide = len(inside) > 1 and blob.width > 1.3 * max(track.width for track in inside)
             tall = len(inside) > 1 and blob.height > 1.25 * max(track.height for track in inside)
             if wide or tall:
