@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from thesis import FIGURE_4_4_ZONES, figure_4_4
 
 from camtopod.learn import valley as valley_module
+from camtopod.learn.clutter import clutter_rate
 from camtopod.learn.evidence import gaussians, log_evidence
-from camtopod.learn.partition import clutter_rate
 from camtopod.learn.valley import valley
 from camtopod.learn.zones import (
     POSITION_ONE,

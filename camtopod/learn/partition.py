@@ -1,11 +1,12 @@
 """Which cells of a camera's grid make a zone: DaSpec, made robust (thesis 4.2; `daspec`).
 
 1. The *density floor*: the rate of uniform clutter is estimated from the sparse cells, and cells whose
-   surroundings are explained by it are left out.
+   surroundings are explained by it are left out (`clutter`).
 2. *DaSpec* over the remaining cells, and again over those that no kept eigenvector reaches (a zone with under
    5 % of the points is such), at half the bandwidth of the rule: too many groups rather than too few.
 3. *Moves* until none helps: groups that are not two zones are merged, groups that are not denser than clutter
-   are dropped, cells go to the Gaussian that explains them best, and groups that are two zones are split.
+   are dropped, cells go to the Gaussian that explains them best, groups that are two zones are split, and
+   DaSpec looks again among the clutter.
 
 Two groups are two zones when two Gaussians explain them better than one (`evidence`) and there is a valley
 between them (`valley`). The first alone would cut every zone that is not Gaussian, the second is weak with
@@ -18,16 +19,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammainc, gammaln
+from scipy.special import gammaln
 
-from camtopod.learn.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy, kernel_1d
+from camtopod.learn.clutter import CONTRAST_MIN, FLOOR_CHANCE, FOUND_CHANCE, dense_cells, groups_of
 from camtopod.learn.evidence import gaussians, log_evidence, log_share, log_zones
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.valley import valley
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.intp]
-Counts = NDArray[np.int64] | Floats
 
 EVENTS_MIN = 5
 """Below this a camera is one zone."""
@@ -42,20 +42,11 @@ FAR = 3.0
 """Two centres further apart than this many of their summed standard deviations need no valley."""
 UNLIKE = 2.0
 """So much log likelihood for each event of the smaller group shows two zones without a valley."""
-CONTRAST_MIN = 1.5
 EXCESS_MIN = 12.0
 """Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's zone,
 say, though half of the events in its cells are clutter and so its Gaussian fits badly. It must be
 `CONTRAST_MIN` as dense."""
-FLOOR_CHANCE = 0.05
-"""A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this
-probability."""
-FOUND_CHANCE = 0.0001
-"""The same for looking again among what was left as clutter."""
-FLOOR_WIDTHS = (1.75,)
-"""Widths of the surroundings in grid steps: a door's, and that of a broad zone with few events."""
 _ROUNDS_MAX = 6
-PEELS_MAX = 3
 _GAIN_HOPELESS = -10.0
 _CENTRES = np.stack(
     [
@@ -93,63 +84,9 @@ def partition(cells: Cells, count: NDArray[np.int64]) -> Labels:
     if count.sum() < EVENTS_MIN:
         return one
     dense = dense_cells(count, FLOOR_CHANCE)
-    groups = _first_groups(dense if dense.any() else count.astype(np.float64))
+    groups = groups_of(dense if dense.any() else count.astype(np.float64))
     labels = _Moves(cells, groups[cells.index]).settle()
     return labels if labels.max() >= 0 else one
-
-
-def clutter_rate(count: Counts) -> float:
-    """Events of uniform clutter per cell: the mean over the cells that are not significantly above it."""
-    n = count.ravel().astype(np.float64)
-    rate = float(n.mean())
-    for _ in range(8):
-        below = float(n[n <= rate + 3 * np.sqrt(rate) + 1].mean())
-        if abs(below - rate) < 1e-6:
-            break
-        rate = below
-    return max(rate, 1e-6)
-
-
-def dense_cells(count: Counts, chance: float) -> Floats:
-    """Counts above the clutter, 0 in cells whose surroundings clutter would fill like this with at least
-    ``chance``."""
-    rate = clutter_rate(count)
-    dense = np.zeros(count.shape, dtype=np.bool_)
-    # A kernel-weighted sum of Poisson counts behaves like a Poisson count over an area of (sum K)^2 / (sum
-    # K^2).
-    for rows, columns, area, area_squared in _SURROUNDINGS:
-        inside = rows @ count @ columns * area / area_squared
-        dense |= gammainc(np.maximum(inside, 1e-9), rate * area**2 / area_squared) < chance
-    keep = dense & (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
-    return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
-
-
-def _surroundings(width: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Kernels over rows and columns, and the kernel's and its square's sum around each cell."""
-    rows, columns = kernel_1d(GRID_ROWS, width), kernel_1d(GRID_COLUMNS, width)
-    squared = np.outer((rows**2).sum(axis=0), (columns**2).sum(axis=0))
-    return rows, columns, np.outer(rows.sum(axis=0), columns.sum(axis=0)), squared
-
-
-_SURROUNDINGS = [_surroundings(width) for width in FLOOR_WIDTHS]
-
-
-def _first_groups(dense: Floats) -> Labels:
-    """DaSpec's groups of the dense cells, flat (rows * columns), -1 elsewhere."""
-    dense = dense.copy()
-    width = max(bandwidth(dense) / 2, BANDWIDTH_MIN)
-    labels = np.full(dense.size, -1, dtype=np.intp)
-    groups = 0
-    for _ in range(PEELS_MAX):
-        found = data_spectroscopy(dense, width)
-        own = found.vectors[np.arange(len(found.cells)), found.labels]
-        reached = own > found.vectors.max(axis=0)[found.labels] * max(1 / dense.sum(), 1e-3)
-        labels[found.cells[reached]] = found.labels[reached] + groups
-        groups += found.groups
-        dense.ravel()[found.cells[reached]] = 0
-        if not dense.any():
-            break
-    return labels
 
 
 class _Moves:
@@ -200,7 +137,7 @@ class _Moves:
         dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), FOUND_CHANCE)
         if not dense.any():
             return False
-        groups = _first_groups(dense)[self.cells.index]
+        groups = groups_of(dense)[self.cells.index]
         self._set(np.where(groups >= 0, groups + known, labels))
         keys = [zone.tobytes() for zone in self.zones[known:]]
         for k in range(len(self.zones) - 1, known - 1, -1):
