@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import types
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,15 @@ from camtopod.cli.common import configuration, start_logging
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.serve.bus import BusError
 from camtopod.serve.journal import Journal
+
+
+@pytest.fixture(autouse=True)
+def _root_logger() -> Iterator[None]:
+    """Commands set up logging for their process; here the process goes on."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:], root.level = handlers, level
 
 
 @pytest.fixture
@@ -229,15 +239,6 @@ def test_where_the_state_is(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- logs -----------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def _root_logger() -> Any:
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    yield
-    root.handlers[:], root.level = handlers, level
-
-
-@pytest.mark.usefixtures("_root_logger")
 @pytest.mark.parametrize("form", main.LOG_FORMATS)
 def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
     start_logging(arguments(log_format=form))

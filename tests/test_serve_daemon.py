@@ -21,6 +21,7 @@ from camtopod.learn.topology import make_delta
 from camtopod.records import Ack, Event, Prediction, Topology
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus, BusError, QueryError
+from camtopod.serve.clock import ulid
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher
@@ -147,6 +148,14 @@ def test_other_settings_begin_a_new_epoch(site: Site) -> None:
         assert again.epoch > daemon.epoch
         assert again.topology is not None
         assert again.topology.epoch == again.epoch
+
+
+def test_epochs_sort_by_time_whatever_the_clock_does() -> None:
+    first = ulid(NOW)
+    assert len(first) == 26
+    assert ulid(NOW - 1000.0) < first < ulid(NOW + 0.001)
+    assert first < ulid(NOW, after=first) < ulid(NOW + 0.002)
+    assert first < ulid(NOW - 1e6, after=first)
 
 
 def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:

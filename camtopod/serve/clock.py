@@ -17,7 +17,15 @@ def wall() -> float:
     return time.time()
 
 
-def ulid(now: float) -> str:
-    """A ULID: 26 characters, 48 bits of milliseconds since the epoch and 80 random bits, sorted by time."""
-    number = (int(now * 1000) & (2**48 - 1)) << 80 | secrets.randbits(80)
+def ulid(now: float, after: str = "") -> str:
+    """A ULID: 26 characters, 48 bits of milliseconds since the epoch and 80 random bits, sorted by time.
+
+    It sorts behind the ULID ``after`` even if the clock has been set back since.
+    """
+    milliseconds = int(now * 1000)
+    if after:
+        milliseconds = max(
+            milliseconds, 1 + sum(_CROCKFORD.index(c) << 5 * k for k, c in enumerate(after[9::-1]))
+        )
+    number = (milliseconds & (2**48 - 1)) << 80 | secrets.randbits(80)
     return "".join(_CROCKFORD[number >> shift & 31] for shift in range(125, -1, -5))

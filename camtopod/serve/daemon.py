@@ -179,7 +179,7 @@ class Daemon:
         return learner, new, recent
 
     def _new_epoch(self) -> str:
-        epoch = clocks.ulid(self._clock())
+        epoch = clocks.ulid(self._clock(), after=self._journal.meta("epoch") or "")
         self._journal.forget_versions()
         self._journal.set_meta("epoch", epoch)
         return epoch
