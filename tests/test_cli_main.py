@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import os
 import re
 import subprocess
 import sys
@@ -141,6 +142,28 @@ def test_expected_errors_become_statuses(
     assert out == ""
     assert said in err
     assert "Traceback" not in err
+
+
+def test_the_last_message_has_the_form_of_the_log_too(
+    command: types.ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(args: argparse.Namespace) -> int:
+        raise CommandError('no "good"')
+
+    command.act = fail  # type: ignore[attr-defined]
+    main.main(["probe", "--log-format", "json"])
+    assert json.loads(capsys.readouterr().err) == {"level": "error", "message": 'no "good"'}
+    main.main(["probe", "--log-format", "logfmt"])
+    assert capsys.readouterr().err == 'level=error message="no \\"good\\""\n'
+
+
+def test_linear_algebra_has_one_thread_unless_told_otherwise(
+    command: types.ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    assert main.main(["probe"]) == 0
+    assert (os.environ["OPENBLAS_NUM_THREADS"], os.environ["OMP_NUM_THREADS"]) == ("1", "3")
 
 
 def test_what_nobody_expects_is_not_hidden(command: types.ModuleType) -> None:

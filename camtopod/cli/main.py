@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import json
 import os
 import sys
 from collections.abc import Sequence
@@ -36,15 +37,21 @@ COMMANDS: dict[str, tuple[str, str]] = {
 """Command -> (module, one line for --help)."""
 
 LOG_FORMATS = ("text", "logfmt", "json")
+_LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""Set to 1 before numpy is loaded: with another number of threads the same events give other last bits."""
 _WITH_VALUE = ("--config", "--site", "--connect", "--log-format")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status. Never lets an expected error out as a traceback."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    for name in _LINEAR_ALGEBRA_THREADS:
+        os.environ.setdefault(name, "1")
+    form = "text"
     try:
         try:
             args, run = _parse(arguments)
+            form = args.log_format
             status = run(args)
         finally:
             sys.stdout.flush()
@@ -52,11 +59,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return exits.FAILED
     except KeyboardInterrupt:
-        return _fail("interrupted", exits.FAILED)
+        return _fail("interrupted", exits.FAILED, form)
     except exits.CommandError as error:
-        return _fail(str(error), error.status)
+        return _fail(str(error), error.status, form)
     except OSError as error:
-        return _fail(*_os_error(error))
+        return _fail(*_os_error(error), form)
     return int(status)
 
 
@@ -139,8 +146,14 @@ def _os_error(error: OSError) -> tuple[str, int]:
     return str(error), status
 
 
-def _fail(message: str, status: int) -> int:
-    print(f"camtopod: {redact(message)}", file=sys.stderr)
+def _fail(message: str, status: int, form: str) -> int:
+    message = redact(message)
+    if form == "json":
+        print(json.dumps({"level": "error", "message": message}, ensure_ascii=False), file=sys.stderr)
+    elif form == "logfmt":
+        print(f"level=error message={json.dumps(message, ensure_ascii=False)}", file=sys.stderr)
+    else:
+        print(f"camtopod: {message}", file=sys.stderr)
     return status
 
 
