@@ -38,7 +38,7 @@ START_FLOOR = 0.002
 """Share of a pair's own histogram that it starts with even where nothing exceeds chance."""
 ITERATIONS = 6
 """EM iterations a round; speed is looked at between rounds."""
-ROUNDS_MAX = 5
+SPARSE_ROUNDS_MAX = 4
 SETTLED = 0.03
 """Rounds end when what speed tells changes by less than this."""
 STRIDE = 1.8
@@ -51,8 +51,9 @@ SPARSITY = 1.0
 off each. Left out, thousands of pairs share the arrivals that come from outside among them."""
 FOLLOWED_TRANSITIONS_MIN = 0.05
 """A pair of zones with fewer expected transitions is not followed in later rounds."""
-UNSPARING_ROUNDS = 2
-"""The first rounds do without, while weak links are still taking shape."""
+POSTERIOR_SPARSITY = 0.3
+POOLING_DEPARTURES = 3.0
+"""In the posterior, what leaves anywhere in a camera's view counts for each of its zones as much as this many departures."""
 SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
 """(at least this many expected transitions, smooth by this many bins)."""
 
@@ -75,31 +76,41 @@ class Fit(NamedTuple):
     persistence: Persistence
 
 
+class Known(NamedTuple):
+    """Hazards (P, bins; rows of zeros where unknown) of an earlier posterior and of its links, and what speed told."""
+
+    posterior: Floats
+    linked: Floats
+    persistence: Persistence
+
+
 def fit_jointly(
     departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
-    known: tuple[Floats, Persistence] | None = None,
-) -> Fit:  # fmt: skip
-    """The joint fit of everything that left and came up to ``until`` (seconds).
+    known: Known | None = None,
+) -> tuple[Fit, Fit]:  # fmt: skip
+    """The joint fit of everything that left and came up to ``until`` (seconds): the posterior, and the links in it.
 
-    ``known``: hazards (P, bins; rows of zeros where unknown) and persistence of an earlier fit to go on from.
+    The *posterior* keeps all weak evidence and lends each zone some of its camera's: best for prediction. The second fit
+    has a sparse prior and stands for what is linked. ``known``: what earlier fits of both kinds found, to go on from.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
     if known is None:
-        fit = fitter.run(fitter.start())
+        first = fitter.run(fitter.start())
+        likely = linked = fitter.run(fitter.use_slowness(first)).hazard
     else:
-        fitter.use(known[1])
-        fit = fitter.run(np.maximum(known[0], START_FLOOR * fitter.start()))
-    for done in range(1 if known is None else UNSPARING_ROUNDS, ROUNDS_MAX):
+        fitter.use(known.persistence)
+        floor = START_FLOOR * fitter.start()
+        likely, linked = np.maximum(known.posterior, floor), np.maximum(known.linked, floor)
+    fitter.pooling, fitter.sparsity = POOLING_DEPARTURES, POSTERIOR_SPARSITY
+    posterior = fitter.run(likely)
+    fitter.pooling, fitter.sparsity = 0.0, SPARSITY
+    fit = fitter.prune(fitter.run(linked))
+    for _ in range(SPARSE_ROUNDS_MAX - 1):
         before = fitter.persistence
-        if done >= UNSPARING_ROUNDS:
-            fitter.sparsity = SPARSITY
-        fit = fitter.run(fitter.use_slowness(fit))
-        change = max(abs(now - then) for now, then in zip(fitter.persistence, before, strict=True))
-        if fitter.sparsity and change < SETTLED:
+        fit = fitter.prune(fitter.run(fitter.use_slowness(fit)))
+        if max(abs(now - then) for now, then in zip(fitter.persistence, before, strict=True)) < SETTLED:
             break
-        if fitter.sparsity:
-            fit = fitter.prune(fit)
-    return fit
+    return posterior, fit
 
 
 class JointFitter:
@@ -112,7 +123,10 @@ class JointFitter:
         self.bins, self.zones = bins, zones
         self.candidates, self.departures, self.arrivals = candidates, departures, arrivals
         self.exposure = exposures(departures, bins, zones, until)
-        self.sparsity = 0.0
+        self.sparsity = self.pooling = 0.0
+        self._camera = np.zeros(zones, np.int64)
+        self._camera[departures.zone] = departures.camera
+        self._camera[arrivals.zone] = arrivals.camera
         self.persistence = NO_PERSISTENCE
         self.outside = np.full(zones, 0.5)
         self._per_zone = np.maximum(np.bincount(arrivals.zone, minlength=zones), 1.0)
@@ -219,8 +233,25 @@ class JointFitter:
         kept = np.maximum(total - self.sparsity, 1e-3 * total) / np.maximum(total, 1e-300)
         smoothed, stays = smooth(counts * kept)
         self._own = np.repeat(stays, self.bins.size) / np.maximum(smoothed.ravel(), 1e-300)
-        exposed = self.exposure[self.candidates.source]
-        return smoothed / (np.maximum(exposed, 1.0) * self.bins.widths)
+        exposed = np.maximum(self.exposure[self.candidates.source], 1.0)
+        if self.pooling:
+            smoothed = smoothed + self.pooling * self._pooled(counts)
+            exposed = exposed + self.pooling
+        return smoothed / (exposed * self.bins.widths)
+
+    def _pooled(self, counts: Floats) -> Floats:
+        """Transitions per exposed departure (P, bins) if only the cameras counted, and in them the traffic of the zones."""
+        source, target = self._camera[self.candidates.source], self._camera[self.candidates.target]
+        cameras = int(self._camera.max()) + 1
+        pair = source * cameras + target
+        pooled = np.zeros((cameras * cameras, self.bins.size))
+        np.add.at(pooled, pair, counts)
+        exposed = np.zeros((cameras, self.bins.size))
+        np.add.at(exposed, self._camera, self.exposure)
+        rates = smooth(pooled)[0] / np.maximum(np.repeat(exposed, cameras, axis=0), 1.0)
+        share = self._per_zone / np.bincount(self._camera, self._per_zone)[self._camera]
+        lent: Floats = rates[pair] * share[self.candidates.target][:, None]
+        return lent
 
     def _appears(self, hazard: Floats) -> Floats:
         """Probability (P,) that an object leaving at the source appears next at the target."""

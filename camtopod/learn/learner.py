@@ -16,7 +16,7 @@ from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
 from camtopod.learn.candidates import find_candidates
 from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lags import LagBins
-from camtopod.learn.links import LinkTable, join, significant, tabulate, transitions_of, weak, without_missed
+from camtopod.learn.links import LinkTable, beside, join, significant, tabulate, transitions_of, without_missed
 from camtopod.learn.memory import Memory
 from camtopod.learn.passages import visible_transitions
 from camtopod.learn.predict import Predictor
@@ -145,16 +145,17 @@ class Learner:
         self._refresh_zones()
         scene = see(self._window, self._maps)
         through = self._through_views(scene)
-        fit, between = self._between_views(scene)
+        posterior, between, likely = self._between_views(scene)
         found = without_missed(between, through, significant(between, self.settings), self.settings)
         seen = np.flatnonzero(significant(through, self.settings))
         links = self._records(scene, between.rows(np.flatnonzero(found)), self.bins)
         links += self._records(scene, through.rows(seen), self.stay_bins, visible=True)
+        weak_links = self._records(scene, beside(likely, between.rows(np.flatnonzero(found)), len(scene.zones)), self.bins)
         version = 1 if self.topology is None else self.topology.version + 1
         self.topology = stamp(
             assemble(
                 self.site, self.epoch, version, tick_us / MICROSECONDS, self._learned, self.settings, self._window,
-                scene, fit, self.bins, links, self._records(scene, between.rows(weak(between, found)), self.bins),
+                scene, posterior, self.bins, links, weak_links,
             )
         )  # fmt: skip
         self._updates.append(self.topology)
@@ -179,14 +180,18 @@ class Learner:
         transitions = visible_transitions(scene, self.stay_bins, self.settings.candidates_max)
         return tabulate(transitions, scene.entries.astype(float), self.stay_bins, len(scene.zones))
 
-    def _between_views(self, scene: Scene) -> tuple[Fit | None, LinkTable]:
+    def _between_views(self, scene: Scene) -> tuple[Fit | None, LinkTable, LinkTable]:
         """Links that leave a view: the joint fit of departures and arrivals."""
         zones = len(scene.zones)
         leaving = scene.exits.astype(float)
         if len(scene.departures.t) == 0 or len(scene.arrivals.t) == 0:
-            return None, tabulate(join([]), leaving, self.bins, zones)
+            empty = tabulate(join([]), leaving, self.bins, zones)
+            return None, empty, empty
         candidates = find_candidates(scene.departures, scene.arrivals, self.bins, zones, self.settings.candidates_max)
         known = self._memory.recall(candidates, scene, self.bins, len(self._window))
-        fit = fit_jointly(scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last, known)
-        self._memory.remember(fit, scene, len(self._window), fresh=known is None)
-        return fit, tabulate(transitions_of(fit), leaving, self.bins, zones)
+        posterior, fit = fit_jointly(
+            scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last, known
+        )
+        self._memory.remember(posterior, fit, scene, len(self._window), fresh=known is None)
+        tables = (tabulate(transitions_of(each), leaving, self.bins, zones) for each in (fit, posterior))
+        return posterior, *tables

@@ -25,6 +25,7 @@ TRANSITIONS_MIN = 2.0
 """A published link rests on at least this many expected transitions."""
 WEAK_TRANSITIONS_MIN = 0.2
 WEAK_LINKS_PER_ZONE_MAX = 24
+LEFT_OVER_MIN = 0.05
 MONTE_CARLO_SEED = 2011
 
 
@@ -129,12 +130,20 @@ def ways(table: LinkTable, keep: NDArray[np.bool_]) -> Ways:
     return result
 
 
-def weak(table: LinkTable, published: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Rows below the rule that are worth carrying for prediction: the likeliest few of each source."""
-    rows = np.flatnonzero(~published & (table.transit.total >= WEAK_TRANSITIONS_MIN))
-    rows = rows[np.lexsort((table.target[rows], -table.probability[rows], table.source[rows]))]
-    source = table.source[rows]
+def beside(likely: LinkTable, published: LinkTable, zones: int) -> LinkTable:
+    """Weak links for prediction: rows of the posterior that are not published, the likeliest few of each source.
+
+    What the published links leave over of each source is shared among them and leaving as the posterior shares it.
+    """
+    key, done = (table.source.astype(np.int64) * zones + table.target for table in (likely, published))
+    known = np.isin(key, done)
+    taken = np.bincount(published.source, published.probability, minlength=zones)
+    before = np.bincount(likely.source[known], likely.probability[known], minlength=zones)
+    scale = np.maximum(1.0 - taken, 0.0) / np.maximum(1.0 - before, LEFT_OVER_MIN)
+    likely = likely._replace(probability=np.minimum(likely.probability * scale[likely.source], 1.0))
+    rows = np.flatnonzero(~known & (likely.transit.total >= WEAK_TRANSITIONS_MIN))
+    rows = rows[np.lexsort((likely.target[rows], -likely.probability[rows], likely.source[rows]))]
+    source = likely.source[rows]
     starts = np.concatenate(([True], source[1:] != source[:-1])) if len(rows) else np.zeros(0, bool)
     rank = np.arange(len(rows)) - np.maximum.accumulate(np.where(starts, np.arange(len(rows)), 0))
-    kept: NDArray[np.intp] = rows[rank < WEAK_LINKS_PER_ZONE_MAX]
-    return kept
+    return likely.rows(rows[rank < WEAK_LINKS_PER_ZONE_MAX])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Candidates
-from camtopod.learn.joint import Fit
+from camtopod.learn.joint import Fit, Known
 from camtopod.learn.lags import LagBins
 from camtopod.learn.scene import Scene, ZoneRef
 from camtopod.learn.slowness import NO_PERSISTENCE, Persistence
@@ -24,32 +24,35 @@ def _key(source: ZoneRef, target: ZoneRef) -> PairKey:
 
 
 class Memory:
-    """Hazards and persistence of the last fit."""
+    """Hazards of the last posterior and of its links, by zones."""
 
     def __init__(self) -> None:
-        self._hazards: dict[PairKey, Floats] = {}
+        self._posterior: dict[PairKey, Floats] = {}
+        self._linked: dict[PairKey, Floats] = {}
         self._persistence: Persistence = NO_PERSISTENCE
         self._fresh_size = 0
 
-    def recall(
-        self, candidates: Candidates, scene: Scene, bins: LagBins, window: int
-    ) -> tuple[Floats, Persistence] | None:
-        """Hazards (P, bins) and persistence to go on from; None when a fit from nothing is due."""
+    def recall(self, candidates: Candidates, scene: Scene, bins: LagBins, window: int) -> Known | None:
+        """What to go on from for these candidates; None when a fit from nothing is due."""
         if window >= FRESH_GROWTH * self._fresh_size:
             return None
+        keys = [_key(scene.zones[u], scene.zones[v]) for u, v in zip(candidates.source, candidates.target, strict=True)]
         none = np.zeros(bins.size)
-        rows = [
-            self._hazards.get(_key(scene.zones[source], scene.zones[target]), none)
-            for source, target in zip(candidates.source, candidates.target, strict=True)
-        ]
-        return np.array(rows).reshape(-1, bins.size), self._persistence
+        posterior, linked = (
+            np.array([table.get(key, none) for key in keys]).reshape(-1, bins.size)
+            for table in (self._posterior, self._linked)
+        )
+        return Known(posterior, linked, self._persistence)
 
-    def remember(self, fit: Fit, scene: Scene, window: int, fresh: bool) -> None:
-        """Keep what the next fit can go on from."""
-        pairs = zip(fit.candidates.source, fit.candidates.target, strict=True)
-        self._hazards = {
-            _key(scene.zones[source], scene.zones[target]): fit.hazard[k] for k, (source, target) in enumerate(pairs)
-        }
-        self._persistence = fit.persistence
+    def remember(self, posterior: Fit, linked: Fit, scene: Scene, window: int, fresh: bool) -> None:
+        """Keep what the next fit can go on from; ``fresh``: these were made from nothing."""
+        self._posterior, self._linked = _by_zones(posterior, scene), _by_zones(linked, scene)
+        self._persistence = linked.persistence
         if fresh:
             self._fresh_size = window
+
+
+def _by_zones(fit: Fit, scene: Scene) -> dict[PairKey, Floats]:
+    """The hazard of each pair of zones."""
+    pairs = zip(fit.candidates.source, fit.candidates.target, strict=True)
+    return {_key(scene.zones[u], scene.zones[v]): fit.hazard[k] for k, (u, v) in enumerate(pairs)}

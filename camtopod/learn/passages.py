@@ -44,5 +44,5 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     if len(starts.t) == 0 or len(ends.t) == 0:
         return join([])
     candidates = find_candidates(starts, ends, bins, zones, candidates_max)
-    fit = fit_jointly(starts, ends, candidates, bins, zones, scene.last)
+    _, fit = fit_jointly(starts, ends, candidates, bins, zones, scene.last)
     return transitions_of(fit)

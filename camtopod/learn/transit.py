@@ -48,12 +48,14 @@ def weighted_quantiles(pair: NDArray[np.int32], lag: Floats, weight: Floats, pai
     """q10, q50, q90 of the lags of each pair, (P, 3): the first lag at which the share of the weight is reached."""
     kept = weight > 0
     pair, lag, weight = pair[kept], lag[kept], weight[kept]
+    if len(pair) == 0:
+        return np.full((pairs, len(QUANTILES)), np.nan)
     order = np.lexsort((lag, pair))
     pair, lag, reached = pair[order], lag[order], np.cumsum(weight[order])
     result = np.full((pairs, len(QUANTILES)), np.nan)
     present, first = np.unique(pair, return_index=True)
     last = np.append(first[1:], len(pair)) - 1
-    before = np.where(first > 0, reached[first - 1], 0.0) if len(present) else np.zeros(0)
+    before = np.where(first > 0, reached[first - 1], 0.0)
     for k, q in enumerate(QUANTILES):
         at = np.searchsorted(reached, before + q * (reached[last] - before), side="left")
         result[present, k] = lag[np.clip(at, first, last)]
