@@ -162,7 +162,7 @@ class JointFitter:
             stride = STRIDE if iteration < ITERATIONS - SETTLING_ITERATIONS else 1.0
             ratio = np.minimum(fresh / np.maximum(hazard, 1e-300), STRIDE_RATIO_MAX)
             hazard = fresh * ratio ** (stride - 1.0)
-        flat = self._flatness(hazard)
+        flat = self.flatness(hazard)
         return Fit(hazard, counts, responsibility, flat, self.outside, self.candidates, self.persistence)
 
     def use_slowness(self, fit: Fit) -> Floats:
@@ -204,6 +204,14 @@ class JointFitter:
             fit.hazard[alive], fit.counts[alive], fit.responsibility[kept], fit.flat[kept], fit.outside,
             self.candidates, self.persistence,
         )  # fmt: skip
+
+    def expect_afresh(self, hazard: Floats, sweeps: int) -> Floats:
+        """Responsibilities (M,) under hazards (P, bins) learned elsewhere: nothing is left out, nothing known before."""
+        self._message = np.ones(len(self.candidates.lag))
+        for _ in range(sweeps):
+            self._responsibility = np.zeros(len(self.candidates.lag))
+            self._expect(hazard)
+        return self._responsibility
 
     def _expect(self, hazard: Floats) -> Floats:
         """E step: responsibilities (M,)."""
@@ -260,7 +268,7 @@ class JointFitter:
         total: Floats = (hazard * self.bins.widths * share).sum(axis=1)
         return total
 
-    def _flatness(self, hazard: Floats) -> Floats:
+    def flatness(self, hazard: Floats) -> Floats:
         """Hazard without its dependence on the lag over the hazard, of each candidate (M,)."""
         even = (hazard * self.bins.widths).sum(axis=1) / self.bins.widths.sum()
         flat: Floats = even[self.candidates.pair] / np.maximum(hazard.ravel()[self._cell], 1e-300)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.learn.assemble import assemble, link_records
+from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
 from camtopod.learn.candidates import find_candidates
 from camtopod.learn.joint import Fit, fit_jointly
@@ -193,5 +194,7 @@ class Learner:
             scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last, known
         )
         self._memory.remember(posterior, fit, scene, len(self._window), fresh=known is None)
-        tables = (tabulate(transitions_of(each), leaving, self.bins, zones) for each in (fit, posterior))
-        return posterior, *tables
+        ratio = cross_evidence(scene.departures, scene.arrivals, fit, self.bins, zones, scene.first, scene.last)
+        between = tabulate(transitions_of(fit), leaving, self.bins, zones)
+        between = between.with_evidence(ratio, zones * zones)
+        return posterior, between, tabulate(transitions_of(posterior), leaving, self.bins, zones)

@@ -71,6 +71,11 @@ class LinkTable(NamedTuple):
         return LinkTable(*(column[keep] for column in rest), transit, self.variance[keep], self.counts[keep])
 
 
+    def with_evidence(self, ratio: Floats, tests: int) -> LinkTable:
+        """The same with evidence (P,) in nats from elsewhere, and the false discovery rates among ``tests`` pairs looked at."""
+        return self._replace(ratio=ratio, q=q_values(ratio, tests))
+
+
 def tabulate(transitions: Transitions, leaving: Floats, bins: LagBins, zones: int) -> LinkTable:
     """Figures of every pair of zones that has a transition. ``leaving`` (zones,): how many could have taken one."""
     key = transitions.source.astype(np.int64) * zones + transitions.target
