@@ -1,4 +1,4 @@
-"""Serves one H.264 file over RTSP at its own pace: run by a Python that has GStreamer's bindings (the system's).
+"""Serves one H.264 file over RTSP at its own pace: for a Python that has GStreamer's bindings.
 
     python3 rtsp_server.py FILE
 
@@ -19,7 +19,8 @@ server.set_address("127.0.0.1")
 server.set_service("0")
 factory = GstRtspServer.RTSPMediaFactory()
 factory.set_launch(
-    f'( filesrc location="{sys.argv[1]}" ! qtdemux ! h264parse ! rtph264pay name=pay0 pt=96 config-interval=-1 )'
+    f'( filesrc location="{sys.argv[1]}" ! qtdemux ! h264parse '
+    "! rtph264pay name=pay0 pt=96 config-interval=-1 )"
 )
 server.get_mount_points().add_factory("/camera", factory)
 server.attach(None)

@@ -21,7 +21,7 @@ Place = tuple[float, float]
 
 @dataclass
 class Person:
-    """Feet at ``where(t)`` in fractions of the picture (None: not there); sizes in fractions of its height."""
+    """Feet at ``where(t)`` in fractions of the picture (None: not there); sizes in its height."""
 
     where: Callable[[float], Place | None]
     tall: float = 0.2

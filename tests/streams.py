@@ -7,7 +7,7 @@ import socket
 import subprocess
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -27,10 +27,22 @@ def missing() -> str | None:
 
 
 def transcode(source: Path, target: Path, fps: float, seconds: float | None = None) -> None:
-    """``source`` as H.264 at ``fps`` frames a second (frames kept, times changed), at most ``seconds`` of it."""
+    """``source`` as H.264 at ``fps`` frames a second (the same frames), at most ``seconds`` of it."""
     limit = [] if seconds is None else ["-t", str(seconds)]
     command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-y", "-r", str(fps), "-i", str(source), *limit]
-    command += ["-an", "-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-bf", "0", "-g", str(round(fps))]
+    command += [
+        "-an",
+        "-c:v",
+        "libx264",
+        "-preset",
+        "veryfast",
+        "-crf",
+        "20",
+        "-bf",
+        "0",
+        "-g",
+        str(round(fps)),
+    ]
     subprocess.run([*command, "-pix_fmt", "yuv420p", str(target)], check=True)
 
 
@@ -38,7 +50,9 @@ def transcode(source: Path, target: Path, fps: float, seconds: float | None = No
 def served(path: Path) -> Iterator[int]:
     """Serve an H.264 file at rtsp://127.0.0.1:PORT/camera; gives the port."""
     script = Path(__file__).parent / "rtsp_server.py"
-    with subprocess.Popen([SYSTEM_PYTHON, str(script), str(path)], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [SYSTEM_PYTHON, str(script), str(path)], stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         try:
             yield int(process.stdout.readline())
@@ -115,8 +129,6 @@ class FaultProxy:
 
 
 def _shut(side: socket.socket) -> None:
-    try:
+    with suppress(OSError):
         side.shutdown(socket.SHUT_RDWR)
-    except OSError:
-        pass
     side.close()

@@ -61,7 +61,7 @@ def events_of(grabber: Grabber) -> list[Event]:
     return [event for event in grabber.events() if event is not None]
 
 
-# -- files -------------------------------------------------------------------------------------------------------
+# -- files ------------------------------
 
 
 def test_a_file_that_is_not_there_or_no_video(tmp_path: Path) -> None:
@@ -79,7 +79,9 @@ def test_a_file_that_is_not_there_or_no_video(tmp_path: Path) -> None:
 
 def test_times_are_the_start_plus_the_position(film: Path) -> None:
     frames = [frame for frame in RecordedSource(str(film), VisionSettings(), 1000.0, None).frames() if frame]
-    np.testing.assert_allclose([frame.t for frame in frames], 1000.0 + np.arange(len(frames)) / FPS, atol=1e-3)
+    np.testing.assert_allclose(
+        [frame.t for frame in frames], 1000.0 + np.arange(len(frames)) / FPS, atol=1e-3
+    )
     assert len(frames) == round(SECONDS * FPS)
     assert frames[0].luma.shape == (HEIGHT, WIDTH)
 
@@ -128,7 +130,7 @@ def test_luma_is_the_grey_picture_whatever_the_format(film: Path, tmp_path: Path
     capture.release()
 
 
-# -- streams -----------------------------------------------------------------------------------------------------
+# -- streams ------------------------------
 
 
 def run_until(

@@ -69,7 +69,14 @@ def test_never_later_than_the_arrival() -> None:
 
 @pytest.mark.parametrize(
     ("fps", "wanted", "taken"),
-    [(7.0, 7.0, 7.0), (10.0, 7.0, 10.0), (15.0, 7.0, 7.5), (25.0, 7.0, 6.25), (30.0, 7.0, 7.5), (5.0, 7.0, 5.0)],
+    [
+        (7.0, 7.0, 7.0),
+        (10.0, 7.0, 10.0),
+        (15.0, 7.0, 7.5),
+        (25.0, 7.0, 6.25),
+        (30.0, 7.0, 7.5),
+        (5.0, 7.0, 5.0),
+    ],
 )
 def test_cadence_is_the_nearest_even_one(fps: float, wanted: float, taken: float) -> None:
     cadence = Cadence(wanted)
@@ -104,7 +111,13 @@ def test_passwords_are_percent_encoded(url: str, encoded: str) -> None:
 
 @pytest.mark.parametrize(
     ("source", "kind"),
-    [("0", "device"), ("rtsp://h/s", "stream"), ("http://h/s", "stream"), ("film.mp4", "file"), ("file:///f", "file")],
+    [
+        ("0", "device"),
+        ("rtsp://h/s", "stream"),
+        ("http://h/s", "stream"),
+        ("film.mp4", "file"),
+        ("file:///f", "file"),
+    ],
 )
 def test_kinds_of_sources(source: str, kind: str) -> None:
     assert kind_of(source) == kind

@@ -139,7 +139,10 @@ def test_who_is_in_view_at_the_end_has_no_exit() -> None:
 
 def test_another_picture_altogether_is_learned_anew() -> None:
     other = np.random.default_rng(2)
-    first, second = Scene([]), Scene([Person(line(22.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=20)], rng=other)
+    first, second = (
+        Scene([]),
+        Scene([Person(line(22.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=20)], rng=other),
+    )
     watcher, events = Watcher("cam", VisionSettings()), []
     for k in range(round(34 * FPS)):
         t = k / FPS
@@ -150,7 +153,7 @@ def test_another_picture_altogether_is_learned_anew() -> None:
 
 
 def test_a_gap_in_the_stream_makes_no_events() -> None:
-    scene = Scene([Person(lambda t: (0.5, 0.7) if 20 < t else None)])
+    scene = Scene([Person(lambda t: (0.5, 0.7) if t > 20 else None)])
     watcher, events = Watcher("cam", VisionSettings()), []
     for k in range(round(60 * FPS)):
         t = k / FPS
@@ -175,7 +178,10 @@ def test_a_door_in_mid_view_is_admitted_once_it_was_used_again_and_again() -> No
 
 
 def test_same_frames_same_events_and_numbers_live_in_the_instance() -> None:
-    people = [Person(line(5.0, (-0.05, 0.6), (1.05, 0.7), 6.0)), Person(line(7.0, (1.05, 0.8), (-0.05, 0.8), 6.0))]
+    people = [
+        Person(line(5.0, (-0.05, 0.6), (1.05, 0.7), 6.0)),
+        Person(line(7.0, (1.05, 0.8), (-0.05, 0.8), 6.0)),
+    ]
     assert Scene(people).events(16) == Scene(people).events(16)
 
 
@@ -186,3 +192,46 @@ def test_large_pictures_are_scaled_down() -> None:
         events += watcher.see(k / FPS, scene.picture(k / FPS).repeat(2, axis=0).repeat(2, axis=1))
     assert passages(events + watcher.finish()) == [("entry", "left"), ("exit", "right")]
     assert (WIDTH, HEIGHT) == (192, 144)
+
+
+def test_a_camera_that_shakes_by_a_pixel_sees_nothing_in_an_empty_scene_and_people_in_a_full_one() -> None:
+    walker = Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=20)
+    for people, expected in (([], []), ([walker], [("entry", "left"), ("exit", "right")])):
+        scene, watcher, events = Scene(people), Watcher("cam", VisionSettings()), []
+        rng = np.random.default_rng(4)
+        for k in range(round(18 * FPS)):
+            picture = np.roll(scene.picture(k / FPS), rng.integers(-1, 2, 2), axis=(0, 1))
+            events += watcher.see(k / FPS, picture)
+        assert passages(events + watcher.finish()) == expected
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_the_pictures_events_are_well_formed(seed: int) -> None:
+    """Crowds that jump about, flashes and gaps: no error, each track enters and leaves at most once."""
+    rng = np.random.default_rng(seed)
+
+    def wild(own: int) -> Person:
+        places = np.random.default_rng(own).uniform(-0.1, 1.1, (40, 2))
+        return Person(
+            lambda t: tuple(places[int(t) % 40]), tall=0.05 + 0.4 * (own % 7) / 7, shade=own * 17 % 256
+        )
+
+    scene = Scene([wild(int(own)) for own in rng.integers(0, 1000, 6)])
+    watcher, events, t = Watcher("cam", VisionSettings()), [], 0.0
+    for _ in range(400):
+        t += float(
+            rng.choice([0.01, 1 / FPS, 1 / FPS, 1 / FPS, 0.7, 4.0], p=[0.04, 0.3, 0.3, 0.3, 0.05, 0.01])
+        )
+        flash = rng.random() < 0.01
+        events += watcher.see(t, np.full((HEIGHT, WIDTH), 255, np.uint8) if flash else scene.picture(t))
+    events += watcher.finish()
+    seen: dict[tuple[object, str], float] = {}
+    for event in events:
+        assert 0 <= (event.x or 0.0) <= 1
+        assert 0 <= (event.y or 0.0) <= 1
+        assert 0 <= event.t <= t
+        assert (event.track, event.kind) not in seen
+        seen[event.track, event.kind] = event.t
+    for (track, kind), when in seen.items():
+        if kind == "exit":
+            assert seen.get((track, "entry"), 0.0) < when

@@ -46,7 +46,9 @@ def watched(name: str, fps: float) -> list[Event]:
     """The passages of ``truth_{name}.json`` as events, played at ``fps`` frames a second."""
     passages = json.loads((HERE / f"truth_{name}.json").read_text())["passages"]
     return [
-        Event(camera=name, kind=kind, t=passage[kind]["frame"] / fps, x=passage[kind]["x"], y=passage[kind]["y"])
+        Event(
+            camera=name, kind=kind, t=passage[kind]["frame"] / fps, x=passage[kind]["x"], y=passage[kind]["y"]
+        )
         for passage in passages
         for kind in ("entry", "exit")
         if kind in passage
@@ -54,7 +56,7 @@ def watched(name: str, fps: float) -> list[Event]:
 
 
 def match(truth: list[Event], seen: list[Event], aspect: float) -> Match:
-    """Best one-to-one pairs of the same kind within the tolerances; ``aspect`` is the picture's width / height."""
+    """Best one-to-one pairs of the same kind within the tolerances; ``aspect``: width / height."""
     far = 1e6
     cost = np.full((len(truth), len(seen)), far)
     diagonal = np.hypot(aspect, 1.0)
@@ -73,9 +75,9 @@ def match(truth: list[Event], seen: list[Event], aspect: float) -> Match:
 
 
 def best_offset(reference: list[Event], seen: list[Event], aspect: float) -> float:
-    """Seconds to subtract from the times of ``seen`` for the most matches, where the clocks differ by a constant.
+    """Seconds to subtract from the times of ``seen`` for the most matches: the difference of the clocks.
 
-    The differences of single events are the candidates; the median of the matches' own differences refines it.
+    The differences of single events are the candidates; the median of the matches' own refines it.
     """
     candidates = {round(b.t - a.t, 1) for a in reference for b in seen if a.kind == b.kind}
     best = max(candidates, key=lambda c: len(match(reference, shifted(seen, c), aspect).pairs), default=0.0)

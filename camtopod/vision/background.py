@@ -45,7 +45,8 @@ class Background:
     def expected(self, frame: Luma, settled: Luma, noise: float = 0.0) -> Luma:
         """The model under the light of ``frame``, judged where ``settled`` (H, W) is not 0.
 
-        Shifts that ``noise`` (one sigma, grey levels) can feign are none: what is frozen would drift with them.
+        Shifts that ``noise`` (one sigma, grey levels) can feign are none: what is frozen would drift with
+        them.
         """
         shift = self._tone_shift(frame, settled)
         doubt = SHIFT_MIN + NOISE_DOUBT * noise

@@ -52,7 +52,8 @@ class Crossings:
         return near <= TOUCH_PIXELS
 
     def _at_border(self, box: Box, height: float, drift: tuple[float, float] = (0.0, 0.0)) -> bool:
-        """Box of a person ``height`` tall within the margin of the border, or across it when moved by ``drift``.
+        """Box of a person ``height`` tall within the margin of the border, or across it when moved by
+        ``drift``.
 
         At the top it is the foot that counts: heads are cut off far inside the view.
         """

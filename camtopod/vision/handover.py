@@ -1,8 +1,8 @@
 """Two people who meet at the border: one leaves while another comes in, and their blobs never part.
 
-The tracker sees one object that walks out of the view and, half out of it, shoots back in. Somebody who really turns
-round slows down first; so a blob that shrinks into the border and grows out of it again at walking speed both
-times is taken for two people.
+The tracker sees one object that walks out of the view and, half out of it, shoots back in. Somebody who
+really turns round slows down first; so a blob that shrinks into the border and grows out of it again at
+walking speed both times is taken for two people.
 """
 
 from __future__ import annotations

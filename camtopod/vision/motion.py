@@ -16,6 +16,7 @@ import numpy as np
 
 from camtopod.vision.background import Background, Luma
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.shake import shift
 from camtopod.vision.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 
 Box = tuple[float, float, float, float]
@@ -37,6 +38,9 @@ BOOTSTRAP_FRAMES_MAX = 24
 GHOST_RATIO = 1.5
 """Along a ghost's outline the model has this many times the gradient of the picture: what left is in the
 model."""
+SHAKE_PIXELS = 0.2
+"""From this mean shake on, a pixel may show what the scene has one pixel beside it (which hides some people)."""
+SHAKE_PIXELS_MAX = 2.0
 _NOISE_RATE = 0.1
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE = np.ones((3, 3), np.uint8)
@@ -68,6 +72,7 @@ class MotionDetector:
         self._background: Background | None = None
         self._last: Luma | None = None
         self._noise = 0.0
+        self._shake = 0.0
         self._changed_seconds = 0.0
         self.relearned = 0
 
@@ -75,6 +80,11 @@ class MotionDetector:
     def ready(self) -> bool:
         """Whether there is a background to compare with."""
         return self._background is not None
+
+    @property
+    def shake(self) -> float:
+        """How far pictures lie off the scene, pixels, a running mean."""
+        return self._shake
 
     @property
     def noise(self) -> float:
@@ -106,7 +116,9 @@ class MotionDetector:
         """
         assert self._background is not None, "bootstrap first"
         expected = self._background.expected(frame, self._settled, self._noise)
-        difference = cv2.absdiff(frame, expected)
+        x, y = shift(frame, expected, self._settled)
+        self._shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self._shake)
+        difference = _beyond(frame, expected) if self._shake > SHAKE_PIXELS else cv2.absdiff(frame, expected)
         threshold = max(DIFFERENCE_MIN, NOISE_FACTOR * min(self._noise, NOISE_TO_FILTER))
         moving = cv2.threshold(difference, threshold, 255, cv2.THRESH_BINARY)[1]
         share = cv2.countNonZero(moving) / moving.size
@@ -178,3 +190,11 @@ class MotionDetector:
         where[rows, columns] = cv2.dilate(mask, _SQUARE)
         self._adopt(frame, where)
         return True
+
+
+def _beyond(frame: Luma, expected: Luma) -> Luma:
+    """How far each pixel is outside of what the scene shows there or one pixel beside: cameras on poles
+    shake."""
+    above = cv2.subtract(frame, cv2.dilate(expected, _SQUARE))
+    below = cv2.subtract(cv2.erode(expected, _SQUARE), frame)
+    return cv2.max(above, below)

@@ -19,9 +19,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.vision.blobs import Blob
+from camtopod.vision.handover import find_handover
 from camtopod.vision.kalman import Kalman, Vector
 from camtopod.vision.motion import Box
-from camtopod.vision.handover import find_handover
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.sighting import Sighting
 from camtopod.vision.stature import Stature
@@ -324,7 +324,8 @@ class Tracker:
         self.active = [other for other in self.active if other is not earlier]
 
     def _hand_over(self, t: float, appeared: list[Track]) -> list[Track]:
-        """Where somebody took another's place at the border, the other has left; adds the new one to ``appeared``."""
+        """Where somebody took another's place at the border, the other has left; adds the new one to
+        ``appeared``."""
         left = []
         for track in self.active:
             if not track.confirmed or track.last.t < t or track in appeared:
@@ -336,7 +337,8 @@ class Tracker:
         return left
 
     def _split(self, track: Track, turn: int) -> Track:
-        """The part of ``track`` up to sighting ``turn``, which keeps the number; the rest becomes a new object."""
+        """The part of ``track`` up to sighting ``turn``, which keeps the number; the rest becomes a new
+        object."""
         past = list(track.history)
         earlier = replace(track, last=past[turn], history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS))
         track.number, self._next = self._next, self._next + 1
@@ -372,7 +374,8 @@ class Tracker:
         self.active = [other for other in self.active if other is not track]
 
     def _interrupt(self, t: float) -> list[Track]:
-        """There were no pictures for a while: all are out of sight, and who is in view now was so all along."""
+        """There were no pictures for a while: all are out of sight, and who is in view now was so all
+        along."""
         self._start = t
         objects, self.active = [track for track in self.active if track.confirmed], []
         for track in [*objects, *self.broken]:

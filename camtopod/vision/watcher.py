@@ -127,4 +127,5 @@ class Watcher:
             "ghosts": self.ghosts,
             "relearned": self._motion.relearned,
             "noise_grey_levels": round(self._motion.noise, 2),
+            "shake_pixels": round(self._motion.shake, 2),
         }
