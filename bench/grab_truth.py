@@ -67,8 +67,9 @@ def _file(name: str, path: Path, truth: list[Event], aspect: float, details: boo
     figures = grabber.statistics()
     _line(name, truth, events, match(truth, events, aspect), details)
     print(
-        f"    {1e3 * figures['analysis_seconds'] / figures['frames_analysed']:.2f} ms of CPU a frame for "
-        f"analysing {figures['frames_analysed']} of {figures['frames_grabbed']} frames, {seconds:.1f} s with decoding"
+        f"    {1e3 * figures['analysis_cpu_seconds'] / figures['frames_analysed']:.2f} ms of CPU a frame for "
+        f"analysing {figures['frames_analysed']} of {figures['frames_grabbed']} frames; "
+        f"{seconds:.1f} s with decoding"
     )
     return events
 

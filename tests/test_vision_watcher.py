@@ -141,7 +141,7 @@ def test_another_picture_altogether_is_learned_anew() -> None:
     other = np.random.default_rng(2)
     first, second = (
         Scene([]),
-        Scene([Person(line(22.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=20)], rng=other),
+        Scene([Person(line(22.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=235)], rng=other),
     )
     watcher, events = Watcher("cam", VisionSettings()), []
     for k in range(round(34 * FPS)):

@@ -36,10 +36,9 @@ ADOPT_SECONDS = 6.0
 """What differs from the model for this long and belongs to no object becomes part of the scene."""
 BOOTSTRAP_FRAMES_MAX = 24
 GHOST_RATIO = 1.5
-"""Along a ghost's outline the model has this many times the gradient of the picture: what left is in the
-model."""
+"""Along a ghost's outline the model has this many times the picture's gradient: what left is in the model."""
 SHAKE_PIXELS = 0.2
-"""From this mean shake on, a pixel may show what the scene has one pixel beside it (which hides some people)."""
+"""From this mean shake on, a pixel may show what the scene has beside it (which hides some people)."""
 SHAKE_PIXELS_MAX = 2.0
 _NOISE_RATE = 0.1
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))

@@ -1,4 +1,4 @@
-"""How far the picture has moved against the scene: the least-squares step of Lucas and Kanade (IJCAI 1981)."""
+"""How far the picture lies off the scene: a least-squares step of Lucas and Kanade (IJCAI 1981)."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ passage.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -20,11 +20,12 @@ from scipy.optimize import linear_sum_assignment
 
 from camtopod.vision.blobs import Blob
 from camtopod.vision.handover import find_handover
-from camtopod.vision.kalman import Kalman, Vector
+from camtopod.vision.kalman import Kalman
 from camtopod.vision.motion import Box
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.sighting import Sighting
 from camtopod.vision.stature import Stature
+from camtopod.vision.track import HISTORY_SIGHTINGS, Changes, Track
 
 GATE_HEIGHTS = 0.35
 """A head or foot this far from where it is expected (plus two sigma) is still the same person's."""
@@ -50,61 +51,8 @@ BIRTH_HEIGHT_MIN = 0.4
 STATURE_STEP_HEIGHTS = 0.15
 """Somebody's height is taken again after this much of a way, so that standing people do not outvote the
 others."""
-HISTORY_SIGHTINGS = 16
 _SIZE_RATE = 0.2
 _NEVER = 1e9
-
-
-@dataclass(slots=True, eq=False)
-class Track:
-    """One object followed through the view."""
-
-    number: int
-    first: Sighting
-    last: Sighting
-    kalman: Kalman
-    height: float
-    width: float
-    from_start: bool
-    beside_others: bool
-    """Born next to another object: rather half of a group than somebody new."""
-    history: deque[Sighting] = field(default_factory=lambda: deque(maxlen=HISTORY_SIGHTINGS))
-    sightings: int = 1
-    frames: int = 1
-    confirmed: bool = False
-    covered: bool = False
-    entered: bool = False
-    """An entry was reported for it."""
-    interrupted: bool = False
-    """There were no pictures when it was lost."""
-    reach: float = 0.0
-    """The farthest its head or foot has been from where it began, pixels."""
-    origin: Vector = field(default_factory=lambda: np.zeros(4))
-    measured_at: tuple[float, float] = (0.0, 0.0)
-    """Foot point where its height was last taken."""
-
-    @property
-    def box(self) -> Box:
-        """Where it is expected now."""
-        x, top, foot_x, bottom = (float(value) for value in self.kalman.position)
-        middle = (x + foot_x) / 2
-        return (middle - self.width / 2, min(top, bottom - 1), middle + self.width / 2, bottom)
-
-    def unseen_seconds(self, t: float) -> float:
-        """Since the last sighting."""
-        return t - self.last.t
-
-
-@dataclass(frozen=True, slots=True)
-class Changes:
-    """What one frame changed: tracks that became objects, and objects whose track is over.
-
-    ``left``: out of sight at an edge of the view; ``vanished``: out of sight in mid-view and not found again.
-    """
-
-    appeared: list[Track]
-    left: list[Track]
-    vanished: list[Track]
 
 
 class Edges(Protocol):

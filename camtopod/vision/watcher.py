@@ -10,7 +10,8 @@ from camtopod.vision.blobs import find_blobs
 from camtopod.vision.crossings import Crossings, went_somewhere
 from camtopod.vision.motion import MotionDetector
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.tracks import Track, Tracker
+from camtopod.vision.track import Track
+from camtopod.vision.tracks import Tracker
 
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is looked at again: it may be where something was."""
