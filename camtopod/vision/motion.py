@@ -81,6 +81,11 @@ class MotionDetector:
         return self._background is not None
 
     @property
+    def disturbed(self) -> bool:
+        """Whether most of the latest picture differs from the scene: nothing in it can be told apart."""
+        return self._changed_seconds > 0.0
+
+    @property
     def shake(self) -> float:
         """How far pictures lie off the scene, pixels, a running mean."""
         return self._shake
@@ -129,6 +134,8 @@ class MotionDetector:
         edges, strong = self._own_texture(frame, expected)
         near = cv2.dilate(edges, _WIDE)
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
+        outlines = cv2.findContours(solid, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+        solid = cv2.bitwise_and(moving, cv2.drawContours(solid, outlines, -1, 255, cv2.FILLED))
         solid = cv2.morphologyEx(
             solid, cv2.MORPH_OPEN, _CROSS
         )  # outlines of furniture are lines, people are not

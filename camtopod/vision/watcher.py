@@ -83,6 +83,8 @@ class Watcher:
         motion = self._motion.look(frame, dt)
         if motion is None:  # another picture altogether: begin again
             return []
+        if self._motion.disturbed:  # a flash, or the first moments of such another picture
+            return []
         blobs = find_blobs(motion, self._tracker.stature.height)
         changes = self._tracker.step(t, blobs)
         events = self._crossings.report(changes, self._tracker.active)
