@@ -83,3 +83,218 @@ def wiener(image, size, noise):
     """Wiener's filter over windows of ``size`` x ``size``; ``noise`` is a variance or None for scipy's
     guess."""
     return scipy.signal.wiener(image, size, noise)
+
+
+# --- learner: intake, window, lags, rates, candidates, joint, transit, significance ---
+
+
+def window_sums(events, rows, columns, one):
+    """Per camera, from a list of events: sums over its cells (7, rows, columns) as `Window.sums`, and (entries,
+    exits) without a position."""
+    sums, unplaced = {}, {}
+    for event in events:
+        grid = sums.setdefault(event.camera, np.zeros((7, rows, columns), np.int64))
+        bare = unplaced.setdefault(event.camera, [0, 0])
+        if event.x is None:
+            bare[0 if event.kind == "entry" else 1] += 1
+            continue
+        x, y = round(event.x * one), round(event.y * one)
+        cell = min(y * rows // one, rows - 1), min(x * columns // one, columns - 1)
+        for plane, value in enumerate((1, x, y, x * x, x * y, y * y, event.kind == "entry")):
+            grid[plane][cell] += int(value)
+    return sums, unplaced
+
+
+def mates(events):
+    """For each event: index of the entry that began the passage which it ends, or None."""
+    result = []
+    for i, event in enumerate(events):
+        found = None
+        if event.kind == "exit" and event.track is not None:
+            for j in range(i):
+                if (events[j].camera, events[j].track) == (event.camera, event.track):
+                    found = j if events[j].kind == "entry" else None
+        result.append(found)
+    return result
+
+
+def lag_bin(lag, lag_min, lag_max, scale, step):
+    """Bin of one lag, counted from the bin of ``lag_min``."""
+    if lag < lag_min or lag > lag_max:
+        return -1
+    first = np.floor(np.arcsinh(lag_min / scale) / step)
+    return int(np.floor(np.arcsinh(lag / scale) / step) - first)
+
+
+def local_rates(t, zone, half_window, prior):
+    """`camtopod.learn.rates.local_rates`, each arrival by looking at all others."""
+    rates = []
+    for i in range(len(t)):
+        same = [j for j in range(len(t)) if zone[j] == zone[i]]
+        others = sum(j != i and abs(t[j] - t[i]) <= half_window for j in same)
+        span = min(t[i] + half_window, t[-1]) - max(t[i] - half_window, t[0])
+        mean = len(same) / max(t[-1] - t[0], 1.0)
+        rates.append((others + prior) / (span + prior / mean))
+    return np.array(rates)
+
+
+def chance_rates(left_t, left_zone, came_t, came_zone, zones, width):
+    """`camtopod.learn.rates.chance_rates`: the mean, over the departures of u, of the rate of arrivals at v in
+    the three bins of time around each."""
+    first = min(min(left_t), min(came_t))
+    last_bin = int((max(max(left_t), max(came_t)) - first) // width)
+    result = np.zeros((zones, zones))
+    for u in range(zones):
+        own = [t for t, zone in zip(left_t, left_zone, strict=True) if zone == u]
+        for v in range(zones):
+            for t in own:
+                here = int((t - first) // width)
+                around = [k for k in (here - 1, here, here + 1) if 0 <= k <= last_bin]
+                near = sum(
+                    zone == v and int((s - first) // width) in around
+                    for s, zone in zip(came_t, came_zone, strict=True)
+                )
+                result[u, v] += near / (width * len(around)) / len(own)
+    return result
+
+
+def candidates(departures, arrivals, lag_min, lag_max):
+    """(departure, arrival) of every candidate, by arrival, then by departure."""
+    found = []
+    for a in range(len(arrivals.t)):
+        for d in range(len(departures.t)):
+            lag = arrivals.t[a] - departures.t[d]
+            inside = departures.camera[d] != arrivals.camera[a] and arrivals.t[a] > departures.since[d]
+            if lag_min <= lag <= lag_max and (lag > 0 or inside):
+                found.append((d, a))
+    return found
+
+
+def exposures(departures, bins, zones, until):
+    """`camtopod.learn.joint.exposures` by looking at every departure and bin."""
+    exposed = np.zeros((zones, bins.size))
+    for t, zone, since in zip(departures.t, departures.zone, departures.since, strict=True):
+        for k in range(bins.size):
+            if bins.edges[k + 1] <= 0:
+                exposed[zone, k] += t - since >= -bins.centres[k]
+            else:
+                exposed[zone, k] += until - t >= bins.edges[k + 1]
+    return exposed
+
+
+def smoothing_kernel(size, sd_bins):
+    """Matrix whose column j is a normal density around bin j, cut off at the ends and made to sum to 1."""
+    result = np.zeros((size, size))
+    for j in range(size):
+        column = [np.exp(-((i - j) ** 2) / (2 * sd_bins**2)) for i in range(size)]
+        for i in range(size):
+            result[i, j] = column[i] / sum(column)
+    return result
+
+
+def smoothed(row, steps):
+    """`camtopod.learn.joint.smooth` of one row: (counts, share that stays in its bin)."""
+    sd_bins = next(sd for least, sd in steps if sum(row) >= least)
+    kernel = smoothing_kernel(len(row), sd_bins)
+    spread = np.zeros(len(row))
+    for j, mass in enumerate(row):
+        for i in range(len(row)):
+            spread[i] += kernel[i, j] * mass
+    middle = len(row) // 2
+    return spread, kernel[middle, middle]
+
+
+def joint_iteration(departures, arrivals, pairs, hazard, bins, exposure, zones, outside, leave_floor, outside_floor,
+                    smoothing):  # fmt: skip
+    """One iteration of the joint fit from nothing, without sparsity, pooling and slowness.
+
+    ``pairs``: (departure, arrival) of each candidate. Hazards are a mapping (u, v) -> (bins,). Returns the
+    responsibilities, the counts and the new hazards of the pairs of zones, and the outside shares.
+    """
+    lag = [arrivals.t[a] - departures.t[d] for d, a in pairs]
+    cell = [lag_bin(x, bins.lag_min, bins.lag_max, bins.scale, bins.step) for x in lag]
+    zone_pair = [(int(departures.zone[d]), int(arrivals.zone[a])) for d, a in pairs]
+    weight = [hazard[z][k] for z, k in zip(zone_pair, cell, strict=True)]
+    leave = {}
+    for u in range(zones):
+        again = 0.0
+        for (source, _), row in hazard.items():
+            for k in range(bins.size):
+                most = max(max(exposure[source]), 1.0)
+                share = 1.0 if bins.edges[k + 1] > 0 else exposure[source, k] / most
+                again += (source == u) * row[k] * bins.widths[k] * share
+        leave[u] = max(1.0 - again, leave_floor)
+    offer = []
+    for c, (d, _) in enumerate(pairs):
+        others = sum(weight[o] for o, (e, _) in enumerate(pairs) if e == d and o != c)
+        offer.append(weight[c] / (leave[int(departures.zone[d])] + others))
+    responsibility = []
+    for c, (_, a) in enumerate(pairs):
+        background = outside * arrivals.rate[a]
+        total = sum(offer[o] for o, (_, b) in enumerate(pairs) if b == a)
+        responsibility.append(offer[c] / (background + total))
+    counts = {z: np.zeros(bins.size) for z in hazard}
+    explained = np.zeros(zones)
+    for c, (_, a) in enumerate(pairs):
+        counts[zone_pair[c]][cell[c]] += responsibility[c]
+        explained[arrivals.zone[a]] += responsibility[c]
+    came = [max(sum(z == v for z in arrivals.zone), 1) for v in range(zones)]
+    new_outside = [min(max(1 - explained[v] / came[v], outside_floor), 1.0) for v in range(zones)]
+    fresh = {}
+    for (u, v), row in counts.items():
+        spread, _ = smoothed(row, smoothing)
+        fresh[u, v] = [spread[k] / (max(exposure[u, k], 1.0) * bins.widths[k]) for k in range(bins.size)]
+    return responsibility, counts, fresh, new_outside
+
+
+def weighted_quantile(lags, weights, q):
+    """The first lag at which the share ``q`` of the weight is reached."""
+    wanted, reached = q * sum(weights), 0.0
+    for lag, weight in sorted(zip(lags, weights, strict=True)):
+        reached += weight
+        if weight > 0 and reached >= wanted - 1e-9:
+            return lag
+    return np.nan
+
+
+def q_values(p, tests):
+    """Benjamini and Hochberg: the smallest level at which each p-value is among those rejected."""
+    result = []
+    for own in p:
+        levels = []
+        for other in p:
+            if other >= own:
+                rank = sum(value <= other for value in p)
+                levels.append(other * tests / rank)
+        result.append(min(1.0, *levels))
+    return np.array(result)
+
+
+def slowness(source, target, stay, least, stay_min, slowness_max):
+    """Log of each passage's duration over the median of its way; nan for a way with few passages."""
+    result = []
+    for u, v, seconds in zip(source, target, stay, strict=True):
+        own = [s for a, b, s in zip(source, target, stay, strict=True) if (a, b) == (u, v)]
+        median = np.median(np.log(np.maximum(own, stay_min)))
+        relative = np.log(max(seconds, stay_min)) - median
+        result.append(max(-slowness_max, min(relative, slowness_max)) if len(own) >= least else np.nan)
+    return np.array(result)
+
+
+def chain(zones, links):
+    """(from, to) -> share of those leaving a camera that are next seen at another, counted exit by exit."""
+    moved = {}
+    for a in {zone.camera for zone in zones}:
+        exits = sum(zone.exits for zone in zones if zone.camera == a)
+        for b in {zone.camera for zone in zones}:
+            number = 0.0
+            for link in links:
+                ends = (
+                    [zone for zone in zones if zone.id == link.from_],
+                    [z for z in zones if z.id == link.to],
+                )
+                if link.relation != "visible" and (ends[0][0].camera, ends[1][0].camera) == (a, b):
+                    number += link.probability * ends[0][0].exits
+            if number and exits:
+                moved[a, b] = min(number / exits, 1.0)
+    return moved

@@ -1,9 +1,10 @@
-"""Reorder buffer with a watermark: whatever the order of arrival, the rest of the learner sees events by time.
+"""Reorder buffer with a watermark: whatever the order of arrival, the rest of the learner sees events by
+time.
 
-Theory of operation. The watermark trails the newest event time by the lateness. An event at or above the watermark is
-held until the watermark has passed it; one below is late: counted, not learned. So any order of arrival within the
-lateness gives the same sequence out. A silent camera holds nobody up, because only the newest event time counts.
-An event with (camera, boot, seq) counts once however often it comes.
+Theory of operation. The watermark trails the newest event time by the lateness. An event at or above the
+watermark is held until the watermark has passed it; one below is late: counted, not learned. So any order of
+arrival within the lateness gives the same sequence out. A silent camera holds nobody up, because only the
+newest event time counts. An event with (camera, boot, seq) counts once however often it comes.
 """
 
 from __future__ import annotations
@@ -76,7 +77,8 @@ class Intake:
         return None if self.newest_us is None else self.newest_us - self.lateness_us
 
     def receive(self, event: Event) -> str:
-        """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many cameras)."""
+        """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many
+        cameras)."""
         verdict = self._judge(event)
         self.counts[verdict] += 1
         return verdict
@@ -109,7 +111,8 @@ class Intake:
             self.newest_us = now_us
 
     def take(self, until_us: int) -> list[tuple[int, Event]]:
-        """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical order."""
+        """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical
+        order."""
         self._held.sort(key=_order)
         cut = bisect_right(self._held, until_us, key=lambda held: held[0][0])
         taken = [(key[0], event) for key, event in self._held[:cut]]
@@ -128,7 +131,9 @@ class Intake:
 
 
 def _key(t_us: int, event: Event) -> _Key:
-    """Total order of events: by time, then by everything else, so that ties do not depend on the order of arrival."""
+    """Total order of events: by time, then by everything else, so that ties do not depend on the order of
+    arrival."""
     x, y = (-1.0, -1.0) if event.x is None or event.y is None else (event.x, event.y)
     seq = -1 if event.seq is None else event.seq
-    return (t_us, event.camera, event.kind, x, y, str(event.track or ""), event.boot or "", seq)
+    track = "" if event.track is None else f"={event.track}"
+    return (t_us, event.camera, event.kind, x, y, track, event.boot or "", seq)

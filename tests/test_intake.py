@@ -1,0 +1,169 @@
+"""The reorder buffer: verdicts, and the same sequence out whatever the order in."""
+
+from __future__ import annotations
+
+import itertools
+import random
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from camtopod.learn import intake as module
+from camtopod.learn.intake import MICROSECONDS, Intake, Sequence, microseconds
+from camtopod.records import Event
+
+
+def event(t: float, camera: str = "a", kind: str = "entry", **rest: object) -> Event:
+    return Event(camera, kind, t, **rest)  # type: ignore[arg-type]
+
+
+def out(intake: Intake) -> list[Event]:
+    return [event for _, event in intake.take(10**18)]
+
+
+# --- numbers of one incarnation ---
+
+
+@given(st.lists(st.integers(0, 30)))
+def test_sequence_is_a_set(numbers: list[int]) -> None:
+    sequence, seen = Sequence(), set[int]()
+    for number in numbers:
+        assert sequence.add(number) == (number not in seen)
+        seen.add(number)
+    ranges = list(zip(sequence.starts, sequence.ends, strict=True))
+    assert {n for low, high in ranges for n in range(low, high + 1)} == seen
+    assert all(a[1] + 1 < b[0] for a, b in itertools.pairwise(ranges))
+
+
+@given(st.lists(st.integers(0, 60), max_size=80))
+def test_sequence_forgets_the_oldest_gap(numbers: list[int]) -> None:
+    """With room for three gaps it is a set in which the oldest gap beyond them is filled."""
+    sequence, seen = Sequence(), set[int]()
+    patch = pytest.MonkeyPatch()
+    with patch.context() as limits:
+        limits.setattr(module, "GAPS_PER_BOOT_MAX", 3)
+        for number in numbers:
+            assert sequence.add(number) == (number not in seen)
+            seen.add(number)
+            while (
+                len(gaps := [n for n in range(min(seen), max(seen)) if n in seen and n + 1 not in seen]) >= 3
+            ):
+                number = gaps[0] + 1
+                while number not in seen:
+                    seen.add(number)
+                    number += 1
+            assert len(sequence.starts) <= 3
+
+
+# --- verdicts ---
+
+
+def test_verdicts_and_counts() -> None:
+    intake = Intake(5.0, 2)
+    assert intake.receive(event(100, boot="x", seq=1)) == "accepted"
+    assert intake.receive(event(100, boot="x", seq=1)) == "duplicate"
+    assert intake.receive(event(100, boot="y", seq=1)) == "accepted"
+    assert intake.receive(event(100, camera="b", boot="x", seq=1)) == "accepted"
+    assert intake.receive(event(100, camera="c")) == "refused"
+    assert intake.receive(event(95)) == "accepted"
+    assert intake.receive(event(94.999999)) == "late"
+    assert intake.receive(event(94.9, boot="x", seq=2)) == "late"
+    assert intake.receive(event(94.9, boot="x", seq=2)) == "duplicate"
+    assert intake.counts == {"accepted": 4, "duplicate": 2, "late": 2, "refused": 1}
+    assert intake.held == 4
+
+
+def test_an_event_without_a_number_is_never_a_duplicate() -> None:
+    intake = Intake(5.0, 2)
+    assert [intake.receive(event(1)) for _ in range(3)] == ["accepted"] * 3
+
+
+def test_the_oldest_incarnation_is_forgotten() -> None:
+    intake = Intake(5.0, 1)
+    for k in range(module.BOOTS_PER_CAMERA_MAX + 1):
+        assert intake.receive(event(1, boot=str(k), seq=7)) == "accepted"
+    assert intake.receive(event(1, boot=str(k), seq=7)) == "duplicate"
+    assert intake.receive(event(1, boot="0", seq=7)) == "accepted"
+
+
+def test_the_watermark_trails_and_only_rises() -> None:
+    intake = Intake(5.0, 9)
+    assert intake.watermark_us is None
+    intake.advance(999 * MICROSECONDS)  # nothing has come: nobody is late
+    assert intake.watermark_us is None
+    assert intake.oldest_held_us is None
+    intake.receive(event(100))
+    assert intake.watermark_us == 95 * MICROSECONDS
+    intake.advance(90 * MICROSECONDS)
+    assert intake.watermark_us == 95 * MICROSECONDS
+    intake.advance(110 * MICROSECONDS)
+    assert intake.watermark_us == 105 * MICROSECONDS
+    assert intake.receive(event(104)) == "late"
+    assert intake.receive(event(105)) == "accepted"
+    assert intake.oldest_held_us == 100 * MICROSECONDS
+
+
+def test_take_is_inclusive_and_leaves_the_rest() -> None:
+    intake = Intake(100.0, 9)
+    for t in (3, 1, 2, 2.000001):
+        intake.receive(event(t))
+    assert [e.t for _, e in intake.take(microseconds(2))] == [1, 2]
+    assert intake.held == 2
+    assert [t for t, _ in intake.take(microseconds(3))] == [2_000_001, 3_000_000]
+    assert intake.take(10**18) == []
+
+
+@given(st.floats(-1e11, 1e11))
+def test_microseconds_keep_the_order(t: float) -> None:
+    assert abs(microseconds(t) / MICROSECONDS - t) <= 5e-7 + abs(t) * 2.3e-16
+    assert microseconds(t + 1) > microseconds(t)
+
+
+# --- order ---
+
+EVENTS = st.lists(
+    st.builds(
+        Event,
+        st.sampled_from(["a", "b"]),
+        st.sampled_from(["entry", "exit"]),
+        st.integers(-40, 40).map(float),
+        st.sampled_from([0.25, 0.5]),
+        st.sampled_from([0.25, 0.5]),
+        st.sampled_from([None, "", "0", "1", 0, 1]),
+    ),
+    max_size=40,
+)
+
+
+@given(EVENTS, st.randoms(use_true_random=False))
+def test_any_order_within_the_lateness_gives_the_same(events: list[Event], chance: random.Random) -> None:
+    """Also when every event comes twice and time is told in between."""
+    numbered = [
+        Event(e.camera, e.kind, e.t, e.x, e.y, e.track, boot="x", seq=k) for k, e in enumerate(events)
+    ]
+    plain, mixed = Intake(5.0, 9), Intake(5.0, 9)
+    for e in sorted(numbered, key=lambda e: e.t):
+        assert plain.receive(e) == "accepted"
+    arrivals = [(e.t + chance.uniform(0, 5), e) for e in numbered for _ in range(2)]
+    for at, e in sorted(arrivals, key=lambda arrival: arrival[0]):
+        assert mixed.receive(e) in ("accepted", "duplicate")
+        mixed.advance(int(at * MICROSECONDS) - 1)
+    assert mixed.counts["duplicate"] == len(events)
+    assert out(mixed) == out(plain)
+
+
+@example([Event("a", "exit", 0.0, track=track) for track in (None, "", 0)], random.Random(1))
+@given(EVENTS, st.randoms(use_true_random=False))
+def test_ties_do_not_depend_on_the_order(events: list[Event], chance: random.Random) -> None:
+    first, second = Intake(100.0, 9), Intake(100.0, 9)
+    shuffled = events[:]
+    chance.shuffle(shuffled)
+    for intake, order in ((first, events), (second, shuffled)):
+        for e in order:
+            intake.receive(e)
+
+    def names(taken: list[Event]) -> list[tuple[object, ...]]:
+        return [(e.t, e.camera, e.kind, e.x, e.y, None if e.track is None else str(e.track)) for e in taken]
+
+    assert names(out(first)) == names(out(second))
