@@ -1,6 +1,6 @@
 """How well the grabber sees the passages that somebody watched, on files and over RTSP.
 
-    python -m bench grab-truth [--data FOLDER] [--vtest FILE] [--rtsp] [--details]
+    python -m bench grab_truth [--data FOLDER] [--vtest FILE] [--rtsp] [--details]
 
 FOLDER holds one-by-one/ (default: the environment's CAMTOPOD_TEST_DATA). ``--rtsp`` also serves vtest.avi
 over a real RTSP server at its own pace (two minutes) and compares with the file. Tolerances: 1.5 s and
@@ -27,7 +27,7 @@ VTEST_FPS = 7.0
 
 def main(argv: list[str]) -> int:
     """Print the figures; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench grab-truth")
+    parser = argparse.ArgumentParser(prog="python -m bench grab_truth")
     parser.add_argument("--data", help="folder with one-by-one/")
     parser.add_argument("--vtest", type=Path, default=VTEST, help="vtest.avi of Debian's opencv-doc")
     parser.add_argument("--rtsp", action="store_true", help="also over a real RTSP server")
