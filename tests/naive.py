@@ -89,8 +89,8 @@ def wiener(image, size, noise):
 
 
 def window_sums(events, rows, columns, one):
-    """Per camera, from a list of events: sums over its cells (7, rows, columns) as `Window.sums`, and (entries,
-    exits) without a position."""
+    """Per camera, from a list of events: sums over its cells (7, rows, columns) as `Window.sums`, and
+    (entries, exits) without a position."""
     sums, unplaced = {}, {}
     for event in events:
         grid = sums.setdefault(event.camera, np.zeros((7, rows, columns), np.int64))
@@ -139,8 +139,8 @@ def local_rates(t, zone, half_window, prior):
 
 
 def chance_rates(left_t, left_zone, came_t, came_zone, zones, width):
-    """`camtopod.learn.rates.chance_rates`: the mean, over the departures of u, of the rate of arrivals at v in
-    the three bins of time around each."""
+    """`camtopod.learn.rates.chance_rates`: the mean, over the departures of u, of the rate of arrivals at v
+    in the three bins of time around each."""
     first = min(min(left_t), min(came_t))
     last_bin = int((max(max(left_t), max(came_t)) - first) // width)
     result = np.zeros((zones, zones))
@@ -204,11 +204,11 @@ def smoothed(row, steps):
     return spread, kernel[middle, middle]
 
 
-def joint_iteration(departures, arrivals, pairs, hazard, bins, exposure, zones, outside, leave_floor, outside_floor,
-                    smoothing):  # fmt: skip
+def joint_iteration(departures, arrivals, pairs, hazard, bins, exposure, zones, outside, floors, smoothing):
     """One iteration of the joint fit from nothing, without sparsity, pooling and slowness.
 
-    ``pairs``: (departure, arrival) of each candidate. Hazards are a mapping (u, v) -> (bins,). Returns the
+    ``pairs``: (departure, arrival) of each candidate. ``floors``: least shares that leave and that come from
+    outside. Hazards are a mapping (u, v) -> (bins,). Returns the
     responsibilities, the counts and the new hazards of the pairs of zones, and the outside shares.
     """
     lag = [arrivals.t[a] - departures.t[d] for d, a in pairs]
@@ -223,7 +223,7 @@ def joint_iteration(departures, arrivals, pairs, hazard, bins, exposure, zones, 
                 most = max(max(exposure[source]), 1.0)
                 share = 1.0 if bins.edges[k + 1] > 0 else exposure[source, k] / most
                 again += (source == u) * row[k] * bins.widths[k] * share
-        leave[u] = max(1.0 - again, leave_floor)
+        leave[u] = max(1.0 - again, floors[0])
     offer = []
     for c, (d, _) in enumerate(pairs):
         others = sum(weight[o] for o, (e, _) in enumerate(pairs) if e == d and o != c)
@@ -239,7 +239,7 @@ def joint_iteration(departures, arrivals, pairs, hazard, bins, exposure, zones, 
         counts[zone_pair[c]][cell[c]] += responsibility[c]
         explained[arrivals.zone[a]] += responsibility[c]
     came = [max(sum(z == v for z in arrivals.zone), 1) for v in range(zones)]
-    new_outside = [min(max(1 - explained[v] / came[v], outside_floor), 1.0) for v in range(zones)]
+    new_outside = [min(max(1 - explained[v] / came[v], floors[1]), 1.0) for v in range(zones)]
     fresh = {}
     for (u, v), row in counts.items():
         spread, _ = smoothed(row, smoothing)

@@ -28,7 +28,8 @@ def zone_key(zone: Zone) -> str:
 
 
 def link_key(link: Link) -> LinkKey:
-    """What identifies a link in a delta: zones and relation, as a passage and a return may join the same zones."""
+    """What identifies a link in a delta: zones and relation, as a passage and a return may join the same
+    zones."""
     return (link.from_, link.to, link.relation)
 
 
@@ -42,6 +43,8 @@ def digest_of(topology: Topology) -> str:
     content = msgspec.to_builtins(topology)
     for name in NOT_CONTENT:
         content.pop(name, None)
+    if not topology.weak_links:  # an optional list that is empty or left out is the same content
+        content.pop("weak_links", None)
     return "sha256:" + hashlib.sha256(msgspec.json.encode(content, order="deterministic")).hexdigest()
 
 
@@ -51,7 +54,8 @@ def stamp(topology: Topology) -> Topology:
 
 
 def make_delta(old: Topology, new: Topology) -> Delta:
-    """What changed from one version to the next. Raises ValueError when ``new`` is not the next version of ``old``."""
+    """What changed from one version to the next. Raises ValueError when ``new`` is not the next version of
+    ``old``."""
     if (old.epoch, old.version + 1) != (new.epoch, new.version):
         raise ValueError(f"version {new.version} of {new.epoch} does not follow {old.version} of {old.epoch}")
     cameras, gone_cameras = _changes(old.cameras, new.cameras, camera_key)
@@ -67,9 +71,12 @@ def make_delta(old: Topology, new: Topology) -> Delta:
 
 
 def apply_delta(old: Topology, delta: Delta) -> Topology:
-    """The next version. Raises ValueError when the delta does not follow ``old`` or the digest does not come out."""
+    """The next version. Raises ValueError when the delta does not follow ``old`` or the digest does not come
+    out."""
     if (old.epoch, old.version + 1) != (delta.epoch, delta.version):
-        raise ValueError(f"delta to version {delta.version} of {delta.epoch} does not follow {old.version} of {old.epoch}")
+        raise ValueError(
+            f"delta to version {delta.version} of {delta.epoch} does not follow {old.version} of {old.epoch}"
+        )
     new = Topology(
         schema=TOPOLOGY_SCHEMA, site=delta.site, epoch=delta.epoch, version=delta.version, as_of=delta.as_of,
         events=delta.events, digest=delta.digest,

@@ -1,0 +1,92 @@
+"""Lag bins, smoothing, local rates and chance rates against their definitions."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins, smoother
+from camtopod.learn.rates import (
+    CHANCE_BIN_SECONDS,
+    RATE_HALF_WINDOW_SECONDS,
+    RATE_PRIOR_EVENTS,
+    chance_rates,
+    local_rates,
+)
+
+BINS = LagBins(-20.0, 120.0)
+
+
+@given(st.floats(-30, 150))
+def test_bin_of_a_lag(lag: float) -> None:
+    (k,) = BINS.index(np.array([lag]))
+    assert k == naive.lag_bin(lag, -20.0, 120.0, LAG_SCALE_SECONDS, LAG_STEP)
+    if k < 0:
+        assert lag < -20 or lag > 120
+    else:
+        slack = 1e-9 * max(abs(lag), 1)
+        assert BINS.edges[k] - slack <= lag <= BINS.edges[k + 1] + slack
+
+
+@given(st.floats(-300, 10), st.floats(0.01, 400), st.floats(0.5, 20), st.floats(0.02, 0.5))
+def test_bins_cover_their_range(low: float, length: float, scale: float, step: float) -> None:
+    bins = LagBins(low, low + length, scale, step)
+    assert bins.index(np.array([low, low + length])).tolist() == [0, bins.size - 1]
+    assert len(bins.widths) == len(bins.centres) == bins.size == len(bins.edges) - 1
+    assert (bins.widths > 0).all()
+    assert ((bins.edges[:-1] < bins.centres) & (bins.centres < bins.edges[1:])).all()
+    assert bins.edges[0] <= low + 1e-9 * abs(low)
+    assert bins.edges[-1] >= low + length - 1e-9 * abs(low + length)
+
+
+def test_zero_is_an_edge() -> None:
+    """So that a bin is either before the exit or after it."""
+    assert 0.0 in BINS.edges
+
+
+@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (2.0, 1.0), (float("nan"), 1.0)])
+def test_an_empty_range_is_refused(low: float, high: float) -> None:
+    with pytest.raises(ValueError, match="lag range is empty"):
+        LagBins(low, high)
+
+
+@pytest.mark.parametrize("sd_bins", [0.7, 1.2, 6.0])
+def test_smoother_equals_its_slow_twin_and_keeps_mass(sd_bins: float) -> None:
+    spread = smoother(17, sd_bins)
+    assert spread == pytest.approx(naive.smoothing_kernel(17, sd_bins))
+    assert spread.sum(axis=0) == pytest.approx(1.0)
+
+
+def traffic(seed: int, n: int, zones: int, span: float = 5000.0) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return np.sort(rng.uniform(0, span, n)), rng.integers(0, zones, n).astype(np.int32)
+
+
+@given(st.integers(0, 10**6), st.integers(1, 40), st.integers(1, 4), st.sampled_from([3.0, 900.0, 9000.0]))
+def test_local_rates_equal_their_slow_twin(seed: int, n: int, zones: int, span: float) -> None:
+    t, zone = traffic(seed, n, zones, span)
+    slow = naive.local_rates(t, zone, RATE_HALF_WINDOW_SECONDS, RATE_PRIOR_EVENTS)
+    assert local_rates(t, zone, zones) == pytest.approx(slow)
+    assert (local_rates(t, zone, zones) > 0).all()
+
+
+def test_local_rates_of_nothing_and_of_one() -> None:
+    assert len(local_rates(np.zeros(0), np.zeros(0, np.int32), 3)) == 0
+    assert local_rates(np.array([5.0]), np.array([2], np.int32), 3).tolist() == [1.0]
+
+
+def test_local_rates_follow_the_rhythm() -> None:
+    t = np.concatenate([np.arange(0, 3600, 100.0), np.arange(3600, 7200, 5.0)])
+    rates = local_rates(t, np.zeros(len(t), np.int32), 1)
+    assert rates[10] == pytest.approx(0.01, rel=0.3)
+    assert rates[-100] == pytest.approx(0.2, rel=0.1)
+
+
+@given(st.integers(0, 10**6), st.integers(1, 25), st.integers(1, 25), st.sampled_from([30.0, 900.0, 9000.0]))
+def test_chance_rates_equal_their_slow_twin(seed: int, n: int, m: int, span: float) -> None:
+    left, came = traffic(seed, n, 3, span), traffic(seed + 1, m, 3, span)
+    slow = naive.chance_rates(*left, *came, 3, CHANCE_BIN_SECONDS)
+    assert chance_rates(*left, *came, 3) == pytest.approx(slow)

@@ -1,0 +1,94 @@
+"""Evidence, false discovery rates, and what missed passages explain."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camtopod.learn.significance import Ways, explained_by_missed, log_likelihood_ratio, q_values
+
+RATIOS = st.lists(st.one_of(st.floats(-5, 40), st.sampled_from([0.0, 3.0])), max_size=25)
+
+
+@given(RATIOS, st.integers(0, 100))
+def test_q_values_by_their_definition(ratios: list[float], further: int) -> None:
+    ratio = np.array(ratios)
+    tests = len(ratios) + further
+    assert q_values(ratio, tests) == pytest.approx(
+        naive.q_values(np.minimum(np.exp(-ratio), 1), max(tests, 1))
+    )
+
+
+@given(RATIOS)
+def test_more_evidence_never_has_the_larger_q(ratios: list[float]) -> None:
+    q = q_values(np.array(ratios), 50)
+    assert ((q >= 0) & (q <= 1)).all()
+    for a in range(len(q)):
+        assert all(q[a] <= q[b] for b in range(len(q)) if ratios[a] >= ratios[b])
+
+
+def test_benjamini_and_hochberg_among_chance() -> None:
+    """Of many tests of nothing hardly any are discoveries; one with 20 nats among them is."""
+    p = np.random.default_rng(0).random(10_000)
+    q = q_values(np.append(-np.log(p), 20.0), 10_001)
+    assert (q[:-1] > 0.05).all()
+    assert q[-1] < 1e-4
+
+
+@given(st.integers(0, 10**6), st.integers(0, 50))
+def test_ratio_by_loops(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    pair, share, flat = rng.integers(0, 4, n).astype(np.int32), rng.random(n), np.exp(rng.normal(0, 2, n))
+    found = log_likelihood_ratio(pair, share, flat, 4)
+    for p in range(4):
+        rows = [k for k in range(n) if pair[k] == p]
+        unrelated = sum(-np.log(1 - share[k]) - share[k] for k in rows)
+        untimed = sum(-np.log(1 - share[k] + share[k] * flat[k]) for k in rows)
+        assert found[p] == pytest.approx(min(unrelated, untimed))
+
+
+def test_certainty_is_finite() -> None:
+    found = log_likelihood_ratio(np.zeros(2, np.int32), np.ones(2), np.array([0.0, np.inf]), 2)
+    assert np.isfinite(found).all()
+    assert found[1] == 0.0  # no candidate, no evidence
+
+
+# --- missed passages: 0 -> (1 .. 2) -> 3, where the camera of 1 and 2 is left out ---
+
+
+def ways(*rows: tuple[int, int, float, float, float]) -> Ways:
+    result = Ways()
+    for source, *row in rows:
+        result.setdefault(source, []).append(tuple(row))  # type: ignore[arg-type]
+    return result
+
+
+LINKS = ways((0, 1, 0.8, 10.0, 1.0), (2, 3, 0.5, 20.0, 2.0), (0, 3, 0.1, 35.0, 3.0), (2, 4, 0.5, 5.0, 1.0))
+PASSAGES = ways((1, 2, 0.9, 5.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("probability", "mean", "missed", "expected"),
+    [
+        (0.1, 35.0, 0.25, True),  # 0.8 * 0.9 * 0.5 * 1/3 = 0.12
+        (0.12, 35.0, 0.25, True),
+        (0.13, 35.0, 0.25, False),
+        (0.13, 35.0, 0.5, True),
+        (0.1, 46.5, 0.25, False),  # 3 * (sqrt(1 + 0.25 + 4) + 1) = 9.9 s off at most
+        (0.1, 44.8, 0.25, True),
+        (0.1, 35.0, 0.0, False),
+    ],
+)
+def test_one_missed_passage(probability: float, mean: float, missed: float, expected: bool) -> None:
+    assert explained_by_missed(0, 3, probability, mean, LINKS, PASSAGES, missed) is expected
+
+
+def test_ways_add_up_and_must_be_whole() -> None:
+    twice = ways((1, 2, 0.9, 5.0, 0.5), (1, 5, 0.1, 5.0, 0.5))
+    further = ways(*((0, *row) for row in LINKS[0]), *((2, *row) for row in LINKS[2]), (5, 3, 1.0, 20.0, 1.0))
+    assert explained_by_missed(0, 3, 0.14, 35.0, further, twice, 0.25)
+    assert not explained_by_missed(0, 3, 0.01, 35.0, LINKS, Ways(), 0.25)
+    assert not explained_by_missed(9, 3, 0.01, 35.0, LINKS, PASSAGES, 0.25)

@@ -1,0 +1,159 @@
+"""Digests and deltas: two that learned the same agree, and a delta gives exactly the next version."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from camtopod.codec import read, to_json, to_pack
+from camtopod.learn.topology import apply_delta, digest_of, make_delta, stamp
+from camtopod.records import (
+    DELTA_SCHEMA,
+    TOPOLOGY_SCHEMA,
+    Camera,
+    CameraModel,
+    ChainEdge,
+    Delta,
+    Histogram,
+    Link,
+    Model,
+    Pair,
+    Topology,
+    Transit,
+    Zone,
+    ZoneModel,
+)
+
+NUMBERS = st.floats(-1e3, 1e3)
+SHARES = st.floats(0, 1)
+NAMES = st.sampled_from(["a", "b", "c", "d"])
+TRANSITS = st.builds(Transit, *[NUMBERS] * 6)
+CAMERAS = st.builds(Camera, NAMES, st.lists(NAMES, max_size=2), NUMBERS)
+HISTOGRAMS = st.builds(Histogram, st.integers(-20, 20), st.lists(SHARES, max_size=3))
+LINKS = st.builds(
+    Link, NAMES, NAMES, st.sampled_from(["visible", "overlapped", "unseen"]), SHARES, SHARES, TRANSITS,
+    SHARES, SHARES, st.none() | HISTOGRAMS,
+)  # fmt: skip
+COV = st.just([[0.1, 0.0], [0.0, 0.1]])
+ZONES = st.builds(Zone, NAMES, NAMES, st.integers(0, 99), st.integers(0, 99)) | st.builds(
+    Zone, NAMES, NAMES, st.integers(0, 99), st.integers(0, 99), SHARES, SHARES, COV
+)
+PAIRS = st.builds(Pair, st.tuples(NAMES, NAMES), st.sampled_from(["overlapped", "unseen_path"]))
+MODELS = st.builds(
+    Model, NUMBERS, NUMBERS, NUMBERS, NUMBERS,
+    st.lists(st.builds(ZoneModel, NAMES, st.integers(0, 9), SHARES, st.just([0.5])), max_size=2),
+    st.lists(st.builds(CameraModel, NAMES, SHARES, NUMBERS), max_size=2),
+)  # fmt: skip
+
+
+def by_key(item: Camera | Zone | Link | Pair) -> object:
+    if isinstance(item, Link):
+        return item.from_, item.to, item.relation
+    return item.cameras if isinstance(item, Pair) else item.id
+
+
+def some(items: st.SearchStrategy[object]) -> st.SearchStrategy[list[object]]:
+    """What a topology holds: each key once, in order."""
+    return st.lists(items, max_size=5, unique_by=by_key).map(lambda found: sorted(found, key=by_key))  # type: ignore[arg-type]
+
+
+@st.composite
+def topologies(draw: st.DrawFn, version: int = 1) -> Topology:
+    chain = st.lists(st.builds(ChainEdge, NAMES, NAMES, SHARES), max_size=2)
+    return stamp(
+        Topology(
+            TOPOLOGY_SCHEMA, "hq", "01J", version, draw(NUMBERS), draw(st.integers(0, 99)), "",
+            draw(some(CAMERAS)), draw(some(ZONES)), draw(some(LINKS)), draw(some(PAIRS)), draw(some(LINKS)),
+            draw(st.none() | chain), draw(st.none() | MODELS),
+        )
+    )  # type: ignore[arg-type] # fmt: skip
+
+
+@given(topologies(4), topologies(5))
+def test_old_and_delta_are_new(old: Topology, new: Topology) -> None:
+    delta = make_delta(old, new)
+    assert apply_delta(old, delta) == new
+    for pack, encode in ((False, to_json), (True, to_pack)):  # and after a way over the bus
+        received = read(Delta, encode(delta), pack)
+        assert received == delta
+        assert apply_delta(read(Topology, encode(old), pack), received) == new
+
+
+@given(topologies(4), st.data())
+def test_a_delta_holds_what_differs_and_no_more(old: Topology, data: st.DataObject) -> None:
+    new = stamp(replace(old, version=5))
+    same = make_delta(old, new)
+    names = ("cameras", "zones", "links", "weak_links", "pairs")
+    assert not any([*(getattr(same, name) for name in names), *(getattr(same, f"gone_{name}") for name in names)])
+    for name in names:
+        items = getattr(old, name)
+        if not items:
+            continue
+        gone = data.draw(st.sampled_from(items))
+        left = [item for item in items if item is not gone]
+        delta = make_delta(old, stamp(replace(new, **{name: left})))
+        assert getattr(delta, name) == []
+        assert getattr(delta, f"gone_{name}") == [by_key(gone)]
+        back = make_delta(replace(old, **{name: left}), new)
+        assert getattr(back, name) == [gone]
+        assert getattr(back, f"gone_{name}") == []
+
+
+@given(topologies(4), topologies(5), topologies(4))
+def test_a_delta_fits_only_its_own_past(old: Topology, new: Topology, other: Topology) -> None:
+    """The wrong past is noticed: the result is the right one or nothing."""
+    delta = make_delta(old, new)
+    try:
+        assert apply_delta(other, delta) == new
+    except ValueError as error:
+        assert "digest" in str(error)  # noqa: PT017
+
+
+@given(topologies(4))
+def test_digest_is_of_the_content_alone(topology: Topology) -> None:
+    assert topology.digest == digest_of(topology) == digest_of(replace(topology, digest=""))
+    elsewhere = replace(topology, site="other", epoch="02", version=9)
+    assert digest_of(elsewhere) == topology.digest
+    assert digest_of(read(Topology, to_json(topology))) == topology.digest
+    assert digest_of(replace(topology, events=topology.events + 1)) != topology.digest
+    assert digest_of(replace(topology, as_of=topology.as_of + 1)) != topology.digest
+    more = [*topology.pairs, Pair(("x", "y"), "overlapped")]
+    assert digest_of(replace(topology, pairs=more)) != topology.digest
+
+
+EMPTY = stamp(Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 0, "", [], [], [], [], []))
+
+
+@pytest.mark.parametrize("other", [{"version": 3}, {"version": 1}, {"epoch": "02", "version": 2}])
+def test_only_the_next_version_follows(other: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="does not follow"):
+        make_delta(EMPTY, replace(EMPTY, **other))
+    delta = replace(make_delta(EMPTY, stamp(replace(EMPTY, version=2))), **other)
+    with pytest.raises(ValueError, match="does not follow"):
+        apply_delta(EMPTY, delta)
+
+
+def test_damage_is_noticed() -> None:
+    delta = make_delta(EMPTY, stamp(replace(EMPTY, version=2, events=5)))
+    assert delta.schema == DELTA_SCHEMA
+    assert apply_delta(EMPTY, delta).events == 5
+    with pytest.raises(ValueError, match="digest of version 2 does not come out"):
+        apply_delta(EMPTY, replace(delta, events=6))
+
+
+def test_a_topology_without_weak_links_has_a_delta_too() -> None:
+    old = stamp(replace(EMPTY, weak_links=None))
+    new = stamp(replace(old, version=2, events=7))
+    assert apply_delta(old, make_delta(old, new)).events == 7
+
+
+def test_a_foreign_schema_is_refused() -> None:
+    with pytest.raises(ValueError, match="this program reads"):
+        replace(EMPTY, schema="camtopod/topology/2")
+    raw = msgspec.json.encode(msgspec.to_builtins(EMPTY) | {"schema": "x", "more": 1})
+    with pytest.raises(ValueError, match="schema is 'x'"):
+        read(Topology, raw)
+    assert read(Topology, raw.replace(b'"x"', b'"camtopod/topology/1"')) == EMPTY

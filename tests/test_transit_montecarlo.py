@@ -1,0 +1,150 @@
+"""Transit times, Monte Carlo observations and the variance of Mahalanobis distances (thesis 4.3 to 4.5)."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camtopod.learn import mahalanobis, montecarlo
+from camtopod.learn.lags import LagBins
+from camtopod.learn.transit import peak, transit_figures, weighted_quantiles
+
+BINS = LagBins(-20.0, 120.0)
+
+
+def lags(seed: int, n: int, pairs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pair, lag and weight of n transitions; some have no weight."""
+    rng = np.random.default_rng(seed)
+    weight = rng.random(n) * (rng.random(n) < 0.8)
+    return rng.integers(0, pairs, n).astype(np.int32), rng.uniform(-20, 120, n), weight
+
+
+# --- figures ---
+
+
+@given(st.integers(0, 10**6), st.integers(0, 60), st.integers(1, 5))
+def test_quantiles_equal_those_of_one_pair_at_a_time(seed: int, n: int, pairs: int) -> None:
+    pair, lag, weight = lags(seed, n, pairs)
+    found = weighted_quantiles(pair, lag, weight, pairs)
+    for p in range(pairs):
+        slow = [naive.weighted_quantile(lag[pair == p], weight[pair == p], q) for q in (0.1, 0.5, 0.9)]
+        assert found[p] == pytest.approx(slow, nan_ok=True)
+
+
+@given(st.integers(0, 10**6), st.integers(1, 60), st.integers(1, 5))
+def test_figures_equal_their_definitions(seed: int, n: int, pairs: int) -> None:
+    pair, lag, weight = lags(seed, n, pairs)
+    found = transit_figures(pair, lag, weight, np.zeros((pairs, BINS.size)), BINS)
+    for p in range(pairs):
+        x, w = lag[pair == p], weight[pair == p]
+        assert found.total[p] == pytest.approx(w.sum())
+        if w.sum() > 0:
+            assert found.mean[p] == pytest.approx(np.average(x, weights=w))
+            assert found.sd[p] == pytest.approx(
+                np.sqrt(np.average((x - np.average(x, weights=w)) ** 2, weights=w))
+            )
+            assert found.ahead[p] == pytest.approx(w[x < 0].sum() / w.sum())
+            assert found.quantiles[p, 0] <= found.quantiles[p, 1] <= found.quantiles[p, 2]
+        else:
+            figures = (found.mean[p], found.sd[p], found.ahead[p], *found.quantiles[p])
+            assert np.isnan(figures).all()
+        assert np.isnan(found.mode[p])
+
+
+def test_figures_of_no_pair() -> None:
+    none = np.zeros(0)
+    found = transit_figures(np.zeros(0, np.int32), none, none, np.zeros((0, BINS.size)), BINS)
+    assert all(len(column) == 0 for column in found)
+
+
+@pytest.mark.parametrize("at", [-8.0, -1.0, 0.0, 0.3, 7.8102, 25.0, 90.0])
+def test_peak_lies_between_the_bins(at: float) -> None:
+    """Of a bell of three bins' width, within a fifth of the bin it is in."""
+    (k,) = BINS.index(np.array([at]))
+    position = np.arcsinh(BINS.edges / BINS.scale) / BINS.step - BINS.first
+    middle = np.arcsinh(at / BINS.scale) / BINS.step - BINS.first
+    bell = np.exp(-0.5 * ((position[:-1] + 0.5 - middle) / 1.5) ** 2)
+    assert peak(bell[None, :], BINS)[0] == pytest.approx(at, abs=0.2 * BINS.widths[k])
+
+
+def test_peak_at_the_ends_of_a_plateau_and_of_nothing() -> None:
+    density = np.zeros((4, BINS.size))
+    density[0, 0] = density[1, -1] = 1.0
+    density[2, 10:12] = 3.0
+    found = peak(density, BINS)
+    assert BINS.edges[0] <= found[0] <= BINS.edges[1]
+    assert BINS.edges[-2] <= found[1] <= BINS.edges[-1]
+    assert found[2] == pytest.approx(BINS.edges[11])
+    assert np.isnan(found[3])
+
+
+# --- Monte Carlo ---
+
+
+def test_iterations_of_the_thesis() -> None:
+    """Section 5.1: sigma 0.5828 takes N = 348 with epsilon = 0.0134."""
+    assert montecarlo.iterations_needed(0.5828) == montecarlo.iterations_needed(0.5828, 0.0134) == 348
+    assert montecarlo.iterations_needed(1.0, 2.0) == 4
+    assert montecarlo.iterations_needed(0.0) == 0
+
+
+def a_density() -> np.ndarray:
+    """Two humps of unequal height and a gap between them."""
+    shape = np.exp(-0.5 * ((BINS.centres - 5) / 1.5) ** 2)
+    return shape + 0.25 * np.exp(-0.5 * ((BINS.centres - 30) / 3) ** 2)
+
+
+def test_observations_keep_the_density_they_come_from() -> None:
+    """The thesis's walk, which refuses nothing, does not."""
+    density = np.repeat(a_density()[None, :], 60, axis=0)
+    found = montecarlo.observe(density, np.full(60, 2.0), BINS, 1)
+    assert found.shape == (60, montecarlo.OBSERVATIONS)
+    mass = density[0] * BINS.widths
+    reached = np.concatenate(([0.0], np.cumsum(mass) / mass.sum()))
+    distance, _ = scipy.stats.kstest(found.ravel(), lambda x: np.interp(x, BINS.edges, reached))
+    assert distance < 0.02
+    drifted = found + 2.0 * np.random.default_rng(1).standard_normal(found.shape)
+    assert scipy.stats.kstest(drifted.ravel(), lambda x: np.interp(x, BINS.edges, reached))[0] > 0.05
+
+
+def test_observations_move_and_stay_inside() -> None:
+    """Where the density is nothing no observation goes, and the walk does go somewhere."""
+    density = np.where((BINS.centres > 3) & (BINS.centres < 8), 1.0, 0.0)[None, :]
+    still = montecarlo.observe(density, np.zeros(1), BINS, 1)
+    moved = montecarlo.observe(density, np.ones(1), BINS, 1)
+    for found in (still, moved):
+        assert (density[0, BINS.index(found.ravel())] == 1).all()
+    assert (np.diff(still) > -1.0).all()  # evenly spread, bin by bin
+    assert (np.diff(moved) < -1.0).any()
+
+
+def test_observations_are_repeatable_and_of_nothing_none() -> None:
+    density = a_density()[None, :]
+    one, again, other = (montecarlo.observe(density, np.ones(1), BINS, seed) for seed in (1, 1, 2))
+    assert (one == again).all()
+    assert (one != other).any()
+    assert montecarlo.observe(np.zeros((0, BINS.size)), np.zeros(0), BINS, 1).shape == (0, 89)
+    assert np.isfinite(montecarlo.observe(np.zeros((1, BINS.size)), np.zeros(1), BINS, 1)).all()
+
+
+# --- Mahalanobis ---
+
+
+def test_distance_by_its_definition() -> None:
+    left, came = np.array([0.0, 2.0]), np.array([6.0, -1.0])
+    assert mahalanobis.distance(left, came, 9.0).tolist() == [2.0, -1.0]
+
+
+def test_unrelated_zones_are_at_one_and_a_link_far_below() -> None:
+    chance = mahalanobis.chance_variance(-20.0, 120.0)
+    rng = np.random.default_rng(0)
+    spread = np.stack([rng.uniform(-20, 120, 5000), rng.normal(8, 2, 5000), np.full(5000, 7.0)])
+    found = mahalanobis.distance_variance(spread, chance)
+    assert found[0] == pytest.approx(1.0, abs=0.05)
+    assert found[1] == pytest.approx(4 / chance, rel=0.1)
+    assert found[2] == pytest.approx(0.0)
+    assert found[1] < 0.01 < mahalanobis.LINKED_VARIANCE_MAX

@@ -1,0 +1,142 @@
+"""The sliding window: integer sums that equal a recount whatever has come and gone."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camtopod.learn import window as module
+from camtopod.learn.intake import microseconds
+from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.window import NO_CELL, NO_MATE, Window, cells_of
+from camtopod.learn.zones import POSITION_ONE
+from camtopod.records import Event
+
+PLACES = st.one_of(st.none(), st.tuples(*[st.floats(0, 1)] * 2), st.sampled_from([(0.0, 0.0), (1.0, 1.0)]))
+
+
+@st.composite
+def event(draw: st.DrawFn) -> Event:
+    x, y = draw(PLACES) or (None, None)
+    track = draw(st.sampled_from([None, "1", "2"]))
+    return Event(draw(st.sampled_from("abc")), draw(st.sampled_from(["entry", "exit"])), 0.0, x, y, track)
+
+
+STEPS = st.lists(st.tuples(st.lists(event(), max_size=12), st.integers(0, 30), st.booleans()), max_size=12)
+"""Batches, each a few seconds after the one before, and how old an event may be after it."""
+
+
+def at(t: float, batch: list[Event]) -> list[tuple[int, Event]]:
+    return [(microseconds(t), e) for e in batch]
+
+
+@given(STEPS, st.integers(1, 25))
+def test_sums_equal_a_recount(steps: list[tuple[list[Event], int, bool]], events_max: int) -> None:
+    window, kept, seen, now = Window(events_max), list[tuple[int, Event]](), list[Event](), 0
+    for batch, age, forget in steps:
+        now += 5
+        window.append(at(now, batch))
+        kept += at(now, batch)
+        seen += batch
+        if forget:
+            remaining = [(t, e) for t, e in kept if t >= microseconds(now - age)][-events_max:]
+            assert window.forget(microseconds(now - age)) == len(kept) - len(remaining)
+            kept = remaining
+        assert len(window) == len(kept)
+        assert window.column("t").tolist() == [t for t, _ in kept]
+        assert [window.cameras[k] for k in window.column("camera")] == [e.camera for _, e in kept]
+        assert window.column("entry").tolist() == [e.kind == "entry" for _, e in kept]
+        sums, unplaced = naive.window_sums([e for _, e in kept], GRID_ROWS, GRID_COLUMNS, POSITION_ONE)
+        nothing = np.zeros((7, GRID_ROWS, GRID_COLUMNS))
+        for camera, name in enumerate(window.cameras):
+            assert (window.sums[camera] == sums.get(name, nothing)).all()
+            assert window.unplaced[camera].tolist() == unplaced.get(name, [0, 0])
+            assert window.placed(camera) == sums.get(name, nothing)[0].sum()
+            assert window.seen[camera] == sum(e.camera == name and e.x is not None for e in seen)
+            assert (window.cell_sums(camera).syy == window.sums[camera][5]).all()
+
+
+@given(STEPS)
+def test_what_is_forgotten_leaves_no_trace(steps: list[tuple[list[Event], int, bool]]) -> None:
+    """The sums are those of a fresh window over the events that remain."""
+    window, kept, now = Window(1000), list[tuple[int, Event]](), 0
+    for batch, age, _ in steps:
+        now += 5
+        window.append(at(now, batch))
+        window.forget(microseconds(now - age))
+        kept = [(t, e) for t, e in kept + at(now, batch) if t >= microseconds(now - age)]
+    fresh = Window(1000)
+    fresh.append(kept)
+    for name in window.cameras:
+        camera, other = window.camera_index(name), fresh.camera_index(name)
+        assert camera is not None
+        if other is None:
+            assert not window.sums[camera].any()
+            assert not window.unplaced[camera].any()
+        else:
+            assert (window.sums[camera] == fresh.sums[other]).all()
+            assert (window.unplaced[camera] == fresh.unplaced[other]).all()
+
+
+@given(STEPS)
+def test_mates(steps: list[tuple[list[Event], int, bool]]) -> None:
+    """An exit's mate is the newest event of its camera and track, if that is an entry and still there."""
+    window, events, now = Window(1000), list[Event](), 0
+    for batch, age, _ in steps:
+        now += 5
+        window.append(at(now, batch))
+        events += batch
+        window.forget(microseconds(now - age))
+    base = len(events) - len(window)
+    assert window.base == base
+    found = window.column("mate").tolist()
+    for row, mate in enumerate(naive.mates(events)[base:]):
+        assert found[row] == NO_MATE or found[row] == mate
+        if mate is None:
+            assert found[row] == NO_MATE
+        elif mate >= base:
+            assert found[row] == mate
+
+
+def test_open_passages_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "OPEN_PASSAGES_MAX", 2)
+    window = Window(1000)
+    window.append(at(1, [Event("a", "entry", 1, track=k) for k in ("1", "2", "3")]))
+    window.append(at(2, [Event("a", "exit", 2, track=k) for k in ("1", "2", "3")]))
+    assert window.column("mate").tolist() == [-1, -1, -1, -1, 1, 2]
+
+
+def test_columns_grow_and_are_reused() -> None:
+    window, one = Window(10_000), Event("a", "entry", 0.0, 0.5, 0.5)
+    for k in range(200):
+        window.append(at(k, [one] * 100))
+        window.forget(microseconds(k - 4))
+        assert len(window) == min(k + 1, 5) * 100
+    assert len(window.column("t").base) <= 4096  # type: ignore[arg-type]
+    assert window.base == 19_500
+    assert window.placed(0) == 500
+    window.append([])
+    assert window.forget(0) == 0
+
+
+def test_at_most_so_many_events() -> None:
+    window = Window(7)
+    window.append(at(1, [Event("a", "entry", 1)] * 20))
+    assert window.forget(0) == 13
+    assert len(window) == 7
+    assert window.unplaced[0].tolist() == [7, 0]
+    assert window.camera_index("b") is None
+
+
+@given(st.floats(0, 1), st.floats(0, 1))
+def test_cells_hold_what_the_zones_see(x: float, y: float) -> None:
+    """The cell is that of the fixed-point position."""
+    px, py = round(x * POSITION_ONE), round(y * POSITION_ONE)
+    (cell,) = cells_of(np.array([px]), np.array([py]))
+    row, column = divmod(int(cell), GRID_COLUMNS)
+    assert row <= y * GRID_ROWS + 0.01 <= row + 1.02
+    assert column <= x * GRID_COLUMNS + 0.01 <= column + 1.02
+    assert cells_of(np.array([-1]), np.array([py])).tolist() == [NO_CELL]
