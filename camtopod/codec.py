@@ -21,7 +21,9 @@ _T = TypeVar("_T")
 
 
 class Rejected(ValueError):
-    """The other side's bytes do not fit. ``reason`` is a short stable word for counting, ``str()`` says what and where."""
+    """The other side's bytes do not fit. ``reason`` is a short stable word for counting, ``str()`` says what and
+    where.
+    """
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(detail)
@@ -30,7 +32,7 @@ class Rejected(ValueError):
 
 def event_from_json(line: bytes | str) -> Event:
     """One event line (contract 2) to an `Event`; raises `Rejected`."""
-    return _event(_json_event, line.encode("utf-8", "surrogateescape") if isinstance(line, str) else line)
+    return _event(_json_event, line.encode("utf-8", "surrogatepass") if isinstance(line, str) else line)
 
 
 def event_from_pack(payload: bytes) -> Event:

@@ -46,9 +46,7 @@ def test_sequence_forgets_the_oldest_gap(numbers: list[int]) -> None:
         for number in numbers:
             assert sequence.add(number) == (number not in seen)
             seen.add(number)
-            while (
-                len(gaps := [n for n in range(min(seen), max(seen)) if n in seen and n + 1 not in seen]) >= 3
-            ):
+            while len(gaps := [n for n in range(min(seen), max(seen)) if n in seen and n + 1 not in seen]) >= 3:
                 number = gaps[0] + 1
                 while number not in seen:
                     seen.add(number)
@@ -139,9 +137,7 @@ EVENTS = st.lists(
 @given(EVENTS, st.randoms(use_true_random=False))
 def test_any_order_within_the_lateness_gives_the_same(events: list[Event], chance: random.Random) -> None:
     """Also when every event comes twice and time is told in between."""
-    numbered = [
-        Event(e.camera, e.kind, e.t, e.x, e.y, e.track, boot="x", seq=k) for k, e in enumerate(events)
-    ]
+    numbered = [Event(e.camera, e.kind, e.t, e.x, e.y, e.track, boot="x", seq=k) for k, e in enumerate(events)]
     plain, mixed = Intake(5.0, 9), Intake(5.0, 9)
     for e in sorted(numbered, key=lambda e: e.t):
         assert plain.receive(e) == "accepted"

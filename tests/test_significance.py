@@ -17,9 +17,7 @@ RATIOS = st.lists(st.one_of(st.floats(-5, 40), st.sampled_from([0.0, 3.0])), max
 def test_q_values_by_their_definition(ratios: list[float], further: int) -> None:
     ratio = np.array(ratios)
     tests = len(ratios) + further
-    assert q_values(ratio, tests) == pytest.approx(
-        naive.q_values(np.minimum(np.exp(-ratio), 1), max(tests, 1))
-    )
+    assert q_values(ratio, tests) == pytest.approx(naive.q_values(np.minimum(np.exp(-ratio), 1), max(tests, 1)))
 
 
 @given(RATIOS)

@@ -44,9 +44,7 @@ def test_figures_equal_their_definitions(seed: int, n: int, pairs: int) -> None:
         assert found.total[p] == pytest.approx(w.sum())
         if w.sum() > 0:
             assert found.mean[p] == pytest.approx(np.average(x, weights=w))
-            assert found.sd[p] == pytest.approx(
-                np.sqrt(np.average((x - np.average(x, weights=w)) ** 2, weights=w))
-            )
+            assert found.sd[p] == pytest.approx(np.sqrt(np.average((x - np.average(x, weights=w)) ** 2, weights=w)))
             assert found.ahead[p] == pytest.approx(w[x < 0].sum() / w.sum())
             assert found.quantiles[p, 0] <= found.quantiles[p, 1] <= found.quantiles[p, 2]
         else:
