@@ -136,7 +136,9 @@ class Model(Struct, frozen=True):
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
-    """One transition of the Markov chain over cameras (thesis 4.6): share of those leaving ``from`` next seen at ``to``."""
+    """A transition of the Markov chain over cameras (thesis 4.6): of those leaving ``from``, the share seen at
+    ``to``.
+    """
 
     from_: str
     to: str

@@ -18,7 +18,19 @@ from camtopod.learn.scene import Scene, ZoneRef
 from camtopod.learn.settings import Settings
 from camtopod.learn.topology import link_key
 from camtopod.learn.window import Window
-from camtopod.records import Camera, CameraModel, Histogram, Link, Model, Relation, Topology, Transit, Zone, ZoneModel
+from camtopod.records import (
+    TOPOLOGY_SCHEMA,
+    Camera,
+    CameraModel,
+    Histogram,
+    Link,
+    Model,
+    Relation,
+    Topology,
+    Transit,
+    Zone,
+    ZoneModel,
+)
 
 DIGITS = 6
 STAY_DECILES = np.linspace(0.0, 1.0, 11)
@@ -51,7 +63,7 @@ def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
 
 
 def link_records(
-    cameras: list[str], scene: Scene, table: LinkTable, bins: LagBins, relation: Relation | None
+    cameras: list[str], scene: Scene, table: LinkTable, bins: LagBins, relation: Relation | None = None
 ) -> list[Link]:
     """Rows of the table as links, by key; ``relation`` None: overlapped or unseen, from where the lags lie."""
     ids = [zone_id(cameras, zone) for zone in scene.zones]
@@ -100,20 +112,20 @@ def model_of(cameras: list[str], scene: Scene, fit: Fit | None, bins: LagBins, w
 
 
 def assemble(
-    site: str, epoch: str, version: int, as_of: float, events: int, settings: Settings, window: Window, scene: Scene,
-    fit: Fit | None, bins: LagBins, links: list[Link], weak_links: list[Link],
+    settings: Settings, window: Window, scene: Scene, fit: Fit | None, bins: LagBins, links: list[Link],
+    weak_links: list[Link],
 ) -> Topology:  # fmt: skip
-    """One version without its digest. ``events``: how many have been learned in all."""
+    """The content of one version, without site, epoch, version, moment, number of events and digest."""
     zones = zone_records(window.cameras, scene)
     of_camera: dict[str, list[str]] = {name: [] for name in sorted(window.cameras)}
     for zone in zones:
         of_camera[zone.camera].append(zone.id)
     links = sorted(links, key=link_key)
     return Topology(
-        schema="camtopod/topology/1", site=site, epoch=epoch, version=version, as_of=as_of, events=events, digest="",
+        schema=TOPOLOGY_SCHEMA, site="", epoch="", version=0, as_of=0.0, events=0, digest="",
         cameras=[Camera(name, ids) for name, ids in of_camera.items()], zones=zones, links=links,
         pairs=camera_pairs(zones, links, settings.overlap_tolerance_seconds),
-        weak_links=sorted(weak_links, key=link_key),
+        weak_links=weak_links,
         chain=markov_chain(zones, [*links, *weak_links], DIGITS),
         model=model_of(window.cameras, scene, fit, bins, window),
     )  # fmt: skip

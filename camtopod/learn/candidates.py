@@ -32,8 +32,9 @@ class Departures(NamedTuple):
 
 
 class Arrivals(NamedTuple):
-    """Objects appearing, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, the local rate of arrivals there (1/s),
-    and the log slowness of the passage that begins (nan: unknown)."""
+    """Objects appearing, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, the local rate of arrivals there
+    (1/s), and the log slowness of the passage that begins (nan: unknown).
+    """
 
     t: Floats
     zone: Ints
@@ -59,7 +60,8 @@ def find_candidates(
     """All candidates; beyond ``candidates_max`` the oldest arrivals do without."""
     low = np.searchsorted(departures.t, arrivals.t - bins.lag_max, side="left")
     high = np.searchsorted(departures.t, arrivals.t - bins.lag_min, side="right")
-    parts, total = [], 0
+    parts: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]] = []
+    total = 0
     for part in _newest_first(departures, arrivals, low, high, bins):
         total += len(part[0])
         if total > candidates_max and parts:
@@ -71,7 +73,12 @@ def find_candidates(
     pair, present = _number_pairs(key, zones)
     source, target = present // max(zones, 1), present % max(zones, 1)
     return Candidates(
-        departure.astype(np.int32), arrival.astype(np.int32), pair, lag, source.astype(np.int32), target.astype(np.int32)
+        departure.astype(np.int32),
+        arrival.astype(np.int32),
+        pair,
+        lag,
+        source.astype(np.int32),
+        target.astype(np.int32),
     )
 
 
@@ -103,9 +110,11 @@ def _newest_first(
 
 
 def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:
-    """What a histogram of lags (P, bins) has above chance and ``noise_sd`` standard deviations of it, smoothed, at least 0.
+    """What a histogram of lags (P, bins) has above chance and ``noise_sd`` standard deviations of it, smoothed, at
+    least 0.
 
-    Cross-correlation (Makris, Ellis and Black 2004), at several widths, as some transit times are kept closely, others not.
+    Cross-correlation (Makris, Ellis and Black 2004), at several widths, as some transit times are kept closely,
+    others not.
     """
     result = np.zeros_like(seen)
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:

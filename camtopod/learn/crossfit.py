@@ -1,10 +1,11 @@
 """Evidence that was not fitted to itself: each half of the time judged by what the other half learned.
 
-A flexible fit finds something in any data; how well it explains the data it was fitted to says little. So the window is
-cut into alternating stretches of time, the links are fitted on the odd ones and on the even ones, and each fit is asked how
-much better it predicts the arrivals of the other stretches with a pair of zones than without. Where zones have nothing to
-do with each other the likelihood ratio of such a prediction exceeds ``exp(x)`` with a probability of at most ``exp(-x)``
-(Markov's inequality; "safe testing", Grunwald, de Heide and Koolen 2024), whatever shape the fit could have taken.
+A flexible fit finds something in any data; how well it explains the data it was fitted to says little. So the window
+is cut into alternating stretches of time, the links are fitted on the odd ones and on the even ones, and each fit is
+asked how much better it predicts the arrivals of the other stretches with a pair of zones than without. Where zones
+have nothing to do with each other the likelihood ratio of such a prediction exceeds ``exp(x)`` with a probability of
+at most ``exp(-x)`` (Markov's inequality; "safe testing", Grunwald, de Heide and Koolen 2024), whatever shape the fit
+could have taken.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ def cross_evidence(
     halves = [_half(departures, left == k, arrivals, came == k, fit, bins, zones, until) for k in (0, 1)]
     hazards = [half.run(fit.hazard).hazard for half in halves]
     parts = [_evidence(half, hazards[1 - k], fit.outside) for k, half in enumerate(halves)]
-    unrelated, untimed = (sum(columns) for columns in zip(*parts, strict=True))
-    return np.minimum(unrelated, untimed)
+    (unrelated, untimed), (also_unrelated, also_untimed) = parts
+    result: Floats = np.minimum(unrelated + also_unrelated, untimed + also_untimed)
+    return result
 
 
 def _half(
@@ -57,8 +59,10 @@ def _half(
     candidates = Candidates(
         departure[c.departure[kept]], arrival[c.arrival[kept]], c.pair[kept], c.lag[kept], c.source, c.target
     )
+    d, a = departures, arrivals
     fitter = JointFitter(
-        Departures(*(column[left] for column in departures)), Arrivals(*(column[came] for column in arrivals)),
+        Departures(d.t[left], d.zone[left], d.camera[left], d.since[left], d.slow[left]),
+        Arrivals(a.t[came], a.zone[came], a.camera[came], a.rate[came], a.slow[came]),
         candidates, bins, zones, until,
     )  # fmt: skip
     fitter.sparsity, fitter.outside = SPARSITY, fit.outside
@@ -71,8 +75,8 @@ def _evidence(half: JointFitter, hazard: Floats, outside: Floats) -> tuple[Float
     half.outside = outside
     share = np.minimum(half.expect_afresh(hazard, SWEEPS), RESPONSIBILITY_MAX)
     c = half.candidates
-    expected = (hazard * half.exposure[c.source] * half.bins.widths).sum(axis=1)
-    unrelated = np.bincount(c.pair, -np.log1p(-share), minlength=half.pairs) - expected
+    expected: Floats = (hazard * half.exposure[c.source] * half.bins.widths).sum(axis=1)
+    unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=half.pairs) - expected
     flat = np.minimum(half.flatness(hazard), FLAT_MAX)
-    untimed = np.bincount(c.pair, -np.log1p(share * (flat - 1.0)), minlength=half.pairs)
+    untimed: Floats = np.bincount(c.pair, -np.log1p(share * (flat - 1.0)), minlength=half.pairs).astype(float)
     return unrelated, untimed

@@ -47,9 +47,7 @@ def log_evidence(groups: Floats) -> Floats:
     half = 0.5 * (_FREEDOM + n - 1)
     determinant = (_SCALE + xx) * (_SCALE + yy) - xy * xy
     constant = _FREEDOM * np.log(_SCALE) - _log_gamma_2(np.array(_FREEDOM / 2))
-    result: Floats = (
-        _log_gamma_2(half) + constant - (n - 1) * np.log(np.pi) - np.log(n) - half * np.log(determinant)
-    )
+    result: Floats = _log_gamma_2(half) + constant - (n - 1) * np.log(np.pi) - np.log(n) - half * np.log(determinant)
     return result
 
 

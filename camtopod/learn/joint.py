@@ -5,15 +5,15 @@ tests each pair of zones alone, which cannot tell A -> C from A -> B -> C. Here 
 departure or the outside, and every departure causes at most one arrival. An expectation-maximisation fit shares each
 arrival among its candidates:
 
-* the *hazard* ``h[u, v](lag)`` is the rate at which an object that left zone u appears next at zone v, per second, per
-  departure whose lag bin was exposed (its window is over; for a negative lag: its passage had begun);
-* the *background* of zone v is a share of the local rate of arrivals there, so that a rhythm common to all zones (day and
-  night) explains itself and makes no links;
+* the *hazard* ``h[u, v](lag)`` is the rate at which an object that left zone u appears next at zone v, per second,
+  per departure whose lag bin was exposed (its window is over; for a negative lag: its passage had begun);
+* the *background* of zone v is a share of the local rate of arrivals there, so that a rhythm common to all zones (day
+  and night) explains itself and makes no links;
 * *slowness* through a view foretells slowness on the way and in the next view, as far as the site shows that it does.
 
-The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses and clutter (Williams
-and Lau, IEEE Trans. AES 50(4), 2014), one sweep an iteration, each candidate judged by the hazard that the others make
-(leave one out). The M step counts. Related: Marinakis and Dudek (2005) sample what is summed here.
+The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses and clutter
+(Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep an iteration, each candidate judged by the hazard that the
+others make (leave one out). The M step counts. Related: Marinakis and Dudek (2005) sample what is summed here.
 """
 
 from __future__ import annotations
@@ -47,13 +47,16 @@ STRIDE_RATIO_MAX = 4.0
 SETTLING_ITERATIONS = 3
 """The last iterations of a round take EM's own steps."""
 SPARSITY = 1.0
-"""Most pairs of zones are not linked: their totals have a sparse prior (a Gamma with shape 0), which takes one transition
-off each. Left out, thousands of pairs share the arrivals that come from outside among them."""
+"""Most pairs of zones are not linked: their totals have a sparse prior (a Gamma with shape 0), which takes one
+transition off each. Left out, thousands of pairs share the arrivals that come from outside among them.
+"""
 FOLLOWED_TRANSITIONS_MIN = 0.05
 """A pair of zones with fewer expected transitions is not followed in later rounds."""
 POSTERIOR_SPARSITY = 0.3
 POOLING_DEPARTURES = 3.0
-"""In the posterior, what leaves anywhere in a camera's view counts for each of its zones as much as this many departures."""
+"""In the posterior, what leaves anywhere in a camera's view counts for each of its zones as much as this many
+departures.
+"""
 SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
 """(at least this many expected transitions, smooth by this many bins)."""
 
@@ -90,8 +93,9 @@ def fit_jointly(
 ) -> tuple[Fit, Fit]:  # fmt: skip
     """The joint fit of everything that left and came up to ``until`` (seconds): the posterior, and the links in it.
 
-    The *posterior* keeps all weak evidence and lends each zone some of its camera's: best for prediction. The second fit
-    has a sparse prior and stands for what is linked. ``known``: what earlier fits of both kinds found, to go on from.
+    The *posterior* keeps all weak evidence and lends each zone some of its camera's: best for prediction. The second
+    fit has a sparse prior and stands for what is linked. ``known``: what earlier fits of both kinds found, to go on
+    from.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
     if known is None:
@@ -206,7 +210,7 @@ class JointFitter:
         )  # fmt: skip
 
     def expect_afresh(self, hazard: Floats, sweeps: int) -> Floats:
-        """Responsibilities (M,) under hazards (P, bins) learned elsewhere: nothing is left out, nothing known before."""
+        """Responsibilities (M,) under hazards (P, bins) learned elsewhere: nothing left out, nothing known before."""
         self._message = np.ones(len(self.candidates.lag))
         for _ in range(sweeps):
             self._responsibility = np.zeros(len(self.candidates.lag))
@@ -232,7 +236,7 @@ class JointFitter:
 
     def _count(self, responsibility: Floats) -> Floats:
         """Expected transitions (P, bins)."""
-        flat = np.bincount(self._cell, responsibility, minlength=self.pairs * self.bins.size)
+        flat: Floats = np.bincount(self._cell, responsibility, minlength=self.pairs * self.bins.size).astype(float)
         return flat.reshape(self.pairs, self.bins.size)
 
     def _hazards(self, counts: Floats) -> Floats:
@@ -248,7 +252,9 @@ class JointFitter:
         return smoothed / (exposed * self.bins.widths)
 
     def _pooled(self, counts: Floats) -> Floats:
-        """Transitions per exposed departure (P, bins) if only the cameras counted, and in them the traffic of the zones."""
+        """Transitions per exposed departure (P, bins) if only the cameras counted, and in them the traffic of the
+        zones.
+        """
         source, target = self._camera[self.candidates.source], self._camera[self.candidates.target]
         cameras = int(self._camera.max()) + 1
         pair = source * cameras + target

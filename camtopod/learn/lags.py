@@ -1,8 +1,8 @@
 """Lag bins: transit times on a scale that is fine near zero and coarse far away.
 
-Bins are uniform in asinh(lag / scale): about ``scale * step`` seconds wide near zero, a constant share of the lag far from
-it, as the spread of transit times grows with their length. Lags outside the range have no bin (-1): clipped into an end
-bin they would look like a peak there.
+Bins are uniform in asinh(lag / scale): about ``scale * step`` seconds wide near zero, a constant share of the lag far
+from it, as the spread of transit times grows with their length. Lags outside the range have no bin (-1): clipped into
+an end bin they would look like a peak there.
 """
 
 from __future__ import annotations

@@ -1,23 +1,34 @@
-"""The learner: events and time go in, versions of the topology come out. Deterministic, whatever the order of arrival.
+"""The learner: events and time go in, versions of the topology come out. Deterministic, whatever the order of
+arrival.
 
 Theory of operation. `receive` puts an event into the reorder buffer. Event time is cut into ticks of
-``version_seconds``; when the watermark passes a tick, everything up to it moves into the window, what is too old is taken
-back out, and if enough has changed the zones, the joint fit and the links are refreshed and a version is made. What a
-version says therefore depends on the events up to its tick and on nothing else: not on how they were ordered within the
-lateness, nor on how fast or when the program ran.
+``version_seconds``; when the watermark passes a tick, everything up to it moves into the window, what is too old is
+taken back out, and if enough has changed the zones, the joint fit and the links are refreshed and a version is made.
+What a version says therefore depends on the events up to its tick and on nothing else: not on how they were ordered
+within the lateness, nor on how fast or when the program ran.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from msgspec.structs import replace
 
 from camtopod.learn.assemble import assemble, link_records
+from camtopod.learn.candidates import find_candidates
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
-from camtopod.learn.candidates import find_candidates
 from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lags import LagBins
-from camtopod.learn.links import LinkTable, beside, join, significant, tabulate, transitions_of, without_missed
+from camtopod.learn.links import (
+    LinkTable,
+    beside,
+    join,
+    refresh_monte_carlo,
+    significant,
+    tabulate,
+    transitions_of,
+    without_missed,
+)
 from camtopod.learn.memory import Memory
 from camtopod.learn.passages import visible_transitions
 from camtopod.learn.predict import Predictor
@@ -25,11 +36,13 @@ from camtopod.learn.scene import Scene, see
 from camtopod.learn.settings import Settings
 from camtopod.learn.topology import stamp
 from camtopod.learn.window import Window
-from camtopod.learn.zones import ZoneMap, find_zones
-from camtopod.records import Event, Link, Topology
+from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones
+from camtopod.records import Event, Topology
 
 REFIT_EVENTS_MIN = 10
 """No new version for fewer new events, unless they have waited ``refit_hours``."""
+GONE_ZONES_MAX = 32
+"""Vanished zones of a camera whose places are remembered, so that one that returns has its number back."""
 ZONES_REFRESH_SHARE = 0.1
 """A camera's zones are learned again when this share of its events is new."""
 
@@ -48,6 +61,7 @@ class Learner:
         self._memory = Memory()
         self._maps: list[ZoneMap] = []
         self._zoned: list[int] = []  # events of the camera when its zones were last learned
+        self._gone: list[tuple[ZoneShape, ...]] = []  # zones that have vanished, latest first, for when they come back
         self._tick_us = microseconds(self.settings.version_seconds)
         self._done_us: int | None = None  # the last tick worked off
         self._fitted_us = 0
@@ -148,33 +162,37 @@ class Learner:
         through = self._through_views(scene)
         posterior, between, likely = self._between_views(scene)
         found = without_missed(between, through, significant(between, self.settings), self.settings)
+        published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
         seen = np.flatnonzero(significant(through, self.settings))
-        links = self._records(scene, between.rows(np.flatnonzero(found)), self.bins)
-        links += self._records(scene, through.rows(seen), self.stay_bins, visible=True)
-        weak_links = self._records(scene, beside(likely, between.rows(np.flatnonzero(found)), len(scene.zones)), self.bins)
-        version = 1 if self.topology is None else self.topology.version + 1
-        self.topology = stamp(
-            assemble(
-                self.site, self.epoch, version, tick_us / MICROSECONDS, self._learned, self.settings, self._window,
-                scene, posterior, self.bins, links, weak_links,
-            )
+        visible = refresh_monte_carlo(through.rows(seen), self.stay_bins)
+        cameras = self._window.cameras
+        topology = assemble(
+            self.settings, self._window, scene, posterior, self.bins,
+            links=link_records(cameras, scene, published, self.bins)
+            + link_records(cameras, scene, visible, self.stay_bins, "visible"),
+            weak_links=link_records(cameras, scene, beside(likely, published, len(scene.zones)), self.bins),
         )  # fmt: skip
+        version = 1 if self.topology is None else self.topology.version + 1
+        named = replace(topology, site=self.site, epoch=self.epoch, version=version, as_of=tick_us / MICROSECONDS)
+        self.topology = stamp(replace(named, events=self._learned))
         self._updates.append(self.topology)
         self._fitted_us, self._since_fit = tick_us, 0
-
-    def _records(self, scene: Scene, table: LinkTable, bins: LagBins, visible: bool = False) -> list[Link]:
-        return link_records(self._window.cameras, scene, table, bins, "visible" if visible else None)
 
     def _refresh_zones(self) -> None:
         """Learn the zones of every camera again whose events have changed enough."""
         for camera in range(len(self._window.cameras)):
+            seen = self._window.seen[camera]
             if camera == len(self._maps):
                 self._maps.append(find_zones(self._window.cell_sums(camera)))
-                self._zoned.append(self._window.seen[camera])
-            elif self._window.seen[camera] - self._zoned[camera] >= ZONES_REFRESH_SHARE * self._window.placed(camera):
+                self._zoned.append(seen)
+                self._gone.append(())
+            elif seen - self._zoned[camera] >= ZONES_REFRESH_SHARE * self._window.placed(camera):
                 old = self._maps[camera]
-                self._maps[camera] = find_zones(self._window.cell_sums(camera), old.zones, old.next_number)
-                self._zoned[camera] = self._window.seen[camera]
+                known = old.zones + self._gone[camera]
+                new = find_zones(self._window.cell_sums(camera), known, old.next_number)
+                numbers = {zone.number for zone in new.zones}
+                gone = tuple(zone for zone in known if zone.number not in numbers)
+                self._maps[camera], self._zoned[camera], self._gone[camera] = new, seen, gone[:GONE_ZONES_MAX]
 
     def _through_views(self, scene: Scene) -> LinkTable:
         """Visible links: passages through one view."""
@@ -190,9 +208,7 @@ class Learner:
             return None, empty, empty
         candidates = find_candidates(scene.departures, scene.arrivals, self.bins, zones, self.settings.candidates_max)
         known = self._memory.recall(candidates, scene, self.bins, len(self._window))
-        posterior, fit = fit_jointly(
-            scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last, known
-        )
+        posterior, fit = fit_jointly(scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last, known)
         self._memory.remember(posterior, fit, scene, len(self._window), fresh=known is None)
         ratio = cross_evidence(scene.departures, scene.arrivals, fit, self.bins, zones, scene.first, scene.last)
         between = tabulate(transitions_of(fit), leaving, self.bins, zones)

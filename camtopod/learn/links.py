@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.significance import Ways, explained_by_missed, log_likelihood_ratio, q_values
 from camtopod.learn.joint import Fit, smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.settings import Settings
+from camtopod.learn.significance import Ways, explained_by_missed, log_likelihood_ratio, q_values
 from camtopod.learn.transit import TransitFigures, transit_figures
 
 Floats = NDArray[np.float64]
@@ -30,8 +30,9 @@ MONTE_CARLO_SEED = 2011
 
 
 class Transitions(NamedTuple):
-    """Joined departures and arrivals, (M,) each: zones, lag in seconds, the probability that they are one object, and the
-    hazard over the lag's own of a link without a transit time."""
+    """Joined departures and arrivals, (M,) each: zones, lag in seconds, the probability that they are one object, and
+    the hazard over the lag's own of a link without a transit time.
+    """
 
     source: Ints
     target: Ints
@@ -66,13 +67,15 @@ class LinkTable(NamedTuple):
 
     def rows(self, keep: NDArray[np.intp]) -> LinkTable:
         """The rows ``keep``, in that order."""
-        transit = TransitFigures(*(column[keep] for column in self.transit))
-        rest = (self.source, self.target, self.probability, self.ratio, self.q)
-        return LinkTable(*(column[keep] for column in rest), transit, self.variance[keep], self.counts[keep])
-
+        return LinkTable(
+            self.source[keep], self.target[keep], self.probability[keep], self.ratio[keep], self.q[keep],
+            TransitFigures(*(column[keep] for column in self.transit)), self.variance[keep], self.counts[keep],
+        )  # fmt: skip
 
     def with_evidence(self, ratio: Floats, tests: int) -> LinkTable:
-        """The same with evidence (P,) in nats from elsewhere, and the false discovery rates among ``tests`` pairs looked at."""
+        """The same with evidence (P,) in nats from elsewhere, and the false discovery rates among ``tests`` pairs
+        looked at.
+        """
         return self._replace(ratio=ratio, q=q_values(ratio, tests))
 
 
@@ -88,18 +91,24 @@ def tabulate(transitions: Transitions, leaving: Floats, bins: LagBins, zones: in
     flat = np.bincount(
         pair[inside].astype(np.int64) * bins.size + at[inside], transitions.weight[inside], minlength=pairs * bins.size
     )
-    counts = flat.reshape(pairs, bins.size)
+    counts: Floats = flat.reshape(pairs, bins.size).astype(float)
     density = smooth(counts)[0] / bins.widths
     transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins)
     ratio = log_likelihood_ratio(pair, transitions.weight, transitions.flat, pairs)
-    sigma = np.nan_to_num(transit.sd)
-    samples = montecarlo.observe(density, sigma, bins, MONTE_CARLO_SEED)
-    chance = mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
+    variance = np.nan_to_num(transit.sd) ** 2 / mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
     probability = np.minimum(transit.total / np.maximum(leaving[source], 1.0), 1.0)
     return LinkTable(
         source, target, probability, ratio, q_values(ratio, pairs), transit,
-        mahalanobis.distance_variance(samples, chance), counts,
+        variance, counts,
     )  # fmt: skip
+
+
+def refresh_monte_carlo(table: LinkTable, bins: LagBins) -> LinkTable:
+    """The table with ``Var(d)`` from Monte Carlo observations (thesis 4.3) in place of the few that were seen."""
+    density = smooth(table.counts)[0] / bins.widths
+    samples = montecarlo.observe(density, np.nan_to_num(table.transit.sd), bins, MONTE_CARLO_SEED)
+    chance = mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
+    return table._replace(variance=mahalanobis.distance_variance(samples, chance))
 
 
 def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:

@@ -15,7 +15,8 @@ Floats = NDArray[np.float64]
 PairKey = tuple[int, int, int, int]
 
 FRESH_GROWTH = 1.5
-"""A fit from nothing is due when the window has grown by this since the last one, so that early mistakes do not stay."""
+"""A fit from nothing is due when the window has grown by this since the last one, so that early mistakes do not stay.
+"""
 
 
 def _key(source: ZoneRef, target: ZoneRef) -> PairKey:

@@ -63,9 +63,7 @@ def overlap_rows(transit: ArrayLike, camera_of_zone: ArrayLike, tolerance: float
     return rows
 
 
-def _row(
-    times: Floats, cameras: NDArray[np.intp], a: int, b: int, c: int, tolerance: float
-) -> OverlapRow | None:
+def _row(times: Floats, cameras: NDArray[np.intp], a: int, b: int, c: int, tolerance: float) -> OverlapRow | None:
     direct, there, on = float(times[a, b]), float(times[a, c]), float(times[c, b])
     error = abs(direct - (there + on))
     if 0.0 in (direct, there, on) or not error <= tolerance + ROUNDING:

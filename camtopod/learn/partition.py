@@ -151,9 +151,7 @@ class _Moves:
         events."""
         others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
         return any(
-            not self._valley_between(
-                1.0, self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k)
-            )
+            not self._valley_between(1.0, self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k))
             for j in others
         )
 
@@ -172,9 +170,7 @@ class _Moves:
             for pair in gain.argsort(kind="stable"):
                 i, j = int(a[pair]), int(b[pair])
                 inside = (self.labels == i) | (self.labels == j)
-                if not clear[pair] and not self._valley_between(
-                    gain[pair], self.zones[i], self.zones[j], inside
-                ):
+                if not clear[pair] and not self._valley_between(gain[pair], self.zones[i], self.zones[j], inside):
                     break
             else:
                 return
@@ -198,12 +194,7 @@ class _Moves:
         n, count = self.zones[which, 0], len(self.zones)
         total = np.array(self.total)
         prior = log_zones(count - 1, total) - log_zones(count, total) - log_share(n)
-        gain = (
-            prior
-            + gammaln(self.clutter + n + 1)
-            - gammaln(self.clutter + 1)
-            - log_evidence(self.zones[which])
-        )
+        gain = prior + gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1) - log_evidence(self.zones[which])
         doubtful = gain > 0
         gain[doubtful] = np.minimum(gain[doubtful], EXCESS_MIN - self._excess(which[doubtful]))
         return np.asarray(gain)
@@ -262,9 +253,7 @@ class _Moves:
         aside = np.array([-line[1], line[0]])
         centre = mean_a + np.clip(along / apart, 0, 1)[:, None] * difference
         width = max(float(_sd_along(cov, aside)) for cov in (cov_a, cov_b))
-        tube = (
-            (self.labels < 0) & (along > 0) & (along < apart) & (np.abs((mean - centre) @ aside) < 2 * width)
-        )
+        tube = (self.labels < 0) & (along > 0) & (along < apart) & (np.abs((mean - centre) @ aside) < 2 * width)
         chosen = inside | tube
         n = self.cells.sums[chosen, 0] / (1 + (a[0] + b[0]) / PAIR_EVENTS)
         sd = _sd_along(self.cells.spread[chosen], line)
@@ -279,16 +268,9 @@ class _Moves:
         determinant = xx * yy - xy * xy
         dx, dy = (self.cells.mean[:, None, :] - mean).transpose(2, 0, 1)
         inner = self.cells.spread[:, None, :]
-        squared = (
-            yy * (dx * dx + inner[..., 0])
-            - 2 * xy * (dx * dy + inner[..., 1])
-            + xx * (dy * dy + inner[..., 2])
-        )
+        squared = yy * (dx * dx + inner[..., 0]) - 2 * xy * (dx * dy + inner[..., 1]) + xx * (dy * dy + inner[..., 2])
         score = (
-            np.log(self.zones[:, 0] + 1)
-            - np.log(2 * np.pi)
-            - 0.5 * np.log(determinant)
-            - 0.5 * squared / determinant
+            np.log(self.zones[:, 0] + 1) - np.log(2 * np.pi) - 0.5 * np.log(determinant) - 0.5 * squared / determinant
         )
         best = score.argmax(axis=1)
         explained = score[np.arange(len(best)), best] > np.log(self.clutter + 1)

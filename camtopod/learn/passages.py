@@ -1,7 +1,7 @@
 """Visible links: the passages through one camera's view, from the zone of entry to the zone of exit.
 
-Where tracks tie an exit to its entry, they are counted. Where they do not, entries and exits of one camera are joined by
-the same fit as departures and arrivals of different ones.
+Where tracks tie an exit to its entry, they are counted. Where they do not, entries and exits of one camera are joined
+by the same fit as departures and arrivals of different ones.
 """
 
 from __future__ import annotations
@@ -22,11 +22,8 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
     tracked = scene.tracked[camera_of[scene.passages.source]] if len(scene.passages.source) else np.zeros(0, bool)
     p = scene.passages
     n = int(tracked.sum())
-    parts = [
-        Transitions(p.source[tracked], p.target[tracked], (p.left - p.entered)[tracked], np.ones(n), np.zeros(n))
-    ]
-    for camera in np.flatnonzero(~scene.tracked):
-        parts.append(_joined(scene, int(camera), bins, candidates_max))
+    parts = [Transitions(p.source[tracked], p.target[tracked], (p.left - p.entered)[tracked], np.ones(n), np.zeros(n))]
+    parts.extend(_joined(scene, int(camera), bins, candidates_max) for camera in np.flatnonzero(~scene.tracked))
     return join(parts)
 
 

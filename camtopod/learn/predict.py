@@ -1,7 +1,7 @@
 """Where an object that has just left will appear next: competing outcomes, weighed by what has been seen since.
 
-For an exit at zone u the outcomes are: appearing at each zone v with a lag, or not being seen again. Their prior odds are
-the learned hazards, all of them, weak evidence included. Three things are then known at the time of the exit:
+For an exit at zone u the outcomes are: appearing at each zone v with a lag, or not being seen again. Their prior odds
+are the learned hazards, all of them, weak evidence included. Three things are then known at the time of the exit:
 
 * *exposure*: a lag of -L is only possible if this passage has lasted L;
 * *seen*: where views overlap the object may already have appeared; each recent arrival counts for its hazard over the
@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.lags import LagBins
 from camtopod.learn.joint import LEAVE_FLOOR, smooth
+from camtopod.learn.lags import LagBins
 from camtopod.records import Event, Link, NextCamera, Prediction, Topology, Transit, Zone
 
 Floats = NDArray[np.float64]
@@ -74,7 +74,7 @@ class Predictor:
         self._exits: deque[tuple[float, float, int]] = deque(maxlen=RECENT_MAX)
         self._open: dict[tuple[str, str], _Passage] = {}
         self._events = 0
-        self._last_event = {camera: 0 for camera in self._of_camera}
+        self._last_event = dict.fromkeys(self._of_camera, 0)
 
     def follow(self, topology: Topology) -> Predictor:
         """A predictor over a newer version that remembers what this one has observed."""
@@ -127,7 +127,9 @@ class Predictor:
         return self.predict_from(zone, event.t, began.t if began else None, track)
 
     def predict_from(self, zone: int, t: float, since: float | None = None, track: str | None = None) -> Prediction:
-        """The same for an object that left zone ``zone`` (index) at ``t`` after a passage begun at ``since``, if known."""
+        """The same for an object that left zone ``zone`` (index) at ``t`` after a passage begun at ``since``, if
+        known.
+        """
         here, source = self.zones[zone], self._sources.get(zone)
         version = self.topology.version
         if source is None:
@@ -267,7 +269,9 @@ def _counts(link: Link, bins: LagBins) -> Floats:
 
 
 def _log_density(zone: Zone, x: float, y: float) -> float:
-    """Log of the zone's weighted normal density at a point (thesis 2.8), up to a constant; a zone without shape is last."""
+    """Log of the zone's weighted normal density at a point (thesis 2.8), up to a constant; a zone without shape is
+    last.
+    """
     if zone.cov is None or zone.x is None or zone.y is None:
         return -np.inf
     (a, b), (_, d) = zone.cov

@@ -17,7 +17,7 @@ CHANCE_BIN_SECONDS = 300.0
 
 
 def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
-    """Rate (1/s) at each arrival's own zone within ten minutes of it, itself left out; ``t`` (n,) ascending, seconds."""
+    """Rate (1/s) at each arrival's own zone within ten minutes of it, itself left out; ``t`` (n,) ascending, in s."""
     rates = np.zeros(len(t))
     if len(t) == 0:
         return rates
@@ -44,12 +44,8 @@ def chance_rates(
     """
     first = min(left_t[0], came_t[0])
     n = int((max(left_t[-1], came_t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
-    left, came = (
-        np.bincount(zone.astype(np.int64) * n + ((t - first) // CHANCE_BIN_SECONDS).astype(np.int64), minlength=zones * n)
-        .reshape(zones, n)
-        .astype(float)
-        for t, zone in ((left_t, left_zone), (came_t, came_zone))
-    )  # fmt: skip
+    left = _per_bin(left_t, left_zone, first, n, zones)
+    came = _per_bin(came_t, came_zone, first, n, zones)
     around = np.copy(came)
     around[:, 1:] += came[:, :-1]
     around[:, :-1] += came[:, 1:]
@@ -59,3 +55,9 @@ def chance_rates(
     rate = around / (CHANCE_BIN_SECONDS * np.maximum(bins, 1.0))
     chance: Floats = (left @ rate.T) / np.maximum(left.sum(axis=1), 1.0)[:, None]
     return chance
+
+
+def _per_bin(t: Floats, zone: NDArray[np.int32], first: float, n: int, zones: int) -> Floats:
+    """Events in each of ``n`` bins of time from ``first`` on, (zones, n)."""
+    when = ((t - first) // CHANCE_BIN_SECONDS).astype(np.int64)
+    return np.bincount(zone.astype(np.int64) * n + when, minlength=zones * n).reshape(zones, n).astype(float)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.candidates import Arrivals, Departures
+from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import slowness
 from camtopod.learn.window import Window, cells_of
@@ -54,7 +54,9 @@ class Scene(NamedTuple):
 
 
 def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], NDArray[np.int32]]:
-    """All zones of the network, and per camera and cell the zone's index: (cameras, cells + 1), the last for no position."""
+    """All zones of the network, and per camera and cell the zone's index: (cameras, cells + 1), the last for no
+    position.
+    """
     zones: list[ZoneRef] = []
     tables = []
     for camera, zone_map in enumerate(maps):

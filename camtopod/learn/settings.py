@@ -31,7 +31,8 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     overlap_tolerance_seconds: float = 0.45
     """T of the thesis's overlap test (table 4.4)."""
     candidates_max: int = 8_000_000
-    """At most this many (departure, arrival) candidates are weighed in one fit; beyond, the oldest arrivals wait out."""
+    """At most this many (departure, arrival) candidates are weighed in one fit; beyond, the oldest arrivals wait out.
+    """
     publish_q_max: float = 0.001
     """A link is published when its false discovery rate is at most this ..."""
     publish_probability_min: float = 0.03

@@ -1,9 +1,9 @@
 """Is it a link? Significance of every pair of zones, and what missed passages explain away.
 
-The evidence for a pair is the log likelihood ratio between the joint fit with and without it. Because the fit leaves every
-arrival out of its own prediction, the ratio is one of prediction, not of fit: under chance ``P(ratio > x)`` is at most
-about ``exp(-x)``, whatever shape the histogram could have taken. Those p-values are turned into false discovery rates
-(Benjamini and Hochberg 1995).
+The evidence for a pair is the log likelihood ratio between the joint fit with and without it. Because the fit leaves
+every arrival out of its own prediction, the ratio is one of prediction, not of fit: under chance ``P(ratio > x)`` is
+at most about ``exp(-x)``, whatever shape the histogram could have taken. Those p-values are turned into false
+discovery rates (Benjamini and Hochberg 1995).
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs
     """Evidence (P,) in nats for each pair from the responsibilities (M,) of its candidates.
 
     Against two nulls, the stronger counts: the zones have nothing to do with each other; or arrivals at one follow
-    departures from the other at no particular lag, as when both follow a rhythm (``flat`` (M,): hazard of that over hazard).
+    departures from the other at no particular lag, as when both follow a rhythm (``flat`` (M,): hazard of that over
+    hazard).
     """
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
     unrelated = np.bincount(pair, -np.log1p(-share) - share, minlength=pairs)
@@ -51,9 +52,9 @@ def explained_by_missed(
 ) -> bool:
     """Whether source -> target is what remains of source -> (a camera that missed the passage) -> target.
 
-    ``links`` are the ways between cameras, ``passages`` those through them. Of those leaving at the source, a share walks
-    source -> a, a -> b through one camera, b -> target; if that camera misses at most ``missed_share_max`` of all passages,
-    at most odds of it times the share seen on that way can turn up as a direct link.
+    ``links`` are the ways between cameras, ``passages`` those through them. Of those leaving at the source, a share
+    walks source -> a, a -> b through one camera, b -> target; if that camera misses at most ``missed_share_max`` of
+    all passages, at most odds of it times the share seen on that way can turn up as a direct link.
     """
     odds = missed_share_max / (1.0 - missed_share_max)
     total = 0.0

@@ -1,13 +1,14 @@
 """Slowness: how long an object took through a view beside what that way usually takes.
 
-Speeds vary between objects more than within one, so a slow walk through one view foretells a long transit to the next and
-a slow walk there. Slowness is the log of a passage's duration over the median of its way (zone of entry to zone of exit);
-nan where it is unknown. How much it tells at a site is estimated from the site's own surest transitions, and used only as
-far as it is significant: where tracks are missing or speeds do not persist, nothing changes.
+Speeds vary between objects more than within one, so a slow walk through one view foretells a long transit to the next
+and a slow walk there. Slowness is the log of a passage's duration over the median of its way (zone of entry to zone
+of exit); nan where it is unknown. How much it tells at a site is estimated from the site's own surest transitions,
+and used only as far as it is significant: where tracks are missing or speeds do not persist, nothing changes.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ SIGNIFICANT_SD = 2.0
 
 
 class Persistence(NamedTuple):
-    """How speed persists: lags scale with slowness to the power ``scaling``; ``correlation`` between views, ``sd`` in a view."""
+    """How speed persists: lags scale with slowness to the power ``scaling``; ``correlation``, ``sd`` are of views."""
 
     scaling: float
     correlation: float
@@ -65,7 +66,7 @@ def persistence(
         return NO_PERSISTENCE
     sd = float(np.sqrt(np.mean(np.concatenate((left[both] ** 2, came[both] ** 2)))))
     observed = float(np.corrcoef(left[both], came[both])[0, 1]) if sd > 0 else 0.0
-    correlation = min(max(observed - SIGNIFICANT_SD / np.sqrt(n), 0.0), 0.95)
+    correlation = min(max(observed - SIGNIFICANT_SD / math.sqrt(n), 0.0), 0.95)
     return Persistence(_scaling(combined(left, came), lag, pair, sure), correlation, max(sd, 0.05))
 
 
@@ -84,7 +85,7 @@ def _scaling(slow: Floats, lag: Floats, pair: NDArray[np.int32], sure: NDArray[n
     if freedom < SURE_TRANSITIONS_MIN or spread <= 0:
         return 0.0
     slope = float(np.sum(x * y)) / spread
-    error = np.sqrt(float(np.sum((y - slope * x) ** 2)) / freedom / spread)
+    error = math.sqrt(float(np.sum((y - slope * x) ** 2)) / freedom / spread)
     return min(max(slope - SIGNIFICANT_SD * error, 0.0), 1.0)
 
 

@@ -15,6 +15,8 @@ from camtopod.learn.lags import LagBins
 
 Floats = NDArray[np.float64]
 QUANTILES = (0.1, 0.5, 0.9)
+WEIGHT_MIN = 1e-3
+"""Transitions less likely than this do not count for the quantiles."""
 
 
 class TransitFigures(NamedTuple):
@@ -35,7 +37,7 @@ def transit_figures(
 ) -> TransitFigures:
     """Figures per pair from weighted lags (M,), and the peak of ``density`` (P, bins) per second."""
     pairs = len(density)
-    total = np.bincount(pair, weight, minlength=pairs)
+    total: Floats = np.bincount(pair, weight, minlength=pairs).astype(float)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.bincount(pair, weight * lag, minlength=pairs) / total
         variance = np.bincount(pair, weight * (lag - mean[pair]) ** 2, minlength=pairs) / total
@@ -46,7 +48,7 @@ def transit_figures(
 
 def weighted_quantiles(pair: NDArray[np.int32], lag: Floats, weight: Floats, pairs: int) -> Floats:
     """q10, q50, q90 of the lags of each pair, (P, 3): the first lag at which the share of the weight is reached."""
-    kept = weight > 0
+    kept = weight > WEIGHT_MIN
     pair, lag, weight = pair[kept], lag[kept], weight[kept]
     if len(pair) == 0:
         return np.full((pairs, len(QUANTILES)), np.nan)

@@ -47,9 +47,7 @@ def valley(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> 
     return float(np.minimum(left, right).max())
 
 
-def _log_ratio(
-    inside: Floats, width: NDArray[np.intp], flank: Floats, flank_width: NDArray[np.intp]
-) -> Floats:
+def _log_ratio(inside: Floats, width: NDArray[np.intp], flank: Floats, flank_width: NDArray[np.intp]) -> Floats:
     """Two Poisson rates against one; 0 where the valley is not clearly less dense than its flank."""
     inside, flank = np.maximum(inside, 1e-9), np.maximum(flank, 1e-9)
     rate, flank_rate = inside / width, flank / flank_width

@@ -7,6 +7,8 @@ zone's mean and covariance are exact whatever has come and gone.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,14 +38,14 @@ class Window:
         """Events with positions of each camera that have ever come in."""
         self._index: dict[str, int] = {}
         self._open: dict[tuple[int, str], int] = {}
-        self._columns = {name: np.zeros(1024, dtype) for name, dtype in _COLUMNS.items()}
+        self._columns: dict[str, NDArray[Any]] = {name: np.zeros(1024, dtype) for name, dtype in _COLUMNS.items()}
         self._start = 0
         self._stop = 0
 
     def __len__(self) -> int:
         return self._stop - self._start
 
-    def column(self, name: str) -> NDArray[np.generic]:
+    def column(self, name: str) -> NDArray[Any]:
         """One column, oldest row first; a view, not to be written to."""
         return self._columns[name][self._start : self._stop]
 
@@ -71,7 +73,7 @@ class Window:
         self._count(rows, 1)
 
     def forget(self, before_us: int) -> int:
-        """Drop what is older than ``before_us`` or beyond the size of the window; returns the number of rows dropped."""
+        """Drop what is older than ``before_us`` or beyond the size of the window; returns the number of rows."""
         old = int(np.searchsorted(self.column("t"), before_us))
         drop = max(old, len(self) - self.events_max)
         if drop > 0:
