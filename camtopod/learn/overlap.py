@@ -35,6 +35,11 @@ class OverlapRow(NamedTuple):
     error: float
 
 
+def sum_rule(t_ab: float, t_ac: float, t_cb: float, tolerance: float) -> bool:
+    """Table 4.4 on zones A, B of one camera and C of another: ``|t(A,B) - (t(A,C) + t(C,B))| <= T``, all in seconds."""
+    return abs(t_ab - (t_ac + t_cb)) <= tolerance + ROUNDING
+
+
 def overlap_rows(transit: ArrayLike, camera_of_zone: ArrayLike, tolerance: float) -> list[OverlapRow]:
     """Every triple that shows an overlap, ordered by (A, B, C).
 
@@ -65,7 +70,6 @@ def overlap_rows(transit: ArrayLike, camera_of_zone: ArrayLike, tolerance: float
 
 def _row(times: Floats, cameras: NDArray[np.intp], a: int, b: int, c: int, tolerance: float) -> OverlapRow | None:
     direct, there, on = float(times[a, b]), float(times[a, c]), float(times[c, b])
-    error = abs(direct - (there + on))
-    if 0.0 in (direct, there, on) or not error <= tolerance + ROUNDING:
+    if 0.0 in (direct, there, on) or not sum_rule(direct, there, on, tolerance):
         return None
-    return OverlapRow(int(cameras[a]), int(cameras[c]), a, b, c, there, on, direct, error)
+    return OverlapRow(int(cameras[a]), int(cameras[c]), a, b, c, there, on, direct, abs(direct - (there + on)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 
+from camtopod.learn.overlap import sum_rule
 from camtopod.records import Link, Pair, PairRelation, Relation, Zone
 
 AHEAD_SHARE = 0.5
@@ -14,11 +15,6 @@ AHEAD_SHARE = 0.5
 def relation_of(ahead: float) -> Relation:
     """Relation of a link between two views from the share of its transitions with a negative lag."""
     return "overlapped" if ahead > AHEAD_SHARE else "unseen"
-
-
-def sum_rule(t_ab: float, t_ac: float, t_cb: float, tolerance: float) -> bool:
-    """The thesis's test on zones A, B of one camera and C of another: ``|t(A,B) - (t(A,C) + t(C,B))| <= T``."""
-    return abs(abs(t_ab) - (abs(t_ac) + abs(t_cb))) <= tolerance + 1e-9
 
 
 def camera_pairs(zones: Iterable[Zone], links: Iterable[Link], tolerance: float) -> list[Pair]:
@@ -40,7 +36,7 @@ def camera_pairs(zones: Iterable[Zone], links: Iterable[Link], tolerance: float)
     for link in between:
         low, high = sorted((camera_of[link.from_], camera_of[link.to]))
         lag = link.transit.q50
-        meets = any(sum_rule(stay, stay + lag, lag, tolerance) for stay in passages[link.from_])
+        meets = any(sum_rule(stay, abs(stay + lag), abs(lag), tolerance) for stay in passages[link.from_])
         if link.relation == "overlapped" or meets:
             related[low, high] = "overlapped"
         else:
