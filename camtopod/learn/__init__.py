@@ -1,1 +1,14 @@
-"""Events -> topology -> prediction. Deterministic: no I/O, no clock, no threads, no hidden randomness."""
+"""Events -> topology -> prediction. Deterministic: no I/O, no clock, no threads, no hidden randomness.
+
+In the order in which data flows:
+
+* `learner`: the whole; `settings`: its limits
+* `intake`: any order in, by time out; `window`: the events that count, as sums that can be undone
+* `daspec` and `clutter`, `partition`, `evidence`, `valley`: entry and exit zones; `mixture`: which cell is which zone;
+  `zones`: all of it, with numbers that stay with their place
+* `scene`: who left, who came, who passed through; `rates`: how often anyway; `slowness`: how fast
+* `candidates`, `lags`, `joint`, `memory`: which arrival belongs to which departure; `passages`: the same within one view
+* `crossfit`, `significance`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its figures; `links`
+* `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
+* `assemble`, `topology`: versions with digests and deltas; `predict`: where to look next
+"""
