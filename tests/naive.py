@@ -1,5 +1,7 @@
 """Slow, obvious twins of the fast functions, each by the definition. Arrays in, arrays out."""
 
+import functools
+
 import numpy as np
 import scipy.signal
 
@@ -52,9 +54,7 @@ def valley(positions, low, high, steps):
     for b in range(steps):
         for c in range(b + 1, steps):
             left = max((_valley_ratio(positions, grid, b, c, a, b) for a in range(b)), default=0.0)
-            right = max(
-                (_valley_ratio(positions, grid, b, c, c, d) for d in range(c + 1, steps)), default=0.0
-            )
+            right = max((_valley_ratio(positions, grid, b, c, c, d) for d in range(c + 1, steps)), default=0.0)
             best = max(best, min(left, right))
     return best
 
@@ -151,8 +151,7 @@ def chance_rates(left_t, left_zone, came_t, came_zone, zones, width):
                 here = int((t - first) // width)
                 around = [k for k in (here - 1, here, here + 1) if 0 <= k <= last_bin]
                 near = sum(
-                    zone == v and int((s - first) // width) in around
-                    for s, zone in zip(came_t, came_zone, strict=True)
+                    zone == v and int((s - first) // width) in around for s, zone in zip(came_t, came_zone, strict=True)
                 )
                 result[u, v] += near / (width * len(around)) / len(own)
     return result
@@ -182,6 +181,7 @@ def exposures(departures, bins, zones, until):
     return exposed
 
 
+@functools.cache
 def smoothing_kernel(size, sd_bins):
     """Matrix whose column j is a normal density around bin j, cut off at the ends and made to sum to 1."""
     result = np.zeros((size, size))
@@ -204,47 +204,60 @@ def smoothed(row, steps):
     return spread, kernel[middle, middle]
 
 
-def joint_iteration(departures, arrivals, pairs, hazard, bins, exposure, zones, outside, floors, smoothing):
-    """One iteration of the joint fit from nothing, without sparsity, pooling and slowness.
+def joint_fit(departures, arrivals, pairs, hazard, bins, exposure, zones, outside, sparsity, iterations, constants):
+    """Iterations of the joint fit at EM's own stride, without pooling and slowness.
 
-    ``pairs``: (departure, arrival) of each candidate. ``floors``: least shares that leave and that come from
-    outside. Hazards are a mapping (u, v) -> (bins,). Returns the
-    responsibilities, the counts and the new hazards of the pairs of zones, and the outside shares.
+    ``pairs``: (departure, arrival) of each candidate. ``hazard``: (u, v) -> (bins,). ``constants``: least shares that
+    leave and that come from outside, and the steps of smoothing. Returns the responsibilities, the counts and new
+    hazards by pair of zones, and the outside shares.
     """
+    leave_floor, outside_floor, smoothing = constants
     lag = [arrivals.t[a] - departures.t[d] for d, a in pairs]
     cell = [lag_bin(x, bins.lag_min, bins.lag_max, bins.scale, bins.step) for x in lag]
     zone_pair = [(int(departures.zone[d]), int(arrivals.zone[a])) for d, a in pairs]
-    weight = [hazard[z][k] for z, k in zip(zone_pair, cell, strict=True)]
-    leave = {}
-    for u in range(zones):
-        again = 0.0
-        for (source, _), row in hazard.items():
-            for k in range(bins.size):
-                most = max(max(exposure[source]), 1.0)
-                share = 1.0 if bins.edges[k + 1] > 0 else exposure[source, k] / most
-                again += (source == u) * row[k] * bins.widths[k] * share
-        leave[u] = max(1.0 - again, floors[0])
-    offer = []
-    for c, (d, _) in enumerate(pairs):
-        others = sum(weight[o] for o, (e, _) in enumerate(pairs) if e == d and o != c)
-        offer.append(weight[c] / (leave[int(departures.zone[d])] + others))
-    responsibility = []
-    for c, (_, a) in enumerate(pairs):
-        background = outside * arrivals.rate[a]
-        total = sum(offer[o] for o, (_, b) in enumerate(pairs) if b == a)
-        responsibility.append(offer[c] / (background + total))
-    counts = {z: np.zeros(bins.size) for z in hazard}
-    explained = np.zeros(zones)
-    for c, (_, a) in enumerate(pairs):
-        counts[zone_pair[c]][cell[c]] += responsibility[c]
-        explained[arrivals.zone[a]] += responsibility[c]
-    came = [max(sum(z == v for z in arrivals.zone), 1) for v in range(zones)]
-    new_outside = [min(max(1 - explained[v] / came[v], floors[1]), 1.0) for v in range(zones)]
-    fresh = {}
-    for (u, v), row in counts.items():
-        spread, _ = smoothed(row, smoothing)
-        fresh[u, v] = [spread[k] / (max(exposure[u, k], 1.0) * bins.widths[k]) for k in range(bins.size)]
-    return responsibility, counts, fresh, new_outside
+    outside = [outside] * zones
+    message, responsibility = [1.0] * len(pairs), [0.0] * len(pairs)
+    own = {z: np.zeros(bins.size) for z in hazard}
+    for _ in range(iterations):
+        others = [max(1 - r * own[z][k], 0.0) for r, z, k in zip(responsibility, zone_pair, cell, strict=True)]
+        weight = [hazard[z][k] * o for z, k, o in zip(zone_pair, cell, others, strict=True)]
+        offer = []
+        for c, (d, _) in enumerate(pairs):
+            leave = max(1.0 - appears_again(departures.zone[d], hazard, bins, exposure), leave_floor)
+            rivals = sum(weight[o] * message[o] for o, (e, _) in enumerate(pairs) if e == d and o != c)
+            offer.append(weight[c] / (leave + rivals))
+        message, responsibility = [], []
+        for c, (_, a) in enumerate(pairs):
+            background = outside[arrivals.zone[a]] * arrivals.rate[a]
+            rivals = sum(offer[o] for o, (_, b) in enumerate(pairs) if b == a and o != c)
+            message.append(1 / (background + rivals))
+            responsibility.append(offer[c] / (background + rivals + offer[c]))
+        counts = {z: np.zeros(bins.size) for z in hazard}
+        explained = np.zeros(zones)
+        for c, (_, a) in enumerate(pairs):
+            counts[zone_pair[c]][cell[c]] += responsibility[c]
+            explained[arrivals.zone[a]] += responsibility[c]
+        came = [max(sum(z == v for z in arrivals.zone), 1) for v in range(zones)]
+        outside = [min(max(1 - explained[v] / came[v], outside_floor), 1.0) for v in range(zones)]
+        fresh = {}
+        for (u, v), row in counts.items():
+            total = sum(row)
+            kept = max(total - sparsity, 0.001 * total) / max(total, 1e-300)
+            spread, stays = smoothed(kept * row, smoothing)
+            own[u, v] = stays / np.maximum(spread, 1e-300)
+            fresh[u, v] = np.array([spread[k] / (max(exposure[u, k], 1.0) * bins.widths[k]) for k in range(bins.size)])
+        hazard = fresh
+    return responsibility, counts, hazard, outside
+
+
+def appears_again(zone, hazard, bins, exposure):
+    """Probability that an object leaving at the zone is seen again, by adding up all hazards."""
+    again = 0.0
+    for (source, _), row in hazard.items():
+        for k in range(bins.size):
+            share = 1.0 if bins.edges[k + 1] > 0 else exposure[source, k] / max(max(exposure[source]), 1.0)
+            again += (source == zone) * row[k] * bins.widths[k] * share
+    return again
 
 
 def weighted_quantile(lags, weights, q):

@@ -65,7 +65,8 @@ def persistence(
     if n < SURE_TRANSITIONS_MIN:
         return NO_PERSISTENCE
     sd = float(np.sqrt(np.mean(np.concatenate((left[both] ** 2, came[both] ** 2)))))
-    observed = float(np.corrcoef(left[both], came[both])[0, 1]) if sd > 0 else 0.0
+    varies = min(left[both].std(), came[both].std()) > 0  # else every passage there takes equally long: a machine's
+    observed = float(np.corrcoef(left[both], came[both])[0, 1]) if varies else 0.0
     correlation = min(max(observed - SIGNIFICANT_SD / math.sqrt(n), 0.0), 0.95)
     return Persistence(_scaling(combined(left, came), lag, pair, sure), correlation, max(sd, 0.05))
 

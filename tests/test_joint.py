@@ -1,0 +1,449 @@
+"""The joint fit: candidates, expectation and maximisation against slow twins, and what it finds in made data."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camtopod.learn import candidates as candidates_module
+from camtopod.learn import joint
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess, find_candidates
+from camtopod.learn.crossfit import cross_evidence
+from camtopod.learn.joint import Fit, JointFitter, exposures, fit_jointly, smooth
+from camtopod.learn.lags import LagBins
+from camtopod.learn.memory import FRESH_GROWTH, Memory
+from camtopod.learn.rates import local_rates
+from camtopod.learn.scene import Passages, Scene, ZoneRef
+from camtopod.learn.slowness import (
+    NO_PERSISTENCE,
+    SLOWNESS_MAX,
+    STAY_SECONDS_MIN,
+    SURE_TRANSITIONS_MIN,
+    WAY_PASSAGES_MIN,
+    Persistence,
+    adjusted_lag,
+    agreement,
+    combined,
+    persistence,
+    slowness,
+)
+
+BINS = LagBins(-20.0, 120.0)
+SHORT = LagBins(-3.0, 8.0)
+
+
+def made(seed: int, left: int, came: int, zones: int = 3, span: float = 60.0) -> tuple[Departures, Arrivals]:
+    """Departures and arrivals that have nothing to do with each other; every zone is a camera."""
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.uniform(0, span, left))
+    zone = rng.integers(0, zones, left).astype(np.int32)
+    stay = np.where(rng.random(left) < 0.3, np.inf, rng.exponential(4.0, left))
+    departures = Departures(t, zone, zone, t - stay, np.full(left, np.nan))
+    t = np.sort(rng.uniform(0, span, came))
+    zone = rng.integers(0, zones, came).astype(np.int32)
+    return departures, Arrivals(t, zone, zone, local_rates(t, zone, zones), np.full(came, np.nan))
+
+
+def listed(found: Candidates) -> list[tuple[int, int]]:
+    return list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True))
+
+
+# --- candidates ---
+
+
+@given(st.integers(0, 10**6), st.integers(0, 25), st.integers(0, 25), st.sampled_from([1, 7, 10**6]))
+def test_candidates_equal_a_double_loop(seed: int, left: int, came: int, chunk: int) -> None:
+    departures, arrivals = made(seed, left, came)
+    with pytest.MonkeyPatch.context() as limits:
+        limits.setattr(candidates_module, "CHUNK", chunk)
+        found = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+        limits.setattr(candidates_module, "PAIR_TABLE_MAX", 0)
+        sparse = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+    slow = naive.candidates(departures, arrivals, -3.0, 8.0)
+    assert listed(found) == slow
+    assert found.lag == pytest.approx([arrivals.t[a] - departures.t[d] for d, a in slow])
+    assert found.source[found.pair].tolist() == [departures.zone[d] for d, _ in slow]
+    assert found.target[found.pair].tolist() == [arrivals.zone[a] for _, a in slow]
+    pairs = list(zip(found.source.tolist(), found.target.tolist(), strict=True))
+    assert pairs == sorted({(int(departures.zone[d]), int(arrivals.zone[a])) for d, a in slow})
+    assert all((one == other).all() for one, other in zip(found, sparse, strict=True))
+
+
+@given(st.integers(0, 10**6), st.integers(1, 200))
+def test_beyond_the_limit_the_oldest_arrivals_do_without(seed: int, limit: int) -> None:
+    departures, arrivals = made(seed, 40, 40)
+    with pytest.MonkeyPatch.context() as limits:
+        limits.setattr(candidates_module, "CHUNK", 1)  # one arrival at a time
+        found = listed(find_candidates(departures, arrivals, SHORT, 3, limit))
+    slow = naive.candidates(departures, arrivals, -3.0, 8.0)
+    assert found == slow[len(slow) - len(found) :]
+    if len(found) > limit:  # the newest arrival always counts
+        assert len({a for _, a in found}) == 1
+    elif len(found) < len(slow):
+        next_arrival = slow[len(slow) - len(found) - 1][1]
+        assert len(found) + sum(a == next_arrival for _, a in slow) > limit
+
+
+def test_excess_is_what_exceeds_chance() -> None:
+    chance = np.full((2, BINS.size), 10.0)
+    seen = chance.copy()
+    (at,) = BINS.index(np.array([8.0]))
+    seen[1, at - 1 : at + 2] += 40.0
+    found = excess(seen, chance, BINS, 2.0)
+    assert (found[0] == 0).all()
+    assert np.argmax(found[1]) == at
+    assert 20 < found[1].sum() < 200
+    assert (found >= 0).all()
+
+
+# --- exposure, smoothing ---
+
+
+@given(st.integers(0, 10**6), st.integers(0, 30), st.floats(-5, 90))
+def test_exposures_equal_a_double_loop(seed: int, left: int, until: float) -> None:
+    departures, _ = made(seed, left, 0)
+    slow = naive.exposures(departures, SHORT, 3, until)
+    assert exposures(departures, SHORT, 3, until).tolist() == slow.tolist()
+
+
+@given(st.integers(0, 10**6), st.floats(0, 100))
+def test_smoothing_equals_its_slow_twin(seed: int, most: float) -> None:
+    counts = np.random.default_rng(seed).random((4, SHORT.size)) * most / SHORT.size
+    counts[0] = 0.0
+    fast, stays = smooth(counts)
+    assert fast.sum(axis=1) == pytest.approx(counts.sum(axis=1))
+    for row in range(4):
+        slow, share = naive.smoothed(counts[row], joint.SMOOTHING_SD_BINS)
+        assert fast[row] == pytest.approx(slow)
+        assert stays[row] == pytest.approx(share)
+
+
+# --- one iteration, and three ---
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**6), st.sampled_from([1, 3]), st.sampled_from([0.0, 1.0]))
+def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: float) -> None:
+    departures, arrivals = made(seed, 20, 20)
+    found = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+    fitter = JointFitter(departures, arrivals, found, SHORT, 3, 60.0)
+    fitter.sparsity = sparsity
+    hazard = np.random.default_rng(seed).random((fitter.pairs, SHORT.size)) * 0.05
+    named = list(zip(found.source.tolist(), found.target.tolist(), strict=True))
+    with pytest.MonkeyPatch.context() as limits:
+        limits.setattr(joint, "ITERATIONS", iterations)
+        limits.setattr(joint, "SETTLING_ITERATIONS", iterations)
+        fit = fitter.run(hazard)
+    responsibility, counts, fresh, outside = naive.joint_fit(
+        departures, arrivals, listed(found), dict(zip(named, hazard, strict=True)), SHORT,
+        naive.exposures(departures, SHORT, 3, 60.0), 3, 0.5, sparsity, iterations,
+        (joint.LEAVE_FLOOR, joint.OUTSIDE_FLOOR, joint.SMOOTHING_SD_BINS),
+    )  # fmt: skip
+    assert fit.responsibility == pytest.approx(np.array(responsibility))
+    assert fit.counts == pytest.approx(np.array([counts[z] for z in named]))
+    assert fit.hazard == pytest.approx(np.array([fresh[z] for z in named]))
+    assert fit.outside == pytest.approx(outside)
+    even = (fit.hazard * SHORT.widths).sum(axis=1) / SHORT.widths.sum()
+    cells = SHORT.index(found.lag)
+    assert fit.flat == pytest.approx(
+        [even[p] / max(fit.hazard[p, k], 1e-300) for p, k in zip(found.pair, cells, strict=True)]
+    )
+
+
+# --- what it finds ---
+
+
+class Walks:
+    """Objects that appear at a zone, cross its view and go on: zone k is entry and exit of camera k."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.left: list[tuple[float, int, float]] = []
+        self.came: list[tuple[float, int]] = []
+
+    def go(self, objects: int, span: float, *way: tuple[int, float, float, float]) -> Walks:
+        """Each object is at the zones in turn: (zone, lag to it, spread of the lag, share that goes there)."""
+        for t in self.rng.uniform(0, span, objects):
+            for zone, lag, sd, share in way:
+                if self.rng.random() > share:
+                    break
+                t += self.rng.normal(lag, sd)
+                self.came.append((t, zone))
+                entered, t = t, t + self.rng.uniform(3, 5)
+                self.left.append((t, zone, entered))
+        return self
+
+    def columns(self, zones: int) -> tuple[Departures, Arrivals]:
+        t, zone, since = (np.array(column) for column in zip(*sorted(self.left), strict=True))
+        zone = zone.astype(np.int32)
+        departures = Departures(t, zone, zone, since, np.full(len(t), np.nan))
+        t, zone = (np.array(column) for column in zip(*sorted(self.came), strict=True))
+        zone = zone.astype(np.int32)
+        return departures, Arrivals(t, zone, zone, local_rates(t, zone, zones), np.full(len(t), np.nan))
+
+
+def fitted(departures: Departures, arrivals: Arrivals, zones: int) -> tuple[Fit, Fit]:
+    found = find_candidates(departures, arrivals, BINS, zones, 10**6)
+    return fit_jointly(departures, arrivals, found, BINS, zones, float(departures.t[-1]))
+
+
+def share(fit: Fit, departures: Departures, source: int, target: int) -> float:
+    """Of those leaving at ``source`` the share that appears next at ``target``."""
+    at = (fit.candidates.source == source) & (fit.candidates.target == target)
+    return float(fit.counts[at].sum() / (departures.zone == source).sum())
+
+
+def test_finds_the_link_its_share_and_its_time() -> None:
+    walks = Walks(1).go(400, 8000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 0.6)).go(300, 8000.0, (2, 0, 0, 1))
+    departures, arrivals = walks.columns(3)
+    for fit in fitted(departures, arrivals, 3):
+        assert share(fit, departures, 0, 1) == pytest.approx(0.6, abs=0.07)
+        others = [share(fit, departures, *pair) for pair in ((0, 2), (2, 1), (1, 2), (1, 0), (2, 0))]
+        assert max(others) < 0.15
+    (row,) = np.flatnonzero((fit.candidates.source == 0) & (fit.candidates.target == 1))
+    assert BINS.centres[np.argmax(fit.hazard[row])] == pytest.approx(8.0, abs=1.0)
+    assert fit.outside[1] < 0.15
+    assert fit.outside[0] > 0.7
+
+
+def test_every_arrival_and_every_departure_counts_once() -> None:
+    departures, arrivals = Walks(2).go(300, 2000.0, (0, 0, 0, 1), (1, 8.0, 2.0, 0.8), (2, 5.0, 1.0, 0.8)).columns(3)
+    for fit in fitted(departures, arrivals, 3):
+        came = np.bincount(fit.candidates.arrival, fit.responsibility, minlength=len(arrivals.t))
+        left = np.bincount(fit.candidates.departure, fit.responsibility, minlength=len(departures.t))
+        assert (came <= 1 + 1e-9).all()
+        assert (left <= 1.1).all()  # up to the last message
+        assert ((fit.responsibility >= 0) & (fit.responsibility <= 1)).all()
+
+
+def test_an_indirect_way_is_no_link() -> None:
+    """0 -> 1 -> 2 makes a clean peak from 0 to 2, which goes to those who passed 1."""
+    departures, arrivals = Walks(3).go(500, 20_000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 1), (2, 6.0, 1.0, 1)).columns(3)
+    _, fit = fitted(departures, arrivals, 3)
+    assert share(fit, departures, 0, 1) > 0.9
+    assert share(fit, departures, 1, 2) > 0.9
+    assert share(fit, departures, 0, 2) < 0.03
+
+
+def test_overlapped_views_have_negative_lags() -> None:
+    departures, arrivals = Walks(4).go(400, 8000.0, (0, 0, 0, 1), (1, -2.0, 0.3, 0.7)).columns(2)
+    _, fit = fitted(departures, arrivals, 2)
+    (row,) = np.flatnonzero((fit.candidates.source == 0) & (fit.candidates.target == 1))
+    assert share(fit, departures, 0, 1) == pytest.approx(0.7, abs=0.07)
+    assert fit.counts[row][BINS.edges[1:] <= 0].sum() > 0.95 * fit.counts[row].sum()
+
+
+def test_going_on_from_what_is_known() -> None:
+    """A fit that goes on from an earlier one over the same ends where that one did, nearly."""
+    walks = Walks(5).go(400, 8000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 0.6)).go(300, 8000.0, (2, 0, 0, 1))
+    departures, arrivals = walks.columns(3)
+    found = find_candidates(departures, arrivals, BINS, 3, 10**6)
+    scene = a_scene(departures, arrivals, [ZoneRef(k, 1, None) for k in range(3)])
+    memory = Memory()
+    posterior, linked = fit_jointly(departures, arrivals, found, BINS, 3, 8000.0)
+    memory.remember(posterior, linked, scene, 1000, fresh=True)
+    known = memory.recall(found, scene, BINS, 1000)
+    again = fit_jointly(departures, arrivals, found, BINS, 3, 8000.0, known)[1]
+    assert share(again, departures, 0, 1) == pytest.approx(share(linked, departures, 0, 1), abs=0.02)
+    assert share(again, departures, 2, 1) < 0.05
+
+
+@pytest.mark.parametrize("gap", [500.0, -500.0])
+def test_without_a_candidate(gap: float) -> None:
+    """All arrivals long after, or long before, all departures."""
+    departures, _ = made(1, 20, 0)
+    _, arrivals = made(2, 0, 20)
+    arrivals = arrivals._replace(t=arrivals.t + gap)
+    found = find_candidates(departures, arrivals, BINS, 3, 10**6)
+    assert len(found.lag) == 0
+    until = max(departures.t[-1], arrivals.t[-1])
+    for fit in fit_jointly(departures, arrivals, found, BINS, 3, float(until)):
+        assert (fit.outside == 1).all()
+        assert fit.counts.shape == (0, BINS.size)
+        first = min(departures.t[0], arrivals.t[0])
+        assert len(cross_evidence(departures, arrivals, fit, BINS, 3, float(first), float(until))) == 0
+
+
+def test_departures_of_one_zone_and_arrivals_of_one_camera_only() -> None:
+    departures, arrivals = made(3, 30, 30, zones=1)
+    posterior, fit = fitted(departures, arrivals, 1)
+    assert posterior.counts.shape == (1, BINS.size)
+    assert (fit.candidates.lag > 0).all()
+
+
+# --- evidence of the other half ---
+
+
+def test_evidence_of_chance_is_small_and_of_a_link_large() -> None:
+    walks = Walks(6).go(400, 12_000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 0.5))
+    for zone in (2, 3, 4, 5):
+        walks.go(400, 12_000.0, (zone, 0, 0, 1))
+    departures, arrivals = walks.columns(6)
+    fit = fitted(departures, arrivals, 6)[1]
+    ratio = cross_evidence(departures, arrivals, fit, BINS, 6, 0.0, 12_000.0)
+    linked = (fit.candidates.source == 0) & (fit.candidates.target == 1)
+    assert ratio[linked] > 100
+    assert (ratio[~linked] < np.log(36 * 100)).all()
+
+
+@pytest.mark.parametrize("span", [0.0, 1e-3, 30.0, 1e7])
+def test_evidence_of_any_span(span: float) -> None:
+    departures, arrivals = made(4, 30, 30, span=span)
+    fit = fitted(departures, arrivals, 3)[1]
+    assert np.isfinite(cross_evidence(departures, arrivals, fit, BINS, 3, 0.0, span)).all()
+
+
+# --- slowness ---
+
+
+@given(st.integers(0, 10**6), st.integers(0, 40))
+def test_slowness_equals_its_slow_twin(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    source, target = rng.integers(0, 3, (2, n)).astype(np.int32)
+    stay = rng.exponential(3.0, n)
+    slow = naive.slowness(source, target, stay, WAY_PASSAGES_MIN, STAY_SECONDS_MIN, SLOWNESS_MAX)
+    assert slowness(source, target, stay, 3) == pytest.approx(slow, nan_ok=True)
+
+
+def walkers(seed: int, n: int, own: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Slowness before and after, and lag, of n walkers whose own pace (spread ``own``) lasts."""
+    rng = np.random.default_rng(seed)
+    pace = own * rng.standard_normal(n)
+    left, came, way = (pace + 0.1 * rng.standard_normal(n) for _ in range(3))
+    return left, came, 20.0 * np.exp(way)
+
+
+def test_persistence_of_those_who_keep_their_speed() -> None:
+    left, came, lag = walkers(0, 800, 0.3)
+    found = persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
+    assert found.correlation == pytest.approx(0.9, abs=0.09)  # 0.09 / (0.09 + 0.01), less its uncertainty
+    assert found.sd == pytest.approx(np.sqrt(0.1), rel=0.1)
+    assert found.scaling == pytest.approx(0.95, abs=0.1)
+
+
+def test_no_persistence_where_there_is_none() -> None:
+    left, came, lag = walkers(1, 800, 0.0)
+    found = persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
+    assert found.correlation == pytest.approx(0, abs=0.05)
+    assert found.scaling == pytest.approx(0, abs=0.15)
+
+
+def test_persistence_needs_sure_transitions_of_known_slowness() -> None:
+    left, came, lag = walkers(0, 800, 0.3)
+    pair = np.zeros(800, np.int32)
+    assert persistence(left, came, lag, pair, np.full(800, 0.4)) == NO_PERSISTENCE
+    few = np.zeros(800)
+    few[: SURE_TRANSITIONS_MIN - 1] = 1.0
+    assert persistence(left, came, lag, pair, few) == NO_PERSISTENCE
+    assert persistence(np.full(800, np.nan), came, lag, pair, np.ones(800)) == NO_PERSISTENCE
+    assert persistence(left, came, np.full(800, 1.0), pair, np.ones(800)).scaling == 0  # too short to scale
+    assert persistence(left, came, lag, np.arange(800, dtype=np.int32), np.ones(800)).scaling == 0  # nothing to compare
+
+
+@pytest.mark.parametrize("constant", ["left", "came", "both"])
+def test_persistence_of_machines(constant: str) -> None:
+    """Every passage through a view takes equally long: its slowness tells nothing."""
+    left, came, lag = walkers(0, 800, 0.3)
+    left = np.zeros(800) if constant != "came" else left
+    came = np.zeros(800) if constant != "left" else came
+    found = persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
+    assert found.correlation == 0
+    assert np.isfinite(found).all()
+
+
+def test_combined() -> None:
+    nan = np.nan
+    found = combined(np.array([1.0, 1.0, nan, nan]), np.array([3.0, nan, 3.0, nan]))
+    assert found == pytest.approx([2.0, 1.0, 3.0, nan], nan_ok=True)
+
+
+def test_adjusted_lag() -> None:
+    """Someone e^0.5 times slower takes 20 s where others take 12; short lags and the unknown stay."""
+    lag = np.array([20.0, 20.0, 1.0, -5.0, 119.0])
+    slow = np.array([0.5, np.nan, 0.5, 0.5, -0.5])
+    assert adjusted_lag(lag, slow, 1.0, BINS) == pytest.approx([20 * np.exp(-0.5), 20.0, 1.0, -5.0, 120.0])
+    assert adjusted_lag(lag, slow, 0.0, BINS).tolist() == lag.tolist()
+
+
+def test_agreement_is_the_ratio_of_densities() -> None:
+    rng = np.random.default_rng(0)
+    left, came = rng.standard_normal((2, 50)) * 0.4
+    p = Persistence(0.0, 0.7, 0.4)
+    together = scipy.stats.multivariate_normal([0, 0], 0.16 * np.array([[1, 0.7], [0.7, 1]]))
+    apart = scipy.stats.norm(0, 0.4)
+    ratio = together.pdf(np.column_stack([left, came])) / (apart.pdf(left) * apart.pdf(came))
+    assert agreement(left, came, p) == pytest.approx(ratio)
+    assert agreement(np.array([np.nan, 1.0]), np.array([0.0, np.nan]), p).tolist() == [1.0, 1.0]
+    assert agreement(left, came, NO_PERSISTENCE).tolist() == [1.0] * 50
+
+
+def test_speed_tells_who_is_who() -> None:
+    """Two on the way at once: with their speeds known the fit is surer of the right ones."""
+    rng = np.random.default_rng(7)
+    rows, ends = [], []
+    for k, t in enumerate(np.sort(rng.uniform(0, 16_000, 400))):
+        pace = 0.4 * rng.standard_normal()
+        arrives = t + 30.0 * np.exp(pace + 0.05 * rng.standard_normal())
+        rows.append((t, pace + 0.05 * rng.standard_normal()))
+        ends.append((arrives, pace + 0.05 * rng.standard_normal(), k))
+    left_t, left_slow = (np.array(column) for column in zip(*rows, strict=True))
+    came_t, came_slow, who = (np.array(column) for column in zip(*sorted(ends), strict=True))
+    zone, other = np.zeros(400, np.int32), np.ones(400, np.int32)
+    right = []
+    for known in (1.0, np.nan):
+        departures = Departures(left_t, zone, zone, left_t - 5.0, left_slow * known)
+        arrivals = Arrivals(came_t, other, other, local_rates(came_t, other, 2), came_slow * known)
+        fit = fitted(departures, arrivals, 2)[1]
+        true = who[fit.candidates.arrival] == fit.candidates.departure
+        right.append(fit.responsibility[true].sum() / 400)
+    assert right[0] > right[1] + 0.1
+    assert right[0] > 0.7
+
+
+# --- memory ---
+
+
+def a_scene(departures: Departures, arrivals: Arrivals, zones: list[ZoneRef]) -> Scene:
+    none = np.zeros(0, np.int32)
+    passages = Passages(none, none, none.astype(float), none.astype(float))
+    count = np.zeros(len(zones), np.int64)
+    return Scene(zones, departures, arrivals, passages, count, count, np.zeros(len(zones), bool), 0.0, 60.0)
+
+
+def test_memory_is_by_place_not_by_index() -> None:
+    departures, arrivals = made(9, 60, 60)
+    found = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+    zones = [ZoneRef(0, 1, None), ZoneRef(0, 2, None), ZoneRef(1, 1, None)]
+    memory = Memory()
+    assert memory.recall(found, a_scene(departures, arrivals, zones), SHORT, 120) is None
+    posterior, linked = fit_jointly(departures, arrivals, found, SHORT, 3, 60.0)
+    memory.remember(posterior, linked, a_scene(departures, arrivals, zones), 120, fresh=True)
+
+    turned = [ZoneRef(1, 1, None), ZoneRef(0, 1, None), ZoneRef(0, 7, None)]
+    known = memory.recall(found, a_scene(departures, arrivals, turned), SHORT, 120)
+    assert known is not None
+    assert known.persistence == linked.persistence
+    old = {
+        (u, v): posterior.hazard[k]
+        for k, (u, v) in enumerate(zip(posterior.candidates.source, posterior.candidates.target, strict=True))
+    }
+    was = {0: 2, 1: 0}  # index now -> index then
+    for k, (u, v) in enumerate(zip(found.source.tolist(), found.target.tolist(), strict=True)):
+        expected = old.get((was[u], was[v]), np.zeros(SHORT.size)) if {u, v} <= set(was) else np.zeros(SHORT.size)
+        assert (known.posterior[k] == expected).all()
+
+
+def test_a_window_grown_by_half_starts_afresh() -> None:
+    departures, arrivals = made(9, 60, 60)
+    found = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+    scene = a_scene(departures, arrivals, [ZoneRef(k, 1, None) for k in range(3)])
+    memory = Memory()
+    fits = fit_jointly(departures, arrivals, found, SHORT, 3, 60.0)
+    memory.remember(*fits, scene, 100, fresh=True)
+    memory.remember(*fits, scene, 140, fresh=False)
+    assert memory.recall(found, scene, SHORT, int(100 * FRESH_GROWTH) - 1) is not None
+    assert memory.recall(found, scene, SHORT, int(100 * FRESH_GROWTH)) is None
