@@ -1,0 +1,26 @@
+"""With the environment variable CI set, a skip is a failure: .ci/run provides everything that tests need.
+
+Only the data that is not part of the repository may be missing: CAMTOPOD_TEST_DATA names its folder where it is there.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator
+
+import pytest
+
+DATA = "CAMTOPOD_TEST_DATA"
+"""A skip for want of the data names this variable in its reason."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Turn a skip into a failure where nothing may be missing."""
+    report = yield
+    if report.skipped and not hasattr(report, "wasxfail") and os.environ.get("CI"):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        if DATA in os.environ or DATA not in reason:
+            report.outcome = "failed"
+            report.longrepr = f"{reason}: what is missing must be provided where CI is set"
+    return report
