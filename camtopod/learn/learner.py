@@ -64,7 +64,7 @@ class Learner:
         self._gone: list[tuple[ZoneShape, ...]] = []  # zones that have vanished, latest first, for when they come back
         self._tick_us = microseconds(self.settings.version_seconds)
         self._done_us: int | None = None  # the last tick worked off
-        self._fitted_us = 0
+        self._fitted_us: int | None = None  # the tick of the newest version
         self._learned = 0
         self._since_fit = 0
         self._updates: list[Topology] = []
@@ -101,7 +101,7 @@ class Learner:
         if oldest is None:
             return None
         tick = -(-oldest // self._tick_us) * self._tick_us
-        return (tick + self._intake.lateness_us) / MICROSECONDS
+        return (tick + self._intake.lateness_us + 1) / MICROSECONDS
 
     def predictor(self) -> Predictor:
         """Prediction over the newest version. Raises RuntimeError before the first."""
@@ -127,7 +127,7 @@ class Learner:
         watermark = self._intake.watermark_us
         if watermark is None:
             return
-        reached = watermark // self._tick_us * self._tick_us
+        reached = (watermark - 1) // self._tick_us * self._tick_us  # an event at the watermark may still come
         if self._done_us is not None and reached <= self._done_us:
             return
         while (oldest := self._intake.oldest_held_us) is not None:
@@ -152,8 +152,9 @@ class Learner:
         if self._since_fit == 0:
             return False
         enough = max(REFIT_EVENTS_MIN, self.settings.refit_share * len(self._window))
-        waited = tick_us - self._fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
-        return self._since_fit >= enough or waited
+        if self._fitted_us is None or self._since_fit >= enough:
+            return True
+        return tick_us - self._fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
 
     def _refit(self, tick_us: int) -> None:
         """Zones, joint fit, links: one new version as of ``tick_us``."""
