@@ -1,0 +1,157 @@
+"""The window seen through the zones: who left, who came, who passed through."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from camtopod.learn.intake import microseconds
+from camtopod.learn.lags import LagBins
+from camtopod.learn.passages import visible_transitions
+from camtopod.learn.scene import Scene, number_zones, see
+from camtopod.learn.slowness import WAY_PASSAGES_MIN
+from camtopod.learn.window import Window
+from camtopod.learn.zones import ZoneMap, cell_of, find_zones
+from camtopod.records import Event
+
+STAYS = LagBins(0.0, 120.0)
+LEFT, RIGHT = (0.1, 0.5), (0.9, 0.5)
+
+
+def made(seed: int, n: int, tracked: float = 0.8) -> list[Event]:
+    """n passages through each of two cameras with positions and one without, some without a track, some clutter."""
+    rng = np.random.default_rng(seed)
+    events = []
+    for camera in ("a", "b", "door"):
+        for k in range(n):
+            t, track = float(rng.uniform(0, 30.0 * n)), str(k) if rng.random() < tracked else None
+            places = (LEFT, RIGHT) if rng.random() < 0.7 else (RIGHT, LEFT)
+            for kind, when, place in (("entry", t, places[0]), ("exit", t + float(rng.uniform(2, 6)), places[1])):
+                x, y = np.clip(np.array(place) + 0.02 * rng.standard_normal(2), 0, 1)
+                at = {} if camera == "door" else {"x": float(x), "y": float(y)}
+                events.append(Event(camera, kind, when, **at, track=track))  # type: ignore[arg-type]
+        events += [Event("a", "exit", float(rng.uniform(0, 30 * n)), *rng.random(2).tolist()) for _ in range(3)]
+    return sorted(events, key=lambda e: e.t)
+
+
+def seen(events: list[Event], forget: int = 0) -> tuple[Window, list[ZoneMap], Scene]:
+    window = Window(10_000)
+    window.append([(microseconds(e.t), e) for e in events])
+    if forget:
+        window.forget(microseconds(events[forget].t))
+    maps = [find_zones(window.cell_sums(k)) for k in range(len(window.cameras))]
+    return window, maps, see(window, maps)
+
+
+@pytest.mark.parametrize("forget", [0, 37])
+def test_scene_equals_a_walk_over_the_events(forget: int) -> None:
+    events = made(0, 40)
+    window, maps, scene = seen(events, forget)
+    kept = events[forget:]
+    departures, arrivals, passages, opened = [], [], [], {}
+    for event in kept:
+        camera = window.cameras.index(event.camera)
+        if event.x is None or event.y is None:
+            zone = (camera, 1)
+        else:
+            index = maps[camera].cells[cell_of(round(event.x * 4096) / 4096, round(event.y * 4096) / 4096)]
+            zone = (camera, maps[camera].zones[index].number) if index >= 0 else None
+        began = opened.pop((event.camera, event.track), None) if event.kind == "exit" and event.track else None
+        if event.kind == "entry" and event.track:
+            opened[event.camera, event.track] = event.t, zone
+        if zone is None:
+            continue
+        if event.kind == "entry":
+            arrivals.append((event.t, zone))
+        else:
+            departures.append((event.t, zone, began[0] if began else -np.inf))
+            if began and began[1]:
+                passages.append((began[1], zone, began[0], event.t))
+    names = [(z.camera, z.number) for z in scene.zones]
+    d, a, p = scene.departures, scene.arrivals, scene.passages
+    found = list(zip(d.t.round(6), (names[z] for z in d.zone), d.since, strict=True))
+    assert [row[:2] for row in found] == [(round(t, 6), z) for t, z, _ in departures]
+    assert d.since == pytest.approx([since for *_, since in departures])
+    assert d.camera.tolist() == [zone[0] for _, zone, _ in departures]
+    assert list(zip(a.t.round(6), (names[z] for z in a.zone), strict=True)) == [(round(t, 6), z) for t, z in arrivals]
+    assert a.camera.tolist() == [zone[0] for _, zone in arrivals]
+    assert [(names[u], names[v]) for u, v in zip(p.source, p.target, strict=True)] == [row[:2] for row in passages]
+    assert p.entered == pytest.approx([row[2] for row in passages])
+    assert p.left == pytest.approx([row[3] for row in passages])
+    assert scene.entries.tolist() == [sum(zone == name for _, zone in arrivals) for name in names]
+    assert scene.exits.tolist() == [sum(zone == name for _, zone, _ in departures) for name in names]
+    assert (scene.first, scene.last) == (pytest.approx(kept[0].t), pytest.approx(kept[-1].t))
+    assert len(scene.zones) == 5
+    assert len(passages) > 50
+
+
+def test_slowness_stands_at_both_ends_of_a_passage() -> None:
+    _, _, scene = seen(made(1, 60))
+    ways: dict[tuple[int, int], list[float]] = {}
+    p, d, a = scene.passages, scene.departures, scene.arrivals
+    for u, v, entered, left in zip(p.source, p.target, p.entered, p.left, strict=True):
+        ways.setdefault((u, v), []).append(left - entered)
+    for u, v, entered, left in zip(p.source, p.target, p.entered, p.left, strict=True):
+        stays = ways[u, v]
+        expected = np.log((left - entered) / np.median(stays)) if len(stays) >= WAY_PASSAGES_MIN else np.nan
+        (leaving,) = d.slow[(d.t == left) & (d.zone == v)]
+        (coming,) = a.slow[(a.t == entered) & (a.zone == u)]
+        assert leaving == pytest.approx(expected, abs=0.02, nan_ok=True)
+        assert coming == pytest.approx(leaving, nan_ok=True)
+    assert np.isnan(d.slow[np.isinf(d.since)]).all()
+
+
+def test_a_camera_is_tracked_when_most_exits_have_their_entry() -> None:
+    for tracked, expected in ((1.0, True), (0.9, True), (0.2, False), (0.0, False)):
+        _, _, scene = seen(made(2, 60, tracked))
+        assert scene.tracked.tolist() == [expected] * 3
+
+
+def test_zones_are_numbered_through() -> None:
+    window, maps, _ = seen(made(3, 40))
+    zones, tables = number_zones(window, maps)
+    assert tables.shape == (3, 721)
+    door = window.cameras.index("door")
+    for k, zone in enumerate(zones):
+        if zone.camera == door:
+            assert zone.shape is None
+            assert tables[door, -1] == k
+            assert (tables[door, :-1] == -1).all()
+        else:
+            assert zone.shape is not None
+            assert tables[zone.camera, cell_of(zone.shape.x, zone.shape.y)[0] * 24 + int(zone.shape.x * 24)] == k
+            assert tables[zone.camera, -1] == -1
+
+
+def test_nothing_to_see() -> None:
+    scene = see(Window(10), [])
+    assert scene.zones == []
+    assert len(scene.departures.t) == len(scene.arrivals.t) == 0
+    assert (scene.first, scene.last) == (0.0, 0.0)
+    assert len(visible_transitions(scene, STAYS, 1000).lag) == 0
+
+
+def test_passages_are_counted_where_tracks_tie_them() -> None:
+    _, _, scene = seen(made(4, 60, 1.0))
+    found = visible_transitions(scene, STAYS, 10**6)
+    assert sorted(found.lag) == pytest.approx(sorted(scene.passages.left - scene.passages.entered))
+    assert (found.weight == 1).all()
+
+
+def test_passages_are_joined_where_they_do_not() -> None:
+    """As many as there are, of the right ways, and of the right length on average."""
+    _, _, truth = seen(made(4, 150, 1.0))
+    _, _, scene = seen(made(4, 150, 0.0))
+    found = visible_transitions(scene, STAYS, 10**6)
+    for u in range(len(scene.zones)):
+        for v in range(len(scene.zones)):
+            p = truth.passages
+            true = (p.source == u) & (p.target == v)
+            here = (found.source == u) & (found.target == v)
+            assert found.weight[here].sum() == pytest.approx(true.sum(), abs=0.12 * true.sum() + 8)
+    assert np.average(found.lag, weights=found.weight) == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_camera_of_exits_only_has_no_passages() -> None:
+    _, _, scene = seen([e for e in made(5, 40, 0.0) if e.kind == "exit"])
+    assert len(visible_transitions(scene, STAYS, 10**6).lag) == 0
