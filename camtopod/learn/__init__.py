@@ -10,5 +10,5 @@ In the order in which data flows:
 * `candidates`, `lags`, `joint`, `memory`: which arrival belongs to which departure; `passages`: the same within one view
 * `crossfit`, `significance`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its figures; `links`
 * `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
-* `assemble`, `topology`: versions with digests and deltas; `predict`: where to look next
+* `assemble`, `topology`: versions with digests and deltas; `hazards`, `predict`: where to look next
 """

@@ -1,0 +1,135 @@
+"""The hazards of a topology version, ready for prediction: where objects that leave a zone appear, and when.
+
+Read off the published and the weak links of the version, which is all that a subscriber gets.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.joint import smooth
+from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins
+from camtopod.records import Link, Topology
+
+Floats = NDArray[np.float64]
+
+UNKNOWN_STAY_SECONDS = 10.0
+EXPOSURE_MIN = 0.02
+NORMAL_Q90 = 1.2816
+
+
+class Outcomes(NamedTuple):
+    """Where objects that leave one zone appear next."""
+
+    targets: list[int]
+    hazard: Floats
+    """(targets, bins) per second and exposed departure."""
+    exposure: Floats
+    """(bins,) share of the departures here that are exposed."""
+
+
+class Hazards:
+    """Hazards by zone index (the order of ``topology.zones``)."""
+
+    def __init__(self, topology: Topology) -> None:
+        model = topology.model
+        if model is None:
+            self.bins = LagBins(*_lag_range(topology), LAG_SCALE_SECONDS, LAG_STEP)
+        else:
+            self.bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
+        self.past = self.bins.edges[1:] <= 0
+        index = {zone.id: k for k, zone in enumerate(topology.zones)}
+        self.arrival_rate = [1e-6] * len(index)
+        """(zones,) arrivals per second from outside."""
+        self.stay: list[list[float]] = [[] for _ in index]
+        """(zones,) deciles of the seconds that passages leaving there have lasted; empty where unknown."""
+        for known in model.zones if model else []:
+            self.arrival_rate[index[known.zone]] += known.arrival_rate
+            self.stay[index[known.zone]] = known.stay
+        self.outcomes = self._read([*topology.links, *(topology.weak_links or [])], index)
+        self._rows = {
+            (zone, target): row
+            for zone, outcomes in self.outcomes.items()
+            for target, row in zip(outcomes.targets, outcomes.hazard.tolist(), strict=True)
+        }
+        self._ahead = self._mean_rates_ahead(topology)
+
+    def rate(self, source: int, target: int, lag: float) -> float:
+        """Hazard (1/s) of one pair of zones at one lag (seconds)."""
+        row = self._rows.get((source, target))
+        if row is None or not self.bins.lag_min <= lag <= self.bins.lag_max:
+            return 0.0
+        rate: float = row[math.floor(math.asinh(lag / self.bins.scale) / self.bins.step) - self.bins.first]
+        return rate
+
+    def rate_ahead(self, camera: str, target: int) -> float:
+        """Rate (1/s) at which an object in the view of a camera appears at a zone before it leaves the view."""
+        return self._ahead.get((camera, target), 0.0)
+
+    def longest_stay(self, zones: list[int]) -> float | None:
+        """Longest passage known that left at one of the zones, seconds."""
+        return max((self.stay[zone][-1] for zone in zones if self.stay[zone]), default=None)
+
+    def _read(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
+        grouped: dict[int, list[Link]] = {}
+        for link in links:
+            if link.relation != "visible" and link.from_ in index and link.to in index:
+                grouped.setdefault(index[link.from_], []).append(link)
+        outcomes = {}
+        for zone, out in grouped.items():
+            exposure = self._exposure(zone)
+            spread = smooth(np.stack([_counts(link, self.bins) for link in out]))[0]
+            share = spread / np.maximum(spread.sum(axis=1, keepdims=True), 1e-300)
+            probability = np.array([link.probability for link in out])[:, None]
+            hazard = probability * share / (self.bins.widths * exposure)
+            outcomes[zone] = Outcomes([index[link.to] for link in out], hazard, exposure)
+        return outcomes
+
+    def _exposure(self, zone: int) -> Floats:
+        """Share (bins,) of the passages leaving at the zone that had begun by the lag; 1 for lags after the exit."""
+        stay = self.stay[zone]
+        if not stay:
+            return np.ones(self.bins.size)
+        begun = 1.0 - np.interp(-self.bins.centres, stay, np.linspace(0.0, 1.0, len(stay)))
+        return np.where(self.past, np.clip(begun, EXPOSURE_MIN, 1.0), 1.0)
+
+    def _mean_rates_ahead(self, topology: Topology) -> dict[tuple[str, int], float]:
+        """Expected appearances before leaving over the time in view, weighed by where objects leave, by camera."""
+        exits: dict[str, int] = {}
+        for zone in topology.zones:
+            exits[zone.camera] = exits.get(zone.camera, 0) + zone.exits
+        rates: dict[tuple[str, int], float] = {}
+        for k, outcomes in self.outcomes.items():
+            zone = topology.zones[k]
+            stay = self.stay[k][len(self.stay[k]) // 2] if self.stay[k] else UNKNOWN_STAY_SECONDS
+            share = zone.exits / max(exits[zone.camera], 1) / max(stay, 1.0)
+            ahead = (outcomes.hazard * self.bins.widths * outcomes.exposure)[:, self.past].sum(axis=1)
+            for target, expected in zip(outcomes.targets, ahead.tolist(), strict=True):
+                key = zone.camera, target
+                rates[key] = rates.get(key, 0.0) + share * expected
+        return rates
+
+
+def _lag_range(topology: Topology) -> tuple[float, float]:
+    """Lags to look at when the topology does not say: what its links need."""
+    low = min((link.transit.q10 for link in topology.links), default=0.0)
+    high = max((link.transit.q90 for link in topology.links), default=60.0)
+    return min(2.0 * low, 0.0), max(2.0 * high, 1.0)
+
+
+def _counts(link: Link, bins: LagBins) -> Floats:
+    """The link's histogram on the bins, (bins,); one without is spread as its quantiles say."""
+    counts = np.zeros(bins.size)
+    if link.histogram is not None:
+        start = link.histogram.first - bins.first
+        for k, mass in enumerate(link.histogram.mass):
+            if 0 <= start + k < bins.size:
+                counts[start + k] += mass
+        return counts
+    sd = max((link.transit.q90 - link.transit.q10) / (2 * NORMAL_Q90), 0.5)
+    shape = np.exp(-0.5 * ((bins.centres - link.transit.q50) / sd) ** 2) * bins.widths
+    return shape / max(float(shape.sum()), 1e-300) * link.transitions
