@@ -7,7 +7,7 @@ In the order in which data flows:
 * `daspec` and `clutter`, `partition`, `evidence`, `valley`: entry and exit zones; `mixture`: which cell is which zone;
   `zones`: all of it, with numbers that stay with their place
 * `scene`: who left, who came, who passed through; `rates`: how often anyway; `slowness`: how fast
-* `candidates`, `lags`, `joint`, `memory`: which arrival belongs to which departure; `passages`: the same within one view
+* `candidates`, `lags`, `joint`, `memory`: which arrival belongs to which departure; `passages`: also in one view
 * `crossfit`, `significance`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its figures; `links`
 * `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
 * `assemble`, `topology`: versions with digests and deltas; `hazards`, `predict`: where to look next

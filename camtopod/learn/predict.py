@@ -130,7 +130,7 @@ class Predictor:
         return self.predict_from(zone, event.t, passage.t if passage else None, track)
 
     def predict_from(self, zone: int, t: float, since: float | None = None, track: str | None = None) -> Prediction:
-        """The same for an object that left zone ``zone`` (index) at ``t`` after a passage begun at ``since``, if known."""
+        """The same for an object that left a zone (index) at ``t`` after a passage begun at ``since``, if known."""
         here, outcomes = self.zones[zone], self._hazards.outcomes.get(zone)
         if outcomes is None:
             return Prediction(here.camera, here.id, t, track, self.topology.version, 1.0, [])
@@ -170,7 +170,7 @@ class Predictor:
         return mass, leave
 
     def _recent(self, t: float, since: float, camera: str) -> list[_Arrival]:
-        """Arrivals in other views after ``since`` and before ``t`` that could be the object leaving ``camera`` at ``t``."""
+        """Arrivals in other views between ``since`` and ``t`` that could be the object leaving ``camera`` at ``t``."""
         found = []
         for arrival in reversed(self._arrivals):
             if arrival.t < t + self._hazards.bins.lag_min:
