@@ -1,0 +1,259 @@
+"""`camtopod learn` and `camtopod predict` over files and pipes."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from camtopod.cli import exits, main
+from camtopod.cli.learn import EPOCH
+from camtopod.cli.lines import LineReader
+from camtopod.codec import EVENT_BYTES_MAX, read, to_json
+from camtopod.learn.topology import apply_delta, digest_of, make_delta
+from camtopod.records import Event, Prediction, Topology
+from camtopod.sim.network import SimSettings, simulate
+
+EVENTS, TRUTH = simulate(SimSettings(cameras=3, hours=0.4, seed=1))
+Run = Callable[..., tuple[int, bytes, str]]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]) -> Run:
+    """A command: exit status, standard output, standard error."""
+
+    def go(*args: object, stdin: bytes = b"") -> tuple[int, bytes, str]:
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(stdin)))
+        status = main.main([str(arg) for arg in args])
+        sys.stdout.flush()
+        out, err = capfdbinary.readouterr()
+        return status, out, err.decode()
+
+    return go
+
+
+def lines(events: list[Event]) -> bytes:
+    return b"".join(to_json(event) + b"\n" for event in events)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    path = tmp_path / "events.jsonl"
+    path.write_bytes(lines(EVENTS))
+    return path
+
+
+@pytest.fixture(scope="module")
+def topology(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Learned from the recording."""
+    folder = tmp_path_factory.mktemp("learned")
+    (folder / "events.jsonl").write_bytes(lines(EVENTS))
+    out = folder / "topology.json"
+    assert main.main(["learn", str(folder / "events.jsonl"), "--topology", str(out)]) == 0
+    return out
+
+
+# --- learn ---
+
+
+def test_learn_writes_the_topology_and_every_version(run: Run, recording: Path, tmp_path: Path) -> None:
+    out, updates = tmp_path / "t.json", tmp_path / "u.jsonl"
+    status, printed, said = run("learn", recording, "--topology", out, "--updates", updates)
+    assert (status, printed) == (0, b"")
+    versions = [read(Topology, line) for line in updates.read_bytes().splitlines()]
+    last = read(Topology, out.read_bytes())
+    assert versions[-1] == last
+    assert [v.version for v in versions] == list(range(1, len(versions) + 1))
+    assert len(versions) > 2
+    assert (last.epoch, last.events, last.digest) == (EPOCH, len(EVENTS), digest_of(last))
+    assert apply_delta(versions[-2], make_delta(versions[-2], last)) == last
+    assert f"version {last.version}: {len(EVENTS)} events, 3 cameras" in said
+
+
+def test_learn_prints_the_topology_when_no_file_is_named(run: Run, recording: Path, topology: Path) -> None:
+    for args in ((recording,), (recording, "--topology", "-")):
+        status, printed, _ = run("learn", *args)
+        assert status == 0
+        assert printed == topology.read_bytes()
+
+
+def test_learn_from_a_pipe_and_from_several_files(run: Run, topology: Path, tmp_path: Path) -> None:
+    assert run("learn", "-", stdin=lines(EVENTS))[1] == topology.read_bytes()
+    names = sorted({event.camera for event in EVENTS})
+    for name in names:
+        (tmp_path / name).write_bytes(lines([event for event in EVENTS if event.camera == name]))
+    assert run("learn", *(tmp_path / name for name in names))[1] == topology.read_bytes()
+
+
+def test_learn_takes_its_settings_from_the_configuration(run: Run, recording: Path, tmp_path: Path) -> None:
+    config = tmp_path / "camtopod.toml"
+    config.write_text('[site]\nname = "museum"\n[learn]\nwindow_events_max = 100\n')
+    _, printed, _ = run("learn", recording, "--config", config)
+    learned = read(Topology, printed)
+    assert learned.site == "museum"
+    assert sum(zone.entries + zone.exits for zone in learned.zones) <= 100
+    assert read(Topology, run("learn", recording, "--site", "here")[1]).site == "here"
+
+
+def test_lines_that_do_not_fit_are_counted_and_quoted_once(run: Run, topology: Path) -> None:
+    noise = b'{"camera":"a b","kind":"exit","t":1}\n\n   \nnonsense\n{"camera":"c d","kind":"exit","t":1}\n'
+    late = to_json(replace(EVENTS[0], t=EVENTS[0].t - 3600.0)) + b"\n"
+    raw = lines(EVENTS[:50]) + noise + late + late + lines(EVENTS[50:])
+    status, printed, said = run("learn", "-", stdin=raw)
+    assert (status, printed) == (0, topology.read_bytes())
+    assert f"5 of {len(EVENTS) + 5} lines changed nothing: bad-value 2, late 2, malformed 1" in said
+    assert said.count("a b") == 1
+    assert "c d" not in said
+    assert "-:51: " in said
+    assert "-:54: " in said
+    assert said.count("lateness_seconds") == 1
+
+
+def test_duplicates_count_once(run: Run) -> None:
+    numbered = [replace(event, boot="b", seq=k) for k, event in enumerate(EVENTS)]
+    plain = run("learn", "-", stdin=lines(numbered))[1]
+    _, printed, said = run("learn", "-", stdin=lines([e for event in numbered for e in (event, event)]))
+    assert printed == plain
+    assert f"duplicate {len(EVENTS)}" in said
+
+
+def test_out_of_order_within_the_lateness(run: Run, topology: Path) -> None:
+    chance = random.Random(1)
+    mixed = sorted(EVENTS, key=lambda event: event.t + chance.uniform(0, 5))
+    assert mixed != EVENTS
+    _, printed, said = run("learn", "-", stdin=lines(mixed))
+    assert read(Topology, printed).digest == read(Topology, topology.read_bytes()).digest
+    assert "changed nothing" not in said
+
+
+@pytest.mark.parametrize("command", ["learn", "predict"])
+def test_an_input_that_cannot_be_read(run: Run, topology: Path, tmp_path: Path, command: str) -> None:
+    missing = tmp_path / "missing.jsonl"
+    args = (missing,) if command == "learn" else (topology, missing)
+    status, printed, said = run(command, *args)
+    assert (status, printed) == (exits.INPUT, b"")
+    assert "missing.jsonl" in said
+
+
+def test_nothing_to_learn_from(run: Run) -> None:
+    status, printed, said = run("learn", "-", stdin=b"\n\nnonsense\n")
+    assert (status, printed) == (exits.INPUT, b"")
+    assert "nothing to learn from" in said
+    assert "1 of 1 lines changed nothing" in said
+
+
+def test_an_output_that_cannot_be_written(run: Run, recording: Path, tmp_path: Path) -> None:
+    for option in ("--topology", "--updates"):
+        status, _, said = run("learn", recording, option, tmp_path / "no" / "folder")
+        assert status == exits.FAILED
+        assert "cannot write" in said
+
+
+def test_progress_for_a_person(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("camtopod.cli.learn.PROGRESS_SECONDS", -1.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    _, printed, said = run("learn", "-", stdin=lines(EVENTS[:300]))
+    assert read(Topology, printed).events == 300
+    assert "300 lines, version " in said
+
+
+# --- predict ---
+
+
+def predictions(out: bytes) -> list[Prediction]:
+    return [read(Prediction, line) for line in out.splitlines()]
+
+
+def test_one_prediction_for_each_exit_in_input_order(run: Run, topology: Path) -> None:
+    chance = random.Random(3)
+    shuffled = EVENTS[:]
+    chance.shuffle(shuffled)
+    found = {}
+    for events in (EVENTS, shuffled):
+        status, printed, said = run("predict", topology, "-", stdin=lines(events))
+        assert (status, said) == (0, "")
+        wanted = [(event.camera, event.t, event.track) for event in events if event.kind == "exit"]
+        assert [(p.camera, p.t, p.track) for p in predictions(printed)] == wanted
+        for line in printed.splitlines():
+            found.setdefault(line, []).append(events is EVENTS)
+    assert all(sorted(orders) == [False, True] for orders in found.values())  # whatever the order, the same answers
+
+
+def test_predictions_are_the_contracts(run: Run, topology: Path, recording: Path) -> None:
+    _, printed, _ = run("predict", topology, recording)
+    cameras = {event.camera for event in EVENTS}
+    for line in printed.splitlines():
+        fields = json.loads(line)
+        assert list(fields) == ["camera", "zone", "t", "track", "version", "leave", "next"]
+        assert fields["leave"] + sum(n["probability"] for n in fields["next"]) == pytest.approx(1.0)
+        ranks = [n["probability"] for n in fields["next"]]
+        assert ranks == sorted(ranks, reverse=True)
+        assert {n["camera"] for n in fields["next"]} <= cameras
+    assert sum(bool(json.loads(line)["next"]) for line in printed.splitlines()) > 100
+
+
+def test_later_lines_change_no_answer(run: Run, topology: Path) -> None:
+    """The answers to the first part are the same whether or not the rest is there; those at the same moment too."""
+    _, whole, _ = run("predict", topology, "-", stdin=lines(EVENTS))
+    for cut in (100, 333, 600):
+        first = [event for event in EVENTS if event.t <= EVENTS[cut].t]
+        _, part, _ = run("predict", topology, "-", stdin=lines(first))
+        assert whole.startswith(part)
+        last = first[-1]
+        moment = [
+            replace(last, kind=kind, camera=camera) for kind in ("entry", "exit") for camera in ("cam01", "cam02")
+        ]
+        _, more, _ = run("predict", topology, "-", stdin=lines(moment + first + EVENTS[cut + 50 :]))
+        assert set(part.splitlines()) <= set(more.splitlines())
+
+
+def test_predict_counts_what_does_not_fit(run: Run, topology: Path) -> None:
+    status, printed, said = run("predict", topology, "-", stdin=b"nonsense\n" + lines(EVENTS[:20]))
+    assert status == 0
+    assert len(printed.splitlines()) == sum(event.kind == "exit" for event in EVENTS[:20])
+    assert "1 of 21 lines changed nothing: malformed 1" in said
+    assert run("predict", topology, "-", stdin=b"")[:2] == (0, b"")
+
+
+def test_predict_needs_a_topology(run: Run, tmp_path: Path) -> None:
+    for name, content in (("none.json", None), ("bad.json", b"{}"), ("other.json", b'{"schema":"x"}')):
+        path = tmp_path / name
+        if content is not None:
+            path.write_bytes(content)
+        status, printed, said = run("predict", path, "-", stdin=b"")
+        assert (status, printed) == (exits.INPUT, b"")
+        assert name in said
+
+
+# --- lines ---
+
+
+def test_long_lines_are_skipped_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    good = b'{"camera":"a","kind":"exit","t":1}'
+    padded = good[:-1] + b',"more":"' + b"m" * (EVENT_BYTES_MAX - len(good) - 10) + b'"}'
+    assert len(padded) == EVENT_BYTES_MAX
+    raw = b"\n".join(
+        [good, padded, padded + b" ", padded[:-2] + b'm"}', b"x" * 4098, b"y" * 5000, b"z" * 200_000, good]
+    )
+    reader = LineReader()
+    found = list(reader.lines("f", io.BytesIO(raw)))
+    assert [line.number for line in found] == [1, 2, 3, 8]
+    assert reader.rejected == {"too-long": 4}
+    assert capsys.readouterr().err.count("f:4:") == 1
+    end = LineReader()
+    assert list(end.lines("f", io.BytesIO(b"z" * 200_000))) == []
+    assert end.rejected == {"too-long": 1}
+
+
+def test_secrets_in_a_quoted_line_stay_secret(capsys: pytest.CaptureFixture[str]) -> None:
+    reader = LineReader()
+    assert list(reader.lines("f", io.BytesIO(b"rtsp://admin:hunter2@cam/1\n"))) == []
+    assert "hunter2" not in capsys.readouterr().err
+    assert reader.summary() == "1 of 1 lines changed nothing: malformed 1"
+    assert LineReader().summary() is None

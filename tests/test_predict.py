@@ -1,0 +1,330 @@
+"""Prediction: competing outcomes that sum to 1, and what is known at the moment of the exit."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from camtopod.learn import predict as module
+from camtopod.learn.lags import LagBins
+from camtopod.learn.learner import Learner
+from camtopod.learn.predict import NEXT_PROBABILITY_MIN, Predictor
+from camtopod.learn.settings import Settings
+from camtopod.records import (
+    TOPOLOGY_SCHEMA,
+    Camera,
+    CameraModel,
+    Event,
+    Histogram,
+    Link,
+    Model,
+    Prediction,
+    Topology,
+    Transit,
+    Zone,
+    ZoneModel,
+)
+from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.score import score_predictions
+
+COV = [[0.001, 0.0], [0.0, 0.001]]
+STAY = [float(k) for k in range(11)]
+"""Deciles of passages of 0 to 10 s."""
+
+
+def link(from_: str, to: str, probability: float, median: float, histogram: Histogram | None = None) -> Link:
+    transit = Transit(median, median, 1.0, median - 1.0, median, median + 1.0)
+    relation = "overlapped" if median < 0 else "unseen"
+    return Link(from_, to, relation, probability, 100 * probability, transit, 0.0, 0.1, histogram)
+
+
+def a_topology(links: list[Link], weak: list[Link] | None = None, stay: list[float] | None = None) -> Topology:
+    """Cameras a (two zones), b, c, d, each with a quarter of the events."""
+    zones = [
+        Zone("a/1", "a", 100, 100, 0.1, 0.5, COV), Zone("a/2", "a", 100, 100, 0.9, 0.5, COV),
+        *(Zone(f"{name}/1", name, 100, 100, 0.5, 0.5, COV) for name in "bcd"),
+    ]  # fmt: skip
+    model = Model(
+        4.0, 0.1, -20.0, 120.0,
+        [ZoneModel(zone.id, 100, 0.001, STAY if stay is None else stay) for zone in zones],
+        [CameraModel(name, 0.25, 0.0) for name in "abcd"],
+    )  # fmt: skip
+    cameras = [Camera(name, [zone.id for zone in zones if zone.camera == name]) for name in "abcd"]
+    return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 7, 0.0, 800, "", cameras, zones, links, [], weak or [], [], model)
+
+
+THREE = a_topology([link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.3, 20.0)], [link("a/1", "a/2", 0.1, 30.0)])
+EXIT = Event("a", "exit", 1000.0, 0.1, 0.5, "17")
+
+
+def chances(prediction: Prediction) -> dict[str, float]:
+    return {found.zone: found.probability for found in prediction.next_}
+
+
+def sound(prediction: Prediction) -> None:
+    """What holds of every prediction."""
+    probabilities = [found.probability for found in prediction.next_]
+    assert prediction.leave + sum(probabilities) == pytest.approx(1.0)
+    assert 0 < prediction.leave <= 1
+    assert probabilities == sorted(probabilities, reverse=True)
+    assert all(p > 0 for p in probabilities)
+    assert all(-22.5 <= n.q10 <= n.q50 <= n.q90 <= 132.5 for n in prediction.next_)
+    assert len({found.zone for found in prediction.next_}) == len(probabilities)
+
+
+# --- the learned shares ---
+
+
+def test_without_further_knowledge_the_learned_shares() -> None:
+    prediction = Predictor(THREE).predict(EXIT)
+    sound(prediction)
+    assert (prediction.camera, prediction.zone, prediction.t, prediction.track) == ("a", "a/1", 1000.0, "17")
+    assert prediction.version == 7
+    assert [(found.camera, found.zone) for found in prediction.next_] == [("b", "b/1"), ("c", "c/1"), ("a", "a/2")]
+    assert chances(prediction) == pytest.approx({"b/1": 0.5, "c/1": 0.3, "a/2": 0.1}, abs=0.001)
+    assert prediction.leave == pytest.approx(0.1, abs=0.001)
+    for found, median in zip(prediction.next_, (8.0, 20.0, 30.0), strict=True):
+        assert found.q50 == pytest.approx(median, rel=0.1)
+        assert found.q10 < median - 0.5
+        assert found.q90 > median + 0.5
+
+
+def test_a_histogram_says_more_than_quantiles() -> None:
+    """Two humps, 8 s and 40 s, which the median of 20 s knows nothing of."""
+    bins = LagBins(-20.0, 120.0)
+    mass = np.zeros(bins.size)
+    mass[bins.index(np.array([8.0, 40.0]))] = 0.45, 0.55
+    two = link("a/1", "b/1", 0.5, 20.0, Histogram(bins.first, mass.tolist()))
+    (found,) = Predictor(a_topology([two])).predict(EXIT).next_
+    assert found.q10 == pytest.approx(8.0, abs=3.0)
+    assert found.q90 == pytest.approx(40.0, abs=15.0)
+    beyond = link("a/1", "b/1", 0.5, 20.0, Histogram(10_000, [1.0]))  # bins this range does not have
+    assert Predictor(a_topology([beyond])).predict(EXIT).next_ == []
+
+
+@pytest.mark.parametrize(
+    ("event", "zone"),
+    [
+        (EXIT, "a/1"),
+        (replace(EXIT, x=0.8), "a/2"),
+        (replace(EXIT, x=None, y=None), "a/1"),
+        (replace(EXIT, camera="b"), "b/1"),
+        (replace(EXIT, camera="unknown"), None),
+    ],
+)
+def test_zone_of_an_event(event: Event, zone: str | None) -> None:
+    prediction = Predictor(THREE).predict(event)
+    sound(prediction)
+    assert prediction.zone == zone
+    if zone != "a/1":
+        assert (prediction.leave, prediction.next_) == (1.0, [])
+
+
+def test_a_zone_without_shape_is_the_last_choice() -> None:
+    bare = [*THREE.zones, Zone("a/3", "a", 1000, 1000), Zone("e/1", "e", 5, 5)]
+    predictor = Predictor(replace(THREE, zones=bare))
+    assert predictor.predict(EXIT).zone == "a/1"
+    assert predictor.predict(replace(EXIT, x=None, y=None)).zone == "a/3"
+    assert predictor.predict(replace(EXIT, camera="e")).zone == "e/1"
+
+
+def test_numbered_and_missing_tracks() -> None:
+    assert Predictor(THREE).predict(replace(EXIT, track=17)).track == "17"
+    assert Predictor(THREE).predict(replace(EXIT, track=None)).track is None
+
+
+def test_a_topology_that_has_only_what_the_contract_asks() -> None:
+    plain = replace(THREE, weak_links=None, chain=None, model=None)
+    prediction = Predictor(plain).predict(EXIT)
+    sound(prediction)
+    assert list(chances(prediction)) == ["b/1", "c/1"]
+    assert prediction.next_[0].q50 == pytest.approx(8.0, abs=0.5)
+    empty = replace(plain, links=[])
+    assert Predictor(empty).predict(EXIT).next_ == []
+
+
+def test_links_to_zones_that_are_not_there_are_left_out() -> None:
+    odd = a_topology([link("a/1", "b/1", 0.5, 8.0), link("a/1", "z/1", 0.4, 8.0), link("z/1", "a/1", 0.4, 8.0)])
+    assert list(chances(Predictor(odd).predict(EXIT))) == ["b/1"]
+
+
+def test_hardly_likely_outcomes_are_left_out() -> None:
+    rare = a_topology([link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.1 * NEXT_PROBABILITY_MIN, 8.0)])
+    prediction = Predictor(rare).predict(EXIT)
+    sound(prediction)
+    assert list(chances(prediction)) == ["b/1"]
+
+
+# --- exposure, seen, alive ---
+
+OVERLAP = a_topology([link("a/1", "d/1", 0.4, -3.0), link("a/1", "b/1", 0.3, 8.0)])
+
+
+def after(events: list[Event], topology: Topology = OVERLAP) -> Prediction:
+    predictor = Predictor(topology)
+    for event in events:
+        predictor.observe(event)
+    prediction = predictor.predict(EXIT)
+    sound(prediction)
+    return prediction
+
+
+ENTERED = Event("a", "entry", 990.0, 0.5, 0.1, "17")
+THERE = Event("d", "entry", 997.0, 0.5, 0.5, "3")
+
+
+def test_who_has_been_seen_in_the_overlapping_view_is_there() -> None:
+    assert chances(after([ENTERED, THERE]))["d/1"] > 0.9
+    assert chances(after([ENTERED, THERE]))["d/1"] > chances(after([ENTERED]))["b/1"] > 0.7
+
+
+def test_who_has_not_been_seen_there_is_not() -> None:
+    """The share of the overlapped view is gone. It is 0.4 of all, and 0.4 / 0.7 of those who stayed 3 s or more."""
+    prediction = after([ENTERED])
+    assert chances(prediction).get("d/1", 0.0) < 0.01
+    assert chances(prediction)["b/1"] == pytest.approx(0.3 / (1 - 0.4 / 0.7), abs=0.06)
+    for other in (
+        replace(THERE, t=970.0),  # too early
+        replace(THERE, t=1000.0),  # not before the exit
+        replace(THERE, camera="c"),
+        replace(THERE, kind="exit"),
+    ):
+        assert chances(after([ENTERED, other])).get("d/1", 0.0) < 0.01
+
+
+def test_nobody_is_seen_there_before_coming() -> None:
+    """A passage of 1 s cannot have been seen elsewhere 3 s ago; the rest of the time counts in full."""
+    short = after([THERE, replace(ENTERED, t=999.0)])
+    assert chances(short).get("d/1", 0.0) < 0.01
+    assert chances(short)["b/1"] == pytest.approx(0.3, abs=0.01)  # who leaves so early is not among those 0.4
+
+
+def test_without_a_track_the_usual_stays_count() -> None:
+    unknown, short = after([THERE]), after([THERE, replace(ENTERED, t=999.0)])
+    assert chances(unknown)["d/1"] > 0.5 > 0.01 > chances(short).get("d/1", 0.0)
+    never = a_topology(OVERLAP.links, stay=[])
+    assert chances(after([THERE], never))["d/1"] > 0.5
+
+
+def test_others_who_may_be_the_one_seen_lower_the_chance() -> None:
+    """Another object leaving at the same time, or still in the view, may be the one seen at d."""
+    alone = chances(after([ENTERED, THERE]))["d/1"]
+    two = chances(after([ENTERED, replace(ENTERED, track="18"), THERE, replace(EXIT, t=999.9, track="18")]))["d/1"]
+    inside = chances(after([ENTERED, replace(ENTERED, track="18"), THERE]))["d/1"]
+    crowd = [replace(ENTERED, track=str(k)) for k in range(100, 160)]
+    crowded = chances(after([ENTERED, *crowd, THERE]))["d/1"]
+    assert two < alone
+    assert crowded < inside < alone
+    unrelated = [replace(ENTERED, camera="b", x=0.5, y=0.5, track=str(k)) for k in range(5)]
+    assert chances(after([ENTERED, *unrelated, THERE]))["d/1"] == pytest.approx(alone, rel=1e-3)
+
+
+def test_a_silent_camera_is_not_where_they_appear() -> None:
+    talk = [Event(camera, "entry", 900.0 + k, 0.5, 0.5) for k in range(30) for camera in "abd"]
+    silent = after(talk, THREE)
+    assert chances(silent)["b/1"] == pytest.approx(chances(Predictor(THREE).predict(EXIT))["b/1"], rel=0.5)
+    assert chances(silent).get("c/1", 0.0) < 1e-3
+    heard = after([*talk, Event("c", "exit", 950.0)], THREE)
+    assert chances(heard)["c/1"] == pytest.approx(0.3, abs=0.01)
+    strangers = [Event("unknown", "entry", 900.0 + k) for k in range(3)]
+    assert chances(after(strangers, THREE))["c/1"] == pytest.approx(0.3, abs=0.01)
+
+
+# --- bounds, versions ---
+
+
+def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Passages that never end among them."""
+    monkeypatch.setattr(module, "RECENT_MAX", 7)
+    predictor = Predictor(THREE)
+    for k in range(50):
+        predictor.observe(replace(ENTERED, t=float(k), track=str(k)))
+        predictor.observe(replace(EXIT, t=float(k), track=None))
+    sizes = {name: len(value) for name, value in vars(predictor).items() if isinstance(value, dict | deque | list)}
+    assert sizes["_arrivals"] == 7
+    assert max(sizes.values()) == 7
+
+
+def test_a_newer_version_remembers_what_has_been_seen() -> None:
+    predictor = Predictor(OVERLAP)
+    events = [ENTERED, THERE, replace(EXIT, t=999.0, track="9"), *(Event("b", "entry", 995.0, 0.5, 0.5) for _ in "xy")]
+    for event in events:
+        predictor.observe(event)
+    reordered = replace(OVERLAP, version=8, zones=OVERLAP.zones[::-1])
+    followed = predictor.follow(reordered)
+    assert replace(followed.predict(EXIT), version=7) == predictor.predict(EXIT)
+    gone = replace(OVERLAP, version=8, zones=[z for z in OVERLAP.zones if z.camera != "d"])
+    gone = replace(gone, model=replace(gone.model, zones=[z for z in gone.model.zones if z.zone != "d/1"]))
+    prediction = predictor.follow(gone).predict(EXIT)
+    sound(prediction)
+    assert list(chances(prediction)) == ["b/1"]
+
+
+def test_a_camera_that_is_new_in_a_version_has_not_been_silent() -> None:
+    small = replace(
+        THREE, zones=[z for z in THREE.zones if z.camera != "c"], links=THREE.links[:1],
+        model=replace(THREE.model, zones=[z for z in THREE.model.zones if z.zone != "c/1"]),
+    )  # fmt: skip
+    predictor = Predictor(small)
+    for k in range(60):
+        predictor.observe(Event("abd"[k % 3], "entry", 900.0, 0.5, 0.5))
+    assert chances(predictor.follow(THREE).predict(EXIT))["c/1"] == pytest.approx(0.3, abs=0.01)
+
+
+# --- anything ---
+
+NAMES = ["a/1", "a/2", "b/1", "c/1", "d/1"]
+LINKS = st.lists(
+    st.builds(link, st.sampled_from(NAMES), st.sampled_from(NAMES), st.floats(0, 1), st.floats(-19, 110)),
+    max_size=8, unique_by=lambda item: (item.from_, item.to),
+)  # fmt: skip
+EVENTS = st.lists(
+    st.builds(
+        Event, st.sampled_from("abcde"), st.sampled_from(["entry", "exit"]), st.floats(0, 60), st.just(0.4),
+        st.just(0.5), st.sampled_from([None, "1", "2"]),
+    ),
+    max_size=30,
+)  # fmt: skip
+
+
+@settings(max_examples=60)
+@given(LINKS, LINKS, st.sampled_from([[], STAY, [0.0] * 11]), EVENTS)
+def test_every_prediction_is_sound(links: list[Link], weak: list[Link], stay: list[float], events: list[Event]) -> None:
+    weak = [w for w in weak if (w.from_, w.to) not in {(x.from_, x.to) for x in links}]
+    predictor = Predictor(a_topology(links, weak, stay))
+    for event in sorted(events, key=lambda e: e.t):
+        sound(predictor.predict(event))
+        predictor.observe(event)
+
+
+def test_predictions_on_a_made_up_network() -> None:
+    """Learned from the first three quarters, asked about the rest; chance would be right for one camera in six."""
+    events, truth = simulate(SimSettings(cameras=6, hours=1.2, seed=2))
+    cut = 3 * len(events) // 4
+    learner = Learner(Settings(version_seconds=1e6))
+    for event in events[:cut]:
+        learner.receive(event)
+    learner.flush()
+    predictor, predictions = learner.predictor(), []
+    for k, event in enumerate(events):
+        if event.kind == "exit" and k < cut:
+            predictions.append(Prediction(event.camera, None, event.t, None, 1, 1.0, []))  # does not count
+        elif event.kind == "exit":
+            predictions.append(predictor.predict(event))
+            sound(predictions[-1])
+        predictor.observe(event)
+    scored = score_predictions(predictions, events, truth, since=events[cut].t)
+    blind = [
+        replace(p, leave=0.2, next_=[replace(n, probability=0.8 / max(len(p.next_), 1)) for n in p.next_])
+        for p in predictions
+    ]
+    assert scored.top1 > 0.6
+    assert scored.top3 > 0.85
+    assert scored.log_loss < score_predictions(blind, events, truth, since=events[cut].t).log_loss - 0.3
+    assert math.isfinite(scored.log_loss)
