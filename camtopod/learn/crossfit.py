@@ -1,10 +1,10 @@
-"""Evidence that was not fitted to itself: each half of the time judged by what the other half learned.
+"""Evidence that was not fitted to itself: each part of the time judged by what the rest of the time taught.
 
 A flexible fit finds something in any data; how well it explains the data it was fitted to says little. So the window
-is cut into alternating stretches of time, the links are fitted on the odd ones and on the even ones, and each fit is
-asked how much better it predicts the arrivals of the other stretches with a pair of zones than without. Where zones
-have nothing to do with each other the likelihood ratio of such a prediction exceeds ``exp(x)`` with a probability of
-at most ``exp(-x)`` (Markov's inequality; "safe testing", Grunwald, de Heide and Koolen 2024), whatever shape the fit
+is cut into stretches of time dealt out to a few folds; for each fold the links are fitted on the others, from
+nothing, and asked how much better they predict its arrivals with a pair of zones than without. Where zones have
+nothing to do with each other the likelihood ratio of such a prediction exceeds ``exp(x)`` with a probability of at
+most ``exp(-x)`` (Markov's inequality; "safe testing", Grunwald, de Heide and Koolen 2024), whatever shape the fit
 could have taken.
 """
 
@@ -19,12 +19,15 @@ from camtopod.learn.lags import LagBins
 
 Floats = NDArray[np.float64]
 
-STRETCHES = 16
-"""The window is cut into about this many stretches ..."""
+FOLDS = 4
+STRETCHES = 32
+"""The window is cut into about this many stretches, dealt out to the folds in turn ..."""
 STRETCH_SECONDS_MAX = 3600.0
 STRETCH_LAGS_MIN = 4.0
-"""... but none shorter than this many times the longest transit, unless the window is too short for two."""
+"""... but none shorter than this many times the longest transit, unless the window is too short for that."""
 SWEEPS = 3
+ROUNDS = 1
+"""Rounds of each fit before the last."""
 RESPONSIBILITY_MAX = 1.0 - 1e-9
 FLAT_MAX = 1e6
 
@@ -38,21 +41,33 @@ def cross_evidence(
     departures from the other at no particular lag, as when both follow a rhythm.
     """
     span = max(until - first, 1.0)
-    stretch = min(max(span / STRETCHES, STRETCH_LAGS_MIN * bins.lag_max), STRETCH_SECONDS_MAX, span / 2)
-    left, came = (np.floor((t - first) / stretch).astype(np.int64) % 2 for t in (departures.t, arrivals.t))
-    halves = [_half(departures, left == k, arrivals, came == k, fit, bins, zones, until) for k in (0, 1)]
-    hazards = [half.run(fit.hazard).hazard for half in halves]
-    parts = [_evidence(half, hazards[1 - k], fit.outside) for k, half in enumerate(halves)]
-    (unrelated, untimed), (also_unrelated, also_untimed) = parts
-    result: Floats = np.minimum(unrelated + also_unrelated, untimed + also_untimed)
-    return result
+    stretch = min(max(span / STRETCHES, STRETCH_LAGS_MIN * bins.lag_max), STRETCH_SECONDS_MAX, span / FOLDS)
+    left, came = (np.floor((t - first) / stretch).astype(np.int64) % FOLDS for t in (departures.t, arrivals.t))
+    unrelated, untimed = np.zeros((2, len(fit.candidates.source)))
+    for fold in range(FOLDS):
+        rest = _part(departures, left != fold, arrivals, came != fold, fit, bins, zones, until)
+        part = _part(departures, left == fold, arrivals, came == fold, fit, bins, zones, until)
+        more_unrelated, more_untimed = _evidence(part, _fitted(rest), fit.outside)
+        unrelated += more_unrelated
+        untimed += more_untimed
+    return np.minimum(unrelated, untimed)
 
 
-def _half(
+def _fitted(fitter: JointFitter) -> Floats:
+    """Hazards (P, bins) from one part of the time alone and from nothing; the sparse prior comes in at the end."""
+    fitter.sparsity = 0.0
+    hazard = fitter.start()
+    for _ in range(ROUNDS):
+        hazard = fitter.run(hazard).hazard
+    fitter.sparsity = SPARSITY
+    return fitter.run(hazard).hazard
+
+
+def _part(
     departures: Departures, left: NDArray[np.bool_], arrivals: Arrivals, came: NDArray[np.bool_], fit: Fit,
     bins: LagBins, zones: int, until: float,
 ) -> JointFitter:  # fmt: skip
-    """The fit's candidates with both ends in one half, pairs numbered as in the fit."""
+    """The fit's candidates with both ends in one part of the time, pairs numbered as in the fit."""
     c = fit.candidates
     kept = np.flatnonzero(left[c.departure] & came[c.arrival])
     departure, arrival = (np.cumsum(mask, dtype=np.int32) - 1 for mask in (left, came))
@@ -65,18 +80,17 @@ def _half(
         Arrivals(a.t[came], a.zone[came], a.camera[came], a.rate[came], a.slow[came]),
         candidates, bins, zones, until,
     )  # fmt: skip
-    fitter.sparsity, fitter.outside = SPARSITY, fit.outside
     fitter.use(fit.persistence)
     return fitter
 
 
-def _evidence(half: JointFitter, hazard: Floats, outside: Floats) -> tuple[Floats, Floats]:
+def _evidence(fitter: JointFitter, hazard: Floats, outside: Floats) -> tuple[Floats, Floats]:
     """Log likelihood ratios (P,) of each pair against no link and against a link without a transit time."""
-    half.outside = outside
-    share = np.minimum(half.expect_afresh(hazard, SWEEPS), RESPONSIBILITY_MAX)
-    c = half.candidates
-    expected: Floats = (hazard * half.exposure[c.source] * half.bins.widths).sum(axis=1)
-    unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=half.pairs) - expected
-    flat = np.minimum(half.flatness(hazard), FLAT_MAX)
-    untimed: Floats = np.bincount(c.pair, -np.log1p(share * (flat - 1.0)), minlength=half.pairs).astype(float)
+    fitter.outside = outside
+    share = np.minimum(fitter.expect_afresh(hazard, SWEEPS), RESPONSIBILITY_MAX)
+    c = fitter.candidates
+    expected: Floats = (hazard * fitter.exposure[c.source] * fitter.bins.widths).sum(axis=1)
+    unrelated: Floats = np.bincount(c.pair, -np.log1p(-share), minlength=fitter.pairs) - expected
+    flat = np.minimum(fitter.flatness(hazard), FLAT_MAX)
+    untimed: Floats = np.bincount(c.pair, -np.log1p(share * (flat - 1.0)), minlength=fitter.pairs).astype(float)
     return unrelated, untimed

@@ -146,6 +146,8 @@ class JointFitter:
 
     def start(self) -> Floats:
         """First hazards (P, bins): what exceeds chance in each pair's own histogram."""
+        if len(self.candidates.lag) == 0:
+            return np.zeros((self.pairs, self.bins.size))
         seen = self._count(np.ones(len(self.candidates.lag)))
         exposed = self.exposure[self.candidates.source] * self.bins.widths
         left, came = self.departures, self.arrivals

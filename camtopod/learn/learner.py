@@ -30,7 +30,7 @@ from camtopod.learn.links import (
     without_missed,
 )
 from camtopod.learn.memory import Memory
-from camtopod.learn.passages import visible_transitions
+from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Scene, see
 from camtopod.learn.settings import Settings
@@ -161,6 +161,7 @@ class Learner:
         self._refresh_zones()
         scene = see(self._window, self._maps)
         through = self._through_views(scene)
+        scene = scene._replace(departures=with_usual_stays(scene.departures, through))
         posterior, between, likely = self._between_views(scene)
         found = without_missed(between, through, significant(between, self.settings), self.settings)
         published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)

@@ -33,7 +33,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     candidates_max: int = 8_000_000
     """At most this many (departure, arrival) candidates are weighed in one fit; beyond, the oldest arrivals wait out.
     """
-    publish_q_max: float = 0.001
+    publish_q_max: float = 0.01
     """A link is published when its false discovery rate is at most this ..."""
     publish_probability_min: float = 0.03
     """... and at least this share of those leaving takes it."""

@@ -35,7 +35,7 @@ def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs
 
 def q_values(ratio: Floats, tests: int) -> Floats:
     """False discovery rate (P,) at which each pair would be published, among ``tests`` pairs looked at."""
-    p = np.minimum(np.exp(-ratio), 1.0)
+    p = np.exp(-np.maximum(ratio, 0.0))
     order = np.argsort(p, kind="stable")
     adjusted = p[order] * max(tests, 1) / np.arange(1, len(p) + 1)
     q = np.empty(len(p))
