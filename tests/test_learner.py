@@ -413,7 +413,6 @@ def test_passages_through_a_view_with_and_without_tracks(track: str | None) -> N
     assert all(v.transit.q50 == pytest.approx(4.5, abs=0.4) and v.probability > 0.9 for v in through)
 
 
-@pytest.mark.xfail(strict=True, reason="without tracks every negative lag is open: the object's own way, backwards")
 def test_without_tracks_nobody_is_there_before_coming() -> None:
     """Whoever leaves b came through a some 17 s before; that is no overlapped link from b to a."""
     topology = topology_of([msgspec.structs.replace(e, track=None) for e in walk(300)])
@@ -423,9 +422,10 @@ def test_without_tracks_nobody_is_there_before_coming() -> None:
 # --- made-up networks ---
 
 
-@pytest.mark.parametrize(("seed", "hours", "recall"), [(1, 1.0, 0.8), (5, 0.7, 0.9), (2, 1.5, 0.9)])
+@pytest.mark.parametrize(("seed", "hours", "recall"), [(1, 1.0, 0.9), (5, 0.7, 0.9), (2, 1.5, 0.95)])
 def test_finds_a_made_up_network(seed: int, hours: float, recall: float) -> None:
-    """Six cameras; where there are only about 4,000 events some ways have been walked a few times only."""
+    """Six cameras, 4,000 to 9,000 events; on some other seeds recall is 0.86, as rare ways are walked a few times
+    only."""
     events, truth = simulate(SimSettings(cameras=6, hours=hours, seed=seed))
     topology = topology_of(events)
     check(topology)
@@ -442,17 +442,16 @@ def unrelated(seed: int, rhythm: float) -> list[Event]:
     """Six cameras, each from a network of its own; they share at most a rhythm."""
     events = []
     for k in range(6):
-        own, _ = simulate(SimSettings(cameras=6, hours=2.0, seed=seed + k, rhythm=rhythm, rhythm_hours=1.0))
+        own, _ = simulate(SimSettings(cameras=6, hours=2.0, seed=seed + k, rhythm=rhythm, rhythm_hours=6.0))
         events += [event for event in own if event.camera == f"cam{k + 1:02d}"]
     return sorted(events, key=lambda event: event.t)
 
 
-LEAK = pytest.mark.xfail(strict=True, reason="the halves of the cross-fit start from what both of them found")
+FOLDS_SHARE = pytest.mark.xfail(strict=True, reason="the folds share their data: a chance finding counts several times")
 
 
 @pytest.mark.parametrize(
-    ("seed", "rhythm"),
-    [(0, 0.0), (0, 0.9), pytest.param(100, 0.0, marks=LEAK), pytest.param(100, 0.9, marks=LEAK)],
+    ("seed", "rhythm"), [(0, 0.0), (0, 0.9), (100, 0.0), pytest.param(100, 0.9, marks=FOLDS_SHARE)]
 )
 def test_no_links_where_there_are_none(seed: int, rhythm: float) -> None:
     """Who comes back to the same camera has a link to it; between the cameras there is nothing to find."""

@@ -31,6 +31,9 @@ def made(seed: int, n: int, tracked: float = 0.8) -> list[Event]:
                 at = {} if camera == "door" else {"x": float(x), "y": float(y)}
                 events.append(Event(camera, kind, when, **at, track=track))  # type: ignore[arg-type]
         events += [Event("a", "exit", float(rng.uniform(0, 30 * n)), *rng.random(2).tolist()) for _ in range(3)]
+    for k, place in enumerate(((0.5, 0.05), (0.45, 0.95), (0.55, 0.3))):  # begun where there is no zone
+        t = float(rng.uniform(0, 30.0 * n))
+        events += [Event("a", "entry", t, *place, f"x{k}"), Event("a", "exit", t + 4.0, *RIGHT, f"x{k}")]
     return sorted(events, key=lambda e: e.t)
 
 
