@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from camtopod.learn import candidates as candidates_module
 from camtopod.learn import joint
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess, find_candidates
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess, find_candidates, newest
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.joint import Fit, JointFitter, exposures, fit_jointly, smooth
 from camtopod.learn.lags import LagBins
@@ -55,14 +55,13 @@ def listed(found: Candidates) -> list[tuple[int, int]]:
 # --- candidates ---
 
 
-@given(st.integers(0, 10**6), st.integers(0, 25), st.integers(0, 25), st.sampled_from([1, 7, 10**6]))
-def test_candidates_equal_a_double_loop(seed: int, left: int, came: int, chunk: int) -> None:
+@given(st.integers(0, 10**6), st.integers(0, 25), st.integers(0, 25))
+def test_candidates_equal_a_double_loop(seed: int, left: int, came: int) -> None:
     departures, arrivals = made(seed, left, came)
     with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(candidates_module, "CHUNK", chunk)
-        found = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+        found = find_candidates(departures, arrivals, SHORT, 3)
         limits.setattr(candidates_module, "PAIR_TABLE_MAX", 0)
-        sparse = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+        sparse = find_candidates(departures, arrivals, SHORT, 3)
     slow = naive.candidates(departures, arrivals, -3.0, 8.0)
     assert listed(found) == slow
     assert found.lag == pytest.approx([arrivals.t[a] - departures.t[d] for d, a in slow])
@@ -73,19 +72,19 @@ def test_candidates_equal_a_double_loop(seed: int, left: int, came: int, chunk: 
     assert all((one == other).all() for one, other in zip(found, sparse, strict=True))
 
 
-@given(st.integers(0, 10**6), st.integers(1, 200))
-def test_beyond_the_limit_the_oldest_arrivals_do_without(seed: int, limit: int) -> None:
+@given(st.integers(0, 10**6), st.integers(1, 400))
+def test_beyond_the_limit_only_the_newest_stretch_counts(seed: int, limit: int) -> None:
     departures, arrivals = made(seed, 40, 40)
-    with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(candidates_module, "CHUNK", 1)  # one arrival at a time
-        found = listed(find_candidates(departures, arrivals, SHORT, 3, limit))
-    slow = naive.candidates(departures, arrivals, -3.0, 8.0)
-    assert found == slow[len(slow) - len(found) :]
-    if len(found) > limit:  # the newest arrival always counts
-        assert len({a for _, a in found}) == 1
-    elif len(found) < len(slow):
-        next_arrival = slow[len(slow) - len(found) - 1][1]
-        assert len(found) + sum(a == next_arrival for _, a in slow) > limit
+    left, came = newest(departures, arrivals, SHORT, limit)
+    assert len(find_candidates(left, came, SHORT, 3).lag) <= limit
+    first = came.t[0] if len(came.t) else np.inf
+    assert came.t.tolist() == [t for t in arrivals.t if t >= first]
+    older = [t for t in arrivals.t if t < first]
+    if not older:
+        assert len(left.t) == len(departures.t)
+        return
+    assert left.t.tolist() == [t for t in departures.t if t >= first]
+    assert sum(-3.0 <= a - d <= 8.0 for a in arrivals.t if a >= older[-1] for d in departures.t) > limit
 
 
 def test_excess_is_what_exceeds_chance() -> None:
@@ -129,7 +128,7 @@ def test_smoothing_equals_its_slow_twin(seed: int, most: float) -> None:
 @given(st.integers(0, 10**6), st.sampled_from([1, 3]), st.sampled_from([0.0, 1.0]))
 def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: float) -> None:
     departures, arrivals = made(seed, 20, 20)
-    found = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+    found = find_candidates(departures, arrivals, SHORT, 3)
     fitter = JointFitter(departures, arrivals, found, SHORT, 3, 60.0)
     fitter.sparsity = sparsity
     hazard = np.random.default_rng(seed).random((fitter.pairs, SHORT.size)) * 0.05
@@ -187,7 +186,7 @@ class Walks:
 
 
 def fitted(departures: Departures, arrivals: Arrivals, zones: int) -> tuple[Fit, Fit]:
-    found = find_candidates(departures, arrivals, BINS, zones, 10**6)
+    found = find_candidates(departures, arrivals, BINS, zones)
     return fit_jointly(departures, arrivals, found, BINS, zones, float(departures.t[-1]))
 
 
@@ -241,7 +240,7 @@ def test_going_on_from_what_is_known() -> None:
     """A fit that goes on from an earlier one over the same ends where that one did, nearly."""
     walks = Walks(5).go(400, 8000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 0.6)).go(300, 8000.0, (2, 0, 0, 1))
     departures, arrivals = walks.columns(3)
-    found = find_candidates(departures, arrivals, BINS, 3, 10**6)
+    found = find_candidates(departures, arrivals, BINS, 3)
     scene = a_scene(departures, arrivals, [ZoneRef(k, 1, None) for k in range(3)])
     memory = Memory()
     posterior, linked = fit_jointly(departures, arrivals, found, BINS, 3, 8000.0)
@@ -258,7 +257,7 @@ def test_without_a_candidate(gap: float) -> None:
     departures, _ = made(1, 20, 0)
     _, arrivals = made(2, 0, 20)
     arrivals = arrivals._replace(t=arrivals.t + gap)
-    found = find_candidates(departures, arrivals, BINS, 3, 10**6)
+    found = find_candidates(departures, arrivals, BINS, 3)
     assert len(found.lag) == 0
     until = max(departures.t[-1], arrivals.t[-1])
     for fit in fit_jointly(departures, arrivals, found, BINS, 3, float(until)):
@@ -416,7 +415,7 @@ def a_scene(departures: Departures, arrivals: Arrivals, zones: list[ZoneRef]) ->
 
 def test_memory_is_by_place_not_by_index() -> None:
     departures, arrivals = made(9, 60, 60)
-    found = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+    found = find_candidates(departures, arrivals, SHORT, 3)
     zones = [ZoneRef(0, 1, None), ZoneRef(0, 2, None), ZoneRef(1, 1, None)]
     memory = Memory()
     assert memory.recall(found, a_scene(departures, arrivals, zones), SHORT, 120) is None
@@ -439,7 +438,7 @@ def test_memory_is_by_place_not_by_index() -> None:
 
 def test_a_window_grown_by_half_starts_afresh() -> None:
     departures, arrivals = made(9, 60, 60)
-    found = find_candidates(departures, arrivals, SHORT, 3, 10**6)
+    found = find_candidates(departures, arrivals, SHORT, 3)
     scene = a_scene(departures, arrivals, [ZoneRef(k, 1, None) for k in range(3)])
     memory = Memory()
     fits = fit_jointly(departures, arrivals, found, SHORT, 3, 60.0)

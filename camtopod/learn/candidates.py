@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +12,6 @@ from camtopod.learn.lags import LagBins, smoother
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-CHUNK = 1_000_000
-"""About how many candidates are made at once."""
 PAIR_TABLE_MAX = 20_000_000
 """Largest dense table over pairs of zones, entries."""
 EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
@@ -54,59 +51,50 @@ class Candidates(NamedTuple):
     target: Ints
 
 
-def find_candidates(
-    departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, candidates_max: int
-) -> Candidates:
-    """All candidates; beyond ``candidates_max`` the oldest arrivals do without."""
-    low = np.searchsorted(departures.t, arrivals.t - bins.lag_max, side="left")
-    high = np.searchsorted(departures.t, arrivals.t - bins.lag_min, side="right")
-    parts: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]] = []
-    total = 0
-    for part in _newest_first(departures, arrivals, low, high, bins):
-        total += len(part[0])
-        if total > candidates_max and parts:
-            break
-        parts.append(part)
-    parts.reverse()
-    departure, arrival, lag = (np.concatenate(column) for column in zip(*parts, strict=True)) if parts else _nothing()
-    key = departures.zone[departure].astype(np.int64) * zones + arrivals.zone[arrival]
-    pair, present = _number_pairs(key, zones)
-    source, target = present // max(zones, 1), present % max(zones, 1)
-    return Candidates(
-        departure.astype(np.int32),
-        arrival.astype(np.int32),
-        pair,
-        lag,
-        source.astype(np.int32),
-        target.astype(np.int32),
+def newest(
+    departures: Departures, arrivals: Arrivals, bins: LagBins, candidates_max: int
+) -> tuple[Departures, Arrivals]:
+    """What left and came in the newest stretch of time that has at most ``candidates_max`` candidates.
+
+    Both are cut at the same moment: a departure whose arrivals were left out would look like one that leads nowhere.
+    """
+    low, high = _range(departures, arrivals, bins)
+    kept = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
+    if kept == len(arrivals.t):
+        return departures, arrivals
+    first = arrivals.t[len(arrivals.t) - kept] if kept else np.inf
+    d, a = np.searchsorted(departures.t, first), np.searchsorted(arrivals.t, first)
+    return (
+        Departures(
+            departures.t[d:], departures.zone[d:], departures.camera[d:], departures.since[d:], departures.slow[d:]
+        ),
+        Arrivals(arrivals.t[a:], arrivals.zone[a:], arrivals.camera[a:], arrivals.rate[a:], arrivals.slow[a:]),
     )
 
 
-def _nothing() -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+def _range(departures: Departures, arrivals: Arrivals, bins: LagBins) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last-but-one departure within the lags of each arrival."""
+    low = np.searchsorted(departures.t, arrivals.t - bins.lag_max, side="left")
+    high = np.searchsorted(departures.t, arrivals.t - bins.lag_min, side="right")
+    return low, high
 
 
-def _newest_first(
-    departures: Departures, arrivals: Arrivals, low: NDArray[np.int64], high: NDArray[np.int64], bins: LagBins
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]:
-    """Candidates (departure, arrival, lag) in blocks of arrivals, the newest block first, in order within a block."""
-    count = high - low
-    reached = np.cumsum(count[::-1])
-    stop = len(count)
-    while stop > 0:
-        before = reached[len(count) - stop - 1] if stop < len(count) else 0
-        start = min(len(count) - int(np.searchsorted(reached, before + CHUNK, side="right")), stop - 1)
-        n = count[start:stop]
-        arrival = np.repeat(np.arange(start, stop), n)
-        departure = np.arange(len(arrival)) + np.repeat(low[start:stop] - (np.cumsum(n) - n), n)
-        lag = arrivals.t[arrival] - departures.t[departure]
-        # A negative lag means two views at once: another camera, and the passage there had begun.
-        ahead = (departures.camera[departure] != arrivals.camera[arrival]) & (
-            arrivals.t[arrival] > departures.since[departure]
-        )
-        keep = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
-        yield departure[keep], arrival[keep], lag[keep]
-        stop = start
+def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int) -> Candidates:
+    """All candidates."""
+    low, high = _range(departures, arrivals, bins)
+    n = high - low
+    arrival = np.repeat(np.arange(len(n)), n)
+    departure = np.arange(len(arrival)) + np.repeat(low - (np.cumsum(n) - n), n)
+    lag = arrivals.t[arrival] - departures.t[departure]
+    # A negative lag means two views at once: another camera, and the passage there had begun.
+    ahead = (departures.camera[departure] != arrivals.camera[arrival]) & (
+        arrivals.t[arrival] > departures.since[departure]
+    )
+    keep = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
+    departure, arrival = departure[keep], arrival[keep]
+    pair, present = _number_pairs(departures.zone[departure].astype(np.int64) * zones + arrivals.zone[arrival], zones)
+    source, target = (present // max(zones, 1)).astype(np.int32), (present % max(zones, 1)).astype(np.int32)
+    return Candidates(departure.astype(np.int32), arrival.astype(np.int32), pair, lag[keep], source, target)
 
 
 def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.learn.assemble import assemble, link_records
-from camtopod.learn.candidates import find_candidates
+from camtopod.learn.candidates import find_candidates, newest
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
@@ -204,15 +204,16 @@ class Learner:
     def _between_views(self, scene: Scene) -> tuple[Fit | None, LinkTable, LinkTable]:
         """Links that leave a view: the joint fit of departures and arrivals."""
         zones = len(scene.zones)
-        leaving = scene.exits.astype(float)
-        if len(scene.departures.t) == 0 or len(scene.arrivals.t) == 0:
+        departures, arrivals = newest(scene.departures, scene.arrivals, self.bins, self.settings.candidates_max)
+        leaving = np.bincount(departures.zone, minlength=zones).astype(float)
+        if len(departures.t) == 0 or len(arrivals.t) == 0:
             empty = tabulate(join([]), leaving, self.bins, zones)
             return None, empty, empty
-        candidates = find_candidates(scene.departures, scene.arrivals, self.bins, zones, self.settings.candidates_max)
+        first = float(min(departures.t[0], arrivals.t[0]))
+        candidates = find_candidates(departures, arrivals, self.bins, zones)
         known = self._memory.recall(candidates, scene, self.bins, len(self._window))
-        posterior, fit = fit_jointly(scene.departures, scene.arrivals, candidates, self.bins, zones, scene.last, known)
+        posterior, fit = fit_jointly(departures, arrivals, candidates, self.bins, zones, scene.last, known)
         self._memory.remember(posterior, fit, scene, len(self._window), fresh=known is None)
-        ratio = cross_evidence(scene.departures, scene.arrivals, fit, self.bins, zones, scene.first, scene.last)
-        between = tabulate(transitions_of(fit), leaving, self.bins, zones)
-        between = between.with_evidence(ratio, zones * zones)
+        ratio = cross_evidence(departures, arrivals, fit, self.bins, zones, first, scene.last)
+        between = tabulate(transitions_of(fit), leaving, self.bins, zones).with_evidence(ratio, zones * zones)
         return posterior, between, tabulate(transitions_of(posterior), leaving, self.bins, zones)

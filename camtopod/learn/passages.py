@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camtopod.learn.candidates import Arrivals, Departures, find_candidates
+from camtopod.learn.candidates import Arrivals, Departures, find_candidates, newest
 from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import TRANSITIONS_MIN, LinkTable, Transitions, join, transitions_of
@@ -53,6 +53,9 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     ends = Arrivals(t, zone, scene.departures.camera[left], local_rates(t, zone, zones), scene.departures.slow[left])
     if len(starts.t) == 0 or len(ends.t) == 0:
         return join([])
-    candidates = find_candidates(starts, ends, bins, zones, candidates_max)
+    starts, ends = newest(starts, ends, bins, candidates_max)
+    if len(starts.t) == 0 or len(ends.t) == 0:
+        return join([])
+    candidates = find_candidates(starts, ends, bins, zones)
     _, fit = fit_jointly(starts, ends, candidates, bins, zones, scene.last)
     return transitions_of(fit)
