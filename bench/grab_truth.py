@@ -50,9 +50,7 @@ def main(argv: list[str]) -> int:
             _file("vtest (10 frames/s, as in the file)", arguments.vtest, watched("vtest", 10.0), 4 / 3, True)
             return 0
         streams.transcode(arguments.vtest, slow, VTEST_FPS)
-        _file(
-            "vtest, avi (plays at 10 fps)", arguments.vtest, watched("vtest", 10.0), 4 / 3, arguments.details
-        )
+        _file("vtest, avi (plays at 10 fps)", arguments.vtest, watched("vtest", 10.0), 4 / 3, arguments.details)
         recorded = _file("vtest, mp4 (7 fps)", slow, watched("vtest", VTEST_FPS), 4 / 3, arguments.details)
         if arguments.rtsp:
             _rtsp(slow, recorded, arguments.details)
@@ -107,9 +105,7 @@ def _rtsp(path: Path, recorded: list[Event], details: bool) -> None:
     _line("vtest, RTSP against the file", recorded, streamed, result, details)
     differences = [streamed[j].t - recorded[i].t for i, j in result.pairs]
     if differences:
-        print(
-            f"    times differ by {np.std(differences):.3f} s (sd), {np.abs(differences).max():.3f} s at most"
-        )
+        print(f"    times differ by {np.std(differences):.3f} s (sd), {np.abs(differences).max():.3f} s at most")
 
 
 if __name__ == "__main__":

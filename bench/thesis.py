@@ -42,12 +42,9 @@ def table_5_1() -> bool:
 def table_5_3() -> bool:
     rows = overlap_rows(thesis.TABLE_5_2, thesis.TABLE_5_2_CAMERAS, 0.200)
     found = [
-        (r.camera_ab, r.camera_c, r.a + 1, r.b + 1, r.c + 1, r.transit_ac, r.transit_cb, r.transit_ab)
-        for r in rows
+        (r.camera_ab, r.camera_c, r.a + 1, r.b + 1, r.c + 1, r.transit_ac, r.transit_cb, r.transit_ab) for r in rows
     ]
-    print(
-        f"table 5.3 from table 5.2 with T = 0.200: {len(rows)} rows, as printed: {found == thesis.TABLE_5_3}"
-    )
+    print(f"table 5.3 from table 5.2 with T = 0.200: {len(rows)} rows, as printed: {found == thesis.TABLE_5_3}")
     for row, overlap in zip(found, rows, strict=True):
         print("          ", *row, f"  |AB - (AC + CB)| = {overlap.error:.3f}")
     return found == thesis.TABLE_5_3
@@ -113,8 +110,6 @@ def k_means(place: Floats, truth: NDArray[np.intp]) -> dict[str, bool]:
         labels = {k: KMeans(k, n_init=1, random_state=0).fit_predict(sample) for k in range(2, 8)}
         picked = max(labels, key=lambda k: silhouette_score(sample, labels[k]))
     k = int(truth.max()) + 1
-    pure = all(
-        np.bincount(labels[k][truth == zone]).max() >= 0.95 * (truth == zone).sum() for zone in range(k)
-    )
+    pure = all(np.bincount(labels[k][truth == zone]).max() >= 0.95 * (truth == zone).sum() for zone in range(k))
     distinct = len({int(np.bincount(labels[k][truth == zone]).argmax()) for zone in range(k)}) == k
     return {"k-means, k by silhouette": picked == k, "k-means told k: clusters are zones": pure and distinct}

@@ -236,9 +236,7 @@ class _Reader:
         for camera in data:
             path = ("cameras", camera)
             if not re.match(CAMERA_PATTERN, camera):
-                self._say(
-                    path, f"cameras.{camera}: a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -"
-                )
+                self._say(path, f"cameras.{camera}: a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -")
             if camera in RESERVED:
                 self._say(path, f"cameras.{camera}: this name is taken on the bus; call the camera otherwise")
             if isinstance(data[camera], dict) and isinstance(data[camera].get("source"), str):

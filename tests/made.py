@@ -6,9 +6,7 @@ from camtopod.sim.truth import Truth
 
 def topology_of(truth: Truth) -> Topology:
     """What a learner that knew everything would publish."""
-    zones = [
-        Zone(id=z.id, camera=z.camera, entries=100, exits=100, x=z.x, y=z.y, cov=z.cov) for z in truth.zones
-    ]
+    zones = [Zone(id=z.id, camera=z.camera, entries=100, exits=100, x=z.x, y=z.y, cov=z.cov) for z in truth.zones]
     links = [
         Link(
             from_=link.from_,

@@ -19,8 +19,7 @@ server.set_address("127.0.0.1")
 server.set_service("0")
 factory = GstRtspServer.RTSPMediaFactory()
 factory.set_launch(
-    f'( filesrc location="{sys.argv[1]}" ! qtdemux ! h264parse '
-    "! rtph264pay name=pay0 pt=96 config-interval=-1 )"
+    f'( filesrc location="{sys.argv[1]}" ! qtdemux ! h264parse ! rtph264pay name=pay0 pt=96 config-interval=-1 )'
 )
 server.get_mount_points().add_factory("/camera", factory)
 server.attach(None)

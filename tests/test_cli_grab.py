@@ -75,9 +75,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> type[FakeGrabber]:
     return FakeGrabber
 
 
-def test_lines_to_a_file_and_to_standard_output(
-    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
-) -> None:
+def test_lines_to_a_file_and_to_standard_output(tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]) -> None:
     out = tmp_path / "e.jsonl"
     arguments = ["grab", "--camera", "lobby", "x.mp4", "--start", "5", "--realtime", "--speed", "2", "--out"]
     assert main([*arguments, str(out)]) == 0
@@ -175,9 +173,7 @@ def test_without_a_daemon_events_wait_in_the_spool(
         str(tmp_path),
     ]
     assert main(arguments) == 1
-    assert (
-        "20 events are not acknowledged: is `camtopod run` running for site site?" in capsys.readouterr().err
-    )
+    assert "20 events are not acknowledged: is `camtopod run` running for site site?" in capsys.readouterr().err
     with Daemon(small_config(tmp_path / "daemon"), meeting) as daemon:
         monkeypatch.setattr("camtopod.cli.grab.DRAIN_SECONDS", serving.WAIT_SECONDS)
         assert main(arguments) == 0
@@ -201,15 +197,11 @@ def test_a_live_source_goes_on_while_the_bus_is_away(tmp_path: Path, monkeypatch
         if count == 10:
             daemon.start()
         if count == 19:
-            wait_for(
-                lambda: daemon.status()["events"]["stored"] >= 10, "the events of before, from the spool"
-            )
+            wait_for(lambda: daemon.status()["events"]["stored"] >= 10, "the events of before, from the spool")
 
     monkeypatch.setattr(FakeGrabber, "between", staticmethod(between))
     path = tmp_path / "c.toml"
-    path.write_text(
-        f'[bus]\nconnect = ["{endpoint}"]\nconnect_seconds = 0.2\n[cameras.lobby]\nsource = "rtsp://h/x"\n'
-    )
+    path.write_text(f'[bus]\nconnect = ["{endpoint}"]\nconnect_seconds = 0.2\n[cameras.lobby]\nsource = "rtsp://h/x"\n')
     assert main(["--config", str(path), "grab", "--camera", "lobby", "--state", str(tmp_path)]) == 0
     assert daemon.status()["events"]["stored"] == len(EVENTS)
     assert FakeGrabber.made[0].source == "rtsp://h/x"
@@ -284,22 +276,16 @@ def test_a_signal_ends_every_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         stop.set()
 
     threading.Thread(target=when_running).start()
-    assert (
-        supervise.supervise(supervised(), Config(cameras={name: CameraSettings("x") for name in "ab"})) == 0
-    )
+    assert supervise.supervise(supervised(), Config(cameras={name: CameraSettings("x") for name in "ab"})) == 0
 
 
-def test_ingest_counts_bad_lines_with_file_and_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ingest_counts_bad_lines_with_file_and_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "e.jsonl"
     lines = [json.dumps({"camera": "lobby", "kind": "entry", "t": T0 + n}) for n in range(5)]
     lines[1:1] = ['{"camera":"lobby","kind":"entry"}', "", "nonsense rtsp://u:p@ss@h", "more nonsense"]
     path.write_text("\n".join(lines))
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
-        assert (
-            main(["--connect", daemon.endpoint, "ingest", "jsonl", str(path), "--state", str(tmp_path)]) == 0
-        )
+        assert main(["--connect", daemon.endpoint, "ingest", "jsonl", str(path), "--state", str(tmp_path)]) == 0
         assert daemon.status()["events"]["stored"] == 5
     err = capsys.readouterr().err
     assert f"{path}:2: " in err

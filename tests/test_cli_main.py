@@ -86,9 +86,7 @@ def test_every_command_has_its_own_help(name: str, capsys: pytest.CaptureFixture
     assert "--connect ENDPOINT" in out
 
 
-@pytest.mark.parametrize(
-    "arguments", [[], ["nonsense"], ["probe", "--nonsense"], ["--log-format", "xml", "probe"]]
-)
+@pytest.mark.parametrize("arguments", [[], ["nonsense"], ["probe", "--nonsense"], ["--log-format", "xml", "probe"]])
 def test_usage(arguments: list[str], command: types.ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main.main(arguments)

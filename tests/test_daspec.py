@@ -25,9 +25,7 @@ def blobs(seed: int, sizes: list[int], sd: float) -> np.ndarray:
     """Points (n, 2) of whole grid steps, a blob for each size."""
     rng = np.random.default_rng(seed)
     centres = rng.uniform((4, 4), (26, 20), (len(sizes), 2))
-    points = np.concatenate(
-        [c + sd * rng.standard_normal((n, 2)) for c, n in zip(centres, sizes, strict=True)]
-    )
+    points = np.concatenate([c + sd * rng.standard_normal((n, 2)) for c, n in zip(centres, sizes, strict=True)])
     return np.clip(np.rint(points), 0, (29, 23)).astype(int)
 
 

@@ -45,9 +45,7 @@ def test_demo_works_in_an_empty_directory(tmp_path: Path) -> None:
 def test_a_terminated_demo_leaves_nothing_behind(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent), "TMPDIR": str(tmp_path)}
     command = [sys.executable, "-m", "camtopod", "demo", "--minutes", "1"]
-    with subprocess.Popen(
-        command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True
-    ) as running:
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr is not None
         lines = iter(running.stderr.readline, "")
         assert any("watching" in line for line in lines)
@@ -65,9 +63,7 @@ def test_a_grabber_that_fails_ends_the_demo_with_its_words(
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\necho it is broken >&2\nexit 3\n")
     broken.chmod(0o755)
-    recording = demo.Recording(
-        demo.site(), [], Truth(TRUTH_SCHEMA, [], [], [], []), 1.0, {"hall": tmp_path / "x"}
-    )
+    recording = demo.Recording(demo.site(), [], Truth(TRUTH_SCHEMA, [], [], [], []), 1.0, {"hall": tmp_path / "x"})
     monkeypatch.setattr(demo, "_record", lambda *_: recording)
     monkeypatch.setattr(demo.sys, "executable", str(broken))
     assert main(["demo", "--out", str(tmp_path / "out")]) == 1

@@ -39,14 +39,10 @@ def problems(module: str, source: str) -> list[str]:
         wrong += sorted(ours - NOUNS)
     if folder == "learn":
         wrong += sorted(name for name in ours if name not in NOUNS and not name.startswith("camtopod.learn"))
-        wrong += sorted(
-            packages & {"logging", "threading", "socket", "time", "random", "sqlite3", "zenoh", "cv2"}
-        )
+        wrong += sorted(packages & {"logging", "threading", "socket", "time", "random", "sqlite3", "zenoh", "cv2"})
     if folder == "vision":
         wrong += sorted(
-            name
-            for name in ours
-            if name not in NOUNS | {"camtopod.redact"} and not name.startswith("camtopod.vision")
+            name for name in ours if name not in NOUNS | {"camtopod.redact"} and not name.startswith("camtopod.vision")
         )
     if folder in ("serve", "sim", "export") or module == "config.py":
         wrong += sorted(name for name in ours if name.startswith("camtopod.cli"))

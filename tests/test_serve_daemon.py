@@ -141,9 +141,7 @@ def test_other_settings_begin_a_new_epoch(site: Site) -> None:
     daemon.stop()
     config = small_config(site.directory / "state")
     config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, publish_q_max=0.5))
-    config = msgspec.structs.replace(
-        config, learn=msgspec.structs.replace(config.learn, version_seconds=17.0)
-    )
+    config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, version_seconds=17.0))
     with Daemon(config, clock=lambda: site.now) as again:
         assert again.epoch > daemon.epoch
         assert again.topology is not None
@@ -174,9 +172,7 @@ def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
     assert daemon.topology is not None
     assert predictions[0].version == daemon.topology.version
     assert {following.camera for following in predictions[0].next_} <= {"b", "c", "a"}
-    assert sum(following.probability for following in predictions[0].next_) + predictions[
-        0
-    ].leave == pytest.approx(1)
+    assert sum(following.probability for following in predictions[0].next_) + predictions[0].leave == pytest.approx(1)
 
     [(key, raw)] = bus.ask("predict/a", {"x": 0.9, "y": 0.5, "t": t})
     asked = codec.read(Prediction, raw, pack=True)
@@ -239,9 +235,7 @@ def test_garbage_is_counted_quoted_once_and_survived(site: Site, caplog: pytest.
         for _ in range(300):
             bus.put_raw("event/lobby", chance.randbytes(chance.randrange(0, 80)), "event")
         bus.put_raw("event/lobby", b"\xff" * 5000, "event")
-        bus.put_raw(
-            "event/lobby", b'{"camera":"lobby","kind":"entry","t":1,"track":"rtsp://u:p@ss@h"', "event"
-        )
+        bus.put_raw("event/lobby", b'{"camera":"lobby","kind":"entry","t":1,"track":"rtsp://u:p@ss@h"', "event")
         put(bus, Event("hall", "entry", T0))
         bus.put("event/lobby", Event("hall", "entry", T0), "event")
         good = Event("lobby", "entry", T0)
@@ -351,9 +345,7 @@ def test_poison_in_a_spool_does_not_stop_the_stream(site: Site) -> None:
     ]  # fmt: skip
 
 
-def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     daemon = site.daemon()
     publisher, _ = site.publisher(site.client(daemon))
     full = True
@@ -388,9 +380,7 @@ def test_nobody_there_is_said_with_what_to_do(tmp_path: Path) -> None:
 def test_a_second_daemon_at_the_same_endpoint_is_refused(site: Site, tmp_path: Path) -> None:
     daemon = site.daemon()
     config = small_config(tmp_path / "other")
-    config = msgspec.structs.replace(
-        config, bus=msgspec.structs.replace(config.bus, listen=(daemon.endpoint,))
-    )
+    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, listen=(daemon.endpoint,)))
     with pytest.raises(BusError, match="another daemon may be running there"):
         Daemon(config).start()
     other = Daemon(small_config(tmp_path / "other"))

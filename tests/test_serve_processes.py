@@ -87,9 +87,7 @@ class Installation:
 
     def rows(self) -> list[tuple[str, str | None, int | None]]:
         journal = Journal(self.directory / "state", 10)
-        rows = [
-            (e.camera, e.boot, e.seq) for _, e in journal.entries() if e is not None and e.kind == "event"
-        ]
+        rows = [(e.camera, e.boot, e.seq) for _, e in journal.entries() if e is not None and e.kind == "event"]
         journal.close()
         return rows
 
@@ -168,9 +166,7 @@ def test_three_publishers_one_daemon_two_subscribers_and_a_late_one(installation
     again = installation.daemon()
     for subscriber in (*subscribers, late):
         assert subscriber.newest == expected
-    wait_for(
-        lambda: installation.status(bus)["version"] == expected[0], "the daemon to be back at its version"
-    )
+    wait_for(lambda: installation.status(bus)["version"] == expected[0], "the daemon to be back at its version")
     again.send_signal(signal.SIGINT)
     assert again.wait(serving.WAIT_SECONDS) == 0
 
@@ -231,9 +227,7 @@ def test_watch_shows_the_state(installation: Installation) -> None:
     bus = installation.client()
     wait_for(lambda: installation.status(bus)["version"] >= 2, "a version")
     wait_for(lambda: installation.status(bus)["events"]["waiting"] == 0, "the learner")
-    out, _ = installation.start("watch", "--once", stdout=subprocess.PIPE).communicate(
-        timeout=serving.WAIT_SECONDS
-    )
+    out, _ = installation.start("watch", "--once", stdout=subprocess.PIPE).communicate(timeout=serving.WAIT_SECONDS)
     text = out.decode()
     assert "site site: daemon running, 241 events stored" in text
     assert "topology: version" in text

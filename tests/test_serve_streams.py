@@ -10,9 +10,7 @@ from camtopod.serve.streams import Streams
 KEY = ("lobby", "b1")
 
 
-def streams(
-    held: int = 100, streams_max: int = 10, stored: dict[tuple[str, str], int] | None = None
-) -> Streams[int]:
+def streams(held: int = 100, streams_max: int = 10, stored: dict[tuple[str, str], int] | None = None) -> Streams[int]:
     return Streams(stored or {}, held, streams_max)
 
 

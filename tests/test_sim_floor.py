@@ -110,17 +110,13 @@ def test_a_video_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
 def test_picture_is_drawn_even_when_little_or_nothing_was_learned(tmp_path: Path) -> None:
     perfect = topology_of(TRUTH)
     write_map(tmp_path / "a.png", PLAN, WALKS, TRUTH, perfect, ["note"])
-    nothing = type(perfect)(
-        **{**{f: getattr(perfect, f) for f in perfect.__struct_fields__}, "zones": [], "links": []}
-    )
+    nothing = type(perfect)(**{**{f: getattr(perfect, f) for f in perfect.__struct_fields__}, "zones": [], "links": []})
     write_map(tmp_path / "b.png", PLAN, WALKS, TRUTH, nothing, ["note"])
     full, empty = (cv2.imread(str(tmp_path / name)) for name in ("a.png", "b.png"))
     assert full.shape == empty.shape
     assert full.shape[1] > 1200
     left, right = full[:, : full.shape[1] // 2], full[:, full.shape[1] // 2 :]
-    assert (empty[:, : left.shape[1]][:500] == left[:500]).all(), (
-        "the true map does not depend on what was learned"
-    )
+    assert (empty[:, : left.shape[1]][:500] == left[:500]).all(), "the true map does not depend on what was learned"
     assert (empty[:, left.shape[1] :][:500] != right[:500]).any()
 
 

@@ -67,9 +67,7 @@ def test_same_seed_same_events(chosen: SimSettings) -> None:
 
 
 def test_another_seed_is_another_network() -> None:
-    assert (
-        simulate(SimSettings(seed=1, hours=0.1))[1].zones != simulate(SimSettings(seed=2, hours=0.1))[1].zones
-    )
+    assert simulate(SimSettings(seed=1, hours=0.1))[1].zones != simulate(SimSettings(seed=2, hours=0.1))[1].zones
 
 
 def test_missed_and_clutter_have_the_shares_asked_for() -> None:

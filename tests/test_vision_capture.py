@@ -79,9 +79,7 @@ def test_a_file_that_is_not_there_or_no_video(tmp_path: Path) -> None:
 
 def test_times_are_the_start_plus_the_position(film: Path) -> None:
     frames = [frame for frame in RecordedSource(str(film), VisionSettings(), 1000.0, None).frames() if frame]
-    np.testing.assert_allclose(
-        [frame.t for frame in frames], 1000.0 + np.arange(len(frames)) / FPS, atol=1e-3
-    )
+    np.testing.assert_allclose([frame.t for frame in frames], 1000.0 + np.arange(len(frames)) / FPS, atol=1e-3)
     assert len(frames) == round(SECONDS * FPS)
     assert frames[0].luma.shape == (HEIGHT, WIDTH)
 
@@ -133,9 +131,7 @@ def test_luma_is_the_grey_picture_whatever_the_format(film: Path, tmp_path: Path
 # -- streams ------------------------------
 
 
-def run_until(
-    stream: Iterator[Event | None], condition: Callable[[], bool], seconds: float = 15.0
-) -> list[Event]:
+def run_until(stream: Iterator[Event | None], condition: Callable[[], bool], seconds: float = 15.0) -> list[Event]:
     """Events until ``condition``; control must come back at least once a second."""
     events, began = [], time.monotonic()
     heard = began

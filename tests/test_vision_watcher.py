@@ -212,16 +212,12 @@ def test_whatever_the_pictures_events_are_well_formed(seed: int) -> None:
 
     def wild(own: int) -> Person:
         places = np.random.default_rng(own).uniform(-0.1, 1.1, (40, 2))
-        return Person(
-            lambda t: tuple(places[int(t) % 40]), tall=0.05 + 0.4 * (own % 7) / 7, shade=own * 17 % 256
-        )
+        return Person(lambda t: tuple(places[int(t) % 40]), tall=0.05 + 0.4 * (own % 7) / 7, shade=own * 17 % 256)
 
     scene = Scene([wild(int(own)) for own in rng.integers(0, 1000, 6)])
     watcher, events, t = Watcher("cam", VisionSettings()), [], 0.0
     for _ in range(400):
-        t += float(
-            rng.choice([0.01, 1 / FPS, 1 / FPS, 1 / FPS, 0.7, 4.0], p=[0.04, 0.3, 0.3, 0.3, 0.05, 0.01])
-        )
+        t += float(rng.choice([0.01, 1 / FPS, 1 / FPS, 1 / FPS, 0.7, 4.0], p=[0.04, 0.3, 0.3, 0.3, 0.05, 0.01]))
         flash = rng.random() < 0.01
         events += watcher.see(t, np.full((HEIGHT, WIDTH), 255, np.uint8) if flash else scene.picture(t))
     events += watcher.finish()

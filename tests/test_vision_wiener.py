@@ -20,9 +20,7 @@ from camtopod.vision.wiener import temporal_noise, wiener
 @settings(max_examples=150, deadline=None)
 def test_equals_scipy(seed: int, shape: tuple[int, int], size: int, noise: float | None) -> None:
     image = np.random.default_rng(seed).uniform(0, 255, shape)
-    np.testing.assert_allclose(
-        wiener(image, size, noise), naive.wiener(image, size, noise), rtol=1e-9, atol=1e-7
-    )
+    np.testing.assert_allclose(wiener(image, size, noise), naive.wiener(image, size, noise), rtol=1e-9, atol=1e-7)
 
 
 def test_whole_grey_levels_in_single_precision_are_near_enough() -> None:

@@ -30,9 +30,7 @@ from camtopod.learn.zones import (
 )
 
 
-def events(
-    seed: int, zones: list[tuple[float, float, float, int]], clutter: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
+def events(seed: int, zones: list[tuple[float, float, float, int]], clutter: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Positions (n, 2) in zones (x, y, sd, events) and uniform clutter, and the zone of each (-1)."""
     rng = np.random.default_rng(seed)
     parts = [np.array([x, y]) + sd * rng.standard_normal((n, 2)) for x, y, sd, n in zones]
@@ -237,9 +235,7 @@ def test_evidence_prefers_one_zone_for_one_gaussian_and_two_for_two() -> None:
     rng = np.random.default_rng(0)
     left, right = rng.normal((0.3, 0.5), 0.02, (50, 2)), rng.normal((0.6, 0.5), 0.02, (50, 2))
     same = rng.normal((0.3, 0.5), 0.02, (50, 2))
-    assert (
-        log_evidence(group(left)) + log_evidence(group(right)) > log_evidence(group(left) + group(right)) + 50
-    )
+    assert log_evidence(group(left)) + log_evidence(group(right)) > log_evidence(group(left) + group(right)) + 50
     assert log_evidence(group(left)) + log_evidence(group(same)) < log_evidence(group(left) + group(same))
     assert log_evidence(group(left[:1])) == pytest.approx(0)  # a single event is as good as clutter
     mean, cov = gaussians(group(left))

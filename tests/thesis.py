@@ -82,9 +82,7 @@ def figure_4_4(seed: int, clutter: float = 0.0) -> tuple[list[Floats], list[NDAr
             where, inwards, spread = doors[camera]
             for zone in rng.choice(len(where), 2, replace=False):
                 along = speed[agent] * rng.random()
-                places[camera].append(
-                    where[zone] + along * inwards[zone] + spread[zone] * rng.standard_normal(2)
-                )
+                places[camera].append(where[zone] + along * inwards[zone] + spread[zone] * rng.standard_normal(2))
                 zones[camera].append(int(zone))
     positions, labels = [], []
     for place, zone_of in zip(places, zones, strict=True):

@@ -46,9 +46,7 @@ def watched(name: str, fps: float) -> list[Event]:
     """The passages of ``truth_{name}.json`` as events, played at ``fps`` frames a second."""
     passages = json.loads((HERE / f"truth_{name}.json").read_text())["passages"]
     return [
-        Event(
-            camera=name, kind=kind, t=passage[kind]["frame"] / fps, x=passage[kind]["x"], y=passage[kind]["y"]
-        )
+        Event(camera=name, kind=kind, t=passage[kind]["frame"] / fps, x=passage[kind]["x"], y=passage[kind]["y"])
         for passage in passages
         for kind in ("entry", "exit")
         if kind in passage

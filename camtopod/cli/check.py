@@ -16,9 +16,7 @@ def add_parser(subparsers: Any) -> None:
     """Add `check`."""
     summary = "every mistake in a configuration, in one pass"
     parser = subparsers.add_parser("check", help=summary, description=summary.capitalize() + ".")
-    parser.add_argument(
-        "file", nargs="?", type=Path, metavar="CONFIG", help="the configuration (or --config)"
-    )
+    parser.add_argument("file", nargs="?", type=Path, metavar="CONFIG", help="the configuration (or --config)")
     parser.add_argument(
         "--example", action="store_true", help="write an example with every setting, its default and its unit"
     )

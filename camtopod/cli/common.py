@@ -33,16 +33,12 @@ def configuration(args: argparse.Namespace) -> config.Config:
             raise InputError(f"cannot read {args.config}: {error.strerror}") from None
     if args.site is not None:
         if not re.match(CAMERA_PATTERN, args.site):
-            raise CommandError(
-                f"--site {args.site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
-            )
+            raise CommandError(f"--site {args.site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
         loaded = msgspec.structs.replace(loaded, site=config.SiteSettings(args.site))
     if args.connect:
         for endpoint in args.connect:
             if not config.is_endpoint(endpoint):
-                raise CommandError(
-                    f"--connect {endpoint!r}: write it like {config.DEFAULT_ENDPOINT}", exits.USAGE
-                )
+                raise CommandError(f"--connect {endpoint!r}: write it like {config.DEFAULT_ENDPOINT}", exits.USAGE)
         bus = msgspec.structs.replace(loaded.bus, connect=tuple(args.connect), listen=())
         loaded = msgspec.structs.replace(loaded, bus=bus)
     if getattr(args, "state", None):
@@ -67,9 +63,7 @@ class _Formatter(logging.Formatter):
         level = record.levelname.lower()
         name = record.name.removeprefix("camtopod.")
         if self._form == "json":
-            return json.dumps(
-                {"t": stamp, "level": level, "from": name, "message": message}, ensure_ascii=False
-            )
+            return json.dumps({"t": stamp, "level": level, "from": name, "message": message}, ensure_ascii=False)
         if self._form == "logfmt":
             return f"t={stamp} level={level} from={name} message={json.dumps(message, ensure_ascii=False)}"
         return message if level == "info" else f"{level}: {message}"
@@ -86,9 +80,7 @@ def start_logging(args: argparse.Namespace) -> None:
 def until_signal() -> Iterator[threading.Event]:
     """An event that is set by SIGTERM or SIGINT while the block runs."""
     stop = threading.Event()
-    previous = {
-        number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGTERM, signal.SIGINT)
-    }
+    previous = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield stop
     finally:

@@ -149,9 +149,7 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
     context = multiprocessing.get_context("spawn")
     workers = min(len(videos), os.cpu_count() or 1)
     with ProcessPoolExecutor(workers, context, initializer=_leave_interrupts_to_the_parent) as pool:
-        tasks = [
-            pool.submit(render, plan, view, walks, seconds, videos[view.camera], seed) for view in plan.views
-        ]
+        tasks = [pool.submit(render, plan, view, walks, seconds, videos[view.camera], seed) for view in plan.views]
         try:
             for task in tasks:
                 task.result()
@@ -281,8 +279,7 @@ def _progress(daemon: Daemon) -> str:
         return f"{events}, nothing learned yet"
     links = sum(link.relation != "visible" for link in topology.links)
     return (
-        f"{events}, version {topology.version}: {len(topology.zones)} zones, {links} links,"
-        f" {len(topology.pairs)} pairs"
+        f"{events}, version {topology.version}: {len(topology.zones)} zones, {links} links, {len(topology.pairs)} pairs"
     )
 
 

@@ -44,23 +44,13 @@ def add_parser(subparsers: Any) -> None:
         description="Watches one camera and publishes an event for whoever enters or leaves its view. "
         "Without --camera it runs all cameras of --config, a process each.",
     )
-    parser.add_argument(
-        "source", nargs="?", metavar="SOURCE", help="rtsp:// URL, video file or device number"
-    )
+    parser.add_argument("source", nargs="?", metavar="SOURCE", help="rtsp:// URL, video file or device number")
     parser.add_argument("--camera", metavar="ID", help="the camera's id, [A-Za-z0-9_.-]{1,64}")
-    parser.add_argument(
-        "--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus"
-    )
-    parser.add_argument(
-        "--start", type=float, metavar="SECONDS", help="a file: time of its first frame (default 0)"
-    )
+    parser.add_argument("--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus")
+    parser.add_argument("--start", type=float, metavar="SECONDS", help="a file: time of its first frame (default 0)")
     parser.add_argument("--realtime", action="store_true", default=None, help="a file: at its own pace")
-    parser.add_argument(
-        "--speed", type=float, metavar="FACTOR", help="a file: with --realtime, times its own pace"
-    )
-    parser.add_argument(
-        "--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)"
-    )
+    parser.add_argument("--speed", type=float, metavar="FACTOR", help="a file: with --realtime, times its own pace")
+    parser.add_argument("--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)")
     parser.add_argument("--with-parent", type=int, help=argparse.SUPPRESS)
 
 
@@ -72,9 +62,7 @@ def run(args: argparse.Namespace) -> int:
         if args.source is not None or args.out is not None:
             raise CommandError("which camera is it? add --camera ID", exits.USAGE)
         if not config.cameras:
-            raise CommandError(
-                "nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE
-            )
+            raise CommandError("nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE)
         from camtopod.cli.supervise import supervise
 
         return supervise(args, config)
@@ -98,9 +86,7 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
     if args.camera in RESERVED:
         raise CommandError(f"--camera {args.camera}: this name is taken on the bus", exits.USAGE)
     if not re.match(CAMERA_PATTERN, args.camera):
-        raise CommandError(
-            f"--camera {args.camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
-        )
+        raise CommandError(f"--camera {args.camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
     known = config.cameras.get(args.camera)
     if args.source is None and known is None:
         raise CommandError(f"camera {args.camera} has no SOURCE, and no configuration names it", exits.USAGE)
@@ -184,9 +170,7 @@ def _publish_all(
             publisher.retry()
         if grabber.state != state:
             state = grabber.state
-            log.info(
-                "camera %s is %s%s", grabber.camera, state, f": {grabber.reason}" if grabber.reason else ""
-            )
+            log.info("camera %s is %s%s", grabber.camera, state, f": {grabber.reason}" if grabber.reason else "")
         now = time.monotonic()
         if now >= next_status:
             next_status = now + config.limits.status_seconds

@@ -41,9 +41,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("format", choices=FORMATS, metavar="FORMAT", help=f"one of: {', '.join(FORMATS)}")
     parser.add_argument("file", nargs="?", default="-", metavar="FILE", help="default: standard input")
-    parser.add_argument(
-        "--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)"
-    )
+    parser.add_argument("--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)")
 
 
 def run(args: argparse.Namespace) -> int:

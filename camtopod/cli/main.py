@@ -117,12 +117,8 @@ def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
     """The common options; after the command's name they default to what stood before it."""
     group = parser.add_argument_group("common options")
     default: Any = None if top else argparse.SUPPRESS
-    group.add_argument(
-        "--config", type=Path, metavar="FILE", default=default, help="configuration, a TOML file"
-    )
-    group.add_argument(
-        "--site", metavar="NAME", default=default, help="name of the site, second part of every key"
-    )
+    group.add_argument("--config", type=Path, metavar="FILE", default=default, help="configuration, a TOML file")
+    group.add_argument("--site", metavar="NAME", default=default, help="name of the site, second part of every key")
     group.add_argument(
         "--connect",
         metavar="ENDPOINT",

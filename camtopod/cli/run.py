@@ -26,9 +26,7 @@ def add_parser(subparsers: Any) -> None:
         description="Learns the topology from the events on the bus, publishes it and predicts. "
         "With no endpoint configured it is the meeting point for all other programs of this machine.",
     )
-    parser.add_argument(
-        "--state", metavar="DIRECTORY", help="where the journal is kept (default: [state] directory)"
-    )
+    parser.add_argument("--state", metavar="DIRECTORY", help="where the journal is kept (default: [state] directory)")
 
 
 def run(args: argparse.Namespace) -> int:

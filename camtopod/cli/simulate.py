@@ -17,9 +17,7 @@ def add_parser(subparsers: Any) -> None:
     summary = "a made-up camera network: event lines and the truth about them"
     parser = subparsers.add_parser("simulate", help=summary, description=summary.capitalize() + ".")
     default = SimSettings()
-    parser.add_argument(
-        "--events", required=True, metavar="E.jsonl", help="event lines go here ('-': standard output)"
-    )
+    parser.add_argument("--events", required=True, metavar="E.jsonl", help="event lines go here ('-': standard output)")
     parser.add_argument("--truth", metavar="T.json", help="the truth goes here")
     for flag, kind, help_ in (
         ("--cameras", int, "number of cameras"),

@@ -40,9 +40,7 @@ class Child(Struct):
     status: int = 0
 
 
-def backoff_after(
-    backoff: float, ran: float, chance: Callable[[], float] = random.random
-) -> tuple[float, float]:
+def backoff_after(backoff: float, ran: float, chance: Callable[[], float] = random.random) -> tuple[float, float]:
     """(seconds to wait now, backoff for the next time) after a process that ran for ``ran`` seconds."""
     if ran >= STEADY_SECONDS:
         backoff = BACKOFF_MIN_SECONDS

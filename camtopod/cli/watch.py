@@ -37,9 +37,7 @@ def add_parser(subparsers: Any) -> None:
         help="live view in the terminal",
         description="Shows cameras, the learned topology and predictions as they come, until interrupted.",
     )
-    parser.add_argument(
-        "--once", action="store_true", help="show the state once, without waiting for more, and end"
-    )
+    parser.add_argument("--once", action="store_true", help="show the state once, without waiting for more, and end")
 
 
 class Board:
@@ -153,9 +151,7 @@ def _cameras(status: dict[str, dict[str, Any]], daemon: dict[str, Any], now: flo
         state = said.get("state") or ("unknown" if counted.get("alive") else "no grabber")
         newest = counted.get("newest")
         last = "" if newest is None or not 0 <= now - newest < 1e6 else f"{now - newest:.0f} s"
-        rows.append(
-            f"{camera:<20} {state:<11} {counted.get('events', 0):>8} {last:>9}  {said.get('reason', '')}"
-        )
+        rows.append(f"{camera:<20} {state:<11} {counted.get('events', 0):>8} {last:>9}  {said.get('reason', '')}")
     return rows
 
 
@@ -164,9 +160,7 @@ def _links(topology: Topology | None) -> list[str]:
     links = [link for link in topology.links if link.relation != "visible"] if topology is not None else []
     for link in sorted(links, key=lambda link: -link.transitions)[:LINKS_SHOWN]:
         transit = f"{link.transit.q50:.1f} ({link.transit.q10:.1f} - {link.transit.q90:.1f}) s"
-        rows.append(
-            f"{link.from_:<20} {link.to:<20} {link.relation:<10} {link.probability:>6.2f} {transit:>22}"
-        )
+        rows.append(f"{link.from_:<20} {link.to:<20} {link.relation:<10} {link.probability:>6.2f} {transit:>22}")
     if len(links) > LINKS_SHOWN:
         rows.append(f"... and {len(links) - LINKS_SHOWN} more")
     return rows

@@ -26,8 +26,7 @@ def to_svg(topology: Topology) -> str:
     width, height = size + 180, size + 130
     title = f"{topology.site}, version {topology.version}, {topology.events} events"
     parts = [
-        '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif"'
-        f' viewBox="0 0 {width:.0f} {height:.0f}">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" viewBox="0 0 {width:.0f} {height:.0f}">',
         f"<title>{escape(title)}</title>",
         f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
         f'<text x="16" y="24" font-size="14" fill="#333333">{escape(title)}</text>',

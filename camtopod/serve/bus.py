@@ -220,9 +220,7 @@ def meet(config: Config) -> Bus:
     return Bus(session, config.site.name, endpoints[0], config.bus.query_seconds)
 
 
-def _settings(
-    config: Config, mode: str, connect: Sequence[str] = (), listen: Sequence[str] = ()
-) -> zenoh.Config:
+def _settings(config: Config, mode: str, connect: Sequence[str] = (), listen: Sequence[str] = ()) -> zenoh.Config:
     settings = zenoh.Config()
     values: dict[str, object] = {
         "mode": mode,

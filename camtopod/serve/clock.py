@@ -24,8 +24,6 @@ def ulid(now: float, after: str = "") -> str:
     """
     milliseconds = int(now * 1000)
     if after:
-        milliseconds = max(
-            milliseconds, 1 + sum(_CROCKFORD.index(c) << 5 * k for k, c in enumerate(after[9::-1]))
-        )
+        milliseconds = max(milliseconds, 1 + sum(_CROCKFORD.index(c) << 5 * k for k, c in enumerate(after[9::-1])))
     number = (milliseconds & (2**48 - 1)) << 80 | secrets.randbits(80)
     return "".join(_CROCKFORD[number >> shift & 31] for shift in range(125, -1, -5))

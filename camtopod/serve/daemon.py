@@ -197,9 +197,7 @@ class Daemon:
         self._learning = Learning(
             learner, limits.learn_events_max, self._receiver.on_version, self._receiver.on_deadline
         )
-        self._puller = Puller(
-            bus, limits, self._receiver.streams.wanted, self._receiver.on_pulled, self._receiver.gap
-        )
+        self._puller = Puller(bus, limits, self._receiver.streams.wanted, self._receiver.on_pulled, self._receiver.gap)
 
     def _serve(self, bus: Bus) -> None:
         bus.answer("topology", lambda key, parameters: self._newest(), "topology")

@@ -63,9 +63,7 @@ def connect(path: Path, schema: str) -> sqlite3.Connection:
             mode = database.execute("PRAGMA journal_mode").fetchone()[0]
             synchronous = database.execute("PRAGMA synchronous").fetchone()[0]
             if (mode, synchronous) != ("wal", 2):
-                raise StateError(
-                    f"{path}: SQLite cannot write safely on this file system ({mode}, {synchronous})"
-                )
+                raise StateError(f"{path}: SQLite cannot write safely on this file system ({mode}, {synchronous})")
             undo.pop_all()
             return database
     except sqlite3.Error as error:

@@ -85,10 +85,7 @@ class Journal:
             entries = ()
         if not entries and not versions:
             return
-        rows = [
-            (self._last + number, *entry, zlib.crc32(entry.raw))
-            for number, entry in enumerate(entries, start=1)
-        ]
+        rows = [(self._last + number, *entry, zlib.crc32(entry.raw)) for number, entry in enumerate(entries, start=1)]
         with database.transaction(self._db):
             self._db.executemany("INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
             self._db.executemany("INSERT OR REPLACE INTO version VALUES (?, ?)", versions)
@@ -104,9 +101,7 @@ class Journal:
 
     def streams(self) -> dict[tuple[str, str], int]:
         """The highest stored seq of each (camera, boot)."""
-        rows = self._db.execute(
-            "SELECT camera, boot, MAX(seq) FROM entry WHERE boot IS NOT NULL GROUP BY camera, boot"
-        )
+        rows = self._db.execute("SELECT camera, boot, MAX(seq) FROM entry WHERE boot IS NOT NULL GROUP BY camera, boot")
         return {(camera, boot): seq for camera, boot, seq in rows}
 
     def versions(self) -> dict[int, str]:

@@ -89,21 +89,15 @@ class Receiver:
         self._stored = journal.streams()
         self._dirty: set[tuple[str, str]] = set(self._stored)
         self._next_ack = 0.0
-        self._live: tuple[float, float] | None = (
-            None  # (newest event time, wall clock then) of events in step
-        )
-        self.streams: Streams[Received] = Streams(
-            dict(self._stored), limits.held_events_max, limits.streams_max
-        )
+        self._live: tuple[float, float] | None = None  # (newest event time, wall clock then) of events in step
+        self.streams: Streams[Received] = Streams(dict(self._stored), limits.held_events_max, limits.streams_max)
         self.with_spool: set[str] = set()
         """Cameras whose publisher has been seen alive, so that it has a spool."""
         self._deadline: float | None = None
         self.rejects = Rejects()
         self.reason = ""
         """Why nothing is stored at the moment; "" if all is well."""
-        self.counts = dict.fromkeys(
-            ("received", "stored", "duplicate", "future", "inbox_full", "held_full"), 0
-        )
+        self.counts = dict.fromkeys(("received", "stored", "duplicate", "future", "inbox_full", "held_full"), 0)
         self.cameras: dict[str, dict[str, float]] = {}
         self.gap = threading.Event()
         """Set when a gap appears: time to pull."""
@@ -228,9 +222,7 @@ class Receiver:
         elif verdict == "dropped":
             self.counts["held_full"] += 1
         elif verdict == "refused":
-            self.rejects.add(
-                "too-many-streams", f"event/{camera}", "limits.streams_max is reached", received.entry.raw
-            )
+            self.rejects.add("too-many-streams", f"event/{camera}", "limits.streams_max is reached", received.entry.raw)
         return ready
 
     def _time_went_on(self) -> list[Received]:

@@ -158,9 +158,7 @@ class Spool:
         return row is not None
 
     def _first(self, camera: str, boot: str) -> int:
-        row = self._db.execute(
-            "SELECT MIN(seq) FROM event WHERE camera = ? AND boot = ?", (camera, boot)
-        ).fetchone()
+        row = self._db.execute("SELECT MIN(seq) FROM event WHERE camera = ? AND boot = ?", (camera, boot)).fetchone()
         if row[0] is not None:
             return int(row[0])
         known = self._acked.get((camera, boot), -1)
@@ -169,8 +167,6 @@ class Spool:
     def _drop_oldest(self) -> None:
         surplus = self._held - self._events_max
         if surplus > 0:
-            self._db.execute(
-                "DELETE FROM event WHERE id IN (SELECT id FROM event ORDER BY id LIMIT ?)", (surplus,)
-            )
+            self._db.execute("DELETE FROM event WHERE id IN (SELECT id FROM event ORDER BY id LIMIT ?)", (surplus,))
             self._held -= surplus
             self.dropped += surplus

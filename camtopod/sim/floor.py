@@ -210,9 +210,7 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Ints]:
     while len(stops) < 2 or stops[-1] not in streets:
         onward = [name for name in plan.around(stops[-1]) if name != (stops[-2] if len(stops) > 1 else None)]
         tired = len(stops) > CROSSINGS_MAX
-        weight = np.array(
-            [10.0 if tired and n in streets else STREET_WEIGHT if n in streets else 1.0 for n in onward]
-        )
+        weight = np.array([10.0 if tired and n in streets else STREET_WEIGHT if n in streets else 1.0 for n in onward])
         stops.append(onward[int(rng.choice(len(onward), p=weight / weight.sum()))])
     points, ways = [], []
     for a, b in pairwise(stops):
@@ -229,9 +227,7 @@ def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
     for walker, walk in enumerate(walks):
         for view in plan.views:
             seen = np.concatenate([[False], view.sees(walk.floor), [False]]).astype(np.int8)
-            for begin, end in zip(
-                np.flatnonzero(np.diff(seen) > 0), np.flatnonzero(np.diff(seen) < 0), strict=True
-            ):
+            for begin, end in zip(np.flatnonzero(np.diff(seen) > 0), np.flatnonzero(np.diff(seen) < 0), strict=True):
                 if begin == 0 or end == len(walk.t):
                     continue  # in view when the recording began or ended
                 (xa, ya, _), (xb, yb, _) = np.clip(view.feet(walk.floor[[begin, end - 1]]), 0.0, 1.0)
@@ -288,6 +284,4 @@ def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
 def _zone(name: str, camera: str, at: Floats) -> TrueZone:
     cov = np.cov(at.T) if len(at) > 1 else np.zeros((2, 2))
     x, y = at.mean(0)
-    return TrueZone(
-        id=name, camera=camera, x=round(float(x), 4), y=round(float(y), 4), cov=np.round(cov, 7).tolist()
-    )
+    return TrueZone(id=name, camera=camera, x=round(float(x), 4), y=round(float(y), 4), cov=np.round(cov, 7).tolist())

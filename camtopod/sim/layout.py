@@ -143,9 +143,7 @@ def _streets(camera: Ints, cameras: int, rng: np.random.Generator) -> NDArray[np
 class _Paths:
     """Joins zones of different cameras, near ones first. ``options[u]`` lists (v, metres) of each zone."""
 
-    def __init__(
-        self, camera: Ints, street: NDArray[np.bool_], position: Floats, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, camera: Ints, street: NDArray[np.bool_], position: Floats, rng: np.random.Generator) -> None:
         self.options: list[list[tuple[int, float]]] = [[] for _ in camera]
         self._camera, self._street, self._rng = camera, street, rng
         self._distance = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
@@ -206,9 +204,7 @@ class _Paths:
     def _least(self, camera: int) -> int:
         """The zone with the fewest paths, inner ones first."""
         free = [u for u in self._of(camera) if u not in self._exclusive]
-        return min(
-            free, key=lambda u: (len(self.options[u]) >= 2, bool(self._street[u]), len(self.options[u]))
-        )
+        return min(free, key=lambda u: (len(self.options[u]) >= 2, bool(self._street[u]), len(self.options[u])))
 
     def _join(self, u: int, v: int, metres: float) -> None:
         self.options[u].append((v, metres))
@@ -237,10 +233,7 @@ def _through(camera: Ints, centre: Floats, u_turn: float, rng: np.random.Generat
         others = [int(v) for v in np.flatnonzero(camera == c) if v != zone]
         metres = rng.uniform(*VIEW_METRES)
         shares = (0.2 + rng.dirichlet(np.full(len(others), 2.0))) / (1 + 0.2 * len(others)) * (1 - u_turn)
-        row = [
-            (v, p, 2 + metres * math.dist(centre[zone], centre[v]))
-            for v, p in zip(others, shares, strict=True)
-        ]
+        row = [(v, p, 2 + metres * math.dist(centre[zone], centre[v])) for v, p in zip(others, shares, strict=True)]
         rows.append([*row, (zone, u_turn, U_TURN_METRES)])
     return _table(rows)
 

@@ -102,9 +102,7 @@ def simulate(settings: SimSettings) -> tuple[list[Event], Truth]:
     layout = make_layout(settings.cameras, structure, settings.overlap_share, settings.u_turn)
     unknown = {camera for camera, _, _ in settings.lost} - set(layout.cameras)
     if unknown:
-        raise ValueError(
-            f"no camera {min(unknown)!r} to lose; there are {layout.cameras[0]} to {layout.cameras[-1]}"
-        )
+        raise ValueError(f"no camera {min(unknown)!r} to lose; there are {layout.cameras[0]} to {layout.cameras[-1]}")
     closed = _doors(layout, settings, structure)
     offsets = settings.clock_sd * structure.standard_normal(settings.cameras)
     passages = _walk(layout, settings, closed, chance)
@@ -150,9 +148,7 @@ def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
     return times[rng.random(len(times)) < wanted]
 
 
-def _walk(
-    layout: Layout, settings: SimSettings, closed: set[tuple[int, int]], rng: np.random.Generator
-) -> _Passages:
+def _walk(layout: Layout, settings: SimSettings, closed: set[tuple[int, int]], rng: np.random.Generator) -> _Passages:
     """All walks, one passage of every walker under way at a time."""
     t = _arrivals(settings, rng)
     walker = np.arange(len(t))
@@ -202,9 +198,7 @@ def _join(parts: list[_Passages]) -> _Passages:
     if not parts:
         none = np.zeros(0, dtype=np.int64)
         return _Passages(none, none, none, none, none.astype(float), none.astype(float))
-    return _Passages(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in _Passages.__struct_fields__)
-    )
+    return _Passages(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Passages.__struct_fields__))
 
 
 def _with_companions(passages: _Passages, settings: SimSettings, rng: np.random.Generator) -> _Passages:

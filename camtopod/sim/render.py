@@ -114,10 +114,7 @@ def render(plan: Plan, view: View, walks: list[Walk], seconds: float, path: Path
     frames = _figures(view, walks, round(seconds * FPS))
     empty = scene(plan, view)
     rng = np.random.default_rng(seed)
-    noise = [
-        np.clip(rng.normal(0, NOISE_SD, empty.shape), -127, 127).astype(np.int8)
-        for _ in range(NOISE_PICTURES)
-    ]
+    noise = [np.clip(rng.normal(0, NOISE_SD, empty.shape), -127, 127).astype(np.int8) for _ in range(NOISE_PICTURES)]
     grain = [cv2.add(empty, part, dtype=cv2.CV_8U) for part in noise]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODEC), FPS, (WIDTH, HEIGHT))
     if not writer.isOpened():
@@ -137,10 +134,7 @@ def busy_scene(plan: Plan, view: View, walks: list[Walk]) -> Picture:
     """What a camera sees at a moment when most people are well inside its picture."""
     end = max((float(walk.t[-1]) for walk in walks if len(walk.t)), default=0.0)
     frames = _figures(view, walks, round(end * FPS) + 1)
-    inside = [
-        sum(0.1 < f.foot[0] / WIDTH < 0.9 and 0.3 < f.foot[1] / HEIGHT < 0.9 for f in frame)
-        for frame in frames
-    ]
+    inside = [sum(0.1 < f.foot[0] / WIDTH < 0.9 and 0.3 < f.foot[1] / HEIGHT < 0.9 for f in frame) for frame in frames]
     picture = scene(plan, view)
     for figure in sorted(frames[int(np.argmax(inside))], reverse=True):
         _draw(picture, figure)

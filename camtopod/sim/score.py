@@ -105,9 +105,7 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
     matched_count = _per_camera([zone for zone in truth.zones if zone.id in match])
     true_links = _projected([link for link in truth.links if link.relation != "visible"], match)
     learned = [link for link in topology.links if link.relation != "visible"]
-    right = [
-        (link, true_links[link.from_, link.to]) for link in learned if (link.from_, link.to) in true_links
-    ]
+    right = [(link, true_links[link.from_, link.to]) for link in learned if (link.from_, link.to) in true_links]
     keys = {(link.from_, link.to) for link in learned}
     walked = [link for link in truth.links if link.relation != "visible" and link.transitions > 0]
     learned_pairs = {pair.cameras: pair.relation for pair in topology.pairs}

@@ -92,6 +92,4 @@ def pairs_of(links: list[TrueLink], camera_of: dict[str, str]) -> list[Pair]:
         a, b = sorted((camera_of[link.from_], camera_of[link.to]))
         if a != b:
             overlapped[a, b] = overlapped.get((a, b), False) or link.relation == "overlapped"
-    return [
-        Pair(cameras, "overlapped" if over else "unseen_path") for cameras, over in sorted(overlapped.items())
-    ]
+    return [Pair(cameras, "overlapped" if over else "unseen_path") for cameras, over in sorted(overlapped.items())]

@@ -87,9 +87,7 @@ def _box(row: cv2.typing.MatLike) -> Box:
     return (left, top, left + width, top + height)
 
 
-def _blob(
-    group: list[int], stats: cv2.typing.MatLike, labels: cv2.typing.MatLike, motion: Motion
-) -> Blob | None:
+def _blob(group: list[int], stats: cv2.typing.MatLike, labels: cv2.typing.MatLike, motion: Motion) -> Blob | None:
     """One blob of the fragments ``group``, or None if it has too few edges of its own."""
     boxes = [_box(stats[label]) for label in group]
     left, top = int(min(b[0] for b in boxes)), int(min(b[1] for b in boxes))

@@ -126,9 +126,7 @@ class Cadence:
             step = min(stamp - self._last_stamp, 1.0)
             self._step += (step - self._step) * (_STEP_RATE if self._step else 1.0)
         self._last_stamp = stamp
-        due = (
-            self._last_taken is None or not 0.0 <= stamp - self._last_taken < self._interval - self._step / 2
-        )
+        due = self._last_taken is None or not 0.0 <= stamp - self._last_taken < self._interval - self._step / 2
         if due:
             self._last_taken = stamp
         return due

@@ -22,9 +22,7 @@ LEFT_SHARE = 1.0
 """When it is smallest, at most this share of a person's width (at the sides) or height is in view."""
 
 
-def find_handover(
-    history: Sequence[Sighting], size: tuple[int, int], width: float, height: float
-) -> int | None:
+def find_handover(history: Sequence[Sighting], size: tuple[int, int], width: float, height: float) -> int | None:
     """Index of the sighting at which one person took another's place at the border, if so.
 
     ``size`` of the picture, ``width`` and ``height`` of a person, pixels.

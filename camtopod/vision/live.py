@@ -104,11 +104,7 @@ class LiveSource:
             arrival = time.monotonic()
             if grab is None:
                 slow = arrival - asked > 0.9 * self._settings.read_timeout_seconds
-                return (
-                    "no frame within the read timeout"
-                    if slow
-                    else "the source ended or closed the connection"
-                )
+                return "no frame within the read timeout" if slow else "the source ended or closed the connection"
             if arrival - asked > self._settings.read_timeout_seconds / 2:
                 self.dropped += 1  # after a stall what comes first is old
                 continue

@@ -136,9 +136,7 @@ class MotionDetector:
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
         outlines = cv2.findContours(solid, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
         solid = cv2.bitwise_and(moving, cv2.drawContours(solid, outlines, -1, 255, cv2.FILLED))
-        solid = cv2.morphologyEx(
-            solid, cv2.MORPH_OPEN, _CROSS
-        )  # outlines of furniture are lines, people are not
+        solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)  # outlines of furniture are lines, people are not
         return Motion(solid, edges, moving, expected)
 
     def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
@@ -187,9 +185,7 @@ class MotionDetector:
         if not outline.any():
             return False
         now = cv2.morphologyEx(frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
-        model = cv2.morphologyEx(self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[
-            outline
-        ].mean()
+        model = cv2.morphologyEx(self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
         if float(model) < GHOST_RATIO * max(1.0, float(now)):
             return False
         where = np.zeros(frame.shape, np.uint8)

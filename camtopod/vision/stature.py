@@ -31,11 +31,7 @@ class Stature:
         if len(self._objects) < OBJECTS_MIN:
             self._objects.add(track)
         self._new += 1
-        if (
-            self._new >= _REFIT_SAMPLES
-            and len(self._samples) >= SAMPLES_MIN
-            and len(self._objects) >= OBJECTS_MIN
-        ):
+        if self._new >= _REFIT_SAMPLES and len(self._samples) >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
             self._fit()
             self._new = 0
 

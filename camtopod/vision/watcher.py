@@ -93,9 +93,7 @@ class Watcher:
                 self._tracker.drop(track)
                 self.ghosts += 1
         claimed = [
-            track.last.box if track.last.t == t else track.box
-            for track in self._tracker.active
-            if track.confirmed
+            track.last.box if track.last.t == t else track.box for track in self._tracker.active if track.confirmed
         ]
         self._motion.learn(frame, motion, dt, claimed)
         return events
@@ -106,9 +104,7 @@ class Watcher:
         if track.last.t < t or len(track.history) < 8 or t - track.first.t < GHOST_SECONDS:
             return False
         reach = GHOST_MOVE_HEIGHTS * track.height
-        return (
-            abs(past.foot[0] - track.last.foot[0]) < reach and abs(past.foot[1] - track.last.foot[1]) < reach
-        )
+        return abs(past.foot[0] - track.last.foot[0]) < reach and abs(past.foot[1] - track.last.foot[1]) < reach
 
     def finish(self) -> list[Event]:
         """The recording is over: what is certain now. Objects still in view have no exit."""

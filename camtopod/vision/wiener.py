@@ -20,9 +20,7 @@ _TRIMMED_MEAN = 0.5147
 """Mean of the lowest 75 % of |z| for standard normal z."""
 
 
-def wiener(
-    image: npt.NDArray[Any], size: int = 3, noise: float | None = None
-) -> npt.NDArray[np.floating[Any]]:
+def wiener(image: npt.NDArray[Any], size: int = 3, noise: float | None = None) -> npt.NDArray[np.floating[Any]]:
     """Filter ``image`` (H, W) with a window of ``size`` x ``size`` (odd).
 
     ``noise`` is the variance of the noise, grey levels squared; without it, the mean of the local variances
