@@ -42,7 +42,7 @@ def made(seed: int, left: int, came: int, zones: int = 3, span: float = 60.0) ->
     t = np.sort(rng.uniform(0, span, left))
     zone = rng.integers(0, zones, left).astype(np.int32)
     stay = np.where(rng.random(left) < 0.3, np.inf, rng.exponential(4.0, left))
-    departures = Departures(t, zone, zone, t - stay, np.full(left, np.nan))
+    departures = Departures.untold(t, zone, zone, t - stay, np.full(left, np.nan))
     t = np.sort(rng.uniform(0, span, came))
     zone = rng.integers(0, zones, came).astype(np.int32)
     return departures, Arrivals(t, zone, zone, local_rates(t, zone, zones), np.full(came, np.nan))
@@ -179,7 +179,7 @@ class Walks:
     def columns(self, zones: int) -> tuple[Departures, Arrivals]:
         t, zone, since = (np.array(column) for column in zip(*sorted(self.left), strict=True))
         zone = zone.astype(np.int32)
-        departures = Departures(t, zone, zone, since, np.full(len(t), np.nan))
+        departures = Departures.untold(t, zone, zone, since, np.full(len(t), np.nan))
         t, zone = (np.array(column) for column in zip(*sorted(self.came), strict=True))
         zone = zone.astype(np.int32)
         return departures, Arrivals(t, zone, zone, local_rates(t, zone, zones), np.full(len(t), np.nan))
@@ -394,7 +394,7 @@ def test_speed_tells_who_is_who() -> None:
     zone, other = np.zeros(400, np.int32), np.ones(400, np.int32)
     right = []
     for known in (1.0, np.nan):
-        departures = Departures(left_t, zone, zone, left_t - 5.0, left_slow * known)
+        departures = Departures.untold(left_t, zone, zone, left_t - 5.0, left_slow * known)
         arrivals = Arrivals(came_t, other, other, local_rates(came_t, other, 2), came_slow * known)
         fit = fitted(departures, arrivals, 2)[1]
         true = who[fit.candidates.arrival] == fit.candidates.departure

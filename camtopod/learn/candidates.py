@@ -19,13 +19,29 @@ EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
 
 class Departures(NamedTuple):
     """Objects leaving, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, ``since`` when the passage began (-inf:
-    unknown), and its log slowness (nan: unknown)."""
+    unknown), its log slowness (nan: unknown), the arrival that began it (-1: unknown), and the block of the image
+    where it left (-1: no position).
+    """
 
     t: Floats
     zone: Ints
     camera: Ints
     since: Floats
     slow: Floats
+    own: Ints
+    block: Ints
+
+    def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
+        """The departures ``kept`` when of the arrivals only those of the mask ``arrivals`` are."""
+        number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)  # -1 looks at the last
+        rest = Departures(*(column[kept] for column in self))
+        return rest._replace(own=number[rest.own])
+
+    @staticmethod
+    def untold(t: Floats, zone: Ints, camera: Ints, since: Floats, slow: Floats) -> Departures:
+        """Departures of which nothing is known of the arrival and the block."""
+        unknown = np.full(len(t), -1, np.int32)
+        return Departures(t, zone, camera, since, slow, unknown, unknown)
 
 
 class Arrivals(NamedTuple):
@@ -38,6 +54,10 @@ class Arrivals(NamedTuple):
     camera: Ints
     rate: Floats
     slow: Floats
+
+    def take(self, kept: NDArray[np.bool_]) -> Arrivals:
+        """The arrivals ``kept``."""
+        return Arrivals(*(column[kept] for column in self))
 
 
 class Candidates(NamedTuple):
@@ -63,13 +83,8 @@ def newest(
     if kept == len(arrivals.t):
         return departures, arrivals
     first = arrivals.t[len(arrivals.t) - kept] if kept else np.inf
-    d, a = np.searchsorted(departures.t, first), np.searchsorted(arrivals.t, first)
-    return (
-        Departures(
-            departures.t[d:], departures.zone[d:], departures.camera[d:], departures.since[d:], departures.slow[d:]
-        ),
-        Arrivals(arrivals.t[a:], arrivals.zone[a:], arrivals.camera[a:], arrivals.rate[a:], arrivals.slow[a:]),
-    )
+    late = arrivals.t >= first
+    return departures.take(departures.t >= first, late), arrivals.take(late)
 
 
 def _range(departures: Departures, arrivals: Arrivals, bins: LagBins) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

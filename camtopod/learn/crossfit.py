@@ -78,12 +78,7 @@ def _part(
     candidates = Candidates(
         departure[c.departure[kept]], arrival[c.arrival[kept]], c.pair[kept], c.lag[kept], c.source, c.target
     )
-    d, a = departures, arrivals
-    fitter = JointFitter(
-        Departures(d.t[left], d.zone[left], d.camera[left], d.since[left], d.slow[left]),
-        Arrivals(a.t[came], a.zone[came], a.camera[came], a.rate[came], a.slow[came]),
-        candidates, bins, zones, until,
-    )  # fmt: skip
+    fitter = JointFitter(departures.take(left, came), arrivals.take(came), candidates, bins, zones, until)
     fitter.use(fit.persistence)
     return fitter
 

@@ -45,7 +45,7 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     came = scene.arrivals.camera == camera
     left = scene.departures.camera == camera
     zones = len(scene.zones)
-    starts = Departures(
+    starts = Departures.untold(
         scene.arrivals.t[came], scene.arrivals.zone[came], scene.arrivals.camera[came], scene.arrivals.t[came],
         scene.arrivals.slow[came],
     )  # fmt: skip

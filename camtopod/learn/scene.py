@@ -12,12 +12,14 @@ from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import slowness
 from camtopod.learn.window import Window, cells_of
-from camtopod.learn.zones import ZoneMap, ZoneShape
+from camtopod.learn.zones import POSITION_ONE, ZoneMap, ZoneShape
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 NO_ZONE = -1
+BLOCKS_ACROSS = 6
+"""Rows and columns of the coarse grid that says where along an open border an object left."""
 
 
 class ZoneRef(NamedTuple):
@@ -72,6 +74,12 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
     return zones, np.stack(tables).astype(np.int32) if tables else np.zeros((0, size), np.int32)
 
 
+def blocks_of(px: NDArray[np.int32], py: NDArray[np.int32]) -> Ints:
+    """Block of the image (row * columns + column of a coarse grid) of fixed-point positions; -1 where there is none."""
+    row, column = (np.minimum(p.astype(np.int64) * BLOCKS_ACROSS // POSITION_ONE, BLOCKS_ACROSS - 1) for p in (py, px))
+    return np.where(px < 0, -1, row * BLOCKS_ACROSS + column).astype(np.int32)
+
+
 def see(window: Window, maps: list[ZoneMap]) -> Scene:
     """Label the window's events with zones and sort them into departures, arrivals and passages."""
     zones, tables = number_zones(window, maps)
@@ -90,7 +98,11 @@ def see(window: Window, maps: list[ZoneMap]) -> Scene:
     start = mate[known]
     slow = np.full(len(t), np.nan)
     slow[known] = slow[start] = slowness(zone[start], zone[known], t[known] - t[start], n)
-    departures = Departures(t[leaves], zone[leaves], camera[leaves], since, slow[leaves])
+    arrival = np.full(len(t) + 1, -1, np.int32)
+    arrival[comes] = np.arange(len(comes), dtype=np.int32)
+    own = arrival[np.where(began >= 0, began, len(t))]
+    block = blocks_of(window.column("px")[leaves], window.column("py")[leaves])
+    departures = Departures(t[leaves], zone[leaves], camera[leaves], since, slow[leaves], own, block)
     rate = local_rates(t[comes], zone[comes], n)
     arrivals = Arrivals(t[comes], zone[comes], camera[comes], rate, slow[comes])
     passages = Passages(zone[start], zone[known], t[start], t[known])
