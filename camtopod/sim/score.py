@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -18,6 +18,7 @@ TRANSIT_FLOOR_SECONDS = 1.0
 """Errors of shorter transit times are relative to this, as a fraction of next to nothing says nothing."""
 PROBABILITY_FLOOR = 1e-6
 """Least probability in the log loss: an outcome held impossible costs 13.8 nats, not infinitely many."""
+CALIBRATION_BINS = 10
 
 
 class Score(Struct, frozen=True):
@@ -40,11 +41,17 @@ class Score(Struct, frozen=True):
     mode_error: float
     """Median over the right links of |learned - true| / max(|true|, 1 s) of the transit times' modes."""
     mean_error: float
+    median_error: float
+    """The same of the medians."""
     pairs_true: int
     pairs_learned: int
     pairs_right: int
     """Learned pairs of cameras that are related in truth."""
     pair_relations_right: int
+    pairs_walked: int
+    """Pairs of cameras that somebody walked between, both ends recorded, or that were learned."""
+    links_false_between_cameras: int
+    """Learned links that are none in truth and join two cameras."""
 
     @property
     def link_precision(self) -> float:
@@ -53,6 +60,17 @@ class Score(Struct, frozen=True):
     @property
     def link_recall(self) -> float:
         return _share(self.links_found, self.links_true)
+
+    @property
+    def link_f1(self) -> float:
+        """Harmonic mean of precision and recall."""
+        both = self.link_precision + self.link_recall
+        return 2 * self.link_precision * self.link_recall / both if both else 0.0
+
+    @property
+    def relation_right(self) -> float:
+        """Share of the pairs of cameras, walked or learned, that are learned with their true relation."""
+        return _share(self.pair_relations_right, self.pairs_walked)
 
     @property
     def pair_precision(self) -> float:
@@ -90,6 +108,10 @@ class PredictionScore(Struct, frozen=True):
     top3: float
     log_loss: float
     """Mean of -ln(probability of what happened: that camera, or not seen again) over all exits, nats."""
+    calibration_error: float = math.nan
+    """Expected calibration error of all stated probabilities, that of leaving included."""
+    window_coverage: float = math.nan
+    """Share of the followed ones, next camera named at all, that came between the stated q10 and q90."""
 
     def text(self) -> str:
         return (
@@ -108,6 +130,10 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
     right = [(link, true_links[link.from_, link.to]) for link in learned if (link.from_, link.to) in true_links]
     keys = {(link.from_, link.to) for link in learned}
     walked = [link for link in truth.links if link.relation != "visible" and link.transitions > 0]
+    camera_of = {zone.id: zone.camera for zone in truth.zones}
+    walked_pairs = {tuple(sorted((camera_of[link.from_], camera_of[link.to]))) for link in walked}
+    learned_camera = {zone.id: zone.camera for zone in topology.zones}
+    false = [link for link in learned if (link.from_, link.to) not in true_links]
     learned_pairs = {pair.cameras: pair.relation for pair in topology.pairs}
     true_pairs = {pair.cameras: pair.relation for pair in truth.pairs}
     both = learned_pairs.keys() & true_pairs.keys()
@@ -126,11 +152,35 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
         relations_right=sum(link.relation == true.relation for link, true in right),
         mode_error=_error(right, "mode"),
         mean_error=_error(right, "mean"),
+        median_error=_error(right, "q50"),
         pairs_true=len(true_pairs),
         pairs_learned=len(learned_pairs),
         pairs_right=len(both),
         pair_relations_right=sum(learned_pairs[pair] == true_pairs[pair] for pair in both),
+        pairs_walked=len(walked_pairs | learned_pairs.keys()),
+        links_false_between_cameras=sum(learned_camera[link.from_] != learned_camera[link.to] for link in false),
     )
+
+
+def clock_errors(topology: Topology, truth: Truth) -> dict[str, float]:
+    """Learned minus true clock offset of each learned camera, seconds.
+
+    Only differences between clocks can be learned, so the median of the errors is taken out of all of them.
+    """
+    error = {c.id: c.clock_offset - truth.clock_offsets.get(c.id, 0.0) for c in topology.cameras}
+    gauge = float(np.median(list(error.values()))) if error else 0.0
+    return {camera: value - gauge for camera, value in error.items()}
+
+
+def calibration_error(probability: Sequence[float], happened: Sequence[bool]) -> float:
+    """Expected calibration error: over equal bins of probability, the mean of |stated - happened|, weighted by how
+    many lie in each; nan without any."""
+    if not probability:
+        return math.nan
+    stated, came = np.array(probability), np.array(happened, dtype=float)
+    bin_ = np.minimum((stated * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)
+    gap = np.bincount(bin_, stated - came, CALIBRATION_BINS)
+    return float(np.abs(gap).sum() / len(stated))
 
 
 def match_zones(learned: Sequence[Zone], true: Sequence[TrueZone], tolerance: float) -> dict[str, str]:
@@ -173,16 +223,24 @@ def next_entries(events: Sequence[Event], truth: Truth) -> list[int]:
 
 
 def score_predictions(
-    predictions: Iterable[Prediction], events: Sequence[Event], truth: Truth, since: float = -math.inf
+    predictions: Iterable[Prediction],
+    events: Sequence[Event],
+    truth: Truth,
+    since: float = -math.inf,
+    zone_of: Callable[[Event], str | None] | None = None,
 ) -> PredictionScore:
     """Score one prediction for each exit line of ``events``, in order; exits before ``since`` do not count.
 
-    Raises ValueError when the predictions do not belong to these events.
+    ``zone_of`` names the zone of an entry, so that its own time window is looked at; without it, that of the likeliest
+    zone of its camera is. Raises ValueError when the predictions do not belong to these events.
     """
     following = next_entries(events, truth)
     exits = [index for index, event in enumerate(events) if event.kind == "exit"]
     top1 = top3 = followed = scored = 0
     loss = 0.0
+    stated: list[float] = []
+    happened: list[bool] = []
+    within: list[bool] = []
     for index, prediction in zip(exits, predictions, strict=True):
         event = events[index]
         if prediction.camera != event.camera or abs(prediction.t - event.t) > 1e-5:
@@ -191,26 +249,43 @@ def score_predictions(
             )
         if truth.identity[index] == CLUTTER or event.t < since:
             continue
-        by_camera: dict[str, float] = {}
-        for choice in prediction.next_:
-            by_camera[choice.camera] = by_camera.get(choice.camera, 0.0) + choice.probability
+        entry = events[following[index]] if following[index] >= 0 else None
+        by_camera = _by_camera(prediction)
         scored += 1
-        happened = prediction.leave
-        if following[index] >= 0:
-            camera = events[following[index]].camera
+        if entry is not None:
             ranked = sorted(by_camera, key=lambda name: -by_camera[name])
             followed += 1
-            top1 += ranked[:1] == [camera]
-            top3 += camera in ranked[:3]
-            happened = by_camera.get(camera, 0.0)
-        loss -= math.log(max(happened, PROBABILITY_FLOOR))
+            top1 += ranked[:1] == [entry.camera]
+            top3 += entry.camera in ranked[:3]
+            within += _within(prediction, entry, zone_of(entry) if zone_of else None)
+        outcome = prediction.leave if entry is None else by_camera.get(entry.camera, 0.0)
+        loss -= math.log(max(outcome, PROBABILITY_FLOOR))
+        stated += [*by_camera.values(), prediction.leave]
+        happened += [*(entry is not None and camera == entry.camera for camera in by_camera), entry is None]
     return PredictionScore(
         exits=scored,
         followed=followed,
         top1=_share(top1, followed),
         top3=_share(top3, followed),
         log_loss=loss / scored if scored else math.nan,
+        calibration_error=calibration_error(stated, happened),
+        window_coverage=float(np.mean(within)) if within else math.nan,
     )
+
+
+def _by_camera(prediction: Prediction) -> dict[str, float]:
+    result: dict[str, float] = {}
+    for choice in prediction.next_:
+        result[choice.camera] = result.get(choice.camera, 0.0) + choice.probability
+    return result
+
+
+def _within(prediction: Prediction, entry: Event, zone: str | None) -> list[bool]:
+    """Whether the entry came in the window of its zone, else of the likeliest of its camera; empty: not named."""
+    named = [choice for choice in prediction.next_ if choice.camera == entry.camera]
+    for choice in [choice for choice in named if choice.zone == zone] or named:
+        return [choice.q10 <= entry.t - prediction.t <= choice.q90]
+    return []
 
 
 def _per_camera(zones: Sequence[Zone] | Sequence[TrueZone]) -> dict[str, int]:
