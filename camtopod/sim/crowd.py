@@ -1,0 +1,83 @@
+"""An open square under strongly overlapping views: people stroll, stand about and pass, alone or in groups.
+
+The square's rim is open all round. Stays are long, and everybody is in several views at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+
+from camtopod.records import Event
+from camtopod.sim.hall import on_rim
+from camtopod.sim.plan import SPEED_SD, WALKING_SPEED, make_pieces, sampled, sightings, walk
+from camtopod.sim.recording import Faults, recorded
+from camtopod.sim.truth import Floats, Truth
+
+PASSING, STROLLING = 0.5, 0.3
+"""Shares of the groups that walk straight across, and that stop now and then; the others stand for long."""
+STROLL_FACTOR = 0.7
+STOP_SECONDS, STAND_SECONDS = (5.0, 40.0), (40.0, 200.0)
+GROUP_SIZES = (0.55, 0.3, 0.1, 0.05)
+"""Shares of groups of 1, 2, 3 and 4."""
+APART_METRES = 0.6
+WARM_UP_SECONDS = 300.0
+STAY_SECONDS = 57.0
+"""How long a person is on the square on average."""
+
+
+class CrowdSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is simulated. Times are seconds."""
+
+    seed: int = 0
+    people: float = 40.0
+    """On the square at once, on average."""
+    seconds: float = 1200.0
+    cameras: int = 7
+    size: tuple[float, float] = (36.0, 12.0)
+    """Metres."""
+    frame: float = 0.5
+    """Seconds between frames."""
+    start: float = 1_700_000_000.0
+    faults: Faults = Faults(broken_every=90.0)
+
+
+def simulate_crowd(settings: CrowdSettings) -> tuple[list[Event], Truth]:
+    """Events sorted by time, and the truth (without zones and links). Raises ValueError when no views are found."""
+    structure, chance = (np.random.default_rng((settings.seed, 11, part)) for part in (1, 2))
+    names = [f"square{number + 1}" for number in range(settings.cameras)]
+    pieces = make_pieces(settings.size, names, (0.3, 0.7), (0.3, 1.0), structure)
+    spots = structure.uniform((2.0, 2.0), np.array(settings.size) - 2.0, (5, 2))
+    busy = structure.dirichlet(np.full(12, 1.5))
+    size = 1 + np.arange(len(GROUP_SIZES)) @ np.array(GROUP_SIZES)
+    groups = round(settings.people * (settings.seconds + WARM_UP_SECONDS) / STAY_SECONDS / size)
+    knots = []
+    for _ in range(groups):
+        begin = chance.uniform(-WARM_UP_SECONDS, settings.seconds)
+        times, places = _group_walk(begin, busy, spots, settings.size, chance)
+        for _ in range(1 + int(chance.choice(len(GROUP_SIZES), p=GROUP_SIZES))):
+            beside = APART_METRES * chance.standard_normal(2)
+            knots.append((times + chance.uniform(0.0, 1.0), places + beside))
+    walks = sampled(knots, settings.size, settings.frame, settings.seconds)
+    walked = sightings(pieces, walks, np.inf, chance)
+    seen = sightings(pieces, walks, settings.faults.broken_every, chance)
+    return recorded(names, walked, seen, settings.faults, settings.start, chance)
+
+
+def _group_walk(
+    begin: float, busy: Floats, spots: Floats, size: tuple[float, float], rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Knots of the walk that a group takes from rim to rim; some stretches of the rim are busier than others."""
+    rim = 2 * (size[0] + size[1])
+    came, goes = ((rng.choice(len(busy), p=busy) + rng.random()) / len(busy) * rim for _ in range(2))
+    stops, waits = [on_rim(came, size)], [0.0]
+    manner = rng.random()
+    if manner >= PASSING:
+        standing = manner >= PASSING + STROLLING
+        for _ in range(1 if standing else int(rng.integers(1, 4))):
+            stops.append(spots[rng.integers(len(spots))] + 1.5 * rng.standard_normal(2))
+            waits.append(rng.uniform(*(STAND_SECONDS if standing else STOP_SECONDS)))
+    stops.append(on_rim(goes, size))
+    waits.append(0.0)
+    pace = WALKING_SPEED * (1.0 if manner < PASSING else STROLL_FACTOR)
+    return walk(stops, waits, pace * float(np.exp(SPEED_SD * rng.standard_normal())), begin, rng)

@@ -1,0 +1,170 @@
+"""People on an open floor (metres), and cameras that each see a piece of it in perspective.
+
+A piece is what lies inside the picture, near enough, and not behind something: a convex polygon of the floor.
+People walk from place to place along slightly curved lines; a passage is a stay of the foot point in the piece.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from camtopod.sim.floor import View
+from camtopod.sim.layout import Ints
+from camtopod.sim.recording import GAP_SECONDS, Bools, Sightings, join
+from camtopod.sim.truth import Floats
+
+LEG_KNOTS = 8
+"""Points between which a leg of a walk is straight."""
+BEND_SD = 0.06
+"""How far a leg bends, as a share of its length."""
+WOBBLE_METRES, SWAY_METRES = 0.15, 0.2
+"""How far from their line people walk, and how far they shift while they wait."""
+WALKING_SPEED, SPEED_SD, LEG_SPEED_SD = 1.3, 0.25, 0.05
+"""Metres a second (median), its spread between people and between one person's legs (log scale)."""
+CELL_METRES = 0.5
+VIEW_TRIES_MAX = 20_000
+PILLAR_SHARE = 0.4
+"""Share of the cameras that do not see one of the upper corners of their picture."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A camera's piece of the floor: of the picture of ``view``, points with a x + b y <= c for all ``cuts``
+    (m, 3)."""
+
+    view: View
+    cuts: Floats
+
+    def look(self, floor: Floats) -> tuple[Floats, Bools]:
+        """Floor points (n, 2) in metres to picture fractions (n, 2), and which of them are in the piece."""
+        seen = self.view.feet(floor)
+        xy, depth = seen[:, :2], seen[:, 2]
+        inside = (np.abs(xy - 0.5) <= 0.5).all(1) & (depth > 0.1)
+        return xy, inside & (xy @ self.cuts[:, :2].T <= self.cuts[:, 2]).all(1)
+
+
+@dataclass(frozen=True)
+class Walks:
+    """Where everybody is on each frame, person after person: (n,) who, (n,) seconds, (n, 2) metres."""
+
+    who: Ints
+    t: Floats
+    floor: Floats
+
+
+def make_pieces(
+    size: tuple[float, float],
+    names: list[str],
+    share: tuple[float, float],
+    common: tuple[float, float],
+    rng: np.random.Generator,
+) -> list[Piece]:
+    """Cameras on the walls or ceiling over a floor of ``size`` metres: each sees a share of the floor within
+    ``share``, of which a share within ``common`` is seen by others before it, too.
+
+    Raises ValueError when such cameras are not found.
+    """
+    cells = np.stack(np.meshgrid(*(np.arange(CELL_METRES / 2, side, CELL_METRES) for side in size)), -1).reshape(-1, 2)
+    covered = np.zeros(len(cells), dtype=bool)
+    pieces: list[Piece] = []
+    for _ in range(VIEW_TRIES_MAX):
+        if len(pieces) == len(names):
+            return pieces
+        piece = _piece(size, names[len(pieces)], rng)
+        inside = piece.look(cells)[1] if piece is not None else covered
+        if piece is None or not share[0] <= inside.mean() <= share[1]:
+            continue
+        if pieces and not common[0] <= covered[inside].mean() <= common[1]:
+            continue
+        pieces.append(piece)
+        covered |= inside
+    raise ValueError(f"no {len(names)} views of a floor of {size[0]:g} x {size[1]:g} m found")
+
+
+def _piece(size: tuple[float, float], name: str, rng: np.random.Generator) -> Piece | None:
+    """A camera that looks at some place on the floor; none if it would hang far outside."""
+    target = rng.uniform((0.0, 0.0), size)
+    heading, distance = rng.uniform(-math.pi, math.pi), rng.uniform(5.0, 14.0)
+    position = target - distance * np.array((math.cos(heading), math.sin(heading)))
+    if (position < -1.0).any() or (position > np.array(size) + 1.0).any():
+        return None
+    view = View(
+        name, (float(target[0]), float(target[1])), heading, rng.uniform(3.5, 7.0), distance, rng.uniform(0.6, 1.0)
+    )
+    ahead = np.array((math.cos(heading), math.sin(heading)))
+    far = float(view.feet((position + (distance + rng.uniform(4.0, 14.0)) * ahead)[None])[0, 1])
+    cuts = [(0.0, -1.0, -far)]
+    if rng.random() < PILLAR_SHARE:
+        side = rng.choice((-1.0, 1.0))  # the upper left or right corner is hidden
+        cuts.append((side, -1.0, 0.5 * side + 0.5 - rng.uniform(0.3, 0.6)))
+    return Piece(view, np.array(cuts))
+
+
+def walk(
+    stops: list[Floats], waits: list[float], speed: float, begin: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Knots of a walk, (k,) seconds and (k, 2) metres, from stop to stop with a wait at each (0: walks on)."""
+    t, times, places = begin, [np.array([begin])], [stops[0][None]]
+    for (a, b), wait in zip(pairwise(stops), waits[1:], strict=True):
+        ahead = b - a
+        length = float(np.linalg.norm(ahead))
+        share = np.linspace(0, 1, LEG_KNOTS + 1)[1:]
+        aside = BEND_SD * rng.standard_normal() * np.sin(np.pi * share)
+        line = a + share[:, None] * ahead + aside[:, None] * np.array((-ahead[1], ahead[0]))
+        line[:-1] += WOBBLE_METRES * rng.standard_normal((LEG_KNOTS - 1, 2))
+        seconds = length / (speed * math.exp(LEG_SPEED_SD * rng.standard_normal()))
+        times.append(t + share * seconds)
+        places.append(line)
+        t += seconds
+        if wait > 0:
+            shifts = 1 + int(wait / 10.0)
+            times.append(t + wait * np.arange(1, shifts + 1) / shifts)
+            places.append(b + SWAY_METRES * rng.standard_normal((shifts, 2)))
+            t += wait
+    return np.concatenate(times), np.concatenate(places)
+
+
+def sampled(knots: list[tuple[Floats, Floats]], size: tuple[float, float], frame: float, seconds: float) -> Walks:
+    """Everybody's place on each frame (``frame`` seconds apart) of a recording of so many seconds."""
+    who, t, floor = [], [], []
+    for person, (times, places) in enumerate(knots):
+        first, last = max(0, math.ceil(times[0] / frame)), math.floor(min(times[-1], seconds) / frame)
+        frames = np.arange(first, last + 1) * frame
+        if len(frames):
+            who.append(np.full(len(frames), person))
+            t.append(frames)
+            floor.append(np.column_stack([np.interp(frames, times, column) for column in places.T]))
+    everywhere = np.clip(np.concatenate(floor), 0.0, size)
+    return Walks(np.concatenate(who), np.concatenate(t), everywhere)
+
+
+def sightings(pieces: list[Piece], walks: Walks, broken_every: float, rng: np.random.Generator) -> Sightings:
+    """Stays of the foot points in the pieces; a tracker loses people once in ``broken_every`` seconds (inf: never)."""
+    parts = []
+    for camera, piece in enumerate(pieces):
+        at, inside = piece.look(walks.floor)
+        if math.isfinite(broken_every):
+            inside = _interrupted(walks, inside, broken_every, rng)
+        before = np.r_[False, inside[:-1] & (walks.who[1:] == walks.who[:-1])]
+        after = np.r_[inside[1:] & (walks.who[1:] == walks.who[:-1]), False]
+        first, last = np.flatnonzero(inside & ~before), np.flatnonzero(inside & ~after)
+        none = np.full(len(first), -1)
+        owner = np.full(len(first), camera)
+        parts.append(Sightings(walks.who[first], owner, walks.t[first], walks.t[last], at[first], at[last], none, none))
+    return join(parts)
+
+
+def _interrupted(walks: Walks, inside: Bools, every: float, rng: np.random.Generator) -> Bools:
+    """``inside`` without the gaps in which a tracker has lost a person."""
+    frame = float(np.min(np.diff(walks.t), where=np.diff(walks.t) > 0, initial=np.inf))
+    lost = np.flatnonzero(inside & (rng.random(len(inside)) < frame / every))
+    gap = np.ceil(rng.uniform(*GAP_SECONDS, len(lost)) / frame).astype(np.int64)
+    result = inside.copy()
+    for k in range(int(gap.max(initial=0))):
+        at = np.minimum(lost + k, len(inside) - 1)
+        result[at[(k < gap) & (walks.who[at] == walks.who[lost])]] = False
+    return result

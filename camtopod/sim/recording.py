@@ -1,0 +1,244 @@
+"""From who was in which view when to what the cameras report of it: tracker faults, events, truth.
+
+Used by the networks in which people walk about on a plan (`hall`, `crowd`, `walkway`, `road`). Times in here are
+seconds since the recording's start; positions are fractions of the image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from camtopod.records import Event, Pair
+from camtopod.sim.layout import Ints
+from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Floats, TrueLink, TrueZone, Truth, transit_of
+
+Bools = NDArray[np.bool_]
+
+PAIR_WALKS_MIN = 3
+"""Cameras are related in truth when people went from one to the other at least so often."""
+GAP_SECONDS = (0.5, 3.0)
+"""A tracker that has lost somebody takes so long to begin a new track."""
+GHOST_SECONDS, GHOST_SECONDS_SD = 2.0, 0.8
+"""Median and spread (log scale) of the length of clutter tracks."""
+GHOST_METRES_SD = 0.1
+"""How far clutter tracks go, fraction of the image."""
+
+
+class Faults(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the cameras get wrong. Shares are in [0, 1)."""
+
+    missed: float = 0.07
+    """Share of the passages that are not recorded."""
+    clutter: float = 0.05
+    """Share of the passages that belong to nobody."""
+    broken_every: float = 60.0
+    """A tracker loses a person once in so many seconds of view, on average."""
+    short: float = 0.5
+    """Passages of fewer seconds are not recorded."""
+    noise: float = 0.01
+    """Standard deviation of positions, fraction of the image."""
+
+
+class Sightings(Struct):
+    """Passages as columns: (n,) people, cameras, zones (-1: not defined), times; (n, 2) positions or nan."""
+
+    who: Ints
+    camera: Ints
+    t_in: Floats
+    t_out: Floats
+    at_in: Floats
+    at_out: Floats
+    zone_in: Ints
+    zone_out: Ints
+
+    def take(self, index: Ints | Bools) -> Sightings:
+        return Sightings(*(getattr(self, name)[index] for name in self.__struct_fields__))
+
+    def sorted(self) -> Sightings:
+        """By person, then by time of entry."""
+        return self.take(np.lexsort((self.camera, self.t_in, self.who)))
+
+
+def join(parts: list[Sightings]) -> Sightings:
+    """One table of several (at least one)."""
+    return Sightings(*(np.concatenate([getattr(p, name) for p in parts]) for name in Sightings.__struct_fields__))
+
+
+def clipped(seen: Sightings, on_air: list[tuple[int, float, float]]) -> Sightings:
+    """What is left of passages when cameras report only in the intervals (camera, from, to)."""
+    parts = []
+    for camera, begin, end in on_air:
+        mine = seen.take((seen.camera == camera) & (seen.t_in < end) & (seen.t_out > begin))
+        parts.append(_cut(mine, np.maximum(mine.t_in, begin), np.minimum(mine.t_out, end)))
+    return join(parts)
+
+
+def broken(seen: Sightings, every: float, rng: np.random.Generator) -> Sightings:
+    """Passages with their tracks broken in two, on average once in ``every`` seconds of view."""
+    stay = seen.t_out - seen.t_in
+    split = rng.random(len(stay)) < 1 - np.exp(-stay / every)
+    begin = seen.t_in + stay * rng.random(len(stay))
+    end = np.where(split, np.minimum(begin + rng.uniform(*GAP_SECONDS, len(stay)), seen.t_out), seen.t_out)
+    first = _cut(seen, seen.t_in, np.where(split, begin, seen.t_out))
+    return join([first, _cut(seen, end, seen.t_out).take(split)])
+
+
+def _cut(seen: Sightings, t_in: Floats, t_out: Floats) -> Sightings:
+    """The part of passages from ``t_in`` to ``t_out``, as if people walked straight through."""
+    stay = np.maximum(seen.t_out - seen.t_in, 1e-9)
+    ahead = seen.at_out - seen.at_in
+    at_in = seen.at_in + ((t_in - seen.t_in) / stay)[:, None] * ahead
+    at_out = seen.at_in + ((t_out - seen.t_in) / stay)[:, None] * ahead
+    return Sightings(seen.who, seen.camera, t_in, t_out, at_in, at_out, seen.zone_in, seen.zone_out)
+
+
+def recorded(
+    cameras: list[str], walked: Sightings, seen: Sightings, faults: Faults, start: float, rng: np.random.Generator
+) -> tuple[list[Event], Truth]:
+    """Events sorted by time, and the truth.
+
+    ``walked`` is who truly was in which view when, ``seen`` what the trackers made of it. ``start`` is the event
+    time (seconds since the epoch) at which the recording begins. Missed and short passages and clutter are
+    put in here.
+    """
+    seen = seen.take(seen.t_out - seen.t_in >= faults.short).sorted()
+    first = np.r_[True, seen.who[1:] != seen.who[:-1]]
+    number = np.arange(len(seen.who)) - np.maximum.accumulate(np.where(first, np.arange(len(first)), 0))
+    kept = rng.random(len(number)) >= faults.missed
+    seen, number = seen.take(kept), number[kept]
+    ghosts = _ghosts(seen, faults.clutter, rng)
+    both = join([seen, ghosts])
+    number = np.concatenate([number, np.full(len(ghosts.who), CLUTTER)])
+    n = len(number)
+    at = np.concatenate([both.at_in, both.at_out])
+    at = np.clip(at + faults.noise * rng.standard_normal(at.shape), 0.0, 1.0)
+    t = np.concatenate([both.t_in, both.t_out])
+    order = np.argsort(t, kind="stable")
+    entry = np.arange(2 * n) < n
+    events = events_of(cameras, np.tile(both.camera, 2), entry, t + start, at, np.tile(np.arange(n), 2), order)
+    zones = _zones(cameras, walked)
+    truth = Truth(
+        schema=TRUTH_SCHEMA,
+        cameras=cameras,
+        zones=zones,
+        links=_links(zones, walked, seen, number[: len(seen.who)]),
+        pairs=_pairs(cameras, walked.sorted()),
+        identity=np.tile(both.who, 2)[order].tolist(),
+        passage=np.tile(number, 2)[order].tolist(),
+        zone=np.concatenate([both.zone_in, both.zone_out])[order].tolist(),
+    )
+    return events, truth
+
+
+def events_of(
+    cameras: list[str], camera: Ints, entry: Bools, t: Floats, at: Floats, track: Ints, order: Ints
+) -> list[Event]:
+    """Events in ``order`` from columns: (n,) camera, entry or exit, event time, (n, 2) place or nan, track or -1."""
+    names = _track_names(camera, track, order)
+    xy, when, placed = np.round(at, 4), np.round(t, 6), np.isfinite(at[:, 0])
+    return [
+        Event(
+            camera=cameras[camera[i]],
+            kind="entry" if entry[i] else "exit",
+            t=float(when[i]),
+            x=float(xy[i, 0]) if placed[i] else None,
+            y=float(xy[i, 1]) if placed[i] else None,
+            track=name,
+        )
+        for i, name in zip(order, names, strict=True)
+    ]
+
+
+def _track_names(camera: Ints, track: Ints, order: Ints) -> list[str | None]:
+    """Tracks numbered within their camera in the order they are first seen, as a tracker would."""
+    names: dict[int, str] = {}
+    counts: dict[int, int] = {}
+    result: list[str | None] = []
+    for i in order:
+        key = int(track[i])
+        if key >= 0 and key not in names:
+            counts[camera[i]] = counts.get(camera[i], 0) + 1
+            names[key] = str(counts[camera[i]])
+        result.append(names[key] if key >= 0 else None)
+    return result
+
+
+def _ghosts(seen: Sightings, share: float, rng: np.random.Generator) -> Sightings:
+    """Passages of nobody: at cameras and times as busy as the real ones, anywhere in the image."""
+    n = round(share / (1 - share) * len(seen.who))
+    like = seen.take(rng.integers(0, max(len(seen.who), 1), n))
+    t_in = like.t_in + rng.uniform(-30.0, 30.0, n)
+    t_in = np.clip(t_in, seen.t_in.min(initial=0.0), seen.t_in.max(initial=0.0))
+    at_in = np.where(np.isnan(like.at_in), np.nan, rng.random((n, 2)))
+    at_out = np.clip(at_in + GHOST_METRES_SD * rng.standard_normal((n, 2)), 0.0, 1.0)
+    stay = GHOST_SECONDS * np.exp(GHOST_SECONDS_SD * rng.standard_normal(n))
+    nobody = np.full(n, CLUTTER)
+    return Sightings(nobody, like.camera, t_in, t_in + stay, at_in, at_out, nobody, nobody)
+
+
+def _pairs(cameras: list[str], walked: Sightings) -> list[Pair]:
+    """Overlapped: people in both at once; unseen path: people in the one and next in the other."""
+    together: dict[tuple[str, str], int] = {}
+    after: dict[tuple[str, str], int] = {}
+    shift = 1
+    while (same := walked.who[shift:] == walked.who[:-shift]).any():
+        other = same & (walked.camera[shift:] != walked.camera[:-shift])
+        at_once = other & (walked.t_in[shift:] < walked.t_out[:-shift])
+        for table, mask in ((together, at_once), (after, other if shift == 1 else np.zeros_like(other))):
+            for a, b in zip(walked.camera[:-shift][mask], walked.camera[shift:][mask], strict=True):
+                low, high = sorted((cameras[a], cameras[b]))
+                table[low, high] = table.get((low, high), 0) + 1
+        shift += 1
+    overlapped = {pair for pair, n in together.items() if n >= PAIR_WALKS_MIN}
+    joined = {pair for pair, n in after.items() if n >= PAIR_WALKS_MIN}
+    return [Pair(pair, "overlapped" if pair in overlapped else "unseen_path") for pair in sorted(overlapped | joined)]
+
+
+def _zones(cameras: list[str], walked: Sightings) -> list[TrueZone]:
+    """One zone for each zone number in use, where people came and went through it; none if not defined."""
+    zone = np.concatenate([walked.zone_in, walked.zone_out])
+    camera, at = np.tile(walked.camera, 2), np.concatenate([walked.at_in, walked.at_out])
+    result = []
+    counts: dict[int, int] = {}
+    for number in range(int(zone.max(initial=-1)) + 1):
+        mine = np.flatnonzero(zone == number)
+        owner = int(camera[mine[0]])
+        counts[owner] = counts.get(owner, 0) + 1
+        name = f"{cameras[owner]}/{counts[owner]}"
+        x, y = at[mine].mean(0)
+        if np.isnan(x):
+            result.append(TrueZone(id=name, camera=cameras[owner]))
+            continue
+        cov = np.cov(at[mine].T) if len(mine) > 1 else np.zeros((2, 2))
+        result.append(TrueZone(name, cameras[owner], round(float(x), 4), round(float(y), 4), np.round(cov, 7).tolist()))
+    return result
+
+
+def _links(zones: list[TrueZone], walked: Sightings, seen: Sightings, number: Ints) -> list[TrueLink]:
+    """Ways from zone to zone, as walked; ``transitions`` counts those with both ends recorded."""
+    if not zones:
+        return []
+    walked = walked.sorted()
+    next_ = walked.who[1:] == walked.who[:-1]
+    whole = (seen.who[1:] == seen.who[:-1]) & (number[1:] == number[:-1] + 1)
+    exits = np.bincount(walked.zone_out, minlength=len(zones))
+    lags: dict[tuple[int, int], list[float]] = {}
+    columns = walked.zone_out[:-1][next_], walked.zone_in[1:][next_], (walked.t_in[1:] - walked.t_out[:-1])[next_]
+    for u, v, lag in zip(*columns, strict=True):
+        lags.setdefault((int(u), int(v)), []).append(float(lag))
+    count: dict[tuple[int, int], int] = {}
+    for u, v in zip(seen.zone_out[:-1][whole], seen.zone_in[1:][whole], strict=True):
+        count[int(u), int(v)] = count.get((int(u), int(v)), 0) + 1
+    return [
+        TrueLink(
+            from_=zones[u].id,
+            to=zones[v].id,
+            relation="overlapped" if np.median(seconds) < 0 else "unseen",
+            probability=round(len(seconds) / int(exits[u]), 6),
+            transitions=count.get((u, v), 0),
+            transit=transit_of(np.array(seconds)),
+        )
+        for (u, v), seconds in sorted(lags.items())
+    ]

@@ -1,0 +1,164 @@
+"""Cameras along the streets of a town: vehicles without positions, in platoons from traffic lights.
+
+Vehicles mostly go straight on and never turn round, so where they came from says where they go. A camera sees both
+directions of its street and cannot tell them apart.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from msgspec import Struct
+
+from camtopod.records import Event
+from camtopod.sim.recording import Faults, Sightings, recorded
+from camtopod.sim.truth import Floats, Truth
+
+STREET_METRES = (150.0, 900.0)
+ONE_WAY_SHARE = 0.2
+"""Share of the arterials on which traffic goes one way."""
+STRAIGHT = 0.78
+"""Share of the vehicles that go straight on at a crossing where they can."""
+PARKS = 0.06
+"""Share of the vehicles that end (and begin) their trip in a street."""
+LIGHT_SECONDS, GREEN_SHARE = (60.0, 90.0), 0.5
+HEADWAY_SECONDS = 1.8
+CAR_SPEED, BUS_SPEED, SPEED_SD = 11.0, 7.0, 0.12
+"""Metres a second; the spread (log scale) is between vehicles."""
+BUS_SHARE, BUS_STOP_SECONDS = 0.12, 25.0
+VIEW_METRES = (15.0, 40.0)
+WARM_UP_SECONDS = 600.0
+CROSSINGS_MAX = 60
+
+Node = tuple[int, int]
+
+
+class RoadSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is simulated. Times are seconds."""
+
+    seed: int = 0
+    per_second: float = 0.3
+    """Vehicles that begin a trip."""
+    seconds: float = 3600.0
+    cameras: int = 20
+    grid: tuple[int, int] = (4, 5)
+    """Arterials that cross, north to south and west to east."""
+    start: float = 1_700_000_000.0
+    faults: Faults = Faults(missed=0.1, clutter=0.02, short=0.0)
+
+
+@dataclass(frozen=True)
+class Town:
+    """``metres`` of each directed street (from, to) between crossings or to the rim, the cameras on them as
+    (camera, metres from the western or northern end), and each crossing's lights: cycle, offset in seconds."""
+
+    metres: dict[tuple[Node, Node], float]
+    cameras: dict[tuple[Node, Node], list[tuple[int, float]]]
+    lights: dict[Node, tuple[float, float]]
+    view_metres: Floats
+
+
+def simulate_road(settings: RoadSettings) -> tuple[list[Event], Truth]:
+    """Events sorted by time, and the truth (one zone per camera). Raises ValueError for too many cameras."""
+    structure, chance = (np.random.default_rng((settings.seed, 13, part)) for part in (1, 2))
+    town = _town(settings, structure)
+    names = [f"road{number + 1:02d}" for number in range(settings.cameras)]
+    rows = _drive(town, settings, structure, chance)
+    who, camera, t_in, t_out = (np.array(column) for column in zip(*rows, strict=True))
+    nowhere = np.full((len(who), 2), np.nan)
+    used, zone = np.unique(camera, return_inverse=True)
+    names_used = [names[k] for k in used]
+    walked = Sightings(who, zone, t_in, t_out, nowhere, nowhere, zone, zone)
+    walked = walked.take((t_in >= 0) & (t_out < settings.seconds))
+    return recorded(names_used, walked, walked, settings.faults, settings.start, chance)
+
+
+def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
+    """Arterials as a grid that goes on to the rim; some one way; cameras on streets drawn without repetition."""
+    columns, rows = settings.grid
+    metres: dict[tuple[Node, Node], float] = {}
+    lines = [[(x, y) for y in range(-1, rows + 1)] for x in range(columns)]
+    lines += [[(x, y) for x in range(-1, columns + 1)] for y in range(rows)]
+    east, south = (np.exp(rng.uniform(*np.log(STREET_METRES), n + 1)) for n in settings.grid)
+    for line in lines:
+        one_way = rng.random() < ONE_WAY_SHARE
+        if rng.random() < 0.5:
+            line = line[::-1]
+        for a, b in zip(line[:-1], line[1:], strict=True):
+            length = float(
+                (east if a[1] == b[1] else south)[min(a[0], b[0]) + 1 if a[1] == b[1] else min(a[1], b[1]) + 1]
+            )
+            metres[a, b] = length
+            if not one_way:
+                metres[b, a] = length
+    streets = sorted({(min(way), max(way)) for way in metres})
+    if settings.cameras > len(streets):
+        raise ValueError(f"{settings.cameras} cameras, but only {len(streets)} streets")
+    cameras: dict[tuple[Node, Node], list[tuple[int, float]]] = {}
+    for camera, k in enumerate(rng.choice(len(streets), settings.cameras, replace=False)):
+        a, b = streets[k]
+        length = metres.get((a, b), metres.get((b, a), 0.0))
+        place = length * rng.uniform(0.1, 0.9)
+        cameras[a, b], cameras[b, a] = [(camera, place)], [(camera, length - place)]
+    crossings = sorted({node for way in metres for node in way if _inside(node, settings.grid)})
+    lights = {node: (float(rng.uniform(*LIGHT_SECONDS)), float(rng.uniform(0.0, 90.0))) for node in crossings}
+    return Town(metres, cameras, lights, rng.uniform(*VIEW_METRES, settings.cameras))
+
+
+def _inside(node: Node, grid: tuple[int, int]) -> bool:
+    return 0 <= node[0] < grid[0] and 0 <= node[1] < grid[1]
+
+
+def _drive(
+    town: Town, settings: RoadSettings, structure: np.random.Generator, rng: np.random.Generator
+) -> list[tuple[int, int, float, float]]:
+    """Everybody's passages (who, camera, seconds in, seconds out); vehicles meet at the lights in order of time."""
+    ways = sorted(town.metres)
+    busy = np.array([(1.0 if not _inside(a, settings.grid) else PARKS) for a, _ in ways])
+    busy *= np.exp(0.7 * structure.standard_normal(len(ways)))
+    n = rng.poisson(settings.per_second * (settings.seconds + WARM_UP_SECONDS))
+    bus = rng.random(n) < BUS_SHARE
+    speed = np.where(bus, BUS_SPEED, CAR_SPEED) * np.exp(SPEED_SD * rng.standard_normal(n))
+    turns = {way: _turns(town, way, structure) for way in ways}
+    begin = rng.uniform(-WARM_UP_SECONDS, settings.seconds, n)
+    heap = [(float(begin[k]), k, ways[way], 0) for k, way in enumerate(rng.choice(len(ways), n, p=busy / busy.sum()))]
+    heapq.heapify(heap)
+    free: dict[tuple[Node, Node], float] = {}
+    passages = []
+    while heap:
+        t, who, way, crossings = heapq.heappop(heap)
+        pace = speed[who] * math.exp(0.05 * rng.standard_normal())
+        stop = rng.exponential(BUS_STOP_SECONDS) if bus[who] and rng.random() < 0.5 else 0.0
+        for camera, place in town.cameras.get(way, []):
+            passages.append((who, camera, t + place / pace, t + (place + town.view_metres[camera]) / pace))
+        targets, share = turns[way]
+        if not targets or crossings >= CROSSINGS_MAX or rng.random() < PARKS:
+            continue
+        arrives = t + town.metres[way] / pace + stop
+        free[way] = _green(town.lights[way[1]], way, max(arrives, free.get(way, -math.inf) + HEADWAY_SECONDS))
+        onward = way[1], targets[int(rng.choice(len(targets), p=share))]
+        heapq.heappush(heap, (free[way], who, onward, crossings + 1))
+    return passages
+
+
+def _turns(town: Town, way: tuple[Node, Node], rng: np.random.Generator) -> tuple[list[Node], Floats]:
+    """Where vehicles go at the end of a street, and their shares: mostly straight on, never back."""
+    a, b = way
+    straight = (2 * b[0] - a[0], 2 * b[1] - a[1])
+    targets = sorted(v for u, v in town.metres if u == b and v != a)
+    if not targets:
+        return [], np.zeros(0)
+    weight = rng.dirichlet(np.full(len(targets), 2.0)) * (1 - STRAIGHT)
+    weight[[v == straight for v in targets]] = STRAIGHT
+    return targets, weight / weight.sum()
+
+
+def _green(light: tuple[float, float], way: tuple[Node, Node], t: float) -> float:
+    """The first moment from ``t`` on at which a street's light is green; the two crossing streets take turns."""
+    cycle, offset = light
+    offset += 0.0 if way[0][0] == way[1][0] else GREEN_SHARE * cycle
+    phase = (t - offset) % cycle
+    return t if phase < GREEN_SHARE * cycle else t - phase + cycle

@@ -1,0 +1,180 @@
+"""Cameras along the walkways of a campus: few people, views far apart, recordings that begin and end when they like.
+
+The ways join the views by a tree with a few branches; most are walked through, on some people sit down or talk, so
+that the times spread widely.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from msgspec import Struct
+
+from camtopod.records import Event
+from camtopod.sim.recording import Faults, Sightings, broken, clipped, recorded
+from camtopod.sim.truth import Floats, Truth
+
+SIDES = (((0.03, 0.7), (0.015, 0.08)), ((0.97, 0.7), (0.015, 0.08)), ((0.5, 0.97), (0.12, 0.012)), ((0.45, 0.42), (0.05, 0.02)))  # fmt: skip
+"""Where ways cut a picture (left, right, bottom, far away): centre and standard deviations (x, y)."""
+WAY_SECONDS, BROAD_SECONDS = (10.0, 90.0), 9.0
+BROAD_SHARE, BROAD_STOP = 0.35, (2.0, 63.0)
+"""Share of the ways that are broad, and how long people stop there."""
+VIEW_SECONDS = (5.0, 20.0)
+SPEED_SD, PATH_SD = 0.15, 0.06
+STREET = -1
+LEAVES = 0.06
+"""Share of people that go into a building on a way."""
+U_TURN = 0.08
+PAUSE_SHARE, PAUSE_SECONDS = 0.06, (10.0, 90.0)
+"""Share of the passages in which people stop in view, and for how long."""
+PASSAGES_MAX = 30
+CLASS_SHARE, CLASS_SECONDS = 0.4, 120.0
+"""Share of people that come when a class ends, and in which time."""
+
+
+class WalkwaySettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is simulated. Times are seconds."""
+
+    seed: int = 0
+    walkers: int = 150
+    seconds: float = 2400.0
+    cameras: int = 6
+    together: float = 0.25
+    """Share of the walkers with somebody at their side."""
+    gaps: bool = True
+    """Whether cameras begin late, end early or fall silent in between."""
+    start: float = 1_700_000_000.0
+    faults: Faults = Faults(broken_every=120.0, clutter=0.04)
+
+
+@dataclass(frozen=True)
+class Campus:
+    """``ways[camera]`` lists the ways at a camera's sides: (camera at the other end or `STREET`, its side, seconds,
+    broad); ``weight`` how many take each."""
+
+    ways: list[list[tuple[int, int, float, bool]]]
+    weight: list[Floats]
+
+
+def simulate_walkway(settings: WalkwaySettings) -> tuple[list[Event], Truth]:
+    """Events sorted by time, and the truth."""
+    structure, chance = (np.random.default_rng((settings.seed, 12, part)) for part in (1, 2))
+    names = [f"way{number + 1}" for number in range(settings.cameras)]
+    campus = _campus(settings.cameras, structure)
+    walked = _walk(campus, settings, chance)
+    zones, where = np.unique(np.concatenate([walked.zone_in, walked.zone_out]), return_inverse=True)
+    walked.zone_in, walked.zone_out = where[: len(walked.who)], where[len(walked.who) :]
+    assert len(zones) <= settings.cameras * len(SIDES)
+    seen = clipped(walked, _on_air(settings, structure))
+    seen = broken(seen, settings.faults.broken_every, chance)
+    return recorded(names, walked, seen, settings.faults, settings.start, chance)
+
+
+def _campus(cameras: int, rng: np.random.Generator) -> Campus:
+    """A random tree of cameras, one way that closes a circle, and ways to the outside where a side is left."""
+    ways: list[list[tuple[int, int, float, bool]]] = [[] for _ in range(cameras)]
+
+    def join(a: int, b: int) -> None:
+        broad = bool(rng.random() < BROAD_SHARE)
+        seconds = BROAD_SECONDS if broad else float(np.exp(rng.uniform(*np.log(WAY_SECONDS))))
+        side_a, side_b = len(ways[a]), len(ways[b])
+        ways[a].append((b, side_b, seconds, broad))
+        ways[b].append((a, side_a, seconds, broad))
+
+    for camera in range(1, cameras):
+        near = [other for other in range(max(0, camera - 3), camera) if len(ways[other]) < 3]
+        join(int(rng.choice(near)), camera)
+    if cameras > 3 and len(ways[0]) < 3 and len(ways[-1]) < 3:
+        join(0, cameras - 1)
+    for mine in ways:
+        if len(mine) == 1 or (len(mine) == 2 and rng.random() < 0.4):
+            mine.append((STREET, 0, 0.0, False))
+    weight = [np.exp(0.6 * rng.standard_normal(len(mine))) for mine in ways]
+    return Campus(ways, weight)
+
+
+def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -> Sightings:
+    """Everybody's passages; zone ``4 * camera + side``, sides of a camera in an order of its own."""
+    streets = [(c, s) for c, mine in enumerate(campus.ways) for s, way in enumerate(mine) if way[0] == STREET]
+    sides = [rng.permutation(len(SIDES)) for _ in campus.ways]
+    busy = rng.dirichlet(np.full(len(streets), 2.0))
+    classes = rng.uniform(0.0, settings.seconds, max(1, round(settings.seconds / 900.0)))
+    rows: list[tuple[int, int, float, float, int, int]] = []
+    person = 0
+    while person < settings.walkers:
+        begin = rng.uniform(-120.0, settings.seconds - 60.0)
+        if rng.random() < CLASS_SHARE:
+            begin = float(rng.choice(classes)) + CLASS_SECONDS * rng.random()
+        camera, side = streets[int(rng.choice(len(streets), p=busy))]
+        passages = _one(campus, camera, side, begin, rng)
+        rows += [(person, *passage) for passage in passages]
+        person += 1
+        if rng.random() < settings.together / 2:
+            aside = rng.uniform(0.2, 1.0)
+            rows += [
+                (person, c, t_in + aside, t_out + aside * rng.uniform(0.5, 1.5), a, b)
+                for c, t_in, t_out, a, b in passages
+            ]
+            person += 1
+    who, camera_of, t_in, t_out, came, went = (np.array(column) for column in zip(*rows, strict=True))
+    inside = (t_out > 0) & (t_in < settings.seconds)
+    order = np.array(sides)
+    side_in, side_out = order[camera_of, came], order[camera_of, went]
+    centre, spread = np.array([side[0] for side in SIDES]), np.array([side[1] for side in SIDES])
+    noise_in, noise_out = rng.standard_normal((2, len(who), 2))
+    return Sightings(
+        who=who,
+        camera=camera_of,
+        t_in=t_in,
+        t_out=t_out,
+        at_in=centre[side_in] + spread[side_in] * noise_in,
+        at_out=centre[side_out] + spread[side_out] * noise_out,
+        zone_in=len(SIDES) * camera_of + side_in,
+        zone_out=len(SIDES) * camera_of + side_out,
+    ).take(inside)
+
+
+def _one(
+    campus: Campus, camera: int, side: int, t: float, rng: np.random.Generator
+) -> list[tuple[int, float, float, int, int]]:
+    """One walk: (camera, seconds in, seconds out, side in, side out) of each passage."""
+    speed = float(np.exp(SPEED_SD * rng.standard_normal()))
+    result: list[tuple[int, float, float, int, int]] = []
+    while len(result) < PASSAGES_MAX:
+        weight = campus.weight[camera].copy()
+        weight[side] = U_TURN * weight.sum() if len(weight) > 1 else 1.0
+        out = int(rng.choice(len(weight), p=weight / weight.sum()))
+        stay = rng.uniform(*VIEW_SECONDS) / speed
+        if rng.random() < PAUSE_SHARE:
+            stay += rng.uniform(*PAUSE_SECONDS)
+        result.append((camera, t, t + stay, side, out))
+        target, other, seconds, broad = campus.ways[camera][out]
+        if target == STREET or rng.random() < LEAVES:
+            break
+        way = seconds / speed * float(np.exp(PATH_SD * rng.standard_normal()))
+        if broad:
+            way += rng.uniform(0.0, BROAD_STOP[1])
+        camera, side, t = target, other, t + stay + way
+    return result
+
+
+def _on_air(settings: WalkwaySettings, rng: np.random.Generator) -> list[tuple[int, float, float]]:
+    """When the cameras record, (camera, from, to): all begin at differing times, some end early or pause long."""
+    end = settings.seconds
+    if not settings.gaps:
+        return [(camera, 0.0, end) for camera in range(settings.cameras)]
+    result = []
+    manner = rng.permutation(settings.cameras)
+    for camera in range(settings.cameras):
+        begin = end * rng.uniform(0.0, 0.05)
+        if manner[camera] == 0:
+            result.append((camera, begin, end * rng.uniform(0.5, 0.75)))
+        elif manner[camera] == 1:
+            pause = end * rng.uniform(0.3, 0.5)
+            result += [(camera, begin, pause), (camera, pause + end * rng.uniform(0.2, 0.35), end)]
+        elif manner[camera] == 2:
+            result.append((camera, end * rng.uniform(0.15, 0.35), end))
+        else:
+            result.append((camera, begin, end * rng.uniform(0.95, 1.0)))
+    return result
