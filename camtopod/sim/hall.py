@@ -99,7 +99,8 @@ def _flow(doors: int, rng: np.random.Generator) -> Floats:
     busy = np.exp(0.8 * rng.standard_normal(doors))
     flow = np.outer(busy, busy) * np.exp(0.8 * rng.standard_normal((doors, doors)))
     np.fill_diagonal(flow, 0.02 * flow.mean())
-    return flow / flow.sum()
+    result: Floats = flow / flow.sum()
+    return result
 
 
 def _arrivals(settings: HallSettings, flow: Floats, rng: np.random.Generator) -> tuple[Floats, list[int]]:

@@ -1,7 +1,7 @@
 """Cameras along the streets of a town: vehicles without positions, in platoons from traffic lights.
 
-Vehicles mostly go straight on and never turn round, so where they came from says where they go. A camera sees both
-directions of its street and cannot tell them apart.
+Vehicles mostly go straight on and never turn round, so where they came from says where they go. A camera sees all
+directions of its street or crossing and cannot tell them apart.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from msgspec import Struct
@@ -17,19 +18,24 @@ from camtopod.records import Event
 from camtopod.sim.recording import Faults, Sightings, recorded
 from camtopod.sim.truth import Floats, Truth
 
-STREET_METRES = (150.0, 900.0)
-ONE_WAY_SHARE = 0.2
+STREET_METRES = (200.0, 1200.0)
+ONE_WAY_SHARE = 0.1
 """Share of the arterials on which traffic goes one way."""
-STRAIGHT = 0.78
+STRAIGHT = 0.86
 """Share of the vehicles that go straight on at a crossing where they can."""
-PARKS = 0.06
+CROSSING_SHARE = 0.6
+"""Share of the cameras at crossings; the others are in the middle of streets."""
+BUSY_SD = 0.5
+"""How unequal the arterials' traffic is (log scale); both directions of one are alike."""
+PARKS = 0.04
 """Share of the vehicles that end (and begin) their trip in a street."""
 LIGHT_SECONDS, GREEN_SHARE = (60.0, 90.0), 0.5
 HEADWAY_SECONDS = 1.8
 CAR_SPEED, BUS_SPEED, SPEED_SD = 11.0, 7.0, 0.12
 """Metres a second; the spread (log scale) is between vehicles."""
 BUS_SHARE, BUS_STOP_SECONDS = 0.12, 25.0
-VIEW_METRES = (15.0, 40.0)
+VIEW_METRES, CLEAR_METRES = (15.0, 40.0), 90.0
+"""How much of the street cameras see (twice that at crossings), and how far off a crossing others hang."""
 WARM_UP_SECONDS = 600.0
 CROSSINGS_MAX = 60
 
@@ -52,11 +58,12 @@ class RoadSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Town:
-    """``metres`` of each directed street (from, to) between crossings or to the rim, the cameras on them as
-    (camera, metres from the western or northern end), and each crossing's lights: cycle, offset in seconds."""
+    """``metres`` of each directed street (from, to) between crossings or to the rim; the cameras on them as
+    (camera, metres from where it begins) and those at crossings; each crossing's lights: cycle, offset in seconds."""
 
     metres: dict[tuple[Node, Node], float]
-    cameras: dict[tuple[Node, Node], list[tuple[int, float]]]
+    cameras: dict[tuple[Node, Node], tuple[int, float]]
+    crossings: dict[Node, int]
     lights: dict[Node, tuple[float, float]]
     view_metres: Floats
 
@@ -82,30 +89,30 @@ def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
     metres: dict[tuple[Node, Node], float] = {}
     lines = [[(x, y) for y in range(-1, rows + 1)] for x in range(columns)]
     lines += [[(x, y) for x in range(-1, columns + 1)] for y in range(rows)]
-    east, south = (np.exp(rng.uniform(*np.log(STREET_METRES), n + 1)) for n in settings.grid)
+    low, high = np.log(STREET_METRES)
+    east, south = (np.exp(rng.uniform(low, high, n + 1)) for n in settings.grid)
     for line in lines:
         one_way = rng.random() < ONE_WAY_SHARE
-        if rng.random() < 0.5:
-            line = line[::-1]
-        for a, b in zip(line[:-1], line[1:], strict=True):
-            length = float(
-                (east if a[1] == b[1] else south)[min(a[0], b[0]) + 1 if a[1] == b[1] else min(a[1], b[1]) + 1]
-            )
+        ahead = line[::-1] if rng.random() < 0.5 else line
+        for a, b in pairwise(ahead):
+            length = float(east[1 + min(a[0], b[0])] if a[1] == b[1] else south[1 + min(a[1], b[1])])
             metres[a, b] = length
             if not one_way:
                 metres[b, a] = length
-    streets = sorted({(min(way), max(way)) for way in metres})
-    if settings.cameras > len(streets):
-        raise ValueError(f"{settings.cameras} cameras, but only {len(streets)} streets")
-    cameras: dict[tuple[Node, Node], list[tuple[int, float]]] = {}
-    for camera, k in enumerate(rng.choice(len(streets), settings.cameras, replace=False)):
+    crossings = sorted({node for way in metres for node in way if _inside(node, settings.grid)})
+    streets = sorted({(min(way), max(way)) for way in metres if all(_inside(node, settings.grid) for node in way)})
+    at_crossings = round(CROSSING_SHARE * settings.cameras)
+    if at_crossings > len(crossings) or settings.cameras - at_crossings > len(streets):
+        raise ValueError(f"{settings.cameras} cameras are too many for {columns} x {rows} arterials")
+    watched = {crossings[k]: camera for camera, k in enumerate(rng.permutation(len(crossings))[:at_crossings])}
+    cameras: dict[tuple[Node, Node], tuple[int, float]] = {}
+    for camera, k in enumerate(rng.permutation(len(streets))[: settings.cameras - at_crossings], at_crossings):
         a, b = streets[k]
         length = metres.get((a, b), metres.get((b, a), 0.0))
-        place = length * rng.uniform(0.1, 0.9)
-        cameras[a, b], cameras[b, a] = [(camera, place)], [(camera, length - place)]
-    crossings = sorted({node for way in metres for node in way if _inside(node, settings.grid)})
+        place = rng.uniform(CLEAR_METRES, length - CLEAR_METRES)
+        cameras[a, b], cameras[b, a] = (camera, place), (camera, length - place)
     lights = {node: (float(rng.uniform(*LIGHT_SECONDS)), float(rng.uniform(0.0, 90.0))) for node in crossings}
-    return Town(metres, cameras, lights, rng.uniform(*VIEW_METRES, settings.cameras))
+    return Town(metres, cameras, watched, lights, rng.uniform(*VIEW_METRES, settings.cameras))
 
 
 def _inside(node: Node, grid: tuple[int, int]) -> bool:
@@ -118,7 +125,8 @@ def _drive(
     """Everybody's passages (who, camera, seconds in, seconds out); vehicles meet at the lights in order of time."""
     ways = sorted(town.metres)
     busy = np.array([(1.0 if not _inside(a, settings.grid) else PARKS) for a, _ in ways])
-    busy *= np.exp(0.7 * structure.standard_normal(len(ways)))
+    arterial = {line: np.exp(BUSY_SD * structure.standard_normal()) for line in range(2 * sum(settings.grid))}
+    busy *= [arterial[a[0] if a[0] == b[0] else settings.grid[0] + a[1]] for a, b in ways]
     n = rng.poisson(settings.per_second * (settings.seconds + WARM_UP_SECONDS))
     bus = rng.random(n) < BUS_SHARE
     speed = np.where(bus, BUS_SPEED, CAR_SPEED) * np.exp(SPEED_SD * rng.standard_normal(n))
@@ -132,13 +140,17 @@ def _drive(
         t, who, way, crossings = heapq.heappop(heap)
         pace = speed[who] * math.exp(0.05 * rng.standard_normal())
         stop = rng.exponential(BUS_STOP_SECONDS) if bus[who] and rng.random() < 0.5 else 0.0
-        for camera, place in town.cameras.get(way, []):
+        if way in town.cameras:
+            camera, place = town.cameras[way]
             passages.append((who, camera, t + place / pace, t + (place + town.view_metres[camera]) / pace))
         targets, share = turns[way]
         if not targets or crossings >= CROSSINGS_MAX or rng.random() < PARKS:
             continue
         arrives = t + town.metres[way] / pace + stop
         free[way] = _green(town.lights[way[1]], way, max(arrives, free.get(way, -math.inf) + HEADWAY_SECONDS))
+        if way[1] in town.crossings:
+            camera = town.crossings[way[1]]
+            passages.append((who, camera, free[way], free[way] + 2 * town.view_metres[camera] / pace))
         onward = way[1], targets[int(rng.choice(len(targets), p=share))]
         heapq.heappush(heap, (free[way], who, onward, crossings + 1))
     return passages

@@ -15,7 +15,12 @@ from camtopod.records import Event
 from camtopod.sim.recording import Faults, Sightings, broken, clipped, recorded
 from camtopod.sim.truth import Floats, Truth
 
-SIDES = (((0.03, 0.7), (0.015, 0.08)), ((0.97, 0.7), (0.015, 0.08)), ((0.5, 0.97), (0.12, 0.012)), ((0.45, 0.42), (0.05, 0.02)))  # fmt: skip
+SIDES = (
+    ((0.03, 0.7), (0.015, 0.08)),
+    ((0.97, 0.7), (0.015, 0.08)),
+    ((0.5, 0.97), (0.12, 0.012)),
+    ((0.45, 0.42), (0.05, 0.02)),
+)
 """Where ways cut a picture (left, right, bottom, far away): centre and standard deviations (x, y)."""
 WAY_SECONDS, BROAD_SECONDS = (10.0, 90.0), 9.0
 BROAD_SHARE, BROAD_STOP = 0.35, (2.0, 63.0)
