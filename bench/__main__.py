@@ -10,7 +10,9 @@ import bench
 
 
 def main(argv: list[str]) -> int:
-    parts = sorted(module.name for module in iter_modules(bench.__path__) if not module.name.startswith("_"))
+    parts = sorted(
+        module.name for module in iter_modules(bench.__path__) if not module.ispkg and not module.name.startswith("_")
+    )
     if not argv or argv[0] not in parts:
         print(f"usage: python -m bench {{{','.join(parts)}}} [ARGUMENTS]", file=sys.stderr)
         return 2

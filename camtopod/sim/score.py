@@ -136,6 +136,7 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
     false = [link for link in learned if (link.from_, link.to) not in true_links]
     learned_pairs = {pair.cameras: pair.relation for pair in topology.pairs}
     true_pairs = {pair.cameras: pair.relation for pair in truth.pairs}
+    expected = walked_pairs if truth.links else true_pairs.keys()
     both = learned_pairs.keys() & true_pairs.keys()
     return Score(
         cameras=len(truth.cameras),
@@ -157,7 +158,7 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
         pairs_learned=len(learned_pairs),
         pairs_right=len(both),
         pair_relations_right=sum(learned_pairs[pair] == true_pairs[pair] for pair in both),
-        pairs_walked=len(walked_pairs | learned_pairs.keys()),
+        pairs_walked=len(expected | learned_pairs.keys()),
         links_false_between_cameras=sum(learned_camera[link.from_] != learned_camera[link.to] for link in false),
     )
 

@@ -1,0 +1,237 @@
+"""One network measured: ours as it learns online and in one fit, and every baseline; for `bench.quality`."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from bench.baselines.anonymous import anonymous
+from bench.baselines.closest import LITERAL, LITERAL_SCORE_MIN, closest
+from bench.baselines.correlation import correlation
+from bench.baselines.crossings import candidates, crossings
+from bench.baselines.findings import Ranked, at, rank
+from bench.baselines.hawkes import hawkes
+from bench.baselines.information import information
+from bench.baselines.told import told
+from bench.baselines.transfer import transfer
+from bench.baselines.zoning import methods
+from camtopod.learn.learner import Learner
+from camtopod.learn.predict import Predictor
+from camtopod.learn.settings import Settings
+from camtopod.records import Event, Prediction, Topology, Zone
+from camtopod.sim.score import ZONE_TOLERANCE, PredictionScore, clock_errors, match_zones, score, score_predictions
+from camtopod.sim.truth import Truth
+
+TRAIN_SHARE = 0.7
+"""Predictions are scored on the events after this share of them, by what was learned before."""
+WARM_EVENTS = 5000
+"""Events before the cut that a predictor observes first; it remembers 2,000 of each kind."""
+CLOCK_SECONDS_MAX = 0.5
+"""The issue's tolerance of clock offsets."""
+GROUPS = ("online", "batch", "baselines")
+
+LINK_METHODS: dict[str, Callable[..., Any]] = {
+    "closest pairs (thesis)": closest,
+    "cross-correlation (Makris 2004)": correlation,
+    "mutual information (Tieu 2005)": information,
+    "transfer entropy (Ito 2011)": transfer,
+    "anonymous Markov (least squares)": anonymous,
+    "Hawkes process": hawkes,
+}
+TAKE_CANDIDATES = (correlation, information, hawkes)
+
+
+class Record(Struct, omit_defaults=True):
+    """What one method came to on one network. ``ranked``: per variant, what choosing its threshold needs."""
+
+    regime: str
+    seed: int
+    method: str
+    seconds: float
+    figures: dict[str, float | None] = {}
+    ranked: dict[str, Ranked] = {}
+
+    def get(self, name: str) -> float:
+        """A figure; nan where there is none."""
+        value = self.figures.get(name)
+        return math.nan if value is None else value
+
+
+def measure(group: str, regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
+    """All records of one of `GROUPS`."""
+    if group == "baselines":
+        return baselines(regime, seed, events, truth)
+    settings = Settings() if group == "online" else Settings(refit_share=1e9, refit_hours=1e9)
+    topology, head, seconds = learn(events, settings)
+    figures = network_figures(topology, truth)
+    figures |= prediction_figures(head, events, truth)
+    figures |= {"events": len(events), "events_per_second": len(events) / seconds, "versions": topology.version}
+    return [Record(regime, seed, group, seconds, _plain(figures))]
+
+
+def learn(events: Sequence[Event], settings: Settings) -> tuple[Topology, Topology, float]:
+    """The last version, what the last version would have been at `TRAIN_SHARE` of the events, and the seconds for the
+    former. Events are fed as `camtopod learn` feeds them."""
+    learner, head = Learner(settings), None
+    cut = int(TRAIN_SHARE * len(events))
+    aside, started = 0.0, time.perf_counter()
+    for index, event in enumerate(events):
+        if index == cut:
+            paused = time.perf_counter()
+            twin = copy.deepcopy(learner)
+            twin.flush()
+            head = twin.topology
+            aside = time.perf_counter() - paused
+        learner.receive(event)
+        learner.updates()
+    learner.flush()
+    seconds = time.perf_counter() - started - aside
+    assert learner.topology is not None
+    assert head is not None
+    return learner.topology, head, seconds
+
+
+def network_figures(topology: Topology, truth: Truth) -> dict[str, float]:
+    """Zones, links, relations and clocks; only what the truth knows of."""
+    result = score(topology, truth)
+    errors = [abs(error) for error in clock_errors(topology, truth).values()]
+    figures: dict[str, float] = {
+        "relation_right": result.relation_right if truth.pairs or truth.zones else math.nan,
+        "clock_error": max(errors, default=math.nan),
+        "clocks_right": float(np.mean([error <= CLOCK_SECONDS_MAX for error in errors])) if errors else math.nan,
+        "links_learned": result.links_learned,
+    }
+    if not truth.zones:
+        return figures
+    return figures | {
+        "zones_right": result.cameras_right / result.cameras,
+        "zones_true": result.zones_true,
+        "zones_learned": result.zones_learned,
+        "links_true": result.links_true,
+        "precision": result.link_precision,
+        "recall": result.link_recall,
+        "f1": result.link_f1,
+        "median_error": result.median_error,
+        "false_links": result.links_false_between_cameras,
+        "silent": float(result.links_false_between_cameras == 0),
+    }
+
+
+def prediction_figures(head: Topology, events: Sequence[Event], truth: Truth) -> dict[str, float]:
+    """Predictions after the cut, beside a chain told identities on the same zones."""
+    cut = int(TRAIN_SHARE * len(events))
+    tail = msgspec.structs.replace(
+        truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
+    )
+    predictor = Predictor(head)
+    place = predictor.zone_of
+    states = [place(event) if event.kind == "exit" else None for event in events]
+    made: list[Prediction] = []
+    started = time.perf_counter()
+    for index in range(max(0, cut - WARM_EVENTS), len(events)):
+        if index >= cut and events[index].kind == "exit":
+            made.append(predictor.predict(events[index]))
+        predictor.observe(events[index])
+    seconds = time.perf_counter() - started
+
+    def zone_of(event: Event) -> str | None:
+        zone = place(event)
+        return None if zone is None else predictor.zones[zone].id
+
+    ours = score_predictions(made, events[cut:], tail, zone_of=zone_of)
+    chain = score_predictions(told(events, truth, cut, states), events[cut:], tail)
+    return {
+        **_of_predictions(ours, ""),
+        **_of_predictions(chain, "told_"),
+        "top1_ratio": ours.top1 / chain.top1 if chain.top1 else math.nan,
+        "top3_ratio": ours.top3 / chain.top3 if chain.top3 else math.nan,
+        "log_loss_above": ours.log_loss - chain.log_loss,
+        "window_coverage": ours.window_coverage,
+        "prediction_ms": 1000 * seconds / max(len(made), 1),
+    }
+
+
+def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
+    """Links and zones where the truth knows them; predictions by those who are told identities."""
+    cut = int(TRAIN_SHARE * len(events))
+    tail = msgspec.structs.replace(
+        truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
+    )
+    cameras = [event.camera for event in events]
+    chains: dict[str, Sequence[Hashable]] = {"most frequent next camera": cameras}
+    if truth.zones:
+        chains["told chain, true zones"] = truth.zone
+    records = []
+    for name, states in chains.items():
+        started = time.perf_counter()
+        result = score_predictions(told(events, truth, cut, states), events[cut:], tail)
+        seconds = time.perf_counter() - started
+        records.append(Record(regime, seed, f"next: {name}", seconds, _plain(_of_predictions(result, ""))))
+    if truth.zones:
+        records += links(regime, seed, events, truth)
+    if truth.zones and all(zone.x is not None for zone in truth.zones):
+        records += zones(regime, seed, events, truth)
+    return records
+
+
+def links(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
+    """Every baseline for links."""
+    seen = crossings(events, truth)
+    found = candidates(seen)
+    records = []
+    for name, method in LINK_METHODS.items():
+        started = time.perf_counter()
+        findings = method(seen, found) if method in TAKE_CANDIDATES else method(seen)
+        seconds = time.perf_counter() - started
+        ranked = {variant: rank(result, seen, truth) for variant, result in findings.items()}
+        figures: dict[str, float | None] = {}
+        if LITERAL in findings:
+            printed = at([rank(findings[LITERAL], seen, truth, everything=True)], LITERAL_SCORE_MIN)
+            figures = {name: float(getattr(printed, name)[0]) for name in ("f1", "precision", "recall")}
+        records.append(Record(regime, seed, f"links: {name}", seconds, figures, ranked))
+    return records
+
+
+def zones(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
+    """Every clustering: per variant the share of cameras with exactly the true zones."""
+    positions: dict[str, list[tuple[float, float]]] = {}
+    for event in events:
+        if event.x is not None and event.y is not None:
+            positions.setdefault(event.camera, []).append((event.x, event.y))
+    records = []
+    for name, variants in methods().items():
+        started = time.perf_counter()
+        figures: dict[str, float | None] = {}
+        for variant, cluster in variants.items():
+            right = [_zones_right(cluster(np.array(at)), camera, truth) for camera, at in positions.items()]
+            figures[variant] = float(np.mean(right))
+        records.append(Record(regime, seed, f"zones: {name}", time.perf_counter() - started, figures))
+    return records
+
+
+def _zones_right(centres: np.ndarray[Any, Any], camera: str, truth: Truth) -> bool:
+    true = [zone for zone in truth.zones if zone.camera == camera]
+    made = [Zone(f"{camera}/{k}", camera, 1, 1, float(x), float(y)) for k, (x, y) in enumerate(centres)]
+    return len(true) == len(made) == len(match_zones(made, true, ZONE_TOLERANCE))
+
+
+def _of_predictions(result: PredictionScore, prefix: str) -> dict[str, float]:
+    return {
+        f"{prefix}exits": result.exits,
+        f"{prefix}top1": result.top1,
+        f"{prefix}top3": result.top3,
+        f"{prefix}log_loss": result.log_loss,
+        f"{prefix}calibration_error": result.calibration_error,
+    }
+
+
+def _plain(figures: dict[str, float]) -> dict[str, float | None]:
+    """For JSON, which has no nan."""
+    return {name: None if math.isnan(value) else float(value) for name, value in figures.items()}

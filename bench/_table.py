@@ -1,0 +1,191 @@
+"""The table of `bench.quality`: means over networks with standard errors, and what the issue wants beside them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench._measure import CLOCK_SECONDS_MAX, Record
+from bench._targets import TARGETS, Target
+from bench.baselines.closest import LITERAL
+from bench.baselines.findings import Ranked, Tuned, at, tune
+
+Floats = NDArray[np.float64]
+OURS = ("online", "batch")
+
+ROWS = {
+    "zones_right": "zones right, share of cameras",
+    "precision": "links, precision",
+    "recall": "links, recall",
+    "f1": "links, F1",
+    "false_links": "false links between cameras",
+    "silent": "runs without any, share",
+    "median_error": "transit median, relative error",
+    "relation_right": "relation of camera pairs right",
+    "top1": "next camera, top-1",
+    "told_top1": "  told chain, same zones",
+    "top1_ratio": "  ours / told",
+    "top3": "next camera, top-3",
+    "told_top3": "  told chain, same zones",
+    "top3_ratio": "  ours / told",
+    "log_loss": "log loss, nats",
+    "told_log_loss": "  told chain, same zones",
+    "log_loss_above": "  ours - told",
+    "calibration_error": "calibration error",
+    "told_calibration_error": "  told chain, same zones",
+    "window_coverage": "came within q10..q90 (0.8 is right)",
+    "clock_error": "clock offsets, largest error, s",
+    "clocks_right": f"  within {CLOCK_SECONDS_MAX:g} s, share of cameras",
+    "prediction_ms": "milliseconds a prediction",
+    "events": "events",
+    "events_per_second": "events a second",
+    "seconds": "seconds to learn",
+}
+
+
+def tables(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
+    """All lines."""
+    common = _common_thresholds(records)
+    lines = []
+    for regime in regimes:
+        here = [record for record in records if record.regime == regime]
+        if here:
+            lines += [*_ours(regime, here), *_links(here, common), *_zones(here), *_next(here), ""]
+    return [*lines, *_targets(records), "", *_seconds(records)]
+
+
+def mean_and_error(values: Sequence[float] | Floats) -> str:
+    """``0.982 +-0.004``: mean and standard error of what is known; ``-`` for nothing."""
+    known = np.array(values, dtype=float)
+    known = known[np.isfinite(known)]
+    if not len(known):
+        return "-"
+    digits = 0 if abs(known.mean()) >= 100 else 3
+    error = f" ±{known.std(ddof=1) / math.sqrt(len(known)):.{digits}f}" if len(known) > 1 else ""
+    return f"{known.mean():.{digits}f}{error}"
+
+
+def _values(records: Sequence[Record], method: str, name: str) -> list[float]:
+    mine = [record for record in records if record.method == method]
+    return [record.seconds if name == "seconds" else record.get(name) for record in mine]
+
+
+def _ours(regime: str, records: Sequence[Record]) -> list[str]:
+    seeds = len({record.seed for record in records})
+    lines = [f"== {regime}: {seeds} network{'s' if seeds > 1 else ''}", f"{'':38}" + "".join(f"{m:>20}" for m in OURS)]
+    for name, title in ROWS.items():
+        cells = [mean_and_error(_values(records, method, name)) for method in OURS]
+        if any(cell != "-" for cell in cells):
+            lines.append(f"{title:38}" + "".join(f"{cell:>20}" for cell in cells))
+    return lines if len(lines) > 2 else lines[:1]
+
+
+class _Choice(NamedTuple):
+    variant: str
+    threshold: float
+
+
+def _ranked(records: Sequence[Record]) -> dict[str, dict[str, list[Ranked]]]:
+    """Method -> variant -> networks."""
+    result: dict[str, dict[str, list[Ranked]]] = {}
+    for record in records:
+        for variant, ranked in record.ranked.items():
+            result.setdefault(record.method, {}).setdefault(variant, []).append(ranked)
+    return result
+
+
+def _best(variants: dict[str, list[Ranked]]) -> tuple[str, Tuned]:
+    tuned = {variant: tune(networks) for variant, networks in variants.items()}
+    best = max(tuned, key=lambda variant: float(tuned[variant].f1.mean()))
+    return best, tuned[best]
+
+
+def _common_thresholds(records: Sequence[Record]) -> dict[str, _Choice]:
+    """Method -> the variant and threshold with the best mean F1 over all networks that have links."""
+    result = {}
+    for method, variants in _ranked(records).items():
+        linked = {variant: [n for n in networks if n.walked] for variant, networks in variants.items()}
+        if any(linked.values()):
+            variant, tuned = _best(linked)
+            result[method] = _Choice(variant, tuned.threshold)
+    return result
+
+
+def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
+    ranked = _ranked(records)
+    if not ranked:
+        return []
+    lines = [f"{'links of others, threshold on the truth':58}{'F1':>16}{'precision':>16}{'recall':>16}"
+             f"{'transit error':>16}{'F1, one for all':>18}{'no link':>9}"]  # fmt: skip
+    for method, variants in ranked.items():
+        variant, tuned = _best(variants)
+        cells = [mean_and_error(values) for values in (tuned.f1, tuned.precision, tuned.recall, tuned.error)]
+        choice = common.get(method)
+        same, silent = "-", "-"
+        if choice is not None:
+            networks = variants[choice.variant]
+            fixed = at(networks, choice.threshold)
+            same = mean_and_error(fixed.f1)
+            silent = f"{np.mean([not any(s >= choice.threshold for s in n.score) for n in networks]):.2f}"
+        title = f"  {method.removeprefix('links: ')}, {variant}"
+        lines.append(f"{title:58}" + "".join(f"{cell:>16}" for cell in cells) + f"{same:>18}{silent:>9}")
+        if LITERAL in variants:
+            cells = [mean_and_error(_values(records, method, name)) for name in ("f1", "precision", "recall")]
+            lines.append(f"{'  the same as printed, Var(d) <= 1':58}" + "".join(f"{cell:>16}" for cell in cells))
+    return lines
+
+
+def _zones(records: Sequence[Record]) -> list[str]:
+    methods = sorted({record.method for record in records if record.method.startswith("zones: ")})
+    lines = ["zones of others, best variant on the truth"] if methods else []
+    for method in methods:
+        names = [name for record in records if record.method == method for name in record.figures]
+        values = {name: _values(records, method, name) for name in dict.fromkeys(names)}
+        best = max(values, key=lambda name: float(np.mean(values[name])))
+        title = f"  {method.removeprefix('zones: ')}, {best}"
+        lines.append(f"{title:58}{mean_and_error(values[best]):>16}")
+    return lines
+
+
+def _next(records: Sequence[Record]) -> list[str]:
+    methods = sorted({record.method for record in records if record.method.startswith("next: ")})
+    lines = [f"{'next camera, told identities':58}{'top-1':>16}{'top-3':>16}{'log loss':>16}"] if methods else []
+    for method in methods:
+        cells = [mean_and_error(_values(records, method, name)) for name in ("top1", "top3", "log_loss")]
+        title = f"  {method.removeprefix('next: ')}"
+        lines.append(f"{title:58}" + "".join(f"{cell:>16}" for cell in cells))
+    return lines
+
+
+def _targets(records: Sequence[Record]) -> list[str]:
+    lines = [f"{'to reach (mean over networks)':58}{'':>10}" + "".join(f"{m:>26}" for m in OURS)]
+    for target in TARGETS:
+        here = [record for record in records if record.regime == target.regime]
+        cells = [_reached(target, _values(here, method, target.figure)) for method in OURS]
+        if any(cells):
+            wanted = f"{'>=' if target.at_least else '<='} {target.value:g}"
+            title = f"{target.regime}: {ROWS[target.figure].strip()}"
+            lines.append(f"{title:58}{wanted:>10}" + "".join(f"{cell:>26}" for cell in cells))
+    return lines if len(lines) > 1 else []
+
+
+def _reached(target: Target, values: Sequence[float]) -> str:
+    known = [value for value in values if math.isfinite(value)]
+    if not known:
+        return ""
+    mean = float(np.mean(known))
+    reached = mean >= target.value if target.at_least else mean <= target.value
+    return f"{mean_and_error(known)} {'yes' if reached else 'NO'}"
+
+
+def _seconds(records: Sequence[Record]) -> list[str]:
+    """Seconds a network of every method, mean and longest."""
+    lines = [f"{'seconds a network':58}{'mean':>10}{'longest':>10}"]
+    for method in dict.fromkeys(record.method for record in records):
+        seconds = [record.seconds for record in records if record.method == method]
+        lines.append(f"  {method:56}{np.mean(seconds):>10.2f}{max(seconds):>10.2f}")
+    return lines

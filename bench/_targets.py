@@ -1,0 +1,37 @@
+"""What the issue wants to be reached, as means over at least ten networks."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Target(NamedTuple):
+    """``figure`` is a figure of a `bench._measure.Record`."""
+
+    regime: str
+    figure: str
+    value: float
+    at_least: bool = True
+
+
+LINKED = ("sparse", "medium", "dense", "rhythm", "missed", "short", "overlapped")
+TARGETS = (
+    Target("clutter", "zones_right", 0.97),
+    Target("sparse", "f1", 0.98),
+    Target("medium", "f1", 0.98),
+    Target("dense", "f1", 0.94),
+    Target("rhythm", "f1", 0.98),
+    Target("missed", "f1", 0.96),
+    Target("control", "silent", 0.95),
+    Target("short", "f1", 0.94),
+    *(Target(regime, "median_error", 0.02, at_least=False) for regime in LINKED),
+    Target("overlapped", "relation_right", 0.98),
+    *(Target(regime, figure, 0.98) for regime in LINKED for figure in ("top1_ratio", "top3_ratio")),
+    *(Target(regime, "log_loss_above", 0.1, at_least=False) for regime in LINKED),
+    *(Target(regime, "calibration_error", 0.02, at_least=False) for regime in LINKED),
+    Target("clocks", "clock_error", 0.5, at_least=False),
+    Target("road", "top1_ratio", 0.95),
+    Target("hall", "top1_ratio", 0.90),
+    Target("crowd", "top1_ratio", 0.80),
+    Target("walkway", "top1_ratio", 0.95),
+)

@@ -1,0 +1,109 @@
+"""Markov chains from anonymous counts: conditional least squares with transit delays.
+
+Bernstein and Sheldon, "Consistently estimating Markov chains with noisy aggregate data" (AISTATS 2016), after
+Kalbfleisch and Lawless: with counts of people by state and time step and no identities, the transition matrix is found
+by regressing the counts of a step on those of the step before, never negative. Martin, Pryer and Zanetti (arXiv
+2501.17532, 2025) are about the same problem; their paper was not at hand, so this is not their estimator. Here a step
+is two seconds, the next state follows after any of many delays, and a moving average takes the place of newcomers:
+
+    arrivals_v(t) - average = sum_u sum_d p_uv(d) (departures_u(t - d) - average) + noise,    p_uv(d) >= 0.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from bench.baselines.crossings import Crossings
+from bench.baselines.findings import Findings
+
+Floats = NDArray[np.float64]
+STEP_SECONDS = 2.0
+GROUPS = (-20, -12, -8, -6, -4, -2, 0, 2, 4, 6, 8, 12, 16, 20, 26, 32, 40, 50, 64, 80, 100, 120)
+"""Seconds: between two of these ``p_uv(d)`` is the same."""
+AVERAGE_SECONDS = 1200.0
+RIDGE = 1.0
+"""Share of the diagonal that is added to it."""
+ITERATIONS = 150
+
+
+def anonymous(seen: Crossings) -> dict[str, Findings]:
+    """Scores: probability of the transition, its size against chance, and the highest rate of any delay."""
+    zones = len(seen.zones)
+    edges = np.array(GROUPS) / STEP_SECONDS
+    left, came = _centred(seen)
+    leaving, coming = (np.bincount(z, minlength=zones).astype(float) for z in (seen.left_zone, seen.came_zone))
+    rate = fit(left, came, edges.astype(np.int64), seen.between)
+    share = (rate * np.diff(edges)[:, None, None]).sum(axis=0)
+    noise = np.sqrt(np.maximum(coming, 1.0)[None, :] / np.maximum(leaving, 1.0)[:, None])
+    transit = (np.array(GROUPS)[1:] + np.array(GROUPS)[:-1])[rate.argmax(axis=0)] / 2
+    return {
+        "probability": Findings(share, transit),
+        "against chance": Findings(share / noise, transit),
+        "highest rate": Findings((rate * np.sqrt(np.diff(edges))[:, None, None]).max(axis=0) / noise, transit),
+    }
+
+
+def fit(left: Floats, came: Floats, edges: NDArray[np.int64], allowed: NDArray[np.bool_]) -> Floats:
+    """``p_uv(d)`` per step for delays between ``edges`` (steps), (delays, zones, zones), from centred counts (steps,
+    zones): non-negative least squares by accelerated projected gradient on the normal equations."""
+    zones, n = left.shape[1], len(edges) - 1
+    # Sums of lagged products over the steps of two groups, from running sums over the lag.
+    span = int(edges[-1] - edges[0])
+    inner = {lag: _lagged(left, left, lag) for lag in range(-span, span + 1)}
+    steps = [range(int(a), int(b)) for a, b in pairwise(edges)]
+    gram = np.block([[_overlaps(inner, a, b) for b in steps] for a in steps])
+    right = np.concatenate([sum(_lagged(left, came, d) for d in group) for group in steps])
+    gram[np.diag_indices_from(gram)] += RIDGE * gram.diagonal()
+    scale = 1.0 / np.sqrt(np.maximum(gram.diagonal(), 1e-12))
+    gram, right = gram * scale[:, None] * scale, right * scale[:, None]
+    open_ = np.tile(allowed, (n, 1))
+    step = 1.0 / _largest_eigenvalue(gram)
+    now = ahead = np.zeros((n * zones, zones))
+    momentum = 1.0
+    for _ in range(ITERATIONS):
+        new = np.where(open_, np.maximum(ahead - step * (gram @ ahead - right), 0.0), 0.0)
+        faster = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
+        ahead = new + (momentum - 1) / faster * (new - now)
+        now, momentum = new, faster
+    result: Floats = (now * scale[:, None]).reshape(n, zones, zones)
+    return result
+
+
+def _overlaps(inner: dict[int, Floats], a: range, b: range) -> Floats:
+    """``sum_t a_u(t) b_v(t)`` of series summed over the delays of two groups."""
+    times = Counter(i - j for i in a for j in b)
+    return sum((n * inner[lag] for lag, n in times.items()), np.zeros_like(inner[0]))
+
+
+def _centred(seen: Crossings) -> tuple[Floats, Floats]:
+    """Departures and arrivals per step and zone, less their moving averages."""
+    start = min(seen.left[0], seen.came[0])
+    steps = int((max(seen.left[-1], seen.came[-1]) - start) / STEP_SECONDS) + 1
+    result = []
+    for t, zone in ((seen.left, seen.left_zone), (seen.came, seen.came_zone)):
+        counts = np.zeros((steps, len(seen.zones)))
+        np.add.at(counts, (((t - start) / STEP_SECONDS).astype(np.int64), zone), 1.0)
+        window = min(round(AVERAGE_SECONDS / STEP_SECONDS), steps)
+        result.append(counts - uniform_filter1d(counts, window, axis=0, mode="reflect"))
+    return result[0], result[1]
+
+
+def _lagged(a: Floats, b: Floats, steps: int) -> Floats:
+    """``sum_t a_u(t - steps) b_v(t)``, (zones, zones)."""
+    if steps >= 0:
+        return a[: len(a) - steps].T @ b[steps:]
+    return a[-steps:].T @ b[:steps]
+
+
+def _largest_eigenvalue(matrix: Floats) -> float:
+    """By power iteration, from above."""
+    vector = np.ones(len(matrix))
+    for _ in range(30):
+        vector = matrix @ vector
+        vector /= np.linalg.norm(vector)
+    return 1.05 * float(np.linalg.norm(matrix @ vector))

@@ -1,0 +1,99 @@
+"""Events as the baselines for links get them: true zones, no clutter, exits and entries by time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.records import Event
+from camtopod.sim.truth import CLUTTER, TrueZone, Truth
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LAG_MIN, LAG_MAX = -20.0, 120.0
+"""Seconds: the lags that ours looks at by default."""
+CANDIDATES_MAX = 10_000_000
+"""At most this many pairs of a departure and an arrival are weighed; beyond, only the newest events are."""
+
+
+class Crossings(NamedTuple):
+    """Departures and arrivals by time (seconds), with the index of their zone; ``zones`` names, ``camera`` indices."""
+
+    zones: list[str]
+    camera: Ints
+    left: Floats
+    left_zone: Ints
+    came: Floats
+    came_zone: Ints
+
+    @property
+    def between(self) -> NDArray[np.bool_]:
+        """(zones, zones) whether a pair of zones lies in two cameras, the only ones that can be linked."""
+        result: NDArray[np.bool_] = self.camera[:, None] != self.camera[None, :]
+        return result
+
+
+class Candidates(NamedTuple):
+    """Pairs (departure, arrival) within the lags, zones in two cameras, by arrival: indices, pair of zones, seconds."""
+
+    departure: Ints
+    arrival: Ints
+    pair: Ints
+    """``from * zones + to``."""
+    lag: Floats
+
+
+def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
+    """The recorded events of walkers; without positions a camera is one zone, named by its first true one."""
+    cameras = {name: index for index, name in enumerate(truth.cameras)}
+    placed = all(zone.x is not None for zone in truth.zones)
+    names: list[TrueZone] = []
+    number: dict[str, int] = {}
+    index: list[int] = []
+    for zone in truth.zones:
+        key = zone.id if placed else zone.camera
+        if key not in number:
+            number[key] = len(names)
+            names.append(zone)
+        index.append(number[key])
+    zone_of = np.array(index, dtype=np.int64)
+    mine = np.flatnonzero((np.array(truth.identity) != CLUTTER) & (np.array(truth.zone) >= 0))
+    t = np.array([event.t for event in events])[mine]
+    zone = zone_of[np.array(truth.zone)[mine]]
+    entry = np.array([event.kind for event in events])[mine] == "entry"
+    order = np.argsort(t, kind="stable")
+    came, left = order[entry[order]], order[~entry[order]]
+    return Crossings(
+        [zone.id for zone in names],
+        np.array([cameras[zone.camera] for zone in names]),
+        t[left], zone[left], t[came], zone[came],
+    )  # fmt: skip
+
+
+def candidates(seen: Crossings, candidates_max: int = CANDIDATES_MAX) -> Candidates:
+    """All candidates, or those of the newest arrivals when there are more than ``candidates_max``."""
+    low = np.searchsorted(seen.left, seen.came - LAG_MAX, side="left")
+    high = np.searchsorted(seen.left, seen.came - LAG_MIN, side="right")
+    n = high - low
+    kept = int(np.searchsorted(np.cumsum(n[::-1]), candidates_max, side="right"))
+    n[: len(n) - kept] = 0
+    arrival = np.repeat(np.arange(len(n)), n)
+    departure = np.arange(len(arrival)) + np.repeat(low - (np.cumsum(n) - n), n)
+    source, target = seen.left_zone[departure], seen.came_zone[arrival]
+    keep = np.flatnonzero(seen.camera[source] != seen.camera[target])
+    departure, arrival = departure[keep], arrival[keep]
+    pair = source[keep] * len(seen.zones) + target[keep]
+    return Candidates(departure, arrival, pair, seen.came[arrival] - seen.left[departure])
+
+
+def lag_counts(seen: Crossings, found: Candidates, width: float) -> tuple[Floats, Floats]:
+    """Cross-correlation of departures and arrivals: (zones, zones, bins) pairs per lag bin, and the bins' centres."""
+    zones, bins = len(seen.zones), round((LAG_MAX - LAG_MIN) / width)
+    at = np.minimum(((found.lag - LAG_MIN) / width).astype(np.int64), bins - 1)
+    counts = np.bincount(found.pair * bins + at, minlength=zones * zones * bins)
+    centres = LAG_MIN + width * (np.arange(bins, dtype=np.float64) + 0.5)
+    return counts.reshape(zones, zones, bins).astype(np.float64), centres

@@ -1,0 +1,125 @@
+"""What a baseline says of every pair of zones, and how near the truth that is at the threshold that suits it best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from bench.baselines.crossings import Crossings
+from camtopod.sim.score import TRANSIT_FLOOR_SECONDS
+from camtopod.sim.truth import TrueLink, Truth
+
+Floats = NDArray[np.float64]
+
+FALSE_KEPT = 3
+"""Of each network, the best pairs are kept: this many times the true links, and no fewer than `KEPT_MIN`."""
+KEPT_MIN = 100
+
+
+class Findings(Struct):
+    """Scores of pairs of zones, (zones, zones), the higher the surer; and transit times, seconds (nan: unknown)."""
+
+    score: Floats
+    transit: Floats
+
+
+class Ranked(Struct):
+    """The best pairs of one network by falling score, cut to some digits: what choosing a threshold needs."""
+
+    walked: int
+    """True links that were walked."""
+    score: list[float]
+    kind: list[int]
+    """2: a true link that was walked, 1: a true link nobody walked, 0: none."""
+    error: list[float]
+    """Error of the transit time as a share of the true one, for true links (-1: not one)."""
+
+
+class Tuned(Struct):
+    """Means over networks at one threshold."""
+
+    threshold: float
+    f1: Floats
+    """(networks,)"""
+    precision: Floats
+    recall: Floats
+    error: Floats
+    """(networks,) median error of the transit times; nan without links."""
+
+
+def rank(found: Findings, seen: Crossings, truth: Truth, everything: bool = False) -> Ranked:
+    """Hold the findings against the truth; with ``everything`` all pairs are kept."""
+    index = {name: k for k, name in enumerate(seen.zones)}
+    by_camera = {seen.camera[k]: k for k in range(len(seen.zones))} if len(seen.zones) < len(truth.zones) else {}
+    cameras = {name: k for k, name in enumerate(truth.cameras)}
+    place = {z.id: by_camera[cameras[z.camera]] if by_camera else index[z.id] for z in truth.zones}
+    links: dict[tuple[int, int], TrueLink] = {}
+    for link in sorted(truth.links, key=lambda link: link.transitions):
+        if link.relation != "visible":
+            links[place[link.from_], place[link.to]] = link
+    walked = sum(link.transitions > 0 for link in links.values())
+    score = np.where(seen.between & np.isfinite(found.score), found.score, -np.inf).ravel()
+    kept = len(score) if everything else max(KEPT_MIN, FALSE_KEPT * len(links))
+    order = np.argsort(-score, kind="stable")[:kept]
+    order = order[np.isfinite(score[order])]
+    result = Ranked(walked, [], [], [])
+    for pair in order:
+        u, v = divmod(int(pair), len(seen.zones))
+        true = links.get((u, v))
+        result.score.append(float(f"{score[pair]:.6g}"))
+        result.kind.append(0 if true is None else 2 if true.transitions else 1)
+        result.error.append(-1.0 if true is None else round(_error(float(found.transit[u, v]), true), 4))
+    return result
+
+
+def _error(seconds: float, true: TrueLink) -> float:
+    """In the baseline's favour: against the true mode or the true median, whichever is nearer."""
+    if not np.isfinite(seconds):
+        return -1.0
+    figures = (true.transit.mode, true.transit.q50)
+    return min(abs(seconds - figure) / max(abs(figure), TRANSIT_FLOOR_SECONDS) for figure in figures)
+
+
+def at(networks: Sequence[Ranked], threshold: float) -> Tuned:
+    """Everything scored at least ``threshold`` is a link."""
+    figures = [_at(network, threshold) for network in networks]
+    f1, precision, recall, error = (np.array(column) for column in zip(*figures, strict=True))
+    return Tuned(threshold, f1, precision, recall, error)
+
+
+def tune(networks: Sequence[Ranked]) -> Tuned:
+    """At the threshold with the best mean F1 over the networks; above everything when there is nothing to find."""
+    scores = np.unique(np.concatenate([np.array(network.score) for network in networks] or [np.zeros(0)]))
+    curves = [_curve(network, scores) for network in networks]
+    if not len(scores) or not curves:
+        return at(networks, np.inf)
+    mean = np.mean(curves, axis=0)
+    best = int(np.argmax(mean))
+    if mean[best] <= float(np.mean([_at(network, np.inf)[0] for network in networks])):
+        return at(networks, np.inf)
+    return at(networks, float(scores[best]))
+
+
+def _curve(network: Ranked, thresholds: Floats) -> Floats:
+    """F1 at each of the rising thresholds."""
+    score, kind = -np.array(network.score), np.array(network.kind)
+    taken = np.searchsorted(score, -thresholds, side="right")
+    found = np.concatenate(([0], np.cumsum(kind == 2)))[taken]
+    right = np.concatenate(([0], np.cumsum(kind > 0)))[taken]
+    precision = np.where(taken > 0, right / np.maximum(taken, 1), 1.0)
+    recall = found / network.walked if network.walked else np.ones(len(taken))
+    return 2 * precision * recall / np.maximum(precision + recall, 1e-12)
+
+
+def _at(network: Ranked, threshold: float) -> tuple[float, float, float, float]:
+    taken = np.array(network.score) >= threshold
+    kind = np.array(network.kind)[taken]
+    precision = float((kind > 0).mean()) if len(kind) else 1.0
+    recall = float((kind == 2).sum()) / network.walked if network.walked else 1.0
+    error = np.array(network.error)[taken]
+    error = error[error >= 0]
+    f1 = 2 * precision * recall / (precision + recall) if precision + recall else 0.0
+    return f1, precision, recall, float(np.median(error)) if len(error) else float("nan")

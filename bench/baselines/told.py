@@ -1,0 +1,44 @@
+"""Predictions by somebody who is told who everybody is: a Markov chain, and the most frequent next camera.
+
+Both count, before the cut, which camera followed an exit at each state (a zone, or a camera) or that none did. They
+add half a count for every camera that ever followed anywhere and for leaving, so that nothing has probability zero.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Sequence
+
+from camtopod.records import Event, NextCamera, Prediction
+from camtopod.sim.score import next_entries
+from camtopod.sim.truth import CLUTTER, Truth
+
+PSEUDO_COUNT = 0.5
+LEAVES = ""
+
+
+def told(events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable]) -> list[Prediction]:
+    """One prediction for each exit from event ``cut`` on, from what the exits before it with the same state led to.
+
+    ``states[i]`` is the state of event ``i``; an unknown state predicts as all exits together do.
+    """
+    following: dict[Hashable, Counter[str]] = {}
+    overall: Counter[str] = Counter()
+    for index, entry in enumerate(next_entries(events, truth)[:cut]):
+        if entry < cut and events[index].kind == "exit" and truth.identity[index] != CLUTTER:
+            outcome = events[entry].camera if entry >= 0 else LEAVES
+            following.setdefault(states[index], Counter())[outcome] += 1
+            overall[outcome] += 1
+    known = sorted(overall.keys() | {LEAVES})
+    predictions = []
+    for index in range(cut, len(events)):
+        event = events[index]
+        if event.kind == "exit":
+            counts = following.get(states[index], overall)
+            total = counts.total() + PSEUDO_COUNT * len(known)
+            share = {outcome: (counts[outcome] + PSEUDO_COUNT) / total for outcome in known}
+            leave = share.pop(LEAVES)
+            ranked = sorted(share.items(), key=lambda item: -item[1])
+            choices = [NextCamera(camera, "", p, 0.0, 0.0, 0.0) for camera, p in ranked]
+            predictions.append(Prediction(event.camera, None, event.t, None, 0, leave, choices))
+    return predictions

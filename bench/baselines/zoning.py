@@ -1,0 +1,100 @@
+"""Zones of one camera by other clusterings: each gives the centres of what it finds.
+
+k-means with k by silhouette (Rousseeuw 1987), HDBSCAN (Campello, Moulavi, Sander 2013), mean shift (Comaniciu, Meer
+2002) and plain DaSpec with the bandwidth rule. What each leaves open (smallest cluster, bandwidth) is a variant, so
+that the best for a regime can be chosen on the truth. Needs scikit-learn (the ``bench`` extra).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.daspec import bandwidth, data_spectroscopy
+from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+
+Floats = NDArray[np.float64]
+POINTS_MAX = 1500
+"""The scikit-learn methods see at most so many of a camera's events, drawn at random."""
+SILHOUETTE_POINTS_MAX = 400
+MEAN_SHIFT_POINTS_MAX = 600
+CLUSTERS_MAX = 8
+SILHOUETTE_MIN = 0.5
+SMALLEST_SHARES = (0.01, 0.03, 0.06)
+MEAN_SHIFT_WIDTHS = (0.04, 0.07, 0.1)
+"""Fractions of the image."""
+MEAN_SHIFT_SHARE_MIN = 0.03
+"""Mean shift calls every outlier a cluster; those with less than this share of the points are none."""
+DASPEC_FACTORS = (0.7, 1.0, 1.5)
+"""Times the rule's bandwidth."""
+
+
+def methods() -> dict[str, dict[str, Callable[[Floats], Floats]]]:
+    """Method -> variant -> function from positions (n, 2) to centres (k, 2)."""
+    return {
+        "k-means": {"k by silhouette": k_means},
+        "HDBSCAN": {f"smallest {s:g}": partial(hdbscan, smallest=s) for s in SMALLEST_SHARES},
+        "mean shift": {f"bandwidth {w:g}": partial(mean_shift, width=w) for w in MEAN_SHIFT_WIDTHS},
+        "plain DaSpec": {f"bandwidth x {f:g}": partial(daspec, factor=f) for f in DASPEC_FACTORS},
+    }
+
+
+def k_means(positions: Floats) -> Floats:
+    """k from 1 to `CLUSTERS_MAX`; one cluster when no split has a silhouette of `SILHOUETTE_MIN`."""
+    from sklearn.cluster import KMeans
+    from sklearn.metrics import silhouette_score
+
+    some, few = _some(positions, POINTS_MAX), _some(positions, SILHOUETTE_POINTS_MAX)
+    best = SILHOUETTE_MIN
+    centres: Floats = some.mean(axis=0, keepdims=True)
+    for k in range(2, min(CLUSTERS_MAX, len(np.unique(few, axis=0)) - 1) + 1):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            fitted = KMeans(k, n_init=3, random_state=0).fit(some)
+            quality = float(silhouette_score(few, fitted.predict(few))) if k < len(few) else -1.0
+        if quality > best:
+            best, centres = quality, fitted.cluster_centers_
+    return centres
+
+
+def hdbscan(positions: Floats, smallest: float) -> Floats:
+    from sklearn.cluster import HDBSCAN
+
+    some = _some(positions, POINTS_MAX)
+    size = max(5, round(smallest * len(some)))
+    if len(some) <= size:
+        return _centres(some, np.zeros(len(some), np.int64))
+    return _centres(some, HDBSCAN(min_cluster_size=size, copy=True).fit_predict(some))
+
+
+def mean_shift(positions: Floats, width: float) -> Floats:
+    from sklearn.cluster import MeanShift
+
+    some = _some(positions, MEAN_SHIFT_POINTS_MAX)
+    fitted = MeanShift(bandwidth=width, bin_seeding=True).fit(some)
+    share = np.bincount(fitted.labels_, minlength=len(fitted.cluster_centers_)) / len(some)
+    centres: Floats = fitted.cluster_centers_[share >= MEAN_SHIFT_SHARE_MIN]
+    return centres
+
+
+def daspec(positions: Floats, factor: float) -> Floats:
+    cells = np.minimum((positions * (GRID_COLUMNS, GRID_ROWS)).astype(np.int64), (GRID_COLUMNS - 1, GRID_ROWS - 1))
+    counts = np.zeros((GRID_ROWS, GRID_COLUMNS))
+    np.add.at(counts, (cells[:, 1], cells[:, 0]), 1.0)
+    groups = data_spectroscopy(counts, factor * bandwidth(counts)).grid()
+    return _centres(positions, groups[cells[:, 1], cells[:, 0]].astype(np.int64))
+
+
+def _centres(positions: Floats, labels: NDArray[np.int64]) -> Floats:
+    """Mean position of each label from 0 up, (labels, 2)."""
+    found = [positions[labels == k].mean(axis=0) for k in np.unique(labels[labels >= 0])]
+    return np.array(found).reshape(-1, 2)
+
+
+def _some(positions: Floats, most: int) -> Floats:
+    rng = np.random.default_rng(0)
+    return positions[rng.choice(len(positions), most, replace=False)] if len(positions) > most else positions
