@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,10 @@ Ints = NDArray[np.int64]
 ZONES_MIN, ZONES_MAX = 2, 5
 ZONE_SEPARATION = 0.25
 """Least distance of two zones of one camera, fraction of the image."""
+ZONE_SDS_APART = 5.0
+"""The same in mean standard deviations along the line that joins them."""
+PLACES_MAX = 1000
+"""Places tried for a camera's zones before it starts again."""
 ZONE_SD_MIN, ZONE_SD_MAX = 0.015, 0.04
 DOOR_SHARE = 0.2
 """Share of the zones in mid-view; the others lie along the image's border."""
@@ -28,6 +32,8 @@ OVERLAP_SECONDS = (1.0, 5.0)
 VIEW_METRES = (10.0, 25.0)
 U_TURN_METRES = 4.0
 PATHS_PER_ZONE_MAX = 3
+RARE_SHARE = 0.01
+"""Share of a camera's people that leave at its fire door."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +72,24 @@ class Layout:
     arrivals: Floats
 
 
-def make_layout(cameras: int, rng: np.random.Generator, overlap_share: float, u_turn: float) -> Layout:
-    """A connected network of ``cameras`` (> 0) views with ``overlap_share * cameras`` overlapping pairs."""
+def make_layout(
+    cameras: int,
+    rng: np.random.Generator,
+    overlap_share: float,
+    u_turn: float,
+    separation: float = ZONE_SEPARATION,
+    stretch: float = 1.0,
+) -> Layout:
+    """A connected network of ``cameras`` (> 0) views with ``overlap_share * cameras`` overlapping pairs.
+
+    Zones of one camera are at least ``separation`` apart and ``stretch`` times as long as usual.
+    """
     counts = rng.integers(ZONES_MIN, ZONES_MAX + 1, cameras)
     camera = np.repeat(np.arange(cameras), counts)
-    centre, cov = _zones(counts, rng)
+    centre, cov = _zones(counts, separation, stretch, rng)
     street = _streets(camera, cameras, rng)
     paths = _Paths(camera, street, rng.random((cameras, 2)), rng)
-    paths.overlaps(round(overlap_share * cameras))
+    paths.overlaps(round(overlap_share * cameras), max(1, math.ceil(2 * overlap_share)))
     paths.connect()
     paths.branch()
     leave = np.where(street, rng.uniform(0.4, 0.8, len(camera)), rng.uniform(0.02, 0.1, len(camera)))
@@ -90,19 +106,53 @@ def make_layout(cameras: int, rng: np.random.Generator, overlap_share: float, u_
     )
 
 
-def _zones(counts: Ints, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def without_ways(layout: Layout) -> Layout:
+    """The same views with no way from one to another: whoever leaves one is gone."""
+    onward = replace(layout.onward, probability=np.zeros_like(layout.onward.probability))
+    return replace(layout, onward=onward, arrivals=np.full(len(layout.camera), 1 / len(layout.camera)))
+
+
+def with_fire_doors(layout: Layout, count: int, rng: np.random.Generator) -> Layout:
+    """The same, where in ``count`` cameras (or as many as can) hardly anybody uses a certain way out of the network."""
+    outside = layout.onward.probability.sum(1) == 0
+    zones = np.bincount(layout.camera)
+    able = rng.permutation([c for c in range(len(zones)) if zones[c] >= 3 and outside[layout.camera == c].any()])
+    through, arrivals = layout.through.probability.copy(), layout.arrivals.copy()
+    for c in able[:count]:
+        door = int(rng.choice(np.flatnonzero((layout.camera == c) & outside)))
+        arrivals[door] *= 2 * RARE_SHARE
+        for u in np.flatnonzero((layout.camera == c) & (np.arange(len(layout.camera)) != door)):
+            there = (layout.through.target[u] == door) & (through[u] > 0)
+            through[u][~there] *= (1 - RARE_SHARE) / through[u][~there].sum()
+            through[u][there] = RARE_SHARE
+    return replace(layout, through=replace(layout.through, probability=through), arrivals=arrivals / arrivals.sum())
+
+
+def _zones(counts: Ints, separation: float, stretch: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Centres (zones, 2) and covariances (zones, 2, 2), the zones of one camera well apart."""
-    centres: list[Floats] = []
-    covs: list[Floats] = []
+    zones: list[tuple[Floats, Floats]] = []
     for count in counts:
-        mine: list[Floats] = []
+        mine: list[tuple[Floats, Floats]] = []
+        tries = 0
         while len(mine) < count:
+            tries += 1
+            if tries > PLACES_MAX:  # those placed first leave no room
+                mine, tries = [], 0
             centre, angle = _place(rng)
-            if all(math.dist(centre, other) >= ZONE_SEPARATION for other in mine):
-                mine.append(centre)
-                covs.append(_ellipse(angle, rng))
-        centres += mine
-    return np.array(centres), np.array(covs)
+            if all(math.dist(centre, other) >= separation for other, _ in mine):
+                zone = centre, _ellipse(angle, stretch, rng)
+                if all(_apart(zone, other) for other in mine):
+                    mine.append(zone)
+        zones += mine
+    return np.array([centre for centre, _ in zones]), np.array([cov for _, cov in zones])
+
+
+def _apart(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> bool:
+    """Whether two zones (centre, covariance) can be told apart."""
+    between = other[0] - one[0]
+    distance = float(np.linalg.norm(between))
+    sds = [math.sqrt(between @ cov @ between) / distance for _, cov in (one, other)]
+    return distance >= ZONE_SDS_APART * sum(sds) / 2
 
 
 def _place(rng: np.random.Generator) -> tuple[Floats, float]:
@@ -115,9 +165,9 @@ def _place(rng: np.random.Generator) -> tuple[Floats, float]:
     return np.array((x, y)), math.pi / 2 if side < 2 else 0.0
 
 
-def _ellipse(angle: float, rng: np.random.Generator) -> Floats:
+def _ellipse(angle: float, stretch: float, rng: np.random.Generator) -> Floats:
     minor = rng.uniform(ZONE_SD_MIN, 0.5 * (ZONE_SD_MIN + ZONE_SD_MAX))
-    major = rng.uniform(minor, ZONE_SD_MAX)
+    major = stretch * rng.uniform(minor, ZONE_SD_MAX)
     turn = np.array(((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))))
     result: Floats = turn @ np.diag((major**2, minor**2)) @ turn.T
     return result
@@ -150,23 +200,25 @@ class _Paths:
         self._exclusive: set[int] = set()
         self._joined: set[tuple[int, int]] = set()
 
-    def overlaps(self, count: int) -> None:
-        """The nearest ``count`` pairs of cameras with a zone to spare see a piece of the same floor."""
+    def overlaps(self, count: int, each: int) -> None:
+        """The nearest ``count`` pairs of cameras with a zone to spare see a piece of the same floor; at most
+        ``each`` per camera."""
         order = np.argsort(self._distance, axis=None, kind="stable")
         for a, b in zip(*np.unravel_index(order, self._distance.shape), strict=True):
             if count == 0:
                 break
-            zones = [self._spare(int(a)), self._spare(int(b))] if a < b else []
+            zones = [self._spare(int(a), each), self._spare(int(b), each)] if a < b else []
             if len(zones) == 2 and all(zones):
                 u, v = (int(self._rng.choice(z)) for z in zones)
                 self._join(u, v, -self._log_uniform(OVERLAP_SECONDS))
                 self._exclusive |= {u, v}
                 count -= 1
 
-    def _spare(self, camera: int) -> list[int]:
-        """Inner zones without a path, of a camera that overlaps no other yet."""
+    def _spare(self, camera: int, each: int) -> list[int]:
+        """Inner zones without a path, of a camera that overlaps fewer than ``each`` others yet."""
         mine = self._of(camera)
-        if any(u in self._exclusive for u in mine):
+        taken = sum(u in self._exclusive for u in mine)
+        if taken >= each or (taken and len(mine) - taken < 2):  # a zone stays for other paths
             return []
         return [u for u in mine if not self.options[u] and not self._street[u]]
 

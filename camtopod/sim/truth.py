@@ -17,19 +17,24 @@ Floats = NDArray[np.float64]
 
 
 class TrueZone(Struct, frozen=True, omit_defaults=True):
-    """An entry/exit zone; centre and covariance in fractions of the image, `None` without positions."""
+    """An entry/exit zone; centre and covariance in fractions of the image, `None` without positions.
+
+    ``moved_at``: seconds since the epoch before which it lay at ``was`` in the image, as the camera was turned.
+    """
 
     id: str
     camera: str
     x: float | None = None
     y: float | None = None
     cov: list[list[float]] | None = None
+    moved_at: float | None = None
+    was: tuple[float, float] | None = None
 
 
 class TrueLink(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     """A directed link. ``probability`` is a walker's, whether or not the next passage is recorded;
-    ``transitions`` is how often it was walked, both ends recorded, in these events. ``closed_at``: seconds
-    since the epoch after which nobody takes it any more."""
+    ``transitions`` is how often it was walked, both ends recorded, in these events. ``closed_at``
+    (``opened_at``): seconds since the epoch after (before) which nobody takes it."""
 
     from_: str
     to: str
@@ -38,6 +43,7 @@ class TrueLink(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}
     transitions: int
     transit: Transit
     closed_at: float | None = None
+    opened_at: float | None = None
 
 
 class Truth(Struct, frozen=True, omit_defaults=True):

@@ -1,0 +1,215 @@
+"""Kinds of networks to measure on: the rows of the table to reach, twins of real networks, and disturbances.
+
+    python -m bench regimes [NAME ...] [--seed S] [--scale X]
+
+Without names it lists the regimes; with names it makes each and says what it is like: how many events how often, how
+many people are recorded again, and how often a Markov chain that is told who is who names the next camera, from the
+present camera, from the true zone (where there are zones), and from the present and the previous camera.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from camtopod.records import Event
+from camtopod.sim.crowd import CrowdSettings, simulate_crowd
+from camtopod.sim.hall import HallSettings, simulate_hall
+from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.road import RoadSettings, simulate_road
+from camtopod.sim.score import next_entries
+from camtopod.sim.truth import CLUTTER, Truth
+from camtopod.sim.walkway import WalkwaySettings, simulate_walkway
+
+TRAIN_SHARE = 0.7
+SEEN_MIN = 3
+"""A state of the told chain that was seen less often backs off to the present camera."""
+
+Settings = SimSettings | HallSettings | CrowdSettings | WalkwaySettings | RoadSettings
+
+
+class Regime(Struct, frozen=True):
+    """A kind of network; every seed is another one of it."""
+
+    name: str
+    about: str
+    settings: Settings
+
+    def make(self, seed: int, scale: float = 1.0) -> tuple[list[Event], Truth]:
+        """Events and truth; ``scale`` < 1 makes a shorter recording of the same network."""
+        chosen = msgspec.structs.replace(_scaled(self.settings, scale), seed=seed)
+        match chosen:
+            case SimSettings():
+                return simulate(chosen)
+            case HallSettings():
+                return simulate_hall(chosen)
+            case CrowdSettings():
+                return simulate_crowd(chosen)
+            case WalkwaySettings():
+                return simulate_walkway(chosen)
+            case RoadSettings():
+                return simulate_road(chosen)
+
+
+def _scaled(settings: Settings, scale: float) -> Settings:
+    if isinstance(settings, SimSettings):
+        lost = tuple((camera, begin * scale, end * scale) for camera, begin, end in settings.lost)
+        moved = tuple((camera, since * scale) for camera, since in settings.moved)
+        return msgspec.structs.replace(settings, hours=settings.hours * scale, lost=lost, moved=moved)
+    if isinstance(settings, HallSettings | WalkwaySettings):
+        walkers = round(settings.walkers * scale)
+        return msgspec.structs.replace(settings, seconds=settings.seconds * scale, walkers=walkers)
+    return msgspec.structs.replace(settings, seconds=settings.seconds * scale)
+
+
+def _rows() -> list[Regime]:
+    """The table of issue 3: 12 cameras with 2 to 5 zones, a tenth missed and a tenth clutter unless said."""
+    sparse = SimSettings(objects_per_second=0.05, hours=34.0)
+    medium = SimSettings(objects_per_second=0.12, hours=14.0)
+    dense = SimSettings(objects_per_second=0.6, hours=2.8)
+    change = msgspec.structs.replace
+    day = SimSettings(objects_per_second=0.07, hours=24.0, rhythm=0.9)
+    alone = SimSettings(objects_per_second=0.3, hours=24.0, rhythm=0.9, linked=False)
+    return [
+        Regime("zones-10", "10 % clutter, for the zones", SimSettings(hours=1.5, clutter=0.1)),
+        Regime("zones-30", "30 % clutter, for the zones", SimSettings(hours=1.5, clutter=0.3)),
+        Regime("sparse", "0.05 objects a second, about 50,000 events", sparse),
+        Regime("medium", "0.12 objects a second, about 50,000 events", medium),
+        Regime("dense", "0.6 objects a second, about 50,000 events", dense),
+        Regime("rhythm", "a day with a rhythm of +-90 %, about 50,000 events", day),
+        Regime(
+            "rhythm-dense", "0.6 objects a second, +-90 % in 2.8 hours", change(dense, rhythm=0.9, rhythm_hours=2.8)
+        ),
+        Regime("faulty", "25 % missed, 30 % clutter, about 50,000 events", change(medium, missed=0.25, clutter=0.3)),
+        Regime("no-links", "everybody at one camera only, a day with a rhythm of +-90 %", alone),
+        Regime("short", "3 hours, about 9,000 events", SimSettings(objects_per_second=0.1, hours=3.0)),
+        Regime("overlapped", "40 % of the links overlapped", change(medium, overlap_share=OVERLAPPED_PER_CAMERA)),
+        Regime("clocks", "a third of the clocks off by up to 30 s", change(medium, clock_max=30.0, clock_share=1 / 3)),
+    ]
+
+
+def _twins() -> list[Regime]:
+    """Like real networks on which a topology is hard to learn."""
+    return [
+        Regime("hall", "station hall, 7 overlapping views with open borders", HallSettings()),
+        Regime("crowd", "open square, 7 strongly overlapping views, long stays", CrowdSettings()),
+        Regime("walkway", "6 cameras on a campus, few people, cameras that begin and end", WalkwaySettings()),
+        Regime("road", "20 cameras in a town, vehicles without positions, traffic lights", RoadSettings()),
+    ]
+
+
+def _disturbed() -> list[Regime]:
+    """One disturbance each, on a network of the usual traffic for three hours (about 35,000 events)."""
+    usual = SimSettings(hours=3.0)
+
+    def like(name: str, about: str, **changes: object) -> Regime:
+        return Regime(name, about, msgspec.structs.replace(usual, **changes))
+
+    lost = (("cam05", 4000.0, 7000.0), ("cam09", 7500.0, 10800.0))
+    return [
+        like("platoons", "half of the people come in bunches of ten", platoons=0.5),
+        like("groups", "a third of the people with one to three others", group_share=0.33),
+        like("loitering", "15 % linger 5 to 30 times as long", loiterers=0.15),
+        like("two-speeds", "30 % at less than half the speed", slow_share=0.3),
+        like("closing-door", "two paths close half-way", doors_closed=2),
+        like("opening-door", "two paths open half-way", doors_opened=2),
+        like("lost-camera", "one camera silent for a while, one for good", lost=lost),
+        like("moved-camera", "two cameras turned elsewhere half-way", moved=(("cam03", 5400.0), ("cam08", 5400.0))),
+        like("no-tracks", "nothing ties an entry to its exit", tracks=False),
+        like("no-positions", "one zone per camera", positions=False),
+        like("fire-doors", "four cameras with a door that sees 1 % of the events", fire_doors=4),
+        like("near-doors", "zones from 0.12 of the image apart", zone_separation=0.12),
+        like("long-zones", "zones three times as long", zone_stretch=3.0),
+    ]
+
+
+OVERLAPPED_PER_CAMERA = 0.7
+"""Overlapping pairs per camera with which 40 % of the links are overlapped."""
+REGIMES: dict[str, Regime] = {regime.name: regime for regime in (*_rows(), *_twins(), *_disturbed())}
+
+
+def told_top1(events: Sequence[Event], truth: Truth) -> dict[str, float]:
+    """Share of the next cameras that a chain told who is who names, learned on 70 % of the events, on the rest."""
+    following = next_entries(events, truth)
+    before = _previous(events, truth)
+    exits = [i for i, e in enumerate(events) if e.kind == "exit" and following[i] >= 0]
+    cut = int(TRAIN_SHARE * len(events))
+    states: dict[str, dict[int, Hashable]] = {
+        "camera": {i: events[i].camera for i in exits},
+        "zone": {i: (events[i].camera, truth.zone[i]) for i in exits},
+        "camera and previous": {
+            i: (events[i].camera, before.get((truth.identity[i], truth.passage[i]))) for i in exits
+        },
+    }
+    result = {}
+    for name, state in states.items():
+        counts: dict[Hashable, Counter[str]] = {}
+        for i in exits:
+            if following[i] < cut:
+                counts.setdefault(state[i], Counter())[events[following[i]].camera] += 1
+                if name != "camera":
+                    counts.setdefault(events[i].camera, Counter())[events[following[i]].camera] += 1
+        right = []
+        for i in exits:
+            if i >= cut:
+                known = counts.get(state[i], Counter())
+                chosen = known if known.total() >= SEEN_MIN else counts.get(events[i].camera, Counter())
+                right.append([camera for camera, _ in chosen.most_common(1)] == [events[following[i]].camera])
+        result[name] = float(np.mean(right)) if right else float("nan")
+    return result
+
+
+def _previous(events: Sequence[Event], truth: Truth) -> dict[tuple[int, int], str]:
+    """(who, number of the passage) -> camera of that person's recorded passage before it."""
+    entries = sorted(
+        (who, number, event.camera)
+        for event, who, number in zip(events, truth.identity, truth.passage, strict=True)
+        if event.kind == "entry" and who != CLUTTER
+    )
+    return {(who, number): camera for (earlier, _, camera), (who, number, _) in pairwise(entries) if who == earlier}
+
+
+def describe(regime: Regime, seed: int, scale: float) -> str:
+    """A few lines about one network."""
+    events, truth = regime.make(seed, scale)
+    following = next_entries(events, truth)
+    exits = [i for i, e in enumerate(events) if e.kind == "exit" and truth.identity[i] != CLUTTER]
+    followed = [i for i in exits if following[i] >= 0]
+    seconds = events[-1].t - events[0].t
+    lags = [events[following[i]].t - events[i].t for i in followed] or [float("nan")]
+    told = ", ".join(f"{name} {value:.2f}" for name, value in told_top1(events, truth).items())
+    pairs = Counter(pair.relation for pair in truth.pairs)
+    people = len(set(truth.identity) - {CLUTTER})
+    links = [link for link in truth.links if link.relation != "visible" and link.transitions > 0]
+    over = sum(link.relation == "overlapped" for link in links)
+    low, middle, high = np.quantile(lags, (0.05, 0.5, 0.95))
+    return (
+        f"{regime.name}: {regime.about}\n"
+        f"  {len(events)} events in {seconds:.0f} s ({len(events) / seconds:.2f}/s), {people} people,"
+        f" {len(exits) / max(people, 1):.1f} passages each, {len(followed) / max(len(exits), 1):.2f} seen again\n"
+        f"  {len(truth.cameras)} cameras, {len(truth.zones)} zones, {len(links)} links ({over} overlapped),"
+        f" pairs {pairs['overlapped']} overlapped and {pairs['unseen_path']} by an unseen path\n"
+        f"  from exit to next entry {low:.1f} / {middle:.1f} / {high:.1f} s (5, 50, 95 %);"
+        f" told who is who, top-1 by {told}"
+    )
+
+
+def main(argv: list[str]) -> int:
+    """List or describe regimes; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m bench regimes")
+    parser.add_argument("names", nargs="*", metavar="NAME", choices=(*REGIMES, []))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--scale", type=float, default=1.0, help="length of the recording (default 1.0)")
+    arguments = parser.parse_args(argv)
+    for regime in REGIMES.values():
+        if regime.name in arguments.names:
+            print(describe(regime, arguments.seed, arguments.scale), flush=True)
+        elif not arguments.names:
+            print(f"{regime.name:16}{regime.about}")
+    return 0

@@ -1,0 +1,146 @@
+"""What the cameras of a made-up network report of those who walk there, and the truth about it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.records import Event, Transit
+from camtopod.sim.layout import Ints, Layout
+from camtopod.sim.recording import events_of
+from camtopod.sim.settings import SimSettings
+from camtopod.sim.setup import Setup, turned
+from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Floats, TrueLink, TrueZone, Truth, pairs_of, transit_of
+from camtopod.sim.walking import Passages, jitter, paces
+
+TRANSIT_DRAWS = 20_000
+CLUTTER_TRACK_SHARE = 0.5
+
+
+def report(
+    passages: Passages, setup: Setup, settings: SimSettings, rng: np.random.Generator
+) -> tuple[list[Event], Ints]:
+    """What the cameras say, sorted by time, and (events, 3) owners: walker, number of the passage, zone."""
+    layout = setup.layout
+    n = len(passages.t_in)
+    extra = round(settings.clutter / (1 - settings.clutter) * 2 * n)
+    zone = np.concatenate([passages.zone_in, passages.zone_out])
+    camera = np.concatenate([layout.camera[zone], rng.integers(0, settings.cameras, extra)])
+    t = np.concatenate([passages.t_in, passages.t_out, rng.uniform(0, settings.hours * 3600.0, extra)])
+    entry = np.concatenate([np.ones(n, bool), np.zeros(n, bool), rng.random(extra) < 0.5])
+    place = np.concatenate([_positions(layout, zone, settings, rng), rng.random((extra, 2))])
+    track = np.concatenate([np.tile(np.arange(n), 2), n + np.arange(extra)])
+    track[2 * n :][rng.random(extra) >= CLUTTER_TRACK_SHARE] = -1
+    owner = np.full((2 * n + extra, 3), CLUTTER)
+    owner[: 2 * n] = np.column_stack([np.tile(passages.walker, 2), np.tile(passages.number, 2), zone])
+    inside = ~_lost(camera, t, layout, settings)
+    for moved, (since, turn) in setup.turned.items():
+        then = (camera == moved) & (t >= since)
+        place[then] = turned(place[then], turn)
+    t = np.round(t + setup.offsets[camera] + settings.start, 6)
+    order = np.flatnonzero(inside)[np.argsort(t[inside], kind="stable")]
+    if not settings.positions:
+        place = np.full_like(place, np.nan)
+    if not settings.tracks:
+        track = np.full_like(track, -1)
+    events = events_of(layout.cameras, camera, entry, t, place, track, order)
+    return events, owner[order]
+
+
+def _positions(layout: Layout, zone: Ints, settings: SimSettings, rng: np.random.Generator) -> Floats:
+    """A point of each zone's normal distribution, inside the image."""
+    spread = np.linalg.cholesky(layout.cov)
+    at = layout.centre[zone] + np.einsum("nij,nj->ni", spread[zone], rng.standard_normal((len(zone), 2)))
+    at += settings.position_noise * rng.standard_normal(at.shape)
+    inside: Floats = np.clip(at, 0.0, 1.0)
+    return inside
+
+
+def _lost(camera: Ints, t: Floats, layout: Layout, settings: SimSettings) -> NDArray[np.bool_]:
+    gone = np.zeros(len(t), dtype=bool)
+    for name, begin, end in settings.lost:
+        gone |= (camera == layout.cameras.index(name)) & (t >= begin) & (t < end)
+    return gone
+
+
+def truth_of(setup: Setup, settings: SimSettings, recorded: Passages, owners: Ints) -> Truth:
+    """The network as it is at the end of the recording, and who caused each event."""
+    layout = setup.layout
+    first = np.r_[0, np.flatnonzero(np.diff(layout.camera)) + 1]
+    number = np.arange(len(layout.camera)) - first[layout.camera] + 1
+    ids = [f"{layout.cameras[c]}/{k}" for c, k in zip(layout.camera, number, strict=True)]
+    zones = [_zone(setup, settings, zone, name) for zone, name in enumerate(ids)]
+    links = _links(setup, settings, ids, recorded)
+    return Truth(
+        schema=TRUTH_SCHEMA,
+        cameras=layout.cameras,
+        zones=zones,
+        links=links,
+        pairs=pairs_of(links, {zone.id: zone.camera for zone in zones}),
+        clock_offsets={c: round(float(o), 6) for c, o in zip(layout.cameras, setup.offsets, strict=True)},
+        identity=owners[:, 0].tolist(),
+        passage=owners[:, 1].tolist(),
+        zone=owners[:, 2].tolist(),
+    )
+
+
+def _zone(setup: Setup, settings: SimSettings, zone: int, name: str) -> TrueZone:
+    camera = int(setup.layout.camera[zone])
+    if not settings.positions:
+        return TrueZone(id=name, camera=setup.layout.cameras[camera])
+    x, y = np.round(setup.layout.centre[zone], 4).tolist()
+    cov, was, moved_at = setup.layout.cov[zone], None, None
+    if camera in setup.turned:
+        since, turn = setup.turned[camera]
+        was, moved_at = (x, y), settings.start + since
+        x, y = np.round(turned(setup.layout.centre[zone], turn), 4).tolist()
+        cov = turn @ cov @ turn.T
+    cov = np.round(cov, 7).tolist()
+    return TrueZone(id=name, camera=setup.layout.cameras[camera], x=x, y=y, cov=cov, moved_at=moved_at, was=was)
+
+
+def _links(setup: Setup, settings: SimSettings, ids: list[str], recorded: Passages) -> list[TrueLink]:
+    """Every way with its probability, the time for it, and how often it was walked in the recording."""
+    layout = setup.layout
+    rng = np.random.default_rng((settings.seed, 3))
+    forward = paces(settings, rng, TRANSIT_DRAWS) * jitter(settings, rng, TRANSIT_DRAWS)
+    metre = {True: transit_of(forward), False: transit_of(-forward)}
+    walked = _walked(recorded)
+    links = []
+    for inside, choices in ((True, layout.through), (False, layout.onward)):
+        for u, k in np.argwhere(choices.probability > 0):
+            v, metres = int(choices.target[u, k]), float(choices.metres[u, k])
+            way = int(u), v
+            links.append(
+                TrueLink(
+                    from_=ids[u],
+                    to=ids[v],
+                    relation="visible" if inside else "unseen" if metres > 0 else "overlapped",
+                    probability=round(float(choices.probability[u, k]), 6),
+                    transitions=walked.get((inside, *way), 0),
+                    transit=_times(metre[metres > 0], abs(metres)),
+                    closed_at=settings.start + settings.closing() if not inside and way in setup.closing else None,
+                    opened_at=settings.start + settings.opening() if not inside and way in setup.opening else None,
+                )
+            )
+    return links
+
+
+def _times(one: Transit, metres: float) -> Transit:
+    """A metre's figures scaled to a way's length."""
+    return Transit(*(round(getattr(one, name) * metres, 4) for name in Transit.__struct_fields__))
+
+
+def _walked(recorded: Passages) -> dict[tuple[bool, int, int], int]:
+    """How often (through a view?, from, to) happened with both ends recorded."""
+    order = np.lexsort((recorded.number, recorded.walker))
+    p = recorded.take(order)
+    next_ = (p.walker[1:] == p.walker[:-1]) & (p.number[1:] == p.number[:-1] + 1)
+    result: dict[tuple[bool, int, int], int] = {}
+    for inside, u, v in (
+        (True, p.zone_in, p.zone_out),
+        (False, p.zone_out[:-1][next_], p.zone_in[1:][next_]),
+    ):
+        ways, counts = np.unique(np.column_stack([u, v]), axis=0, return_counts=True)
+        result |= {(inside, int(a), int(b)): int(n) for (a, b), n in zip(ways, counts, strict=True)}
+    return result

@@ -1,0 +1,151 @@
+"""People walk about in a made-up network: when they come, where they go, how long it takes them, with whom."""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from camtopod.sim.layout import WALKING_SPEED, Choices, Ints
+from camtopod.sim.settings import SimSettings
+from camtopod.sim.setup import Setup
+from camtopod.sim.truth import Floats
+
+PASSAGES_MAX = 100
+"""A walker leaves the network after this many passages at the latest."""
+WARM_UP_SECONDS = 1200.0
+"""Walkers start this long before the recording, so that it begins with a full network."""
+DAY_SECONDS = 86_400.0
+SLOW_FACTOR = 0.45
+LINGER_FACTOR = (5.0, 30.0)
+HEADWAY_SECONDS = 1.5
+"""Mean time between the walkers of a platoon."""
+
+
+class Passages(Struct):
+    """Passages as columns: who, the number within the walk, zones and times of entry and exit."""
+
+    walker: Ints
+    number: Ints
+    zone_in: Ints
+    zone_out: Ints
+    t_in: Floats
+    t_out: Floats
+
+    def take(self, index: Ints | NDArray[np.bool_]) -> Passages:
+        return Passages(*(getattr(self, name)[index] for name in self.__struct_fields__))
+
+
+def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passages:
+    """All walks, one passage of every walker under way at a time."""
+    layout = setup.layout
+    t = _arrivals(settings, rng)
+    walker = np.arange(len(t))
+    zone = rng.choice(len(layout.camera), len(t), p=layout.arrivals)
+    t, zone = _in_platoons(t, zone, settings)
+    pace = paces(settings, rng, len(t))
+    linger = rng.uniform(*LINGER_FACTOR, len(t))
+    linger = np.where(rng.random(len(t)) < settings.loiterers, linger, 1.0)
+    parts: list[Passages] = []
+    for number in range(PASSAGES_MAX):
+        if len(t) == 0:
+            break
+        out, metres = _choose(layout.through, zone, rng)
+        stay = metres * pace * jitter(settings, rng, len(t)) * linger
+        option = _onward(setup, settings, out, t, rng.random(len(t)))
+        goes = option >= 0
+        ahead = np.where(goes, layout.onward.metres[out, option], 0.0) * pace * jitter(settings, rng, len(t))
+        stay = np.maximum(stay, -1.25 * ahead)  # nobody is in the next view before being in this one
+        parts.append(Passages(walker, np.full(len(t), number), zone, out, t, t + stay))
+        t, zone = (t + stay + ahead)[goes], layout.onward.target[out, option][goes]
+        walker, pace, linger = walker[goes], pace[goes], linger[goes]
+    return _join(parts)
+
+
+def paces(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
+    """Seconds a metre of ``n`` walkers."""
+    pace = 1 / (WALKING_SPEED * np.exp(settings.speed_sd * rng.standard_normal(n)))
+    return np.where(rng.random(n) < settings.slow_share, pace / SLOW_FACTOR, pace)
+
+
+def _onward(setup: Setup, settings: SimSettings, zone: Ints, t: Floats, draw: Floats) -> Ints:
+    """Index of the way that people who are at a zone at some time take, -1 for none; doors close and open."""
+    shut, unopened = t >= settings.closing(), t < settings.opening()
+    result = np.zeros(len(zone), dtype=np.int64)
+    for gone, now in (
+        (set(), ~shut & ~unopened),
+        (setup.closing, shut & ~unopened),
+        (setup.opening, ~shut & unopened),
+        (setup.closing | setup.opening, shut & unopened),
+    ):
+        result[now] = _option(setup.layout.onward.without(gone), zone[now], draw[now])
+    return result
+
+
+def _in_platoons(t: Floats, zone: Ints, settings: SimSettings) -> tuple[Floats, Ints]:
+    """Times and zones at which people come, where a share of them comes in bunches."""
+    rng = np.random.default_rng((settings.seed, 5))
+    member = np.flatnonzero(rng.random(len(t)) < settings.platoons)
+    bunch = np.cumsum(rng.random(len(member)) < 1 / settings.platoon_size)
+    _, leader, of = np.unique(bunch, return_index=True, return_inverse=True)
+    where = zone[member[leader]]
+    phase = (where * 0.618) % 1.0 * settings.platoon_cycle
+    begin = np.ceil((t[member[leader]] - phase) / settings.platoon_cycle) * settings.platoon_cycle + phase
+    late = HEADWAY_SECONDS * ((np.arange(len(member)) - leader[of]) + rng.uniform(-0.4, 0.4, len(member)))
+    t, zone = t.copy(), zone.copy()
+    t[member], zone[member] = begin[of] + late, where[of]
+    return t, zone
+
+
+def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
+    """Poisson arrival times; the rhythm thins a faster process."""
+    rate = settings.objects_per_second or 0.4 * settings.cameras / 12
+    begin, end = -WARM_UP_SECONDS, settings.hours * 3600.0
+    times = np.sort(rng.uniform(begin, end, rng.poisson(rate * (1 + settings.rhythm) * (end - begin))))
+    phase = 2 * np.pi * (times + settings.start) / (settings.rhythm_hours * DAY_SECONDS / 24)
+    wanted = (1 - settings.rhythm * np.cos(phase)) / (1 + settings.rhythm)
+    return times[rng.random(len(times)) < wanted]
+
+
+def jitter(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
+    """How many times as long as usual ``n`` ways take."""
+    result: Floats = np.exp(settings.path_sd * rng.standard_normal(n))
+    return result
+
+
+def _option(choices: Choices, zone: Ints, draw: Floats) -> Ints:
+    """Index of the option that a uniform draw picks in each zone's row, -1 for none."""
+    index = (np.cumsum(choices.probability[zone], 1) <= draw[:, None]).sum(1)
+    return np.where(index < choices.probability.shape[1], index, -1)
+
+
+def _choose(choices: Choices, zone: Ints, rng: np.random.Generator) -> tuple[Ints, Floats]:
+    """Target and metres where one option is always taken (rows sum to 1 up to rounding)."""
+    total = choices.probability.sum(1)[zone]
+    option = _option(choices, zone, rng.random(len(zone)) * total * (1 - 1e-12))
+    return choices.target[zone, option], choices.metres[zone, option]
+
+
+def _join(parts: list[Passages]) -> Passages:
+    if not parts:
+        none = np.zeros(0, dtype=np.int64)
+        return Passages(none, none, none, none, none.astype(float), none.astype(float))
+    return Passages(*(np.concatenate([getattr(part, name) for part in parts]) for name in Passages.__struct_fields__))
+
+
+def with_companions(passages: Passages, settings: SimSettings, rng: np.random.Generator) -> Passages:
+    """Groups: companions walk the leader's way, each a step (0.3 to 2 s) behind the one before."""
+    walkers = int(passages.walker.max(initial=-1)) + 1
+    size = np.where(rng.random(walkers) < settings.group_share, rng.integers(1, 4, walkers), 0)
+    parts, fresh, behind = [passages], walkers, np.zeros(walkers)
+    for place in range(1, 4):
+        behind = behind + rng.uniform(0.3, 2.0, walkers)
+        led = np.flatnonzero(size >= place)
+        identity = np.full(walkers, -1)
+        identity[led] = fresh + np.arange(len(led))
+        fresh += len(led)
+        mine = passages.take(identity[passages.walker] >= 0)
+        late = behind[mine.walker]
+        mine.walker, mine.t_in, mine.t_out = identity[mine.walker], mine.t_in + late, mine.t_out + late
+        parts.append(mine)
+    return _join(parts)
