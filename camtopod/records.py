@@ -145,6 +145,38 @@ class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
     probability: float
 
 
+class Alarm(Struct, frozen=True):
+    """Something changed, as found in ``version``; ``t`` is that version's ``as_of``.
+
+    ``kind`` is ``link_opened``, ``link_closed``, ``link_changed``, ``zone_new``, ``zone_gone``, ``camera_silent``,
+    ``camera_back``, ``camera_moved`` or ``clock_changed``; there may be further ones. ``subject`` is a camera, a zone
+    or two zones (``lobby/1->hall/2``); ``detail`` is for people.
+    """
+
+    version: int
+    t: float
+    kind: str
+    subject: str
+    detail: str
+
+
+class SelfScore(Struct, frozen=True):
+    """How well the last ``exits`` predictions scored were, the oldest made with ``since_version``.
+
+    Who went where is taken from later versions, which have seen what came after. ``top1``, ``top3``: share of those
+    seen again whose next camera was the likeliest, or among the likeliest three; ``log_loss``: mean over all exits of
+    -ln(probability of what happened), nats. The baseline always says the most frequent next camera of a camera.
+    """
+
+    exits: int
+    since_version: int
+    log_loss: float
+    top1: float
+    top3: float
+    baseline_log_loss: float
+    baseline_top1: float
+
+
 class Topology(Struct, frozen=True, omit_defaults=True):
     """One version of the learned topology. ``digest`` is over the content, not over site, epoch and version."""
 
@@ -162,6 +194,9 @@ class Topology(Struct, frozen=True, omit_defaults=True):
     weak_links: list[Link] | None = None
     chain: list[ChainEdge] | None = None
     model: Model | None = None
+    alarms: list[Alarm] | None = None
+    """The newest, oldest first, of this version and of those before it in the epoch."""
+    score: SelfScore | None = None
 
     def __post_init__(self) -> None:
         if self.schema != TOPOLOGY_SCHEMA:
@@ -193,6 +228,9 @@ class Delta(Struct, frozen=True, omit_defaults=True):
     gone_pairs: list[tuple[str, str]] = field(default_factory=list)
     chain: list[ChainEdge] | None = None
     model: Model | None = None
+    alarms: list[Alarm] | None = None
+    """Those of this version."""
+    score: SelfScore | None = None
 
 
 class NextCamera(Struct, frozen=True):

@@ -13,8 +13,10 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.learn.assemble import assemble, link_records
+from camtopod.learn.alarms import AlarmLog
+from camtopod.learn.assemble import assemble, link_records, zone_id
 from camtopod.learn.candidates import find_candidates, newest
+from camtopod.learn.change import Change, find_changes, present
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
@@ -33,7 +35,9 @@ from camtopod.learn.memory import Memory
 from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Scene, see
+from camtopod.learn.scoring import Scorer
 from camtopod.learn.settings import Settings
+from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.topology import stamp
 from camtopod.learn.window import Window
 from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones
@@ -59,6 +63,8 @@ class Learner:
         self._intake = Intake(self.settings.lateness_seconds, self.settings.cameras_max)
         self._window = Window(self.settings.window_events_max)
         self._memory = Memory()
+        self._alarms = AlarmLog()
+        self._scorer = Scorer()
         self._maps: list[ZoneMap] = []
         self._zoned: list[int] = []  # events of the camera when its zones were last learned
         self._gone: list[tuple[ZoneShape, ...]] = []  # zones that have vanished, latest first, for when they come back
@@ -142,6 +148,7 @@ class Learner:
     def _learn(self, until_us: int) -> None:
         """Move the events up to ``until_us`` into the window and forget what is too old."""
         batch = self._intake.take(until_us)
+        self._scorer.watch(batch)
         self._window.append(batch)
         self._window.forget(until_us - microseconds(self.settings.window_hours * 3600.0))
         self._learned += len(batch)
@@ -151,10 +158,13 @@ class Learner:
         """Whether enough has changed for a new version."""
         if self._since_fit == 0:
             return False
-        enough = max(REFIT_EVENTS_MIN, self.settings.refit_share * len(self._window))
-        if self._fitted_us is None or self._since_fit >= enough:
+        if self._fitted_us is None or self._since_fit >= self._enough():
             return True
         return tick_us - self._fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
+
+    def _enough(self) -> float:
+        """New events that make a new version due."""
+        return max(REFIT_EVENTS_MIN, self.settings.refit_share * len(self._window))
 
     def _refit(self, tick_us: int) -> None:
         """Zones, joint fit, links: one new version as of ``tick_us``."""
@@ -162,7 +172,10 @@ class Learner:
         scene = see(self._window, self._maps)
         through = self._through_views(scene)
         scene = scene._replace(departures=with_usual_stays(scene.departures, through))
-        posterior, between, likely = self._between_views(scene)
+        silences = find_silences(
+            self._window.column("t") / MICROSECONDS, self._window.column("camera"), len(self._window.cameras)
+        )
+        posterior, between, likely, changes = self._between_views(scene, silences)
         found = without_missed(between, through, significant(between, self.settings), self.settings)
         published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
         seen = np.flatnonzero(significant(through, self.settings))
@@ -174,9 +187,19 @@ class Learner:
             + link_records(cameras, scene, visible, self.stay_bins, "visible"),
             weak_links=link_records(cameras, scene, beside(likely, published, len(scene.zones)), self.bins),
         )  # fmt: skip
-        version = 1 if self.topology is None else self.topology.version + 1
-        named = replace(topology, site=self.site, epoch=self.epoch, version=version, as_of=tick_us / MICROSECONDS)
-        self.topology = stamp(replace(named, events=self._learned))
+        version, now = 1 if self.topology is None else self.topology.version + 1, tick_us / MICROSECONDS
+        joined = set(zip(published.source.tolist(), published.target.tolist(), strict=True))
+        self._alarms.report(
+            version, now, scene, [zone_id(cameras, zone) for zone in scene.zones], cameras, silences, changes, joined,
+            self.settings.publish_probability_min,
+        )  # fmt: skip
+        self.topology = stamp(
+            replace(
+                topology, site=self.site, epoch=self.epoch, version=version, as_of=now, events=self._learned,
+                alarms=self._alarms.newest or None, score=self._scorer.score(),
+            )
+        )  # fmt: skip
+        self._scorer.use(self.topology, self._enough())
         self._updates.append(self.topology)
         self._fitted_us, self._since_fit = tick_us, 0
 
@@ -201,14 +224,16 @@ class Learner:
         transitions = visible_transitions(scene, self.stay_bins, self.settings.candidates_max)
         return tabulate(transitions, scene.entries.astype(float), self.stay_bins, len(scene.zones))
 
-    def _between_views(self, scene: Scene) -> tuple[Fit | None, LinkTable, LinkTable]:
-        """Links that leave a view: the joint fit of departures and arrivals."""
+    def _between_views(
+        self, scene: Scene, silences: list[Silences]
+    ) -> tuple[Fit | None, LinkTable, LinkTable, list[Change]]:
+        """Links that leave a view: the joint fit of departures and arrivals, and what in it has changed."""
         zones = len(scene.zones)
         departures, arrivals = newest(scene.departures, scene.arrivals, self.bins, self.settings.candidates_max)
         leaving = np.bincount(departures.zone, minlength=zones).astype(float)
         if len(departures.t) == 0 or len(arrivals.t) == 0:
             empty = tabulate(join([]), leaving, self.bins, zones)
-            return None, empty, empty
+            return None, empty, empty, []
         first = float(min(departures.t[0], arrivals.t[0]))
         candidates = find_candidates(departures, arrivals, self.bins, zones)
         known = self._memory.recall(candidates, scene, self.bins, len(self._window))
@@ -216,4 +241,11 @@ class Learner:
         self._memory.remember(posterior, fit, scene, len(self._window), fresh=known is None)
         ratio = cross_evidence(departures, arrivals, fit, self.bins, zones, first, scene.last)
         between = tabulate(transitions_of(fit), leaving, self.bins, zones).with_evidence(ratio, zones * zones)
-        return posterior, between, tabulate(transitions_of(posterior), leaving, self.bins, zones)
+        likely = tabulate(transitions_of(posterior), leaving, self.bins, zones)
+        over = scene.last - self.bins.lag_max
+        self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over)
+        changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
+        share_min = self.settings.publish_probability_min
+        return (
+            posterior, present(between, changes, zones, share_min), present(likely, changes, zones, share_min), changes,
+        )  # fmt: skip

@@ -13,6 +13,9 @@ from camtopod.records import DELTA_SCHEMA, TOPOLOGY_SCHEMA, Camera, Delta, Link,
 NOT_CONTENT = ("schema", "site", "epoch", "version", "digest")
 """Fields that the digest does not cover: two daemons that learned the same events agree on it."""
 
+ALARMS_KEPT_MAX = 50
+"""Alarms that a topology lists."""
+
 _Item = TypeVar("_Item", Camera, Zone, Link, Pair)
 LinkKey = tuple[str, str, str]
 
@@ -67,6 +70,7 @@ def make_delta(old: Topology, new: Topology) -> Delta:
         DELTA_SCHEMA, new.site, new.epoch, new.version, new.as_of, new.events, new.digest,
         cameras, zones, links, weak, pairs, gone_cameras, gone_zones, gone_links, gone_weak, gone_pairs,
         new.chain, new.model,
+        [alarm for alarm in new.alarms or [] if alarm.version == new.version] or None, new.score,
     )  # fmt: skip
 
 
@@ -86,6 +90,7 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
         weak_links=_merged(old.weak_links or [], delta.weak_links, delta.gone_weak_links, link_key),
         pairs=_merged(old.pairs, delta.pairs, delta.gone_pairs, pair_key),
         chain=delta.chain, model=delta.model,
+        alarms=[*(old.alarms or []), *(delta.alarms or [])][-ALARMS_KEPT_MAX:] or None, score=delta.score,
     )  # fmt: skip
     if digest_of(new) != delta.digest:
         raise ValueError(f"digest of version {delta.version} does not come out; get the whole topology")

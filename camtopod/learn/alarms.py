@@ -1,0 +1,116 @@
+"""Alarms: what has changed in the building or its cameras, said once each, in the version that first knows it.
+
+Finding something for the first time is no change: a link is only said to have opened when its own past shows that it
+was closed (`change`), so that an installation that starts says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from camtopod.learn.change import Change, Trials, latest_change, threshold_nats
+from camtopod.learn.scene import Scene
+from camtopod.learn.silence import Silences
+from camtopod.learn.topology import ALARMS_KEPT_MAX
+from camtopod.records import Alarm
+
+SUBJECTS_MAX = 10_000
+"""Links and zones whose last report is remembered; beyond, the oldest is forgotten."""
+SHARE_CHANGE_MIN = 0.1
+"""A link that stays open is reported when its share has changed by this; smaller changes are followed silently."""
+GONE_RATIO = 0.05
+"""A zone is gone, or new, when its share of the camera's events is, or was, at most this much of what it was, or is."""
+ZONE_SHARE_MAX = 0.99
+
+
+class AlarmLog:
+    """What has been reported, so that nothing is reported twice."""
+
+    def __init__(self) -> None:
+        self.newest: list[Alarm] = []
+        """The newest `ALARMS_KEPT_MAX`, oldest first."""
+        self._said: dict[str, float] = {}  # subject -> when last reported; for what can change again
+        self._silent: set[str] = set()
+
+    def add(self, version: int, t: float, kind: str, subject: str, detail: str) -> None:
+        """Report something found outside this module."""
+        self.newest = [*self.newest, Alarm(version, t, kind, subject, detail)][-ALARMS_KEPT_MAX:]
+
+    def report(
+        self, version: int, t: float, scene: Scene, zones: list[str], cameras: list[str], silences: list[Silences],
+        changes: list[Change], published: set[tuple[int, int]], share_min: float,
+    ) -> None:  # fmt: skip
+        """Everything that this version shows. ``zones``, ``cameras``: their ids; ``published``: the pairs of zones its
+        links join; ``share_min``: a smaller share makes no link.
+        """
+        self.cameras(version, t, silences, cameras)
+        self.zones(version, t, scene, zones)
+        self.links(version, t, changes, zones, published, share_min)
+
+    def links(
+        self, version: int, t: float, changes: Iterable[Change], zones: list[str],
+        published: set[tuple[int, int]], share_min: float,
+    ) -> None:  # fmt: skip
+        """Links that opened, closed or changed. ``published``: the zones joined by the links of this version."""
+        for change in changes:
+            closed = change.after < share_min
+            opened = not closed and change.before < share_min
+            slight = not opened and abs(change.after - change.before) < SHARE_CHANGE_MIN
+            was_none = closed and change.before < share_min
+            is_none = not closed and (change.source, change.target) not in published
+            if (slight and not closed) or was_none or is_none:
+                continue
+            kind = "link_closed" if closed else "link_opened" if opened else "link_changed"
+            subject = f"{zones[change.source]}->{zones[change.target]}"
+            detail = f"share {change.before:.2f} until {change.since:.0f}, {change.after:.2f} since"
+            self._once(version, t, kind, subject, detail, change.since)
+
+    def zones(self, version: int, t: float, scene: Scene, ids: list[str]) -> None:
+        """Zones that came into use or fell out of it."""
+        for index, (before, after, since) in zone_changes(scene).items():
+            kind = "zone_new" if after > before else "zone_gone"
+            detail = f"{before:.2f} of the camera's events until {since:.0f}, {after:.2f} since"
+            self._once(version, t, kind, ids[index], detail, since)
+
+    def cameras(self, version: int, t: float, silences: list[Silences], cameras: list[str]) -> None:
+        """Cameras that fell silent, and those that are back."""
+        for name, silence in zip(cameras, silences, strict=True):
+            ongoing = bool(silence.intervals) and silence.intervals[-1][1] == np.inf
+            if silence.lasts and name not in self._silent:
+                self._silent.add(name)
+                self.add(version, t, "camera_silent", name, f"nothing since {silence.intervals[-1][0]:.0f}")
+            elif name in self._silent and not ongoing:
+                self._silent.discard(name)
+                self.add(version, t, "camera_back", name, "events again")
+
+    def _once(self, version: int, t: float, kind: str, subject: str, detail: str, since: float) -> None:
+        """Report a change unless what is known of the subject was known when it was last reported."""
+        if since <= self._said.get(subject, -np.inf):
+            return
+        self._said.pop(subject, None)
+        self._said[subject] = t
+        if len(self._said) > SUBJECTS_MAX:
+            del self._said[next(iter(self._said))]
+        self.add(version, t, kind, subject, detail)
+
+
+def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
+    """Zones whose share of their camera's events began or ended: zone -> share before, after, since when (seconds)."""
+    d, a = scene.departures, scene.arrivals
+    t, zone, camera = (np.concatenate(columns) for columns in ((d.t, a.t), (d.zone, a.zone), (d.camera, a.camera)))
+    order = np.argsort(t, kind="stable")
+    t, zone, camera = t[order], zone[order], camera[order]
+    threshold = threshold_nats(len(scene.zones), len(t))
+    found = {}
+    for index, ref in enumerate(scene.zones):
+        seen, own = t[camera == ref.camera], t[zone == index]
+        if len(own) == len(seen):
+            continue
+        change = latest_change(Trials(seen, np.ones(len(seen)), own, np.full(len(own), ZONE_SHARE_MAX)), threshold)
+        if change is not None:
+            since, before, after, _ = change
+            if min(before, after) <= GONE_RATIO * max(before, after):
+                found[index] = before, after, since
+    return found
