@@ -1,0 +1,190 @@
+"""Everything beside everything else, in one table: what the learner finds and foretells, and what others would.
+
+    python -m bench quality [--seeds N] [--regimes a,b] [--jobs 2] [--json FILE] [--data FOLDER] [--no-baselines]
+
+Ours twice: ``online``, fed as `camtopod learn` is, and ``batch``, one fit of everything. Every network is made up from
+its seed (`bench.regimes`); ``campus-auditorium`` is a real recording, skipped where it is not at hand (``--data`` or
+CAMTOPOD_TEST_DATA name the folder it lies in). Each figure is a mean over networks with its standard error.
+
+With ``--json`` every result is appended to a file as it comes; a run that finds results there goes on where it was
+left, and with nothing left to do only prints the table. Results of an older learner have to be deleted by hand.
+
+The baselines have the true zones, no clutter, and per regime the variant and threshold with the best mean F1 on these
+very networks; the second F1 is at the one variant and threshold that are best over all regimes together, which is how
+ours has to work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from bench._measure import GROUPS, Record, measure
+from bench._table import tables
+from bench.regimes import REGIMES
+from camtopod.codec import read, to_json
+from camtopod.records import Event, Pair
+from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Truth
+
+CAMPUS = "campus-auditorium"
+CAMPUS_PAIRS = (
+    Pair(("HC3", "HC4"), "overlapped"),
+    Pair(("HC3", "IP5"), "unseen_path"),
+    Pair(("IP2", "IP5"), "overlapped"),
+)
+"""As the recording's description says."""
+
+
+class Task(NamedTuple):
+    """One group of methods on one network."""
+
+    regime: str
+    seed: int
+    group: str
+    scale: float
+    data: str | None
+
+    @property
+    def key(self) -> tuple[str, int, str, float]:
+        return self.regime, self.seed, self.group, self.scale
+
+
+class Done(msgspec.Struct):
+    """A line of the JSON file: a task and its results."""
+
+    regime: str
+    seed: int
+    group: str
+    scale: float
+    records: list[Record]
+
+    @property
+    def key(self) -> tuple[str, int, str, float]:
+        return self.regime, self.seed, self.group, self.scale
+
+
+def main(argv: list[str]) -> int:
+    """Measure what is missing, then print the table; returns the exit status."""
+    arguments = _parse(argv)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers: two of them share two cores
+    known = [*REGIMES, CAMPUS]
+    names = arguments.regimes.split(",") if arguments.regimes else known
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        print(f"bench quality: no regime {', '.join(unknown)}; there are {', '.join(known)}", file=sys.stderr)
+        return 2
+    data = arguments.data or os.environ.get("CAMTOPOD_TEST_DATA")
+    notes = []
+    if CAMPUS in names and not (data and (Path(data) / CAMPUS / "events.jsonl").is_file()):
+        names.remove(CAMPUS)
+        notes.append(f"{CAMPUS}: skipped, its folder is not at hand (--data or CAMTOPOD_TEST_DATA)")
+    done = _measured(_tasks(arguments, names, data), arguments.jobs, arguments.json)
+    records = [record for one in done for record in one.records]
+    print("\n".join([*tables(records, names), *notes]))
+    return 0
+
+
+def _tasks(arguments: argparse.Namespace, names: Sequence[str], data: str | None) -> list[Task]:
+    """All that is asked for, seed by seed, so that a run that is stopped has something of every regime."""
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    groups = [group for group in GROUPS if group in arguments.methods.split(",")]
+    made = [Task(n, seed, g, arguments.scale, None) for seed in seeds for n in names if n != CAMPUS for g in groups]
+    return made + [Task(CAMPUS, 0, group, 1.0, data) for group in groups if CAMPUS in names]
+
+
+def _measured(tasks: Sequence[Task], jobs: int, path: Path | None) -> list[Done]:
+    """Results of the tasks, those of earlier runs from ``path``, to which new ones are appended as they come."""
+    wanted = {task.key for task in tasks}
+    done = {one.key: one for one in _read(path) if one.key in wanted}
+    left = [task for task in tasks if task.key not in done]
+    started = time.perf_counter()
+    for number, one in enumerate(_results(left, jobs), 1):
+        done[one.key] = one
+        if path is not None:
+            with path.open("ab") as out:
+                out.write(to_json(one) + b"\n")
+        passed = time.perf_counter() - started
+        print(f"{passed:7.0f} s, {number} of {len(left)}: {one.regime} {one.seed} {one.group}", file=sys.stderr)
+    return [done[task.key] for task in tasks]
+
+
+def _parse(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench quality", description="Ours beside the baselines.")
+    parser.add_argument("--seeds", type=int, default=10, help="networks per regime (default 10)")
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--scale", type=float, default=1.0, help="length of the recordings (default 1.0)")
+    parser.add_argument("--regimes", help="comma-separated (default: all)")
+    parser.add_argument("--methods", default=",".join(GROUPS), help=f"of {','.join(GROUPS)} (default: all)")
+    parser.add_argument("--no-baselines", dest="methods", action="store_const", const="online,batch")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="results go here as they come, and are taken from here"
+    )
+    parser.add_argument("--data", metavar="FOLDER", help="where campus-auditorium lies (default CAMTOPOD_TEST_DATA)")
+    return parser.parse_args(argv)
+
+
+def _read(path: Path | None) -> list[Done]:
+    """Results of earlier runs; a last line cut short by a kill is measured again."""
+    if path is None or not path.exists():
+        return []
+    whole = path.read_bytes().rpartition(b"\n")[0] + b"\n"
+    if len(whole) < path.stat().st_size:
+        path.write_bytes(whole)
+    return [msgspec.json.decode(line, type=Done) for line in whole.splitlines() if line]
+
+
+def _results(tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
+    """Results as they come."""
+    if jobs <= 1:
+        yield from map(run, tasks)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(run, task) for task in tasks]):
+            yield future.result()
+
+
+def run(task: Task) -> Done:
+    """Make the network and measure it."""
+    if task.regime == CAMPUS:
+        events, truth = campus(Path(task.data or "") / CAMPUS)
+    else:
+        events, truth = REGIMES[task.regime].make(task.seed, task.scale)
+    return Done(*task.key, measure(task.group, task.regime, task.seed, events, truth))
+
+
+def campus(folder: Path) -> tuple[list[Event], Truth]:
+    """The recording and who is who in it; nothing is known of zones and links."""
+    events = [read(Event, line) for line in (folder / "events.jsonl").read_bytes().splitlines()]
+    events.sort(key=lambda event: event.t)
+    with (folder / "identities.csv").open(newline="") as lines:
+        identity = {row["track"]: int(row["identity"]) for row in csv.DictReader(lines)}
+    who = [identity.get(str(event.track), CLUTTER) for event in events]
+    passages: dict[int, list[str]] = {}
+    number = []
+    for event, person in zip(events, who, strict=True):
+        tracks = passages.setdefault(person, [])
+        if str(event.track) not in tracks:
+            tracks.append(str(event.track))
+        number.append(CLUTTER if person == CLUTTER else tracks.index(str(event.track)))
+    truth = Truth(
+        schema=TRUTH_SCHEMA,
+        cameras=sorted({event.camera for event in events}),
+        zones=[],
+        links=[],
+        pairs=list(CAMPUS_PAIRS),
+        identity=who,
+        passage=number,
+        zone=[CLUTTER] * len(events),
+    )
+    return events, truth
