@@ -62,9 +62,7 @@ def _scaled(settings: Settings, scale: float) -> Settings:
         lost = tuple((camera, begin * scale, end * scale) for camera, begin, end in settings.lost)
         moved = tuple((camera, since * scale) for camera, since in settings.moved)
         return msgspec.structs.replace(settings, hours=settings.hours * scale, lost=lost, moved=moved)
-    if isinstance(settings, HallSettings | WalkwaySettings):
-        walkers = round(settings.walkers * scale)
-        return msgspec.structs.replace(settings, seconds=settings.seconds * scale, walkers=walkers)
+    return msgspec.structs.replace(settings, seconds=settings.seconds * scale, walkers=walkers)
     return msgspec.structs.replace(settings, seconds=settings.seconds * scale)
 
 
@@ -129,7 +127,7 @@ def _disturbed() -> list[Regime]:
     ]
 
 
-OVERLAPPED_PER_CAMERA = 0.7
+OVERLAPPED_PER_CAMERA = 0.8
 """Overlapping pairs per camera with which 40 % of the links are overlapped."""
 REGIMES: dict[str, Regime] = {regime.name: regime for regime in (*_rows(), *_twins(), *_disturbed())}
 

@@ -4,21 +4,47 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from msgspec import Struct
+
 from camtopod.cli import exits
 from camtopod.codec import to_json
+from camtopod.records import Event
+from camtopod.sim.crowd import CrowdSettings, simulate_crowd
+from camtopod.sim.hall import HallSettings, simulate_hall
 from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.road import RoadSettings, simulate_road
+from camtopod.sim.truth import Truth
+from camtopod.sim.walkway import WalkwaySettings, simulate_walkway
+
+SCENES: dict[str, tuple[type[Struct], Callable[[Any], tuple[list[Event], Truth]]]] = {
+    "network": (SimSettings, simulate),
+    "hall": (HallSettings, simulate_hall),
+    "crowd": (CrowdSettings, simulate_crowd),
+    "walkway": (WalkwaySettings, simulate_walkway),
+    "road": (RoadSettings, simulate_road),
+}
+COMMON = {"cameras", "hours", "seed", "start"}
+"""Options that every scene has."""
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add `simulate`; every option but the files is a setting of `SimSettings`."""
+    """Add `simulate`; every option but the files and the scene is a setting of `SimSettings`."""
     summary = "a made-up camera network: event lines and the truth about them"
     parser = subparsers.add_parser("simulate", help=summary, description=summary.capitalize() + ".")
     default = SimSettings()
     parser.add_argument("--events", required=True, metavar="E.jsonl", help="event lines go here ('-': standard output)")
     parser.add_argument("--truth", metavar="T.json", help="the truth goes here")
+    parser.add_argument(
+        "--scene",
+        choices=SCENES,
+        default="network",
+        help="instead of a network of zones and ways (the default): a station hall, a crowded square, walkways of a"
+        " campus, streets of a town; these have --cameras, --hours, --seed and --start only",
+    )
     for flag, kind, help_ in (
         ("--cameras", int, "number of cameras"),
         ("--hours", float, "length of the recording, hours"),
@@ -32,42 +58,69 @@ def add_parser(subparsers: Any) -> None:
         ("--missed", float, "share of the passages that are not recorded"),
         ("--clutter", float, "share of the events that belong to nobody"),
         ("--overlap-share", float, "overlapping pairs of cameras per camera"),
+        ("--zone-separation", float, "least distance of two zones of a camera, fraction of the image"),
+        ("--zone-stretch", float, "how many times as long the zones are"),
+        ("--fire-doors", int, "cameras with a zone that sees 1 %% of their events"),
         ("--u-turn", float, "probability of leaving a view where one came in"),
         ("--speed-sd", float, "spread of the walkers' speeds (log scale)"),
         ("--path-sd", float, "spread of one walker's time over one way (log scale)"),
         ("--position-noise", float, "standard deviation added to positions, fraction of the image"),
         ("--clock-sd", float, "standard deviation of the cameras' clock offsets, seconds"),
+        ("--clock-max", float, "clocks of a share of the cameras are off by up to this, seconds"),
+        ("--clock-share", float, "that share"),
         ("--rhythm", float, "amplitude of the day/night rhythm, a share of the rate"),
         ("--rhythm-hours", float, "its period, hours"),
+        ("--platoons", float, "share of the walkers that come in bunches"),
+        ("--platoon-size", float, "walkers in a bunch"),
+        ("--platoon-cycle", float, "seconds between bunches at one place"),
         ("--group-share", float, "share of the walkers with companions"),
         ("--loiterers", float, "share of the walkers that linger"),
         ("--slow-share", float, "share of the walkers at less than half the speed"),
         ("--doors-closed", int, "paths that close"),
         ("--close-after-hours", float, "when they close (default half-way)"),
+        ("--doors-opened", int, "paths that open"),
+        ("--open-after-hours", float, "when they open (default half-way)"),
     ):
         value = getattr(default, _name(flag))
         shown = "" if value is None else f" (default {value:g})"
-        parser.add_argument(flag, type=kind, default=value, metavar=kind.__name__.upper(), help=help_ + shown)
+        parser.add_argument(
+            flag, type=kind, default=argparse.SUPPRESS, metavar=kind.__name__.upper(), help=help_ + shown
+        )
+    _add_special(parser)
+
+
+def _add_special(parser: argparse.ArgumentParser) -> None:
+    """Options that are not plain numbers. Only those given are in the parsed arguments."""
+    absent = argparse.SUPPRESS
     parser.add_argument(
         "--lost",
         type=_interval,
         action="append",
-        default=[],
+        default=absent,
         metavar="CAMERA:FROM:TO",
         help="a camera reports nothing from FROM to TO seconds after the start; may be repeated",
     )
-    parser.add_argument("--no-track", action="store_true", help="events without track")
-    parser.add_argument("--no-positions", action="store_true", help="events without x and y")
+    parser.add_argument(
+        "--moved",
+        type=_moment,
+        action="append",
+        default=absent,
+        metavar="CAMERA:AT",
+        help="a camera is turned elsewhere AT seconds after the start; may be repeated",
+    )
+    for flag, name, help_ in (
+        ("--no-links", "linked", "no ways between cameras: everybody appears at one camera only"),
+        ("--no-track", "tracks", "events without track"),
+        ("--no-positions", "positions", "events without x and y"),
+    ):
+        parser.add_argument(flag, dest=name, action="store_false", default=absent, help=help_)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the files; raises `exits.CommandError` for settings without sense and files it cannot write."""
-    values: dict[str, Any] = {
-        name: getattr(args, name) for name in SimSettings.__struct_fields__ if hasattr(args, name)
-    }
-    values |= {"lost": tuple(args.lost), "tracks": not args.no_track, "positions": not args.no_positions}
+    kind, make = SCENES[args.scene]
     try:
-        events, truth = simulate(SimSettings(**values))
+        events, truth = make(kind(**_given(args)))
     except ValueError as error:
         raise exits.CommandError(f"simulate: {error}", exits.USAGE) from None
     lines = b"".join(to_json(event) + b"\n" for event in events)
@@ -91,6 +144,19 @@ def run(args: argparse.Namespace) -> int:
     return exits.DONE
 
 
+def _given(args: argparse.Namespace) -> dict[str, Any]:
+    """The settings that were given; raises ValueError for one that the scene does not have."""
+    values = {name: getattr(args, name) for name in SimSettings.__struct_fields__ if hasattr(args, name)}
+    if args.scene == "network":
+        return values | {name: tuple(values[name]) for name in ("lost", "moved") if name in values}
+    for name in values:
+        if name not in COMMON:
+            raise ValueError(f"{name} is no setting of the scene {args.scene!r}")
+    if "hours" in values:
+        values["seconds"] = 3600.0 * values.pop("hours")
+    return values
+
+
 def _name(flag: str) -> str:
     return flag.removeprefix("--").replace("-", "_")
 
@@ -101,3 +167,11 @@ def _interval(text: str) -> tuple[str, float, float]:
         return camera, float(begin), float(end)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not CAMERA:FROM:TO") from None
+
+
+def _moment(text: str) -> tuple[str, float]:
+    try:
+        camera, since = text.rsplit(":", 1)
+        return camera, float(since)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not CAMERA:AT") from None

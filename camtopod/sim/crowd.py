@@ -11,10 +11,10 @@ from msgspec import Struct
 from camtopod.records import Event
 from camtopod.sim.hall import on_rim
 from camtopod.sim.plan import SPEED_SD, WALKING_SPEED, make_pieces, sampled, sightings, walk
-from camtopod.sim.recording import Faults, recorded
+from camtopod.sim.recording import Faults, check, recorded
 from camtopod.sim.truth import Floats, Truth
 
-PASSING, STROLLING = 0.5, 0.3
+PASSING, STROLLING = 0.4, 0.35
 """Shares of the groups that walk straight across, and that stop now and then; the others stand for long."""
 STROLL_FACTOR = 0.7
 STOP_SECONDS, STAND_SECONDS = (5.0, 40.0), (40.0, 200.0)
@@ -22,8 +22,6 @@ GROUP_SIZES = (0.55, 0.3, 0.1, 0.05)
 """Shares of groups of 1, 2, 3 and 4."""
 APART_METRES = 0.6
 WARM_UP_SECONDS = 300.0
-STAY_SECONDS = 57.0
-"""How long a person is on the square on average."""
 
 
 class CrowdSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -39,25 +37,29 @@ class CrowdSettings(Struct, frozen=True, forbid_unknown_fields=True):
     frame: float = 0.5
     """Seconds between frames."""
     start: float = 1_700_000_000.0
-    faults: Faults = Faults(broken_every=90.0)
+    faults: Faults = Faults(broken_every=150.0)
 
 
 def simulate_crowd(settings: CrowdSettings) -> tuple[list[Event], Truth]:
-    """Events sorted by time, and the truth (without zones and links). Raises ValueError when no views are found."""
+    """Events sorted by time, and the truth (without zones and links).
+
+    Raises ValueError for settings that make no sense, and when no views are found.
+    """
+    check(settings, settings.faults, ("people", "seconds", "cameras", "frame"))
     structure, chance = (np.random.default_rng((settings.seed, 11, part)) for part in (1, 2))
     names = [f"square{number + 1}" for number in range(settings.cameras)]
     pieces = make_pieces(settings.size, names, (0.3, 0.7), (0.3, 1.0), structure)
     spots = structure.uniform((2.0, 2.0), np.array(settings.size) - 2.0, (5, 2))
     busy = structure.dirichlet(np.full(12, 1.5))
-    size = 1 + np.arange(len(GROUP_SIZES)) @ np.array(GROUP_SIZES)
-    groups = round(settings.people * (settings.seconds + WARM_UP_SECONDS) / STAY_SECONDS / size)
-    knots = []
-    for _ in range(groups):
+    knots: list[tuple[Floats, Floats]] = []
+    presence = settings.people * (settings.seconds + WARM_UP_SECONDS)
+    while presence > 0:
         begin = chance.uniform(-WARM_UP_SECONDS, settings.seconds)
         times, places = _group_walk(begin, busy, spots, settings.size, chance)
         for _ in range(1 + int(chance.choice(len(GROUP_SIZES), p=GROUP_SIZES))):
             beside = APART_METRES * chance.standard_normal(2)
             knots.append((times + chance.uniform(0.0, 1.0), places + beside))
+            presence -= times[-1] - times[0]
     walks = sampled(knots, settings.size, settings.frame, settings.seconds)
     walked = sightings(pieces, walks, np.inf, chance)
     seen = sightings(pieces, walks, settings.faults.broken_every, chance)

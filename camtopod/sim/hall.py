@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from camtopod.records import Event
 from camtopod.sim.plan import SPEED_SD, WALKING_SPEED, make_pieces, sampled, sightings, walk
-from camtopod.sim.recording import Faults, recorded
+from camtopod.sim.recording import Faults, check, recorded
 from camtopod.sim.truth import Floats, Truth
 
 DOORS = (8, 12)
@@ -29,7 +29,7 @@ class HallSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """What is simulated. Times are seconds."""
 
     seed: int = 0
-    walkers: int = 1500
+    walkers_per_hour: float = 1500.0
     seconds: float = 3600.0
     cameras: int = 7
     size: tuple[float, float] = (40.0, 30.0)
@@ -43,7 +43,11 @@ class HallSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def simulate_hall(settings: HallSettings) -> tuple[list[Event], Truth]:
-    """Events sorted by time, and the truth (without zones and links). Raises ValueError when no views are found."""
+    """Events sorted by time, and the truth (without zones and links).
+
+    Raises ValueError for settings that make no sense, and when no views are found.
+    """
+    check(settings, settings.faults, ("walkers_per_hour", "seconds", "cameras", "frame"))
     structure, chance = (np.random.default_rng((settings.seed, 10, part)) for part in (1, 2))
     names = [f"hall{number + 1}" for number in range(settings.cameras)]
     pieces = make_pieces(settings.size, names, (0.1, 0.35), (0.15, 0.75), structure)
@@ -105,13 +109,14 @@ def _flow(doors: int, rng: np.random.Generator) -> Floats:
 
 def _arrivals(settings: HallSettings, flow: Floats, rng: np.random.Generator) -> tuple[Floats, list[int]]:
     """When and at which door people come: off trains in platoons at the first doors, or one by one."""
-    by_train = rng.random(settings.walkers) < settings.train_share
-    begin = rng.uniform(-WARM_UP_SECONDS, settings.seconds, settings.walkers)
+    walkers = rng.poisson(settings.walkers_per_hour * (settings.seconds + WARM_UP_SECONDS) / 3600.0)
+    by_train = rng.random(walkers) < settings.train_share
+    begin = rng.uniform(-WARM_UP_SECONDS, settings.seconds, walkers)
     trains = rng.uniform(-WARM_UP_SECONDS, settings.seconds, max(1, round(settings.seconds / TRAIN_SECONDS)))
     size = rng.dirichlet(np.full(len(trains), 3.0))
-    train = rng.choice(len(trains), settings.walkers, p=size)
+    train = rng.choice(len(trains), walkers, p=size)
     platform = rng.integers(0, PLATFORM_DOORS, len(trains))
-    late = TRAIN_SPREAD_SECONDS * rng.gamma(2.0, 0.5, settings.walkers)
+    late = TRAIN_SPREAD_SECONDS * rng.gamma(2.0, 0.5, walkers)
     begin = np.where(by_train, trains[train] + late, begin)
-    door = rng.choice(len(flow), settings.walkers, p=flow.sum(1))
+    door = rng.choice(len(flow), walkers, p=flow.sum(1))
     return begin, [int(d) for d in np.where(by_train, platform[train], door)]

@@ -49,11 +49,13 @@ class Piece:
 
 @dataclass(frozen=True)
 class Walks:
-    """Where everybody is on each frame, person after person: (n,) who, (n,) seconds, (n, 2) metres."""
+    """Where everybody is on each frame, person after person: (n,) who, (n,) seconds, (n, 2) metres; seconds between
+    frames."""
 
     who: Ints
     t: Floats
     floor: Floats
+    frame: float
 
 
 def make_pieces(
@@ -130,7 +132,7 @@ def walk(
 
 def sampled(knots: list[tuple[Floats, Floats]], size: tuple[float, float], frame: float, seconds: float) -> Walks:
     """Everybody's place on each frame (``frame`` seconds apart) of a recording of so many seconds."""
-    who, t, floor = [], [], []
+    who, t, floor = [np.zeros(0, dtype=np.int64)], [np.zeros(0)], [np.zeros((0, 2))]
     for person, (times, places) in enumerate(knots):
         first, last = max(0, math.ceil(times[0] / frame)), math.floor(min(times[-1], seconds) / frame)
         frames = np.arange(first, last + 1) * frame
@@ -139,7 +141,7 @@ def sampled(knots: list[tuple[Floats, Floats]], size: tuple[float, float], frame
             t.append(frames)
             floor.append(np.column_stack([np.interp(frames, times, column) for column in places.T]))
     everywhere = np.clip(np.concatenate(floor), 0.0, size)
-    return Walks(np.concatenate(who), np.concatenate(t), everywhere)
+    return Walks(np.concatenate(who), np.concatenate(t), everywhere, frame)
 
 
 def sightings(pieces: list[Piece], walks: Walks, broken_every: float, rng: np.random.Generator) -> Sightings:
@@ -149,9 +151,11 @@ def sightings(pieces: list[Piece], walks: Walks, broken_every: float, rng: np.ra
         at, inside = piece.look(walks.floor)
         if math.isfinite(broken_every):
             inside = _interrupted(walks, inside, broken_every, rng)
-        before = np.r_[False, inside[:-1] & (walks.who[1:] == walks.who[:-1])]
-        after = np.r_[inside[1:] & (walks.who[1:] == walks.who[:-1]), False]
-        first, last = np.flatnonzero(inside & ~before), np.flatnonzero(inside & ~after)
+        stays = inside[1:] & inside[:-1] & (walks.who[1:] == walks.who[:-1])
+        begins, ends = inside.copy(), inside.copy()
+        begins[1:] &= ~stays
+        ends[:-1] &= ~stays
+        first, last = np.flatnonzero(begins), np.flatnonzero(ends)
         none = np.full(len(first), -1)
         owner = np.full(len(first), camera)
         parts.append(Sightings(walks.who[first], owner, walks.t[first], walks.t[last], at[first], at[last], none, none))
@@ -160,9 +164,8 @@ def sightings(pieces: list[Piece], walks: Walks, broken_every: float, rng: np.ra
 
 def _interrupted(walks: Walks, inside: Bools, every: float, rng: np.random.Generator) -> Bools:
     """``inside`` without the gaps in which a tracker has lost a person."""
-    frame = float(np.min(np.diff(walks.t), where=np.diff(walks.t) > 0, initial=np.inf))
-    lost = np.flatnonzero(inside & (rng.random(len(inside)) < frame / every))
-    gap = np.ceil(rng.uniform(*GAP_SECONDS, len(lost)) / frame).astype(np.int64)
+    lost = np.flatnonzero(inside & (rng.random(len(inside)) < walks.frame / every))
+    gap = np.ceil(rng.uniform(*GAP_SECONDS, len(lost)) / walks.frame).astype(np.int64)
     result = inside.copy()
     for k in range(int(gap.max(initial=0))):
         at = np.minimum(lost + k, len(inside) - 1)

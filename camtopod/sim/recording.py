@@ -61,6 +61,18 @@ class Sightings(Struct):
         return self.take(np.lexsort((self.camera, self.t_in, self.who)))
 
 
+def check(settings: Struct, faults: Faults, positive: tuple[str, ...]) -> None:
+    """Raise ValueError for a setting that must be positive and is not, and for faults that make no sense."""
+    for name in positive:
+        if not getattr(settings, name) > 0:
+            raise ValueError(f"{name} is {getattr(settings, name)}; it must be positive")
+    for name in ("missed", "clutter"):
+        if not 0 <= getattr(faults, name) < 1:
+            raise ValueError(f"{name} is {getattr(faults, name)}; it is a share from 0 to below 1")
+    if not faults.broken_every > 0 or faults.short < 0 or faults.noise < 0:
+        raise ValueError("broken_every must be positive, short and noise cannot be negative")
+
+
 def join(parts: list[Sightings]) -> Sightings:
     """One table of several (at least one)."""
     return Sightings(*(np.concatenate([getattr(p, name) for p in parts]) for name in Sightings.__struct_fields__))
@@ -86,12 +98,14 @@ def broken(seen: Sightings, every: float, rng: np.random.Generator) -> Sightings
 
 
 def _cut(seen: Sightings, t_in: Floats, t_out: Floats) -> Sightings:
-    """The part of passages from ``t_in`` to ``t_out``, as if people walked straight through."""
+    """The part of passages from ``t_in`` to ``t_out``, as if people walked straight through; in mid-view is no zone."""
     stay = np.maximum(seen.t_out - seen.t_in, 1e-9)
     ahead = seen.at_out - seen.at_in
     at_in = seen.at_in + ((t_in - seen.t_in) / stay)[:, None] * ahead
     at_out = seen.at_in + ((t_out - seen.t_in) / stay)[:, None] * ahead
-    return Sightings(seen.who, seen.camera, t_in, t_out, at_in, at_out, seen.zone_in, seen.zone_out)
+    zone_in = np.where(t_in > seen.t_in, -1, seen.zone_in)
+    zone_out = np.where(t_out < seen.t_out, -1, seen.zone_out)
+    return Sightings(seen.who, seen.camera, t_in, t_out, at_in, at_out, zone_in, zone_out)
 
 
 def recorded(
@@ -104,7 +118,8 @@ def recorded(
     put in here.
     """
     seen = seen.take(seen.t_out - seen.t_in >= faults.short).sorted()
-    first = np.r_[True, seen.who[1:] != seen.who[:-1]]
+    first = np.ones(len(seen.who), dtype=bool)
+    first[1:] = seen.who[1:] != seen.who[:-1]
     number = np.arange(len(seen.who)) - np.maximum.accumulate(np.where(first, np.arange(len(first)), 0))
     kept = rng.random(len(number)) >= faults.missed
     seen, number = seen.take(kept), number[kept]
@@ -223,6 +238,7 @@ def _links(zones: list[TrueZone], walked: Sightings, seen: Sightings, number: In
     walked = walked.sorted()
     next_ = walked.who[1:] == walked.who[:-1]
     whole = (seen.who[1:] == seen.who[:-1]) & (number[1:] == number[:-1] + 1)
+    whole &= (seen.zone_out[:-1] >= 0) & (seen.zone_in[1:] >= 0)
     exits = np.bincount(walked.zone_out, minlength=len(zones))
     lags: dict[tuple[int, int], list[float]] = {}
     columns = walked.zone_out[:-1][next_], walked.zone_in[1:][next_], (walked.t_in[1:] - walked.t_out[:-1])[next_]

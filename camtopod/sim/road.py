@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.records import Event
-from camtopod.sim.recording import Faults, Sightings, recorded
+from camtopod.sim.recording import Faults, Sightings, check, recorded
 from camtopod.sim.truth import Floats, Truth
 
 STREET_METRES = (200.0, 1200.0)
@@ -69,18 +69,22 @@ class Town:
 
 
 def simulate_road(settings: RoadSettings) -> tuple[list[Event], Truth]:
-    """Events sorted by time, and the truth (one zone per camera). Raises ValueError for too many cameras."""
+    """Events sorted by time, and the truth (one zone per camera).
+
+    Raises ValueError for settings that make no sense, and for more cameras than there are places.
+    """
+    check(settings, settings.faults, ("per_second", "seconds", "cameras"))
     structure, chance = (np.random.default_rng((settings.seed, 13, part)) for part in (1, 2))
     town = _town(settings, structure)
     names = [f"road{number + 1:02d}" for number in range(settings.cameras)]
     rows = _drive(town, settings, structure, chance)
-    who, camera, t_in, t_out = (np.array(column) for column in zip(*rows, strict=True))
+    table = np.array(rows, dtype=float).reshape(-1, 4)
+    table = table[(table[:, 2] >= 0) & (table[:, 3] < settings.seconds)]
+    who, camera = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
     nowhere = np.full((len(who), 2), np.nan)
-    used, zone = np.unique(camera, return_inverse=True)
-    names_used = [names[k] for k in used]
-    walked = Sightings(who, zone, t_in, t_out, nowhere, nowhere, zone, zone)
-    walked = walked.take((t_in >= 0) & (t_out < settings.seconds))
-    return recorded(names_used, walked, walked, settings.faults, settings.start, chance)
+    zone = np.unique(camera, return_inverse=True)[1]
+    walked = Sightings(who, camera, table[:, 2], table[:, 3], nowhere, nowhere, zone, zone)
+    return recorded(names, walked, walked, settings.faults, settings.start, chance)
 
 
 def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:

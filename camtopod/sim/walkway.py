@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.records import Event
-from camtopod.sim.recording import Faults, Sightings, broken, clipped, recorded
+from camtopod.sim.recording import Faults, Sightings, broken, check, clipped, recorded
 from camtopod.sim.truth import Floats, Truth
 
 SIDES = (
@@ -23,8 +23,8 @@ SIDES = (
 )
 """Where ways cut a picture (left, right, bottom, far away): centre and standard deviations (x, y)."""
 WAY_SECONDS, BROAD_SECONDS = (10.0, 90.0), 9.0
-BROAD_SHARE, BROAD_STOP = 0.35, (2.0, 63.0)
-"""Share of the ways that are broad, and how long people stop there."""
+BROAD_SHARE, BROAD_STOP_SECONDS = 0.35, 63.0
+"""Share of the ways that are broad, and how long people stop there at most."""
 VIEW_SECONDS = (5.0, 20.0)
 SPEED_SD, PATH_SD = 0.15, 0.06
 STREET = -1
@@ -42,7 +42,7 @@ class WalkwaySettings(Struct, frozen=True, forbid_unknown_fields=True):
     """What is simulated. Times are seconds."""
 
     seed: int = 0
-    walkers: int = 150
+    walkers_per_hour: float = 225.0
     seconds: float = 2400.0
     cameras: int = 6
     together: float = 0.25
@@ -50,7 +50,7 @@ class WalkwaySettings(Struct, frozen=True, forbid_unknown_fields=True):
     gaps: bool = True
     """Whether cameras begin late, end early or fall silent in between."""
     start: float = 1_700_000_000.0
-    faults: Faults = Faults(broken_every=120.0, clutter=0.04)
+    faults: Faults = Faults(broken_every=200.0, clutter=0.04)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class Campus:
 
 
 def simulate_walkway(settings: WalkwaySettings) -> tuple[list[Event], Truth]:
-    """Events sorted by time, and the truth."""
+    """Events sorted by time, and the truth. Raises ValueError for settings that make no sense."""
+    check(settings, settings.faults, ("walkers_per_hour", "seconds", "cameras"))
     structure, chance = (np.random.default_rng((settings.seed, 12, part)) for part in (1, 2))
     names = [f"way{number + 1}" for number in range(settings.cameras)]
     campus = _campus(settings.cameras, structure)
@@ -93,7 +94,7 @@ def _campus(cameras: int, rng: np.random.Generator) -> Campus:
     if cameras > 3 and len(ways[0]) < 3 and len(ways[-1]) < 3:
         join(0, cameras - 1)
     for mine in ways:
-        if len(mine) == 1 or (len(mine) == 2 and rng.random() < 0.4):
+        if len(mine) < 2 or (len(mine) == 2 and rng.random() < 0.4):
             mine.append((STREET, 0, 0.0, False))
     weight = [np.exp(0.6 * rng.standard_normal(len(mine))) for mine in ways]
     return Campus(ways, weight)
@@ -106,8 +107,8 @@ def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -
     busy = rng.dirichlet(np.full(len(streets), 2.0))
     classes = rng.uniform(0.0, settings.seconds, max(1, round(settings.seconds / 900.0)))
     rows: list[tuple[int, int, float, float, int, int]] = []
-    person = 0
-    while person < settings.walkers:
+    walkers, person = rng.poisson(settings.walkers_per_hour * settings.seconds / 3600.0), 0
+    while person < walkers:
         begin = rng.uniform(-120.0, settings.seconds - 60.0)
         if rng.random() < CLASS_SHARE:
             begin = float(rng.choice(classes)) + CLASS_SECONDS * rng.random()
@@ -122,7 +123,9 @@ def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -
                 for c, t_in, t_out, a, b in passages
             ]
             person += 1
-    who, camera_of, t_in, t_out, came, went = (np.array(column) for column in zip(*rows, strict=True))
+    columns = np.array(rows, dtype=float).T
+    who, camera_of, came, went = (columns[k].astype(np.int64) for k in (0, 1, 4, 5))
+    t_in, t_out = columns[2], columns[3]
     inside = (t_out > 0) & (t_in < settings.seconds)
     order = np.array(sides)
     side_in, side_out = order[camera_of, came], order[camera_of, went]
@@ -159,7 +162,7 @@ def _one(
             break
         way = seconds / speed * float(np.exp(PATH_SD * rng.standard_normal()))
         if broad:
-            way += rng.uniform(0.0, BROAD_STOP[1])
+            way += rng.uniform(0.0, BROAD_STOP_SECONDS)
         camera, side, t = target, other, t + stay + way
     return result
 
