@@ -62,7 +62,6 @@ def _scaled(settings: Settings, scale: float) -> Settings:
         lost = tuple((camera, begin * scale, end * scale) for camera, begin, end in settings.lost)
         moved = tuple((camera, since * scale) for camera, since in settings.moved)
         return msgspec.structs.replace(settings, hours=settings.hours * scale, lost=lost, moved=moved)
-    return msgspec.structs.replace(settings, seconds=settings.seconds * scale, walkers=walkers)
     return msgspec.structs.replace(settings, seconds=settings.seconds * scale)
 
 
