@@ -19,7 +19,7 @@ from bench.baselines.crossings import candidates, crossings
 from bench.baselines.findings import Ranked, at, rank
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
-from bench.baselines.told import told
+from bench.baselines.told import told, transit_error
 from bench.baselines.transfer import transfer
 from bench.baselines.zoning import methods
 from camtopod.learn.learner import Learner
@@ -101,27 +101,24 @@ def learn(events: Sequence[Event], settings: Settings) -> tuple[Topology, Topolo
 def network_figures(topology: Topology, truth: Truth) -> dict[str, float]:
     """Zones, links, relations and clocks; only what the truth knows of."""
     result = score(topology, truth)
-    errors = [abs(error) for error in clock_errors(topology, truth).values()]
-    figures: dict[str, float] = {
-        "relation_right": result.relation_right if truth.pairs or truth.zones else math.nan,
-        "clock_error": max(errors, default=math.nan),
-        "clocks_right": float(np.mean([error <= CLOCK_SECONDS_MAX for error in errors])) if errors else math.nan,
-        "links_learned": result.links_learned,
-    }
-    if not truth.zones:
-        return figures
-    return figures | {
-        "zones_right": result.cameras_right / result.cameras,
-        "zones_true": result.zones_true,
-        "zones_learned": result.zones_learned,
-        "links_true": result.links_true,
-        "precision": result.link_precision,
-        "recall": result.link_recall,
-        "f1": result.link_f1,
-        "median_error": result.median_error,
-        "false_links": result.links_false_between_cameras,
-        "silent": float(result.links_false_between_cameras == 0),
-    }
+    figures: dict[str, float] = {"links_learned": result.links_learned}
+    if truth.pairs:
+        figures["relation_right"] = result.relation_right
+    if any(truth.clock_offsets.values()):
+        errors = [abs(error) for error in clock_errors(topology, truth).values()]
+        figures["clock_error"] = max(errors, default=math.nan)
+        figures["clock_error_mean"] = float(np.mean(errors))
+        figures["clocks_right"] = float(np.mean([error <= CLOCK_SECONDS_MAX for error in errors]))
+    if truth.zones:
+        figures |= {"zones_true": result.zones_true, "zones_learned": result.zones_learned}
+        figures |= {"links_true": result.links_true, "false_links": result.links_false_between_cameras}
+        figures["silent"] = float(result.links_false_between_cameras == 0)
+        if all(zone.x is not None for zone in truth.zones):
+            figures["zones_right"] = result.cameras_right / result.cameras
+    if result.links_true:
+        figures |= {"precision": result.link_precision, "recall": result.link_recall, "f1": result.link_f1}
+        figures["median_error"] = result.median_error
+    return figures
 
 
 def prediction_figures(head: Topology, events: Sequence[Event], truth: Truth) -> dict[str, float]:
@@ -175,6 +172,8 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
         seconds = time.perf_counter() - started
         records.append(Record(regime, seed, f"next: {name}", seconds, _plain(_of_predictions(result, ""))))
     if truth.zones:
+        told_error = _plain({"median_error": transit_error(events, truth)})
+        records.append(Record(regime, seed, "transit: told identities", 0.0, told_error))
         records += links(regime, seed, events, truth)
     if truth.zones and all(zone.x is not None for zone in truth.zones):
         records += zones(regime, seed, events, truth)

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench._measure import CLOCK_SECONDS_MAX, Record
-from bench._targets import TARGETS, Target
+from bench._targets import LINKED, TARGETS, Target
 from bench.baselines.closest import LITERAL
 from bench.baselines.findings import Ranked, Tuned, at, tune
 
 Floats = NDArray[np.float64]
 OURS = ("online", "batch")
+TITLE, CELL = 58, 16
+"""Widths of the first column and of the others."""
 
 ROWS = {
     "zones_right": "zones right, share of cameras",
@@ -39,11 +41,18 @@ ROWS = {
     "told_calibration_error": "  told chain, same zones",
     "window_coverage": "came within q10..q90 (0.8 is right)",
     "clock_error": "clock offsets, largest error, s",
+    "clock_error_mean": "  mean error, s",
     "clocks_right": f"  within {CLOCK_SECONDS_MAX:g} s, share of cameras",
     "prediction_ms": "milliseconds a prediction",
     "events": "events",
     "events_per_second": "events a second",
     "seconds": "seconds to learn",
+}
+TARGET_TITLES = {
+    "silent": "runs without a false link between cameras",
+    "top1_ratio": "top-1, share of the told chain's",
+    "top3_ratio": "top-3, share of the told chain's",
+    "log_loss_above": "log loss above the told chain's",
 }
 
 
@@ -55,7 +64,7 @@ def tables(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
         here = [record for record in records if record.regime == regime]
         if here:
             lines += [*_ours(regime, here), *_links(here, common), *_zones(here), *_next(here), ""]
-    return [*lines, *_targets(records), "", *_seconds(records)]
+    return [*lines, *_overview(records, regimes), "", *_targets(records), "", *_seconds(records)]
 
 
 def mean_and_error(values: Sequence[float] | Floats) -> str:
@@ -105,9 +114,11 @@ def _best(variants: dict[str, list[Ranked]]) -> tuple[str, Tuned]:
 
 
 def _common_thresholds(records: Sequence[Record]) -> dict[str, _Choice]:
-    """Method -> the variant and threshold with the best mean F1 over all networks that have links."""
+    """Method -> the variant and threshold with the best mean F1 over the networks of `LINKED` regimes, if any, else
+    over all that have links."""
     result = {}
-    for method, variants in _ranked(records).items():
+    usual = [record for record in records if record.regime in LINKED]
+    for method, variants in _ranked(usual or records).items():
         linked = {variant: [n for n in networks if n.walked] for variant, networks in variants.items()}
         if any(linked.values()):
             variant, tuned = _best(linked)
@@ -115,28 +126,36 @@ def _common_thresholds(records: Sequence[Record]) -> dict[str, _Choice]:
     return result
 
 
+def _row(title: str, cells: Sequence[str]) -> str:
+    return f"{title:{TITLE}}" + "".join(f"{cell:>{CELL}}" for cell in cells)
+
+
 def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
     ranked = _ranked(records)
     if not ranked:
         return []
-    lines = [f"{'links of others, threshold on the truth':58}{'F1':>16}{'precision':>16}{'recall':>16}"
-             f"{'transit error':>16}{'F1, one for all':>18}{'no link':>9}"]  # fmt: skip
+    heads = ("F1", "precision", "recall", "transit error", "F1, one for all", "runs without")
+    lines = [_row("links of others, threshold chosen on the truth", heads)]
     for method, variants in ranked.items():
         variant, tuned = _best(variants)
-        cells = [mean_and_error(values) for values in (tuned.f1, tuned.precision, tuned.recall, tuned.error)]
-        choice = common.get(method)
-        same, silent = "-", "-"
-        if choice is not None:
+        networks = variants[variant]
+        cells = ["-"] * 5
+        if any(network.walked for network in networks):
+            cells = [mean_and_error(values) for values in (tuned.f1, tuned.precision, tuned.recall, tuned.error)]
+            cells.append("-")
+        if method in common:
+            choice = common[method]
             networks = variants[choice.variant]
-            fixed = at(networks, choice.threshold)
-            same = mean_and_error(fixed.f1)
-            silent = f"{np.mean([not any(s >= choice.threshold for s in n.score) for n in networks]):.2f}"
-        title = f"  {method.removeprefix('links: ')}, {variant}"
-        lines.append(f"{title:58}" + "".join(f"{cell:>16}" for cell in cells) + f"{same:>18}{silent:>9}")
-        if LITERAL in variants:
+            if cells[0] != "-":
+                cells[4] = mean_and_error(at(networks, choice.threshold).f1)
+            cells.append(f"{np.mean([max(n.score, default=-np.inf) < choice.threshold for n in networks]):.2f}")
+        named = f", {variant}" if cells[0] != "-" else ""
+        lines.append(_row(f"  {method.removeprefix('links: ')}{named}", cells))
+        if LITERAL in variants and cells[0] != "-":
             cells = [mean_and_error(_values(records, method, name)) for name in ("f1", "precision", "recall")]
-            lines.append(f"{'  the same as printed, Var(d) <= 1':58}" + "".join(f"{cell:>16}" for cell in cells))
-    return lines
+            lines.append(_row("  the same as printed, Var(d) <= 1", cells))
+    told = mean_and_error(_values(records, "transit: told identities", "median_error"))
+    return [*lines, _row("  told identities, median of the recorded times", ["", "", "", told])]
 
 
 def _zones(records: Sequence[Record]) -> list[str]:
@@ -161,6 +180,23 @@ def _next(records: Sequence[Record]) -> list[str]:
     return lines
 
 
+def _overview(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
+    """F1 of links by method and regime, ours first."""
+    methods = [*OURS, *_ranked(records)]
+    lines = [_row("links, F1", [method.removeprefix("links: ").split(" (")[0][-CELL + 2 :] for method in methods])]
+    for regime in regimes:
+        here = [record for record in records if record.regime == regime]
+        cells = [mean_and_error(_values(here, method, "f1")) for method in OURS]
+        ranked = _ranked(here)
+        for method in methods[len(OURS) :]:
+            networks = [network for some in ranked.get(method, {}).values() for network in some]
+            known = any(network.walked for network in networks)
+            cells.append(mean_and_error(_best(ranked[method])[1].f1) if known else "-")
+        if any(cell != "-" for cell in cells):
+            lines.append(_row(f"  {regime}", cells))
+    return lines if len(lines) > 1 else []
+
+
 def _targets(records: Sequence[Record]) -> list[str]:
     lines = [f"{'to reach (mean over networks)':58}{'':>10}" + "".join(f"{m:>26}" for m in OURS)]
     for target in TARGETS:
@@ -168,7 +204,7 @@ def _targets(records: Sequence[Record]) -> list[str]:
         cells = [_reached(target, _values(here, method, target.figure)) for method in OURS]
         if any(cells):
             wanted = f"{'>=' if target.at_least else '<='} {target.value:g}"
-            title = f"{target.regime}: {ROWS[target.figure].strip()}"
+            title = f"{target.regime}: {TARGET_TITLES.get(target.figure, ROWS[target.figure])}"
             lines.append(f"{title:58}{wanted:>10}" + "".join(f"{cell:>26}" for cell in cells))
     return lines if len(lines) > 1 else []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,11 +15,11 @@ from bench.baselines.crossings import LAG_MAX, LAG_MIN, Crossings, candidates, c
 from bench.baselines.findings import Findings, Ranked, at, rank, tune
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
-from bench.baselines.told import told
+from bench.baselines.told import told, transit_error
 from bench.baselines.transfer import by_delay, transfer
 from bench.baselines.zoning import methods
 from camtopod.records import Event, Transit
-from camtopod.sim.truth import TRUTH_SCHEMA, TrueLink, TrueZone, Truth
+from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth
 
 SECONDS = 20_000.0
 FIRST, SECOND = 12.0, 30.0
@@ -245,3 +246,17 @@ def test_the_told_chain_counts_with_half_a_count_for_everything() -> None:
     assert here.leave == pytest.approx((1 + 0.5) / (4 + 1.0))
     assert [(c.camera, c.probability) for c in here.next_] == [("b", pytest.approx(3.5 / 5.0))]
     assert elsewhere.leave == here.leave  # nothing was ever seen to leave b: as all together
+
+
+def test_the_told_transit_error_is_that_of_the_recorded_median() -> None:
+    events, who, number, zone = [], [], [], []
+    for person, seconds in enumerate((10.0, 12.0, 20.0)):
+        t = 100.0 * person
+        events += [Event("a", "exit", t), Event("b", "entry", t + seconds)]
+        who, number, zone = [*who, person, person], [*number, 0, 1], [*zone, 0, 2]
+    events.append(Event("b", "entry", 999.0))
+    truth = msgspec.structs.replace(
+        small_truth(), identity=[*who, CLUTTER], passage=[*number, CLUTTER], zone=[*zone, CLUTTER]
+    )
+    assert transit_error(events, truth) == pytest.approx((12 - 10.5) / 10.5)
+    assert math.isnan(transit_error(events, msgspec.structs.replace(truth, links=[])))

@@ -25,7 +25,7 @@ class Small(msgspec.Struct):
 
     def make(self, seed: int, scale: float) -> tuple[list[Event], Truth]:
         self.made.append(seed)
-        return simulate(SimSettings(cameras=3, hours=0.15 * scale, seed=seed))
+        return simulate(SimSettings(cameras=3, hours=0.15 * scale, seed=seed, clock_sd=2.0))
 
 
 @pytest.fixture

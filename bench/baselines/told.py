@@ -1,7 +1,9 @@
-"""Predictions by somebody who is told who everybody is: a Markov chain, and the most frequent next camera.
+"""What somebody finds who is told who everybody is: predictions by a Markov chain or by the most frequent next camera,
+and how near the median of a link's transit times in the recording is to the true one.
 
-Both count, before the cut, which camera followed an exit at each state (a zone, or a camera) or that none did. They
-add half a count for every camera that ever followed anywhere and for leaving, so that nothing has probability zero.
+The predictors count, before the cut, which camera followed an exit at each state (a zone, or a camera) or that none
+did. They add half a count for every camera that ever followed anywhere and for leaving, so that nothing has probability
+zero.
 """
 
 from __future__ import annotations
@@ -9,8 +11,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Sequence
 
+import numpy as np
+
 from camtopod.records import Event, NextCamera, Prediction
-from camtopod.sim.score import next_entries
+from camtopod.sim.score import TRANSIT_FLOOR_SECONDS, next_entries
 from camtopod.sim.truth import CLUTTER, Truth
 
 PSEUDO_COUNT = 0.5
@@ -42,3 +46,26 @@ def told(events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hasha
             choices = [NextCamera(camera, "", p, 0.0, 0.0, 0.0) for camera, p in ranked]
             predictions.append(Prediction(event.camera, None, event.t, None, 0, leave, choices))
     return predictions
+
+
+def transit_error(events: Sequence[Event], truth: Truth) -> float:
+    """Median over the walked links of the relative error of the median transit time of those who walked it.
+
+    It is what so many walkers leave to chance; nan without links.
+    """
+    ends: dict[tuple[int, int], dict[str, tuple[float, int]]] = {}
+    for event, who, number, zone in zip(events, truth.identity, truth.passage, truth.zone, strict=True):
+        if who != CLUTTER and zone >= 0:
+            ends.setdefault((who, number), {})[event.kind] = event.t, zone
+    seconds: dict[tuple[str, str], list[float]] = {}
+    for (who, number), end in ends.items():
+        onward = ends.get((who, number + 1), {})
+        if "exit" in end and "entry" in onward:
+            (left, u), (came, v) = end["exit"], onward["entry"]
+            seconds.setdefault((truth.zones[u].id, truth.zones[v].id), []).append(came - left)
+    errors = []
+    for link in truth.links:
+        if link.relation != "visible" and (link.from_, link.to) in seconds:
+            off = abs(float(np.median(seconds[link.from_, link.to])) - link.transit.q50)
+            errors.append(off / max(abs(link.transit.q50), TRANSIT_FLOOR_SECONDS))
+    return float(np.median(errors)) if errors else float("nan")
