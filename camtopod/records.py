@@ -52,11 +52,14 @@ class Zone(Struct, frozen=True, omit_defaults=True):
 
 
 class Camera(Struct, frozen=True):
-    """A camera, its zones, and the estimated offset of its clock in seconds (0.0 where unknown)."""
+    """A camera, its zones, and the estimated offset of its clock in seconds: positive when it is ahead, 0.0 where
+    unknown. ``clock_offset_sd``: standard deviation if the clocks that count as right are; none where unknown.
+    """
 
     id: str
     zones: list[str]
     clock_offset: float = 0.0
+    clock_offset_sd: float | None = None
 
 
 class Transit(Struct, frozen=True):
@@ -133,6 +136,8 @@ class Model(Struct, frozen=True):
     lag_max: float
     zones: list[ZoneModel]
     cameras: list[CameraModel]
+    clocks_corrected: bool = False
+    """Whether the links' transit times are in right time, not by the cameras' own clocks. Histograms always are."""
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):

@@ -6,9 +6,11 @@ Floats are rounded to six significant digits: no reader needs more, and the last
 from __future__ import annotations
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from camtopod.learn.chain import markov_chain
+from camtopod.learn.clocks import Clocks
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.joint import Fit
 from camtopod.learn.lags import LagBins
@@ -80,6 +82,21 @@ def link_records(
     return sorted(records, key=link_key)
 
 
+def by_clocks(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> list[Link]:
+    """The links with transit times as clocks would show them that are ``ahead`` (seconds by camera); histograms stay as
+    right clocks would.
+    """
+    of_zone = {zone.id: ahead[zone.camera] for zone in zones}
+    result = []
+    for link in links:
+        later, t = of_zone[link.to] - of_zone[link.from_], link.transit
+        if later:
+            mode, mean, q10, q50, q90 = (short(figure + later) for figure in (t.mode, t.mean, t.q10, t.q50, t.q90))
+            link = replace(link, transit=replace(t, mode=mode, mean=mean, q10=q10, q50=q50, q90=q90))
+        result.append(link)
+    return result
+
+
 def _histogram(counts: NDArray[np.float64], bins: LagBins) -> Histogram:
     """Expected transitions per lag bin without the empty ends."""
     full = np.flatnonzero(counts > HISTOGRAM_MASS_MIN * counts.sum())
@@ -88,7 +105,9 @@ def _histogram(counts: NDArray[np.float64], bins: LagBins) -> Histogram:
     return Histogram(bins.first + int(full[0]), [float(f"{n:.3g}") for n in counts[full[0] : full[-1] + 1]])
 
 
-def model_of(cameras: list[str], scene: Scene, fit: Fit | None, bins: LagBins, window: Window) -> Model:
+def model_of(
+    cameras: list[str], scene: Scene, fit: Fit | None, bins: LagBins, window: Window, clocks_corrected: bool
+) -> Model:
     """Rates and stays that prediction needs beside the links."""
     d = scene.departures
     span = max(scene.last - scene.first, 1.0)
@@ -107,13 +126,13 @@ def model_of(cameras: list[str], scene: Scene, fit: Fit | None, bins: LagBins, w
     models = [CameraModel(name, short(share[k]), float(last[k])) for k, name in enumerate(cameras) if share[k] > 0]
     return Model(
         bins.scale, bins.step, bins.lag_min, bins.lag_max,
-        sorted(zones, key=lambda zone: zone.zone), sorted(models, key=lambda model: model.camera),
+        sorted(zones, key=lambda zone: zone.zone), sorted(models, key=lambda model: model.camera), clocks_corrected,
     )  # fmt: skip
 
 
 def assemble(
-    settings: Settings, window: Window, scene: Scene, fit: Fit | None, bins: LagBins, links: list[Link],
-    weak_links: list[Link],
+    settings: Settings, window: Window, scene: Scene, fit: Fit | None, bins: LagBins, clocks: Clocks,
+    links: list[Link], weak_links: list[Link],
 ) -> Topology:  # fmt: skip
     """The content of one version, without site, epoch, version, moment, number of events and digest."""
     zones = zone_records(window.cameras, scene)
@@ -121,11 +140,15 @@ def assemble(
     for zone in zones:
         of_camera[zone.camera].append(zone.id)
     links = sorted(links, key=link_key)
+    ahead = {name: short(float(clocks.offset[k])) for k, name in enumerate(window.cameras)}
+    sd = {name: short(float(clocks.sd[k])) for k, name in enumerate(window.cameras) if np.isfinite(clocks.sd[k])}
+    shift = dict.fromkeys(ahead, 0.0) if settings.correct_clocks else ahead
     return Topology(
         schema=TOPOLOGY_SCHEMA, site="", epoch="", version=0, as_of=0.0, events=0, digest="",
-        cameras=[Camera(name, ids) for name, ids in of_camera.items()], zones=zones, links=links,
+        cameras=[Camera(name, ids, ahead[name], sd.get(name)) for name, ids in of_camera.items()],
+        zones=zones, links=by_clocks(links, zones, shift),
         pairs=camera_pairs(zones, links, settings.overlap_tolerance_seconds),
-        weak_links=weak_links,
+        weak_links=by_clocks(weak_links, zones, shift),
         chain=markov_chain(zones, [*links, *weak_links], DIGITS),
-        model=model_of(window.cameras, scene, fit, bins, window),
+        model=model_of(window.cameras, scene, fit, bins, window, settings.correct_clocks),
     )  # fmt: skip

@@ -17,6 +17,7 @@ from camtopod.learn.alarms import AlarmLog
 from camtopod.learn.assemble import assemble, link_records, zone_id
 from camtopod.learn.candidates import find_candidates, newest
 from camtopod.learn.change import Change, find_changes, present
+from camtopod.learn.clocks import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
@@ -63,6 +64,7 @@ class Learner:
         self._intake = Intake(self.settings.lateness_seconds, self.settings.cameras_max)
         self._window = Window(self.settings.window_events_max)
         self._memory = Memory()
+        self._keeper = ClockKeeper()
         self._alarms = AlarmLog()
         self._scorer = Scorer()
         self._maps: list[ZoneMap] = []
@@ -169,7 +171,7 @@ class Learner:
     def _refit(self, tick_us: int) -> None:
         """Zones, joint fit, links: one new version as of ``tick_us``."""
         self._refresh_zones()
-        scene = see(self._window, self._maps)
+        scene = self._in_right_time(see(self._window, self._maps))
         through = self._through_views(scene)
         scene = scene._replace(departures=with_usual_stays(scene.departures, through))
         silences = find_silences(
@@ -182,7 +184,7 @@ class Learner:
         visible = refresh_monte_carlo(through.rows(seen), self.stay_bins)
         cameras = self._window.cameras
         topology = assemble(
-            self.settings, self._window, scene, posterior, self.bins,
+            self.settings, self._window, scene, posterior, self.bins, self._keeper.clocks,
             links=link_records(cameras, scene, published, self.bins)
             + link_records(cameras, scene, visible, self.stay_bins, "visible"),
             weak_links=link_records(cameras, scene, beside(likely, published, len(scene.zones)), self.bins),
@@ -219,6 +221,13 @@ class Learner:
                 gone = tuple(zone for zone in known if zone.number not in numbers)
                 self._maps[camera], self._zoned[camera], self._gone[camera] = new, seen, gone[:GONE_ZONES_MAX]
 
+    def _in_right_time(self, scene: Scene) -> Scene:
+        """The scene by the cameras' own clocks as right ones would have shown it, as far as is known."""
+        if self._keeper.look(scene, len(self._window.cameras), self._learned):
+            self._memory = Memory()
+        ahead = self._keeper.clocks.offset
+        return see(self._window, self._maps, ahead) if ahead.any() else scene
+
     def _through_views(self, scene: Scene) -> LinkTable:
         """Visible links: passages through one view."""
         transitions = visible_transitions(scene, self.stay_bins, self.settings.candidates_max)
@@ -243,7 +252,7 @@ class Learner:
         between = tabulate(transitions_of(fit), leaving, self.bins, zones).with_evidence(ratio, zones * zones)
         likely = tabulate(transitions_of(posterior), leaving, self.bins, zones)
         over = scene.last - self.bins.lag_max
-        self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over)
+        self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
         share_min = self.settings.publish_probability_min
         return (

@@ -80,17 +80,25 @@ def blocks_of(px: NDArray[np.int32], py: NDArray[np.int32]) -> Ints:
     return np.where(px < 0, -1, row * BLOCKS_ACROSS + column).astype(np.int32)
 
 
-def see(window: Window, maps: list[ZoneMap]) -> Scene:
-    """Label the window's events with zones and sort them into departures, arrivals and passages."""
+def see(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Scene:
+    """Label the window's events with zones and sort them into departures, arrivals and passages.
+
+    ``ahead`` (cameras,): by how many seconds each camera's clock is; None: by their own clocks.
+    """
     zones, tables = number_zones(window, maps)
-    t = window.column("t") / MICROSECONDS
     camera = window.column("camera").astype(np.int32)
+    t = window.column("t") / MICROSECONDS
+    last = float(t[-1]) if len(t) else 0.0
+    if ahead is not None:
+        t = t - ahead[camera]
+        last -= max(float(ahead.max(initial=0.0)), 0.0)  # up to here all cameras have been heard
     entry = window.column("entry").astype(bool)
     zone = tables[camera, cells_of(window.column("px").astype(np.int64), window.column("py").astype(np.int64))]
     mate = window.column("mate").astype(np.int64) - window.base
     n = len(zones)
     leaves = np.flatnonzero(~entry & (zone >= 0))
     comes = np.flatnonzero(entry & (zone >= 0))
+    leaves, comes = (rows[np.argsort(t[rows], kind="stable")] for rows in (leaves, comes))
     began = mate[leaves]
     since = np.where(began >= 0, t[np.maximum(began, 0)], -np.inf)
     known = leaves[began >= 0]
@@ -112,5 +120,5 @@ def see(window: Window, maps: list[ZoneMap]) -> Scene:
     return Scene(
         zones, departures, arrivals, passages,
         np.bincount(zone[comes], minlength=n), np.bincount(zone[leaves], minlength=n),
-        2 * tied_of > exits_of, float(t[0]) if len(t) else 0.0, float(t[-1]) if len(t) else 0.0,
+        2 * tied_of > exits_of, float(t.min()) if len(t) else 0.0, last,
     )  # fmt: skip

@@ -92,17 +92,26 @@ class Scorer:
         for shares in self._baseline.values():
             shares[""] = max(1.0 - sum(shares.values()), 0.0)
 
-    def mark(self, fit: Fit, departures: Departures, arrivals: Arrivals, cameras: list[str], over: float) -> None:
-        """Mark what left until ``over`` (seconds), from when on a lag window may still be open."""
+    def mark(
+        self, fit: Fit, departures: Departures, arrivals: Arrivals, cameras: list[str], over: float, ahead: Floats
+    ) -> None:
+        """Mark what left until ``over`` (seconds), from when on a lag window may still be open.
+
+        ``ahead`` (cameras,): by how many seconds each camera's clock is; departures and arrivals are in right time.
+        """
         due = []
         while self._guesses and self._guesses[0].t <= over:
             due.append(self._guesses.popleft())
-        rows = [_row_of(guess, departures, cameras) for guess in due]
+        rows = [_row_of(guess, departures, cameras, ahead) for guess in due]
         known = [(guess, row) for guess, row in zip(due, rows, strict=True) if row is not None]
         outcomes = _outcomes(fit, arrivals, [row for _, row in known], len(cameras))
         for (guess, _), outcome in zip(known, outcomes, strict=True):
             happened = {cameras[k]: float(outcome[k]) for k in np.flatnonzero(outcome)}
-            self._marks.append(_marks(guess, happened))
+            self.note(guess, happened)
+
+    def note(self, guess: Guess, happened: dict[str, float]) -> None:
+        """Mark one guess; ``happened``: with what probability the object appeared at which camera."""
+        self._marks.append(marks(guess, happened))
 
     def score(self) -> SelfScore | None:
         """The score as of now; None before any exit has been scored."""
@@ -127,10 +136,12 @@ def _by_camera(prediction: Prediction) -> dict[str, float]:
     return said
 
 
-def _row_of(guess: Guess, departures: Departures, cameras: list[str]) -> int | None:
+def _row_of(guess: Guess, departures: Departures, cameras: list[str], ahead: Floats) -> int | None:
     """The departure that the guess was about; None when it is not in the fit."""
-    low, high = np.searchsorted(departures.t, (guess.t, np.nextafter(guess.t, np.inf)))
-    return next((row for row in range(low, high) if cameras[departures.camera[row]] == guess.camera), None)
+    camera = cameras.index(guess.camera)
+    t = guess.t - ahead[camera]
+    low, high = np.searchsorted(departures.t, (t, np.nextafter(t, np.inf)))
+    return next((row for row in range(low, high) if departures.camera[row] == camera), None)
 
 
 def _outcomes(fit: Fit, arrivals: Arrivals, rows: list[int], cameras: int) -> Floats:
@@ -148,7 +159,7 @@ def _outcomes(fit: Fit, arrivals: Arrivals, rows: list[int], cameras: int) -> Fl
     return shares
 
 
-def _marks(guess: Guess, happened: dict[str, float]) -> Marks:
+def marks(guess: Guess, happened: dict[str, float]) -> Marks:
     """What the guess earned when the object appeared at each camera with the probabilities ``happened``."""
     followed = sum(happened.values())
     outcomes = {**happened, "": max(1.0 - followed, 0.0)}

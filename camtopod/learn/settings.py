@@ -39,5 +39,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """... and at least this share of those leaving takes it."""
     missed_share_max: float = 0.25
     """A link is an effect of missed passages when a camera missing at most this share of them could explain it."""
+    correct_clocks: bool = False
+    """Transit times are stated in right time instead of by the cameras' own clocks; offsets are published anyway."""
     cameras_max: int = 10_000
     """Events of further cameras are refused."""

@@ -1,0 +1,107 @@
+"""Ways that are walked in both directions, seen by two clocks.
+
+Where the way from zone u to zone v takes as long as the way back, the lags from u to v are later by how much the clock
+at v is ahead, and those from v to u earlier by the same. So the correlogram one way is that of the other shifted by
+twice the difference of the clocks, for unseen paths, overlapping views and ways over other cameras alike.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from camtopod.learn.coarse import LAGS, Counts, chance, standing_out
+
+Floats = NDArray[np.float64]
+
+SHIFT_SMOOTHING_BINS = 3.0
+TRANSFORM = 4 * 1024
+"""Length of the transforms; holds shifts of up to 2 LAGS."""
+PEAK_MIN = 3.0
+PEAK_WIDTH_BINS = 60
+RUNNER_UP_MAX = 0.2
+"""A shift is found when no other (further off than the peak's width) explains more than this share as much."""
+SHARE_MIN = 0.02
+"""Pairs of zones count that have at least this share of what the best shift explains."""
+WIDTHS_BINS = (3.0, 60.0)
+FIRST_WIDTH_BINS = 10.0
+ROUNDS = 12
+EVENTS_MIN = 8.0
+"""More than chance, in each direction."""
+
+
+class TwoWay(NamedTuple):
+    """A way walked in both directions: how far the second clock is ahead of the first, its standard deviation, and the
+    transit time in right time and its spread; all in bins.
+    """
+
+    ahead: float
+    sd: float
+    transit: float
+    spread: float
+
+
+def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
+    """By how many bins the correlograms ``forth`` (K, lags) are later than those ``back`` (K, lags), both as
+    `standing_out` has them, and how much of them that explains; 0.0 when it is not clear.
+    """
+    product = (scipy.fft.rfft(forth, TRANSFORM) * np.conj(scipy.fft.rfft(back, TRANSFORM))).sum(axis=0)
+    match = scipy.fft.irfft(product, TRANSFORM).astype(np.float64)
+    match = gaussian_filter1d(np.concatenate((match[-2 * LAGS :], match[: 2 * LAGS + 1])), SHIFT_SMOOTHING_BINS)
+    at = int(np.argmax(match))
+    peak = float(match[at])
+    match[max(at - PEAK_WIDTH_BINS, 0) : at + PEAK_WIDTH_BINS + 1] = 0.0
+    clear = peak >= PEAK_MIN and float(match.max()) <= RUNNER_UP_MAX * peak
+    return at - 2 * LAGS, peak if clear else 0.0
+
+
+def two_ways(forth: Counts, back: Counts) -> list[tuple[int, TwoWay]]:
+    """Ways between two cameras from the correlograms of K pairs of zones, there and back: (pair, way)."""
+    usual = chance(forth), chance(back)
+    clear = standing_out(forth, usual[0]), standing_out(back, usual[1])
+    shift, peak = best_shift(*clear)
+    if peak <= 0.0:
+        return []
+    aligned = np.zeros_like(clear[0])
+    size = aligned.shape[1]
+    aligned[:, max(-shift, 0) : size - max(shift, 0)] = clear[0][:, max(shift, 0) : size - max(-shift, 0)]
+    together = gaussian_filter1d(aligned * clear[1], SHIFT_SMOOTHING_BINS, axis=1, mode="constant")
+    found = []
+    for k in np.flatnonzero(together.max(axis=1) >= SHARE_MIN * peak):
+        there = int(np.argmax(together[k])) - LAGS
+        way = _centred((forth[k], back[k]), (usual[0][k], usual[1][k]), float(there + shift), float(there))
+        if way is not None:
+            found.append((int(k), way))
+    return found
+
+
+def _centred(counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], forth: float, back: float) -> TwoWay | None:
+    """The way whose peaks are near these lags (bins), by mean shift in a normal window one and a half times as wide
+    as the peaks; None when there is no peak.
+    """
+    lag = np.arange(-LAGS, LAGS + 1)
+    width, spread = FIRST_WIDTH_BINS, 0.0
+    centres, error, within = [forth, back], 0.0, 0.0
+    for _ in range(ROUNDS):
+        number, moment, error = np.zeros(2), np.zeros(2), 0.0
+        for k in range(2):
+            window = np.exp(-0.5 * ((lag - centres[k]) / width) ** 2)
+            above = window * (counts[k] - usual[k])
+            number[k] = above.sum()
+            if number[k] < EVENTS_MIN:
+                return None
+            squared = (lag - centres[k]) ** 2
+            moment[k] = above @ squared
+            error += float((window**2 * counts[k]) @ squared) / number[k] ** 2
+            centres[k] = float(above @ lag) / number[k]
+        within = min(max(float(moment.sum() / number.sum()), 0.3), 0.9 * width**2)
+        spread = 1.0 / np.sqrt(1.0 / within - 1.0 / width**2)  # a normal window makes a normal peak narrower by this
+        if abs(centres[0] - forth) > LAGS or abs(centres[1] - back) > LAGS:
+            return None
+        last, width = width, float(np.clip(1.5 * spread, *WIDTHS_BINS))
+    sd = 0.5 * np.sqrt(error) / (1.0 - within / last**2)
+    return TwoWay(0.5 * (centres[0] - centres[1]), float(sd), 0.5 * (centres[0] + centres[1]), float(spread))
