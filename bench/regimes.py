@@ -4,7 +4,8 @@
 
 Without names it lists the regimes; with names it makes each and says what it is like: how many events how often, how
 many people are recorded again, and how often a Markov chain that is told who is who names the next camera, from the
-present camera, from the true zone (where there are zones), and from the present and the previous camera.
+present camera, from the place in its image, from the true zone (where there are zones), and from the present and the
+previous camera.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from camtopod.sim.truth import CLUTTER, Truth
 from camtopod.sim.walkway import WalkwaySettings, simulate_walkway
 
 TRAIN_SHARE = 0.7
+GRID = 5
+"""Places in the image are told apart on a grid of so many rows and columns."""
 SEEN_MIN = 3
 """A state of the told chain that was seen less often backs off to the present camera."""
 
@@ -42,7 +45,7 @@ class Regime(Struct, frozen=True):
     settings: Settings
 
     def make(self, seed: int, scale: float = 1.0) -> tuple[list[Event], Truth]:
-        """Events and truth; ``scale`` < 1 makes a shorter recording of the same network."""
+        """Events and truth; ``scale`` < 1 makes a shorter recording of the same network (and day)."""
         chosen = msgspec.structs.replace(_scaled(self.settings, scale), seed=seed)
         match chosen:
             case SimSettings():
@@ -61,7 +64,8 @@ def _scaled(settings: Settings, scale: float) -> Settings:
     if isinstance(settings, SimSettings):
         lost = tuple((camera, begin * scale, end * scale) for camera, begin, end in settings.lost)
         moved = tuple((camera, since * scale) for camera, since in settings.moved)
-        return msgspec.structs.replace(settings, hours=settings.hours * scale, lost=lost, moved=moved)
+        hours, rhythm_hours = settings.hours * scale, settings.rhythm_hours * scale
+        return msgspec.structs.replace(settings, hours=hours, rhythm_hours=rhythm_hours, lost=lost, moved=moved)
     return msgspec.structs.replace(settings, seconds=settings.seconds * scale)
 
 
@@ -85,7 +89,7 @@ def _rows() -> list[Regime]:
         ),
         Regime("faulty", "25 % missed, 30 % clutter, about 50,000 events", change(medium, missed=0.25, clutter=0.3)),
         Regime("no-links", "everybody at one camera only, a day with a rhythm of +-90 %", alone),
-        Regime("short", "3 hours, about 9,000 events", SimSettings(objects_per_second=0.1, hours=3.0)),
+        Regime("short", "3 hours, about 9,000 events", SimSettings(objects_per_second=0.108, hours=3.0)),
         Regime("overlapped", "40 % of the links overlapped", change(medium, overlap_share=OVERLAPPED_PER_CAMERA)),
         Regime("clocks", "a third of the clocks off by up to 30 s", change(medium, clock_max=30.0, clock_share=1 / 3)),
     ]
@@ -139,6 +143,7 @@ def told_top1(events: Sequence[Event], truth: Truth) -> dict[str, float]:
     cut = int(TRAIN_SHARE * len(events))
     states: dict[str, dict[int, Hashable]] = {
         "camera": {i: events[i].camera for i in exits},
+        "place": {i: (events[i].camera, _cell(events[i])) for i in exits},
         "zone": {i: (events[i].camera, truth.zone[i]) for i in exits},
         "camera and previous": {
             i: (events[i].camera, before.get((truth.identity[i], truth.passage[i]))) for i in exits
@@ -160,6 +165,10 @@ def told_top1(events: Sequence[Event], truth: Truth) -> dict[str, float]:
                 right.append([camera for camera, _ in chosen.most_common(1)] == [events[following[i]].camera])
         result[name] = float(np.mean(right)) if right else float("nan")
     return result
+
+
+def _cell(event: Event) -> tuple[int, int] | None:
+    return None if event.x is None or event.y is None else (int(GRID * event.x), int(GRID * event.y))
 
 
 def _previous(events: Sequence[Event], truth: Truth) -> dict[tuple[int, int], str]:

@@ -17,7 +17,9 @@ from camtopod.codec import event_from_json, to_json
 from camtopod.records import Event
 from camtopod.sim.layout import ZONE_SEPARATION, make_layout
 from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.road import RoadSettings, simulate_road
 from camtopod.sim.score import next_entries
+from camtopod.sim.setup import make_setup
 from camtopod.sim.truth import Truth, mode_of, transit_of
 
 small = st.builds(
@@ -33,12 +35,20 @@ small = st.builds(
     rhythm=st.floats(0, 1),
     clock_sd=st.floats(0, 2),
     doors_closed=st.integers(0, 3),
+    doors_opened=st.integers(0, 3),
+    clock_max=st.floats(0, 30),
+    overlap_share=st.floats(0, 1),
+    platoons=st.floats(0, 1),
+    fire_doors=st.integers(0, 3),
+    linked=st.booleans(),
+    zone_separation=st.floats(0.1, 0.3),
+    zone_stretch=st.floats(1, 4),
     tracks=st.booleans(),
     positions=st.booleans(),
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(small)
 def test_every_setting_gives_a_consistent_recording(chosen: SimSettings) -> None:
     events, truth = simulate(chosen)
@@ -60,7 +70,7 @@ def test_every_setting_gives_a_consistent_recording(chosen: SimSettings) -> None
             assert not inside or total == pytest.approx(1, abs=1e-5)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(small)
 def test_same_seed_same_events(chosen: SimSettings) -> None:
     assert simulate(chosen) == simulate(chosen)
@@ -159,6 +169,124 @@ def test_doors_close() -> None:
     assert after == 0
 
 
+def test_doors_open() -> None:
+    settings = SimSettings(hours=2, seed=5, doors_opened=2, doors_closed=1, open_after_hours=1.2, clutter=0, missed=0)
+    events, truth = simulate(settings)
+    opened = {(link.from_, link.to): link.opened_at for link in truth.links if link.opened_at is not None}
+    assert set(opened.values()) == {settings.start + 1.2 * 3600}
+    assert len(opened) == 4
+    assert not any(link.closed_at and link.opened_at for link in truth.links)
+    before = after = 0
+    for i, j in enumerate(next_entries(events, truth)):
+        if j >= 0 and (moment := opened.get((truth.zones[truth.zone[i]].id, truth.zones[truth.zone[j]].id))):
+            before += events[i].t < moment - 60  # who decided to go before appears later
+            after += events[i].t >= moment
+    assert before == 0
+    assert after > 20
+
+
+def test_without_links_everybody_is_at_one_camera_only() -> None:
+    events, truth = simulate(SimSettings(hours=1, linked=False, rhythm=0.5, objects_per_second=0.5))
+    seen: dict[int, set[str]] = {}
+    for event, who in zip(events, truth.identity, strict=True):
+        seen.setdefault(who, set()).add(event.camera)
+    del seen[-1]
+    assert len(seen) > 300
+    assert all(len(cameras) == 1 for cameras in seen.values())
+    assert {link.relation for link in truth.links} == {"visible"}
+    assert truth.pairs == []
+    assert max(next_entries(events, truth)) == -1
+
+
+def test_platoons_come_in_bunches() -> None:
+    def arrivals(share: float) -> tuple[list[float], Counter[tuple[int, int]]]:
+        events, truth = simulate(SimSettings(hours=2, platoons=share, missed=0, clutter=0, platoon_size=8))
+        first = [
+            (e.t, zone)
+            for e, n, zone in zip(events, truth.passage, truth.zone, strict=True)
+            if n == 0 and e.kind == "entry"
+        ]
+        return [t for t, _ in first], Counter((int(t // 15), zone) for t, zone in first)
+
+    alone, alone_together = arrivals(0.0)
+    times, together = arrivals(0.9)
+    assert len(times) == pytest.approx(len(alone), rel=0.1)
+    assert max(alone_together.values()) <= 5
+    assert sum(n for n in together.values() if n >= 5) > 0.4 * len(times)
+
+
+def test_a_turned_camera_shows_its_zones_elsewhere() -> None:
+    settings = SimSettings(hours=1, clutter=0, moved=(("cam02", 1800.0),))
+    events, truth = simulate(settings)
+    still, before = simulate(msgspec.structs.replace(settings, moved=()))
+    assert [(e.camera, e.t) for e in events] == [(e.camera, e.t) for e in still]
+    moved = [zone for zone in truth.zones if zone.moved_at is not None]
+    assert {zone.camera for zone in moved} == {"cam02"}
+    assert all(zone.moved_at == settings.start + 1800 for zone in moved)
+    assert [zone.was for zone in moved] == [(z.x, z.y) for z in before.zones if z.camera == "cam02"]
+    for index, zone in enumerate(truth.zones):
+        for late in (False, True):
+            at = [
+                (e.x, e.y) for e, z in zip(events, truth.zone, strict=True)
+                if z == index and (e.t >= settings.start + 1800) == late
+            ]  # fmt: skip
+            place = zone.was if zone.was is not None and not late else (zone.x, zone.y)
+            if len(at) > 20:
+                assert np.mean(np.array(at, dtype=float), 0) == pytest.approx(np.array(place, dtype=float), abs=0.025)
+                assert zone.cov is not None
+                turned = np.cov(np.array(at, dtype=float).T)
+                assert late is False or turned == pytest.approx(np.array(zone.cov), abs=0.001)
+    shift = [np.hypot(z.x - z.was[0], z.y - z.was[1]) for z in moved if z.was and z.x is not None and z.y is not None]
+    assert max(shift) > 0.2
+
+
+def test_a_fire_door_sees_one_percent_of_a_cameras_events() -> None:
+    shares = []
+    for seed in range(3):
+        events, truth = simulate(SimSettings(hours=2, seed=seed, clutter=0, fire_doors=4))
+        of_camera = Counter(e.camera for e in events)
+        of_zone = Counter(truth.zone)
+        share = [of_zone[k] / of_camera[zone.camera] for k, zone in enumerate(truth.zones)]
+        usual, usual_truth = simulate(SimSettings(hours=2, seed=seed, clutter=0))
+        of_camera, of_zone = Counter(e.camera for e in usual), Counter(usual_truth.zone)
+        before = [of_zone[k] / of_camera[zone.camera] for k, zone in enumerate(truth.zones)]
+        rare = [a for a, b in zip(share, before, strict=True) if a < 0.05 < b]
+        assert 2 <= len(rare) <= 4
+        shares += rare
+    assert 0.003 < np.mean(shares) < 0.02
+
+
+def test_zones_near_each_other_and_long_ones_can_still_be_told_apart() -> None:
+    near, long = [], []
+    for seed in range(60):
+        shape = {"separation": 0.12} if seed % 2 else {"stretch": 3.0}
+        layout = make_layout(6, np.random.default_rng(seed), 0.25, 0.03, **shape)
+        for c in range(6):
+            mine = np.flatnonzero(layout.camera == c)
+            for i in mine:
+                long.append(np.sqrt(np.linalg.eigvalsh(layout.cov[i])[-1]))
+                for j in mine[mine < i]:
+                    between = layout.centre[i] - layout.centre[j]
+                    distance = np.linalg.norm(between)
+                    sds = [np.sqrt(between @ layout.cov[k] @ between) / distance for k in (i, j)]
+                    assert distance >= 2.5 * sum(sds) - 1e-9
+                    near.append(distance)
+    assert 0.12 <= min(near) < 0.15
+    assert max(long) > 0.1
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8, 1.0])
+def test_more_overlaps_than_one_per_camera(share: float) -> None:
+    links = [
+        link
+        for seed in range(6)
+        for link in simulate(SimSettings(hours=0.02, seed=seed, overlap_share=share))[1].links
+        if link.relation != "visible"
+    ]
+    overlapped = sum(link.relation == "overlapped" for link in links) / len(links)
+    assert overlapped == pytest.approx({0.5: 0.24, 0.8: 0.41, 1.0: 0.45}[share], abs=0.04)
+
+
 def test_a_lost_camera_says_nothing_and_the_others_go_on() -> None:
     chosen = SimSettings(hours=0.5, lost=(("cam03", 600.0, 1200.0),))
     events, _ = simulate(chosen)
@@ -181,6 +309,16 @@ def test_clocks_are_off_by_what_the_truth_says() -> None:
     assert max(abs(offset) for offset in truth.clock_offsets.values()) > 1
 
 
+def test_a_share_of_the_clocks_is_off_by_up_to() -> None:
+    chosen = [SimSettings(seed=seed, clock_max=30.0) for seed in range(40)]
+    offsets = np.array([make_setup(s, np.random.default_rng(s.seed)).offsets for s in chosen])
+    assert ((offsets != 0).sum(1) == 4).all()
+    wrong = offsets[offsets != 0]
+    assert np.abs(wrong).max() <= 30
+    assert np.std(wrong) == pytest.approx(30 / np.sqrt(3), rel=0.15)
+    assert abs(wrong.mean()) < 5
+
+
 def test_rhythm_moves_people_into_the_day() -> None:
     events, _ = simulate(SimSettings(hours=24, cameras=3, rhythm=0.9, start=0.0, clutter=0))
     noon = sum(10 < e.t / 3600 < 14 for e in events)
@@ -192,11 +330,12 @@ def test_rhythm_moves_people_into_the_day() -> None:
     "wrong",
     [
         {"missed": 1.5}, {"clutter": 1.0}, {"cameras": 0}, {"hours": 0.0}, {"speed_sd": -1.0},
-        {"objects_per_second": 0.0}, {"lost": (("nowhere", 0.0, 1.0),)}, {"seed": -1},
+        {"objects_per_second": 0.0}, {"lost": (("nowhere", 0.0, 1.0),)}, {"seed": -1}, {"zone_separation": 0.9},
+        {"zone_stretch": 0.5}, {"platoon_size": 0.0}, {"platoons": 2.0}, {"clock_max": -1.0}, {"moved": (("x", 1.0),)},
     ],
 )  # fmt: skip
 def test_settings_without_sense_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match="lose" if "lost" in wrong else next(iter(wrong))):
+    with pytest.raises(ValueError, match="lose" if wrong.keys() & {"lost", "moved"} else next(iter(wrong))):
         simulate(msgspec.structs.replace(SimSettings(hours=0.1), **wrong))
 
 
@@ -222,6 +361,20 @@ def test_command_writes_contract_lines(tmp_path: Path, capsys: pytest.CaptureFix
     assert lines
     assert {frozenset(line) for line in lines} == {frozenset({"camera", "kind", "t"})}
     assert lines[0]["t"] < 365
+
+
+def test_command_has_the_simulators_options_and_scenes(capsys: pytest.CaptureFixture[str]) -> None:
+    def written(*options: str) -> list[Event]:
+        assert main(["simulate", "--events", "-", "--hours", "0.1", *options]) == 0
+        return [event_from_json(line.encode()) for line in capsys.readouterr().out.splitlines()]
+
+    turned = SimSettings(hours=0.1, moved=(("cam01", 99.0),), linked=False, platoons=0.5, doors_opened=1)
+    options = ["--moved", "cam01:99", "--no-links", "--platoons", "0.5", "--doors-opened", "1"]
+    assert written(*options) == simulate(turned)[0]
+    assert written("--scene", "road", "--seed", "3") == simulate_road(RoadSettings(seed=3, seconds=360.0))[0]
+    assert {e.camera[:4] for e in written("--scene", "hall", "--cameras", "4", "--start", "5")} == {"hall"}
+    assert main(["simulate", "--events", "-", "--scene", "crowd", "--rhythm", "0.5"]) == 2
+    assert "rhythm" in capsys.readouterr().err
 
 
 def test_command_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,7 +26,7 @@ WOBBLE_METRES, SWAY_METRES = 0.15, 0.2
 WALKING_SPEED, SPEED_SD, LEG_SPEED_SD = 1.3, 0.25, 0.05
 """Metres a second (median), its spread between people and between one person's legs (log scale)."""
 CELL_METRES = 0.5
-VIEW_TRIES_MAX = 20_000
+VIEW_TRIES_MAX = 2000
 PILLAR_SHARE = 0.4
 """Share of the cameras that do not see one of the upper corners of their picture."""
 

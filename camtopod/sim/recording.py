@@ -118,9 +118,7 @@ def recorded(
     put in here.
     """
     seen = seen.take(seen.t_out - seen.t_in >= faults.short).sorted()
-    first = np.ones(len(seen.who), dtype=bool)
-    first[1:] = seen.who[1:] != seen.who[:-1]
-    number = np.arange(len(seen.who)) - np.maximum.accumulate(np.where(first, np.arange(len(first)), 0))
+    number = _numbers(walked, seen)
     kept = rng.random(len(number)) >= faults.missed
     seen, number = seen.take(kept), number[kept]
     ghosts = _ghosts(seen, faults.clutter, rng)
@@ -145,6 +143,20 @@ def recorded(
         zone=np.concatenate([both.zone_in, both.zone_out])[order].tolist(),
     )
     return events, truth
+
+
+def _numbers(walked: Sightings, seen: Sightings) -> Ints:
+    """The number of each seen passage within its person's walk; what was walked and not seen counts, too."""
+    both = join([walked, seen])
+    order = np.lexsort((both.camera, both.t_in, both.who))
+    who, camera, t_in = both.who[order], both.camera[order], both.t_in[order]
+    another = np.zeros(len(who), dtype=bool)
+    another[1:] = (t_in[1:] != t_in[:-1]) | (camera[1:] != camera[:-1]) | (who[1:] != who[:-1])
+    rank = np.cumsum(another)
+    person = np.searchsorted(who, who)  # the row with which a person begins
+    number = np.zeros(len(who), dtype=np.int64)
+    number[order] = rank - rank[person]
+    return number[len(walked.who) :]
 
 
 def events_of(
@@ -189,8 +201,9 @@ def _ghosts(seen: Sightings, share: float, rng: np.random.Generator) -> Sighting
     at_in = np.where(np.isnan(like.at_in), np.nan, rng.random((n, 2)))
     at_out = np.clip(at_in + GHOST_METRES_SD * rng.standard_normal((n, 2)), 0.0, 1.0)
     stay = GHOST_SECONDS * np.exp(GHOST_SECONDS_SD * rng.standard_normal(n))
+    t_out = np.minimum(t_in + stay, seen.t_out.max(initial=0.0))
     nobody = np.full(n, CLUTTER)
-    return Sightings(nobody, like.camera, t_in, t_in + stay, at_in, at_out, nobody, nobody)
+    return Sightings(nobody, like.camera, t_in, t_out, at_in, at_out, nobody, nobody)
 
 
 def _pairs(cameras: list[str], walked: Sightings) -> list[Pair]:
