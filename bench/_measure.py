@@ -19,7 +19,7 @@ from bench.baselines.crossings import candidates, crossings
 from bench.baselines.findings import Ranked, at, rank
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
-from bench.baselines.told import told, transit_error
+from bench.baselines.told import recorded_medians, told, transit_error
 from bench.baselines.transfer import transfer
 from bench.baselines.zoning import methods
 from camtopod.learn.learner import Learner
@@ -70,7 +70,7 @@ def measure(group: str, regime: str, seed: int, events: Sequence[Event], truth: 
         return baselines(regime, seed, events, truth)
     settings = Settings() if group == "online" else Settings(refit_share=1e9, refit_hours=1e9)
     topology, head, seconds = learn(events, settings)
-    figures = network_figures(topology, truth)
+    figures = network_figures(topology, truth, events)
     figures |= prediction_figures(head, events, truth)
     figures |= {"events": len(events), "events_per_second": len(events) / seconds, "versions": topology.version}
     return [Record(regime, seed, group, seconds, _plain(figures))]
@@ -98,7 +98,7 @@ def learn(events: Sequence[Event], settings: Settings) -> tuple[Topology, Topolo
     return learner.topology, head, seconds
 
 
-def network_figures(topology: Topology, truth: Truth) -> dict[str, float]:
+def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -> dict[str, float]:
     """Zones, links, relations and clocks; only what the truth knows of."""
     result = score(topology, truth)
     figures: dict[str, float] = {"links_learned": result.links_learned}
@@ -118,6 +118,7 @@ def network_figures(topology: Topology, truth: Truth) -> dict[str, float]:
     if result.links_true:
         figures |= {"precision": result.link_precision, "recall": result.link_recall, "f1": result.link_f1}
         figures["median_error"] = result.median_error
+        figures["recorded_median_error"] = score(topology, recorded_medians(events, truth)).median_error
     return figures
 
 

@@ -27,6 +27,7 @@ ROWS = {
     "false_links": "false links between cameras",
     "silent": "runs without any, share",
     "median_error": "transit median, relative error",
+    "recorded_median_error": "  against the recording's own medians",
     "relation_right": "relation of camera pairs right",
     "top1": "next camera, top-1",
     "told_top1": "  told chain, same zones",
@@ -183,7 +184,7 @@ def _next(records: Sequence[Record]) -> list[str]:
 def _overview(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
     """F1 of links by method and regime, ours first."""
     methods = [*OURS, *_ranked(records)]
-    lines = [_row("links, F1", [method.removeprefix("links: ").split(" (")[0][-CELL + 2 :] for method in methods])]
+    lines = [_row("links, F1", [method.removeprefix("links: ").split(" (")[0][: CELL - 1] for method in methods])]
     for regime in regimes:
         here = [record for record in records if record.regime == regime]
         cells = [mean_and_error(_values(here, method, "f1")) for method in OURS]

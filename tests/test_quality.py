@@ -100,10 +100,12 @@ def test_what_the_truth_does_not_know_is_not_scored() -> None:
 def test_figures_of_a_perfect_topology() -> None:
     from made import topology_of
 
-    truth = simulate(SimSettings(cameras=4, hours=0.3))[1]
-    figures = network_figures(topology_of(truth), truth)
+    events, truth = simulate(SimSettings(cameras=4, hours=0.3))
+    figures = network_figures(topology_of(truth), truth, events)
     assert (figures["zones_right"], figures["f1"], figures["relation_right"], figures["silent"]) == (1, 1, 1, 1)
     assert figures["median_error"] == 0
+    assert figures["recorded_median_error"] > 0  # so few walkers have another median than all
+    assert "clock_error" not in figures
 
 
 def test_means_have_standard_errors() -> None:

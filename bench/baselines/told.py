@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Hashable, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 
 from camtopod.records import Event, NextCamera, Prediction
 from camtopod.sim.score import TRANSIT_FLOOR_SECONDS, next_entries
@@ -48,11 +49,8 @@ def told(events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hasha
     return predictions
 
 
-def transit_error(events: Sequence[Event], truth: Truth) -> float:
-    """Median over the walked links of the relative error of the median transit time of those who walked it.
-
-    It is what so many walkers leave to chance; nan without links.
-    """
+def recorded_medians(events: Sequence[Event], truth: Truth) -> Truth:
+    """The truth with each walked link's median transit time as it is in the recording, by the cameras' clocks."""
     ends: dict[tuple[int, int], dict[str, tuple[float, int]]] = {}
     for event, who, number, zone in zip(events, truth.identity, truth.passage, truth.zone, strict=True):
         if who != CLUTTER and zone >= 0:
@@ -63,9 +61,23 @@ def transit_error(events: Sequence[Event], truth: Truth) -> float:
         if "exit" in end and "entry" in onward:
             (left, u), (came, v) = end["exit"], onward["entry"]
             seconds.setdefault((truth.zones[u].id, truth.zones[v].id), []).append(came - left)
-    errors = []
+    links = []
     for link in truth.links:
-        if link.relation != "visible" and (link.from_, link.to) in seconds:
-            off = abs(float(np.median(seconds[link.from_, link.to])) - link.transit.q50)
-            errors.append(off / max(abs(link.transit.q50), TRANSIT_FLOOR_SECONDS))
+        times = seconds.get((link.from_, link.to))
+        if link.relation != "visible" and times:
+            link = replace(link, transit=replace(link.transit, q50=float(np.median(times))))
+        links.append(link)
+    return replace(truth, links=links)
+
+
+def transit_error(events: Sequence[Event], truth: Truth) -> float:
+    """Median over the walked links of the relative error of the median transit time of those who walked it.
+
+    It is what so many walkers leave to chance; nan without links.
+    """
+    errors = [
+        abs(recorded.transit.q50 - link.transit.q50) / max(abs(link.transit.q50), TRANSIT_FLOOR_SECONDS)
+        for link, recorded in zip(truth.links, recorded_medians(events, truth).links, strict=True)
+        if link.relation != "visible" and link.transitions
+    ]
     return float(np.median(errors)) if errors else float("nan")
