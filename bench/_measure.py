@@ -35,6 +35,8 @@ WARM_EVENTS = 5000
 """Events before the cut that a predictor observes first; it remembers 2,000 of each kind."""
 CLOCK_SECONDS_MAX = 0.5
 """The issue's tolerance of clock offsets."""
+COVERED_SDS = 1.96
+"""An error within so many stated standard deviations is covered; 95 % should be."""
 GROUPS = ("online", "batch", "baselines")
 
 LINK_METHODS: dict[str, Callable[..., Any]] = {
@@ -105,7 +107,12 @@ def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -
     if truth.pairs:
         figures["relation_right"] = result.relation_right
     if any(truth.clock_offsets.values()):
-        errors = [abs(error) for error in clock_errors(topology, truth).values()]
+        signed = clock_errors(topology, truth)
+        errors = [abs(error) for error in signed.values()]
+        stated = {c.id: c.clock_offset_sd for c in topology.cameras if c.clock_offset_sd}
+        if stated:
+            covered = [abs(signed[camera]) <= COVERED_SDS * sd for camera, sd in stated.items()]
+            figures["clocks_covered"] = float(np.mean(covered))
         figures["clock_error"] = max(errors, default=math.nan)
         figures["clock_error_mean"] = float(np.mean(errors))
         figures["clocks_right"] = float(np.mean([error <= CLOCK_SECONDS_MAX for error in errors]))

@@ -44,6 +44,7 @@ ROWS = {
     "clock_error": "clock offsets, largest error, s",
     "clock_error_mean": "  mean error, s",
     "clocks_right": f"  within {CLOCK_SECONDS_MAX:g} s, share of cameras",
+    "clocks_covered": "  within 1.96 stated sd (0.95 is right)",
     "prediction_ms": "milliseconds a prediction",
     "events": "events",
     "events_per_second": "events a second",
