@@ -27,6 +27,7 @@ ONCE_SECONDS = 3.0
 PREDICTIONS_SHOWN = 8
 LINKS_SHOWN = 20
 NEXT_SHOWN = 3
+ALARMS_SHOWN = 5
 _CLEAR = "\x1b[H\x1b[J"
 
 
@@ -84,6 +85,7 @@ class Board:
             "",
             *_links(topology),
             "",
+            *_alarms(topology, now),
             *_predictions(predictions),
         ]
 
@@ -140,7 +142,29 @@ def _head(topology: Topology | None, daemon: dict[str, Any] | None, site: str) -
         first,
         f"topology: version {topology.version}, {topology.events} events, {len(topology.cameras)} cameras, "
         f"{len(topology.zones)} zones, {len(topology.links)} links, {topology.digest[:19]}",
+        *_score(topology),
     ]
+
+
+def _score(topology: Topology) -> list[str]:
+    s = topology.score
+    if s is None:
+        return []
+    return [
+        f"predictions: next camera right {s.top1:.2f} (the usual one {s.baseline_top1:.2f}), among three {s.top3:.2f}, "
+        f"log loss {s.log_loss:.2f} ({s.baseline_log_loss:.2f}); {s.exits} exits since version {s.since_version}"
+    ]
+
+
+def _alarms(topology: Topology | None, now: float) -> list[str]:
+    alarms = (topology.alarms if topology is not None else None) or []
+    if not alarms:
+        return []
+    rows = [
+        f"{(now - alarm.t) / 60:.0f} min ago, version {alarm.version}: {alarm.kind} {alarm.subject}, {alarm.detail}"
+        for alarm in reversed(alarms[-ALARMS_SHOWN:])
+    ]
+    return ["ALARMS", *rows, ""]
 
 
 def _cameras(status: dict[str, dict[str, Any]], daemon: dict[str, Any], now: float) -> list[str]:

@@ -10,8 +10,8 @@ likelihood ``1 - r + f r`` times as large, and a departure takes the way ``f`` t
 of ``f`` over a stretch of time is ``sum log(1 - r + f r) - (f - 1) * expected``, in which an arrival that may well
 have come from elsewhere says little. The change is where two factors, one before and one after, exceed one for all
 by most. It counts when that ratio, over the overdispersion that remains (people in groups, shares that follow the
-hour), exceeds what chance reaches at any split of any pair in less than one of 1 / `FALSE_ALARM` windows: a union
-bound over Wilks' law.
+hour), exceeds what chance reaches at any split of any pair in less than `FALSE_ALARM` of the windows: a union bound
+over Wilks' law.
 Related: Killick, Fearnhead and Eckley (2012); ruptures' cost functions.
 """
 
@@ -27,6 +27,7 @@ from scipy.special import chdtri
 from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.joint import Fit
 from camtopod.learn.links import LinkTable
+from camtopod.learn.significance import log_likelihood_ratio
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -56,7 +57,8 @@ Silence = tuple[float, float]
 
 class Change(NamedTuple):
     """The share of the departures at zone ``source`` that appear next at ``target``: ``after`` since ``since``
-    (seconds), ``before`` until then; ``nats`` of evidence for that.
+    (seconds), ``before`` until then; ``nats`` of evidence for that. ``linked``: evidence since then that they are
+    joined at all, by transits of a certain time.
     """
 
     source: int
@@ -65,6 +67,7 @@ class Change(NamedTuple):
     before: float
     after: float
     nats: float
+    linked: float = 0.0
 
 
 class Trials(NamedTuple):
@@ -100,14 +103,25 @@ def find_changes(
         counts = moved <= over
         change = latest_change(Trials(t, weight, moved[counts], share[counts]), threshold)
         if change is not None:
-            found.append(Change(source, target, *change))
+            found.append(Change(source, target, *change, linked=_linked(fit, departures, pair, change[0])))
     return found
 
 
+def _linked(fit: Fit, departures: Departures, pair: int, since: float) -> float:
+    """Evidence in nats that a pair of zones is joined from what left ``since`` (seconds) alone."""
+    rows = np.flatnonzero(fit.candidates.pair == pair)
+    rows = rows[departures.t[fit.candidates.departure[rows]] >= since]
+    one = np.zeros(len(rows), np.int32)
+    return float(log_likelihood_ratio(one, fit.responsibility[rows], fit.flat[rows], 1)[0])
+
+
 def threshold_nats(series: int, trials: int) -> float:
-    """Evidence that chance reaches in less than `FALSE_ALARM` of the windows, at any split of any of so many series."""
-    tests = max(series * len(_splits(0, trials)), 1)
-    return float(chdtri(1.0, FALSE_ALARM / tests)) / 2.0
+    """Evidence that chance reaches in less than `FALSE_ALARM` of the windows, at any split of any of so many series.
+
+    Splits since which there were less than twice as many departures tell nearly the same, so they count as one.
+    """
+    splits = max(math.log2(max(trials, 1) / SPLIT_DEPARTURES_MIN), 1.0)
+    return float(chdtri(1.0, FALSE_ALARM / (max(series, 1) * splits))) / 2.0
 
 
 def transitions_by_pair(
@@ -141,15 +155,20 @@ def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float
     if n < 2 * SPLIT_DEPARTURES_MIN or trials.weight.sum() == 0 or trials.share.sum() == 0:
         return None
     table = _Table(trials)
-    begin, found = 0, None
-    for _ in range(CHANGES_MAX):
-        split, nats = table.best_split(begin, n)
-        if split is None or nats / table.overdispersion(begin, split, n) <= threshold:
+    start, split, nats = 0, 0, 0.0
+    for _ in range(CHANGES_MAX):  # later and later
+        later, more = table.change(split, n, threshold)
+        if later is None:
             break
-        nats /= table.overdispersion(begin, split, n)
-        found = trials.t[split], table.share(begin, split), table.share(split, n), nats
-        begin = split
-    return None if found is None else (float(found[0]), *found[1:])
+        start, split, nats = split, later, more
+    if split == 0:
+        return None
+    for _ in range(CHANGES_MAX):  # what held just before need not have held long
+        begun, _ = table.change(start, split, threshold)
+        if begun is None:
+            break
+        start = begun
+    return float(trials.t[split]), table.share(start, split), table.share(split, n), nats
 
 
 class _Table:
@@ -177,15 +196,19 @@ class _Table:
         log[~self.possible] = -np.inf
         return log
 
-    def best_split(self, begin: int, end: int) -> tuple[int | None, float]:
-        """Departure from which on another factor explains most, and by how many nats."""
+    def change(self, begin: int, end: int, threshold: float) -> tuple[int | None, float]:
+        """Departure from which on another factor holds, and the evidence in nats; None if that is too little."""
         splits = _splits(begin, end)
-        if len(splits) == 0:
+        if len(splits) == 0 or self.weight[end] == self.weight[begin]:
             return None, 0.0
         best = int(np.argmax(self._gain(begin, splits, end)))
         near = np.arange(splits[min(best + 1, len(splits) - 1)], splits[max(best - 1, 0)] + 1)
         gain = self._gain(begin, near, end)
-        return int(near[np.argmax(gain)]), float(gain.max())
+        split = int(near[np.argmax(gain)])
+        if gain.max() <= threshold:
+            return None, 0.0
+        nats = float(gain.max()) / self.overdispersion(begin, split, end)
+        return (split, nats) if nats > threshold else (None, 0.0)
 
     def _gain(self, begin: int, splits: Ints, end: int) -> Floats:
         """Nats (S,) by which two factors explain more than one."""
@@ -238,8 +261,8 @@ def _splits(begin: int, end: int) -> Ints:
 def present(table: LinkTable, changes: list[Change], zones: int, share_min: float) -> LinkTable:
     """The table with the shares that hold now; pairs whose share is now below ``share_min`` are left out.
 
-    What has opened is told from chance by its own past. Shares that make more than 1 with a new one beside them give
-    way to it.
+    What has opened is told from chance by its own past and by what has come since. Shares that make more than 1 with
+    a new one beside them give way to it.
     """
     latest = {(change.source, change.target): change for change in changes}
     if not latest:
@@ -252,7 +275,7 @@ def present(table: LinkTable, changes: list[Change], zones: int, share_min: floa
             continue
         new[k], kept[k], probability[k] = True, change.after >= share_min, change.after
         if change.after > change.before:
-            ratio[k] = max(ratio[k], change.nats)
+            ratio[k] = max(ratio[k], min(change.nats, change.linked))
     taken, others = (np.bincount(table.source, probability * rows, minlength=zones) for rows in (new & kept, ~new))
     room = np.minimum(1.0, np.maximum(1.0 - taken, 0.0) / np.maximum(others, 1e-9))
     probability = np.where(new, probability, probability * np.where(taken > 0, room, 1.0)[table.source])

@@ -34,6 +34,8 @@ log = logging.getLogger(__name__)
 
 STOP_SECONDS = 4.0
 """How long `stop` waits for the threads; what they had not done is in the journal."""
+STATUS_ALARMS = 10
+"""The newest alarms that ``status/daemon`` repeats; the topology lists more."""
 REPLAY_EVENTS_KEPT = 4000
 """The newest replayed events, which predictions remember after a restart."""
 
@@ -132,6 +134,8 @@ class Daemon:
             "rejects": dict(receiver.rejects.counts),
             "learner": learning.statistics,
             **self._live.counts,
+            "score": None if self.topology is None else self.topology.score,
+            "alarms": [] if self.topology is None else (self.topology.alarms or [])[-STATUS_ALARMS:],
             "pulls": self._puller.pulls,
             "journal": len(self._journal),
             "cameras": {
@@ -236,6 +240,9 @@ class Daemon:
         if version.delta is not None:
             self._bus.put("topology/delta", version.delta, "topology-delta")
         self._bus.put("topology", version.topology, "topology")
+        for alarm in version.topology.alarms or []:
+            if alarm.version == version.topology.version:
+                log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
         log.info(
             "version %d: %d cameras, %d zones, %d links",
             version.topology.version, len(version.topology.cameras),

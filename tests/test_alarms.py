@@ -1,0 +1,198 @@
+"""Alarms: each once, in the version that knows; silent cameras; nothing at the start."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from camtopod.learn.alarms import AlarmLog
+from camtopod.learn.change import Change
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
+from camtopod.learn.silence import Silences, find_silences
+from camtopod.learn.topology import ALARMS_KEPT_MAX, apply_delta, make_delta
+from camtopod.records import Delta, Event, Topology
+
+ZONES = ["a/1", "b/1", "b/2"]
+OPENED, CLOSED = Change(0, 1, 100.0, 0.0, 0.5, 20.0), Change(0, 1, 300.0, 0.5, 0.0, 20.0)
+
+
+def said(log: AlarmLog) -> list[tuple[int, str, str]]:
+    return [(alarm.version, alarm.kind, alarm.subject) for alarm in log.newest]
+
+
+# --- links ---
+
+
+def test_a_change_is_said_once_and_the_next_one_again() -> None:
+    log = AlarmLog()
+    log.links(5, 200.0, [OPENED], ZONES, {(0, 1)}, 0.03)
+    log.links(6, 250.0, [OPENED._replace(since=90.0)], ZONES, {(0, 1)}, 0.03)
+    log.links(7, 400.0, [CLOSED], ZONES, set(), 0.03)
+    log.links(8, 500.0, [CLOSED._replace(since=310.0)], ZONES, set(), 0.03)
+    assert said(log) == [(5, "link_opened", "a/1->b/1"), (7, "link_closed", "a/1->b/1")]
+
+
+@pytest.mark.parametrize(
+    ("change", "joined", "kind"),
+    [
+        (Change(0, 2, 100.0, 0.3, 0.6, 20.0), True, "link_changed"),
+        (Change(0, 2, 100.0, 0.50, 0.55, 20.0), True, None),  # slight
+        (Change(0, 2, 100.0, 0.3, 0.6, 20.0), False, None),  # no link now
+        (Change(0, 2, 100.0, 0.02, 0.0, 20.0), False, None),  # none before or after
+        (Change(0, 2, 100.0, 0.0, 0.5, 20.0), False, None),  # not published yet
+        (Change(0, 2, 100.0, 0.08, 0.0, 20.0), False, "link_closed"),
+        (Change(0, 2, 100.0, 0.01, 0.08, 20.0), True, "link_opened"),
+    ],
+)
+def test_what_counts_as_which_change(change: Change, joined: bool, kind: str | None) -> None:
+    log = AlarmLog()
+    log.links(5, 200.0, [change], ZONES, {(0, 2)} if joined else set(), 0.03)
+    assert [alarm.kind for alarm in log.newest] == ([] if kind is None else [kind])
+
+
+def test_only_the_newest_are_kept() -> None:
+    log = AlarmLog()
+    for version in range(2 * ALARMS_KEPT_MAX):
+        log.add(version, float(version), "camera_moved", "a", "")
+    assert [alarm.version for alarm in log.newest] == list(range(ALARMS_KEPT_MAX, 2 * ALARMS_KEPT_MAX))
+
+
+# --- cameras ---
+
+
+def heard(*times: NDArray[np.float64]) -> list[Silences]:
+    """Silences of cameras with events at these times."""
+    t, camera = np.concatenate(times), np.repeat(np.arange(len(times)), [len(part) for part in times])
+    order = np.argsort(t, kind="stable")
+    return find_silences(t[order], camera[order], len(times))
+
+
+def poisson(rate: float, begin: float, end: float, seed: int) -> NDArray[np.float64]:
+    chance = np.random.default_rng(seed)
+    return np.sort(chance.uniform(begin, end, chance.poisson(rate * (end - begin))))
+
+
+def test_a_camera_that_stops_is_silent() -> None:
+    busy, lost = poisson(0.1, 0, 40_000, 1), poisson(0.05, 0, 30_000, 2)
+    first, second = heard(busy, lost)
+    assert first == Silences([], False)
+    assert second == Silences([(lost[-1], np.inf)], True)
+
+
+def test_a_camera_that_was_away_has_a_silence_that_is_over() -> None:
+    busy = poisson(0.1, 0, 60_000, 1)
+    early, late = poisson(0.05, 0, 20_000, 2), poisson(0.05, 40_000, 60_000, 3)
+    _, second = heard(busy, np.concatenate((early, late)))
+    assert second == Silences([(early[-1], late[0])], False)
+
+
+def test_nobody_is_silent_by_chance_or_at_night() -> None:
+    for seed in range(30):
+        rates = [0.001, 0.05, 0.001, 0.05]
+        day = np.concatenate([poisson(r, 40_000 * k, 40_000 * (k + 1), 9 * seed + k) for k, r in enumerate(rates)])
+        quiet = poisson(0.002, 0, 160_000, seed)
+        assert heard(day, day + 0.1, day + 0.2, quiet) == 4 * [Silences([], False)]
+
+
+def test_nights_of_its_own_are_a_habit() -> None:
+    busy = poisson(0.1, 0, 200_000, 1)
+    shop = np.concatenate([poisson(0.1, 50_000 * k, 50_000 * k + 25_000, k) for k in range(4)])
+    _, closed = heard(busy, shop)
+    assert len(closed.intervals) == 4
+    assert not closed.lasts  # no longer than on other nights
+
+
+def test_few_events_say_nothing() -> None:
+    assert heard(poisson(0.1, 0, 40_000, 1), np.array([1.0, 2.0]))[1] == Silences([], False)
+
+
+def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
+    log = AlarmLog()
+    gone, back = Silences([(5.0, np.inf)], True), Silences([(5.0, 90.0)], False)
+    for version, silence in enumerate([Silences([], False), gone, gone, back, back], start=1):
+        log.cameras(version, 10.0 * version, [Silences([], False), silence], ["a", "b"])
+    assert said(log) == [(2, "camera_silent", "b"), (4, "camera_back", "b")]
+
+
+# --- the whole learner ---
+
+
+def walkers(begin: float, end: float, way: str, seed: int, way_to: float = 0.8) -> list[Event]:
+    """Objects that leave camera a by its right side and may appear at b at ``way`` 8 s later; others come to b."""
+    chance = np.random.default_rng(seed)
+    events = []
+    places = {"b/left": 0.1, "b/right": 0.9}
+    for k, t in enumerate(poisson(0.02, begin, end, seed)):
+        x, y = np.clip(0.9 + 0.02 * chance.standard_normal(2), 0, 1)
+        events += [
+            Event("a", "entry", t - 5, 1 - x, 0.5, f"{way}{k}"), Event("a", "exit", t, float(x), float(y), f"{way}{k}"),
+        ]  # fmt: skip
+        if chance.random() < way_to:
+            events += passage("b", t + float(chance.uniform(7, 9)), places[way], f"{way}{k}", chance)
+    for number, x in enumerate(places.values(), start=1):
+        for k, t in enumerate(poisson(0.01, begin, end, seed + 10 * number)):
+            events += passage("b", t, x, f"{way}{number}-{k}", chance)
+    return sorted(events, key=lambda event: event.t)
+
+
+def passage(camera: str, t: float, x: float, track: str, chance: np.random.Generator) -> list[Event]:
+    """Through one view from x to the bottom."""
+    noise = 0.02 * chance.standard_normal(4)
+    x, y, x2, y2 = (float(v) for v in np.clip(np.array([x, 0.3, 0.5, 0.9]) + noise, 0, 1))
+    return [Event(camera, "entry", t, x, y, track), Event(camera, "exit", t + 4, x2, y2, track)]
+
+
+def versions(events: list[Event]) -> list[Topology]:
+    learner = Learner(Settings(version_seconds=300.0, refit_share=0.15), "hq", "01J")
+    for event in events:
+        learner.receive(event)
+    learner.flush()
+    return learner.updates()
+
+
+@pytest.fixture(scope="module")
+def rerouted() -> list[Topology]:
+    """From a to the left of b for three hours, then to the right."""
+    return versions(walkers(0, 10_800, "b/left", 1) + walkers(10_800, 18_000, "b/right", 2))
+
+
+def test_a_way_that_changes_is_told_and_published(rerouted: list[Topology]) -> None:
+    last = rerouted[-1]
+    left, right = (
+        min((z for z in last.zones if z.camera == "b"), key=lambda z: abs((z.x or 0) - x)).id for x in (0.1, 0.9)
+    )
+    alarms = {(alarm.kind, alarm.subject.split("->")[1]): alarm for alarm in last.alarms or [] if "link" in alarm.kind}
+    assert set(alarms) == {("link_closed", left), ("link_opened", right)}
+    assert all(10_800 < alarm.t < 14_400 for alarm in alarms.values())
+    links = {link.to: link.probability for link in last.links if link.relation != "visible"}
+    assert set(links) == {right}
+    assert links[right] == pytest.approx(0.8, abs=0.1)
+    assert not any(link.to == left and link.from_.startswith("a") for link in last.weak_links or [])
+
+
+def test_the_start_tells_nothing(rerouted: list[Topology]) -> None:
+    early = [version for version in rerouted if version.as_of <= 10_800]
+    assert len(early) > 5
+    assert not any(version.alarms for version in early)
+
+
+def test_deltas_carry_alarms_and_score(rerouted: list[Topology]) -> None:
+    held = rerouted[0]
+    for version in rerouted[1:]:
+        delta = msgspec.msgpack.decode(msgspec.msgpack.encode(make_delta(held, version)), type=Delta)
+        assert all(alarm.version == version.version for alarm in delta.alarms or [])
+        held = apply_delta(held, delta)
+        assert held == version
+    assert held.alarms
+    assert held.score
+
+
+def test_a_lost_camera_is_told_and_its_links_do_not_close() -> None:
+    events = walkers(0, 10_800, "b/left", 1)
+    beside = [Event("c", "entry", t, 0.5, 0.5) for t in poisson(0.02, 0, 10_800, 9)]
+    last = versions(sorted([e for e in events if e.camera == "a" or e.t < 7_200] + beside, key=lambda e: e.t))[-1]
+    assert [(alarm.kind, alarm.subject) for alarm in last.alarms or []] == [("camera_silent", "b")]
+    assert any(link.from_.startswith("a") and link.to.startswith("b") for link in last.links)

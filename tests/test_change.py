@@ -1,0 +1,172 @@
+"""Changes of shares: found soon, not made up, and what they do to the links."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from camtopod.learn.change import Change, Trials, latest_change, present, threshold_nats
+from camtopod.learn.lags import LagBins
+from camtopod.learn.links import LinkTable, Transitions, tabulate
+
+Floats = NDArray[np.float64]
+
+SURE = 0.95
+THRESHOLD = threshold_nats(100, 10_000)
+"""As for a network of a hundred pairs of zones and ten thousand departures."""
+
+
+def trials(share: Floats, seed: int, weight: Floats | None = None, times: Floats | None = None) -> Trials:
+    """Departures a minute apart that each take the way with their own probability."""
+    chance = np.random.default_rng(seed)
+    t: Floats = 60.0 * np.arange(len(share)) if times is None else times
+    moved = t[chance.random(len(share)) < share]
+    return Trials(t, np.ones(len(t)) if weight is None else weight, moved, np.full(len(moved), SURE))
+
+
+def two(before: float, after: float, n: int, late: int) -> Floats:
+    """Shares of n departures of which the last ``late`` come after the change."""
+    return np.where(np.arange(n) < n - late, before, after)
+
+
+# --- finding them ---
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_closed_way_is_known_after_fifteen_passages(seed: int) -> None:
+    found = latest_change(trials(two(0.5, 0.0, 400, 30), seed), THRESHOLD)
+    assert found is not None
+    since, before, after, _ = found
+    assert (370 - 10) * 60 <= since <= (370 + 2) * 60
+    assert before == pytest.approx(0.5, abs=0.1)
+    assert after < 0.02
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_opened_way_is_known_after_ten_passages(seed: int) -> None:
+    found = latest_change(trials(two(0.0, 0.5, 400, 20), seed), THRESHOLD)
+    assert found is not None
+    since, before, after, _ = found
+    assert 379 * 60 <= since <= 386 * 60
+    assert before < 0.01
+    assert after == pytest.approx(0.5, abs=0.25)
+
+
+def test_of_two_changes_the_last_counts() -> None:
+    shares = np.concatenate((np.full(200, 0.4), np.zeros(200), np.full(200, 0.7)))
+    found = latest_change(trials(shares, 1), THRESHOLD)
+    assert found is not None
+    since, before, after, _ = found
+    assert since == pytest.approx(400 * 60, abs=600)
+    assert before < 0.02
+    assert after == pytest.approx(0.7, abs=0.1)
+
+
+def test_nothing_is_found_where_nothing_changes() -> None:
+    low = threshold_nats(1, 400)  # a single series: as sensitive as it gets
+    found = [latest_change(trials(np.full(400, 0.3), seed), low) for seed in range(300)]
+    assert sum(change is not None for change in found) <= 2
+
+
+def test_more_traffic_is_no_change() -> None:
+    chance = np.random.default_rng(3)
+    hours = np.sort(np.concatenate((chance.uniform(0, 12, 100), chance.uniform(12, 24, 900)))) * 3600
+    assert latest_change(trials(np.full(1000, 0.3), 4, times=hours), THRESHOLD) is None
+
+
+def test_a_share_that_follows_the_hour_is_no_change() -> None:
+    hour = np.arange(2400) % 240 / 10
+    shares = 0.4 + 0.3 * np.sin(2 * np.pi * hour / 24)
+    assert latest_change(trials(shares, 5), THRESHOLD) is None
+    assert latest_change(trials(shares[:240], 5), THRESHOLD) is not None  # a single day looks like one
+
+
+def test_arrivals_that_come_from_elsewhere_do_not_keep_a_way_open() -> None:
+    chance = np.random.default_rng(6)
+    walked = trials(two(0.5, 0.0, 400, 60), 6)
+    others = np.sort(chance.uniform(340 * 60, 400 * 60, 60))
+    order = np.argsort(np.concatenate((walked.moved, others)), kind="stable")
+    moved = np.concatenate((walked.moved, others))[order]
+    share = np.concatenate((walked.share, np.full(60, 0.2)))[order]
+    found = latest_change(Trials(walked.t, walked.weight, moved, share), THRESHOLD)
+    assert found is not None
+    assert found[2] < 0.03
+
+
+def test_departures_nobody_could_see_arrive_do_not_count() -> None:
+    shares = two(0.5, 0.0, 400, 60)
+    blind = np.where(shares > 0, 1.0, 0.0)
+    assert latest_change(trials(shares, 7), THRESHOLD) is not None
+    assert latest_change(trials(shares, 7, weight=blind), THRESHOLD) is None
+
+
+def test_too_little_says_nothing() -> None:
+    assert latest_change(trials(np.zeros(50), 1), THRESHOLD) is None
+    assert latest_change(trials(np.ones(7), 1), THRESHOLD) is None
+    assert latest_change(trials(np.ones(50), 1, weight=np.zeros(50)), THRESHOLD) is None
+
+
+def slow_gain(given: Trials) -> float:
+    """Best gain over every split, factors by numerical search."""
+
+    def best(begin: int, end: int) -> float:
+        t0, t1 = given.t[begin], given.t[end] if end < len(given.t) else np.inf
+        share = given.share[(given.moved >= t0) & (given.moved < t1)]
+        expected = rate * given.weight[begin:end].sum()
+
+        def loss(factor: float) -> float:
+            return float((factor - 1) * expected - np.log1p((factor - 1) * share).sum())
+
+        return -min(minimize_scalar(loss, bounds=(0.0, 1 / rate), method="bounded").fun, loss(0.0))
+
+    n = len(given.t)
+    rate = given.share.sum() / given.weight.sum()
+    return float(max(best(0, k) + best(k, n) for k in range(4, n - 3)) - best(0, n))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_quick_search_finds_what_the_slow_one_does(seed: int) -> None:
+    given = trials(two(0.6, 0.1 * seed, 120, 40), seed)
+    slow = slow_gain(given)
+    found = latest_change(given, 0.7 * slow)
+    assert found is not None
+    assert found[3] == pytest.approx(slow, rel=0.1)
+
+
+# --- what they do to the links ---
+
+BINS = LagBins(-20.0, 120.0)
+
+
+def table(rows: list[tuple[int, int, int]], leaving: float = 100.0) -> LinkTable:
+    """Links (source, target, transitions) of four zones."""
+    columns = [np.repeat([row[k] for row in rows], [row[2] for row in rows]).astype(np.int32) for k in (0, 1)]
+    n = len(columns[0])
+    moved = Transitions(columns[0], columns[1], np.full(n, 9.0), np.ones(n), np.zeros(n))
+    return tabulate(moved, np.full(4, leaving), BINS, 4)
+
+
+def test_without_changes_the_table_is_as_it_was() -> None:
+    links = table([(0, 1, 50)])
+    assert present(links, [], 4, 0.03) is links
+
+
+def test_a_closed_link_is_left_out_and_others_stay() -> None:
+    links = present(table([(0, 1, 50), (0, 2, 20)]), [Change(0, 1, 5.0, 0.8, 0.0, 30.0)], 4, 0.03)
+    assert links.target.tolist() == [2]
+    assert links.probability.tolist() == [0.2]
+
+
+def test_an_opened_link_has_its_present_share_and_its_own_evidence() -> None:
+    links = table([(0, 1, 5), (2, 3, 60)]).with_evidence(np.array([3.0, 50.0]), 16)
+    links = present(links, [Change(0, 1, 5.0, 0.0, 0.5, 20.0, linked=18.0)], 4, 0.03)
+    assert links.probability.tolist() == [0.5, 0.6]
+    assert links.ratio.tolist() == [18.0, 50.0]
+    assert links.q[0] < 1e-6
+
+
+def test_shares_beside_a_new_one_make_no_more_than_one() -> None:
+    links = present(table([(0, 1, 10), (0, 2, 90), (3, 2, 95)]), [Change(0, 1, 5.0, 0.0, 0.6, 20.0)], 4, 0.03)
+    assert links.probability.tolist() == pytest.approx([0.6, 0.4, 0.95])

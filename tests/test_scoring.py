@@ -1,0 +1,123 @@
+"""The learner's marks for its own predictions: right where who is who is plain, near the truth where it is not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from camtopod.learn.learner import Learner
+from camtopod.learn.scoring import EXITS_PER_VERSION, PROBABILITY_FLOOR, SCORED_MAX, Guess, Scorer, marks
+from camtopod.learn.settings import Settings
+from camtopod.records import Event, SelfScore
+from camtopod.sim.network import simulate
+from camtopod.sim.score import next_entries
+from camtopod.sim.settings import SimSettings
+
+GUESS = Guess(0.0, "a", 3, {"": 0.2, "b": 0.5, "c": 0.2, "d": 0.06, "e": 0.04}, {"": 0.3, "c": 0.7})
+
+
+def test_a_plain_outcome_is_marked_as_it_is() -> None:
+    mark = marks(GUESS, {"b": 1.0})
+    assert (mark.followed, mark.top1, mark.top3, mark.baseline_top1) == (1.0, 1.0, 1.0, 0.0)
+    assert mark.loss == pytest.approx(-math.log(0.5))
+    assert mark.baseline_loss == pytest.approx(-math.log(PROBABILITY_FLOOR))
+
+
+def test_leaving_is_an_outcome() -> None:
+    mark = marks(GUESS, {})
+    assert (mark.followed, mark.top1, mark.top3) == (0.0, 0.0, 0.0)
+    assert mark.loss == pytest.approx(-math.log(0.2))
+
+
+def test_a_doubtful_outcome_counts_in_parts() -> None:
+    mark = marks(GUESS, {"b": 0.5, "e": 0.3})
+    assert (mark.followed, mark.top1, mark.top3) == (0.8, 0.5, 0.5)
+    assert mark.loss == pytest.approx(-0.5 * math.log(0.5) - 0.3 * math.log(0.04) - 0.2 * math.log(0.2))
+
+
+def test_the_score_is_over_the_newest() -> None:
+    scorer = Scorer()
+    assert scorer.score() is None
+    for version in range(2 * SCORED_MAX):
+        scorer.note(GUESS._replace(version=version), {"b": 1.0} if version >= SCORED_MAX else {"c": 1.0})
+    score = scorer.score()
+    assert score is not None
+    assert (score.exits, score.since_version, score.top1, score.baseline_top1) == (SCORED_MAX, SCORED_MAX, 1.0, 0.0)
+
+
+class Told(Scorer):
+    """Also marks by what truly happened."""
+
+    def __init__(self, events: list[Event], truth: dict[tuple[float, str], str | None]) -> None:
+        super().__init__()
+        self.truth = truth
+        self.made = 0
+        self.told = Scorer()
+
+    def note(self, guess: Guess, happened: dict[str, float]) -> None:
+        super().note(guess, happened)
+        camera = self.truth[round(guess.t, 6), guess.camera]
+        self.told.note(guess, {camera: 1.0} if camera else {})
+
+
+@pytest.fixture(scope="module")
+def marked() -> tuple[list[Event], Learner, Told]:
+    events, truth = simulate(SimSettings(cameras=5, hours=1.5, seed=4, missed=0.05, clutter=0.05))
+    following = next_entries(events, truth)
+    told = Told(
+        events,
+        {
+            (round(event.t, 6), event.camera): None if entry < 0 else events[entry].camera
+            for event, entry in zip(events, following, strict=True)
+            if event.kind == "exit"
+        },
+    )
+    learner = Learner(Settings(refit_share=0.3))
+    learner._scorer = told
+    for event in events:
+        learner.receive(event)
+    learner.flush()
+    return events, learner, told
+
+
+def scores(told: Told) -> tuple[SelfScore, SelfScore]:
+    ours, true = told.score(), told.told.score()
+    assert ours is not None
+    assert true is not None
+    return ours, true
+
+
+def test_the_marks_are_near_the_truth(marked: tuple[list[Event], Learner, Told]) -> None:
+    ours, true = scores(marked[2])
+    assert ours.exits > 300
+    assert ours.top1 == pytest.approx(true.top1, abs=0.06)
+    assert ours.top3 == pytest.approx(true.top3, abs=0.08)
+    assert ours.log_loss == pytest.approx(true.log_loss, abs=0.3)
+    assert ours.top1 > ours.baseline_top1 + 0.05
+    assert true.top1 > true.baseline_top1 + 0.05
+
+
+def test_a_version_publishes_the_score(marked: tuple[list[Event], Learner, Told]) -> None:
+    _, learner, told = marked
+    made = learner.updates()
+    assert made[0].score is None  # nothing had been said yet
+    assert made[-1].score == told.score()
+    assert made[-1].score is not None
+    assert made[-1].score.exits <= EXITS_PER_VERSION * 2 * len(made)
+
+
+def test_it_is_the_same_from_any_order_of_arrival(marked: tuple[list[Event], Learner, Told]) -> None:
+    events = marked[0][:1500]
+    shuffled = sorted(events, key=lambda event: event.t + 4 * np.sin(event.t * 1e3))
+    one, other = Learner(Settings(refit_share=0.5)), Learner(Settings(refit_share=0.5))
+    for event in events:
+        one.receive(event)
+    for event in shuffled:
+        other.receive(event)
+    one.flush()
+    other.flush()
+    assert one.topology is not None
+    assert one.topology.score is not None
+    assert other.topology == one.topology
