@@ -1,8 +1,8 @@
 """The density floor, and DaSpec over what stands out of it: the first groups of cells (see `partition`).
 
-A camera also sees things begin and end anywhere, by broken tracks and false alarms: uniform clutter, of
-which DaSpec makes zones of its own (5 % clutter gives 6 to 9 instead of 3). Its rate is known from the sparse
-cells.
+A camera also sees things begin and end anywhere, by broken tracks and false alarms: clutter, of which DaSpec makes
+zones of its own (5 % uniform clutter gives 6 to 9 instead of 3). Its rate is known from the sparse cells; it changes
+over the image, but over wider stretches than a zone's.
 """
 
 from __future__ import annotations
@@ -18,27 +18,43 @@ Floats = NDArray[np.float64]
 Labels = NDArray[np.intp]
 Counts = NDArray[np.int64] | Floats
 
-CONTRAST_MIN = 1.5
-"""A zone is at least so many times as dense as clutter."""
-FLOOR_CHANCE = 0.05
+CONTRAST_MIN = 2.5
+"""A zone is at least so many times as dense as the clutter around it."""
+FLOOR_CHANCE = 0.01
 """A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this
 probability."""
 FOUND_CHANCE = 0.0001
 """The same for looking again among what was left as clutter."""
-FLOOR_WIDTH = 1.75
-"""Width of a cell's surroundings, grid steps."""
+FLOOR_WIDTHS = (0.75, 1.75)
+"""Widths of a cell's surroundings, grid steps: a fire door's, and that of a zone of few events."""
 PEELS_MAX = 3
 """DaSpec runs at most so often, each time over what no kept eigenvector reached."""
-_ROWS, _COLUMNS = kernel_1d(GRID_ROWS, FLOOR_WIDTH), kernel_1d(GRID_COLUMNS, FLOOR_WIDTH)
-_AREA = np.outer(_ROWS.sum(axis=0), _COLUMNS.sum(axis=0))
-_AREA_SQUARED = np.outer((_ROWS**2).sum(axis=0), (_COLUMNS**2).sum(axis=0))
+WIDTH = 4.0
+"""Clutter's rate is a mean over this width, grid steps: broader than a zone."""
+DENSER = 2.0
+"""A cell so many times as dense as the clutter around it is not clutter, however many events there are."""
+DENSER_MAX = 4.0
+"""Clutter is nowhere denser than this many times its mean."""
+EVENTS_ALIKE = 30.0
+"""With fewer events of clutter around a cell its rate is more that of the whole image."""
+ROUNDS = 8
+_WIDE_ROWS, _WIDE_COLUMNS = kernel_1d(GRID_ROWS, WIDTH), kernel_1d(GRID_COLUMNS, WIDTH)
+
+
+def _surroundings(width: float) -> tuple[Floats, Floats, Floats]:
+    rows, columns = kernel_1d(GRID_ROWS, width), kernel_1d(GRID_COLUMNS, width)
+    area = np.outer(rows.sum(axis=0), columns.sum(axis=0))
+    return rows, columns, area / np.outer((rows**2).sum(axis=0), (columns**2).sum(axis=0))
+
+
+_SURROUNDINGS = tuple(_surroundings(width) for width in FLOOR_WIDTHS)
 
 
 def clutter_rate(count: Counts) -> float:
-    """Events of uniform clutter per cell: the mean over the cells that are not significantly above it."""
+    """Events of clutter per cell: the mean over the cells that are not significantly above it."""
     n = count.ravel().astype(np.float64)
     rate = float(n.mean())
-    for _ in range(8):
+    for _ in range(ROUNDS):
         below = float(n[n <= rate + 3 * np.sqrt(rate) + 1].mean())
         if abs(below - rate) < 1e-6:
             break
@@ -46,13 +62,38 @@ def clutter_rate(count: Counts) -> float:
     return max(rate, 1e-6)
 
 
-def dense_cells(count: Counts, chance: float) -> Floats:
-    """Counts above the clutter, 0 in cells whose surroundings clutter would fill like this with at least
+def clutter_rates(count: Counts) -> Floats:
+    """`clutter_rate` around each cell, shape of ``count``: clutter is thicker where people walk or light flickers.
+
+    From at most `DENSER_MAX` of the whole image's rate it falls until nothing stands out.
+    """
+    n = np.asarray(count, dtype=np.float64)
+    mean = clutter_rate(count)
+    rate = np.full(n.shape, DENSER_MAX * mean)
+    for _ in range(ROUNDS):
+        kept = n <= DENSER * rate + 3 * np.sqrt(rate) + 1
+        weight = _WIDE_ROWS @ kept @ _WIDE_COLUMNS
+        around = (_WIDE_ROWS @ (kept * n) @ _WIDE_COLUMNS + EVENTS_ALIKE) / (weight + EVENTS_ALIKE / mean)
+        rate = np.minimum(rate, around)
+    return rate
+
+
+def _chance(count: Counts, rate: Floats) -> Floats:
+    """Probability that clutter fills a cell's surroundings like this, for the size of surroundings where it is least.
+
+    A kernel-weighted sum of Poisson counts is much like one count over (sum K)^2 / (sum K^2) cells.
+    """
+    least = np.ones(count.shape)
+    for rows, columns, scale in _SURROUNDINGS:
+        inside = np.maximum(rows @ count @ columns * scale, 1e-9)
+        least = np.minimum(least, gammainc(inside, rows @ rate @ columns * scale))
+    return least
+
+
+def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
+    """Counts above the clutter's ``rate``, 0 in cells whose surroundings clutter would fill like this with at least
     ``chance``."""
-    rate = clutter_rate(count)
-    # A kernel-weighted sum of Poisson counts is much like one count over (sum K)^2 / (sum K^2) cells.
-    inside = _ROWS @ count @ _COLUMNS * _AREA / _AREA_SQUARED
-    dense = gammainc(np.maximum(inside, 1e-9), rate * _AREA**2 / _AREA_SQUARED) < chance
+    dense = _chance(count, rate) < chance
     keep = dense & (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
     return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
 

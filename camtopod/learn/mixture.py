@@ -42,14 +42,14 @@ def log_density(x: Floats, y: Floats, component: Component) -> Floats:
     return density
 
 
-def classify_cells(components: Sequence[Component], clutter: float) -> NDArray[np.int16]:
+def classify_cells(components: Sequence[Component], clutter: float | Floats) -> NDArray[np.int16]:
     """The component with the largest posterior (eq. 2.6) in each cell, or -1 where clutter is likelier.
 
-    ``clutter`` is the number of events outside all zones per event inside; it is spread evenly over the
-    image. Shape (GRID_ROWS, GRID_COLUMNS).
+    ``clutter`` is the number of events outside all zones per event inside, times how dense it is in each cell in terms
+    of an even spread. Shape (GRID_ROWS, GRID_COLUMNS).
     """
     x = np.broadcast_to((np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS, (GRID_ROWS, GRID_COLUMNS))
     y = np.broadcast_to(((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None], (GRID_ROWS, GRID_COLUMNS))
-    scores = [np.full((GRID_ROWS, GRID_COLUMNS), np.log(max(clutter, 1e-3)))]
+    scores = [np.broadcast_to(np.log(np.maximum(clutter, 1e-3)), (GRID_ROWS, GRID_COLUMNS))]
     scores += [np.log(component.weight) + log_density(x, y, component) for component in components]
     return np.asarray(np.stack(scores).argmax(axis=0) - 1, dtype=np.int16)

@@ -1,6 +1,6 @@
 """Which cells of a camera's grid make a zone: DaSpec, made robust (thesis 4.2; `daspec`).
 
-1. The *density floor*: the rate of uniform clutter is estimated from the sparse cells, and cells whose
+1. The *density floor*: the rate of clutter around each cell is estimated from the sparse cells, and cells whose
    surroundings are explained by it are left out (`clutter`).
 2. *DaSpec* over the remaining cells, and again over those that no kept eigenvector reaches (a zone with under
    5 % of the points is such), at half the bandwidth of the rule: too many groups rather than too few.
@@ -34,7 +34,7 @@ EVENTS_MIN = 5
 PAIR_EVENTS = 1000.0
 """No zone is exactly Gaussian: in splitting and merging, n events weigh as n / (1 + n / PAIR_EVENTS) (Miller,
 Dunson: Robust Bayesian inference via coarsening, JASA 2019)."""
-VALLEY_MIN = 2.5
+VALLEY_MIN = 3.5
 """Log likelihood ratio of a valley that two Gaussians' evidence needs beside it."""
 VALLEY_ALONE = 8.0
 """One that needs no other evidence (several doors in a row look like one Gaussian to any single cut)."""
@@ -42,10 +42,9 @@ FAR = 3.0
 """Two centres further apart than this many of their summed standard deviations need no valley."""
 UNLIKE = 2.0
 """So much log likelihood for each event of the smaller group shows two zones without a valley."""
-EXCESS_MIN = 12.0
+EXCESS_MIN = 11.0
 """Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's zone,
-say, though half of the events in its cells are clutter and so its Gaussian fits badly. It must be
-`CONTRAST_MIN` as dense."""
+say, though half of the events in its cells are clutter and so its Gaussian fits badly."""
 _ROUNDS_MAX = 6
 _GAIN_HOPELESS = -10.0
 _CENTRES = np.stack(
@@ -77,15 +76,15 @@ class Cells(NamedTuple):
         return cls(index, sums, np.stack([x, y], 1), np.stack([xx, sums[:, 4] / n - x * y, yy], 1))
 
 
-def partition(cells: Cells, count: NDArray[np.int64]) -> Labels:
+def partition(cells: Cells, count: NDArray[np.int64], rates: Floats) -> Labels:
     """The zone of each occupied cell, counted from 0, or -1 for clutter; ``count`` (rows, columns) are all
-    events."""
+    events, ``rates`` those of clutter (`clutter_rates`)."""
     one = np.zeros(len(cells.index), dtype=np.intp)
     if count.sum() < EVENTS_MIN:
         return one
-    dense = dense_cells(count, FLOOR_CHANCE)
+    dense = dense_cells(count, rates, FLOOR_CHANCE)
     groups = groups_of(dense if dense.any() else count.astype(np.float64))
-    labels = _Moves(cells, groups[cells.index]).settle()
+    labels = _Moves(cells, groups[cells.index], rates).settle()
     return labels if labels.max() >= 0 else one
 
 
@@ -93,8 +92,11 @@ class _Moves:
     """A partition of the cells being improved. ``zones`` (K, 6) are the sums of the groups, ``clutter`` the
     number of events outside."""
 
-    def __init__(self, cells: Cells, labels: Labels) -> None:
+    def __init__(self, cells: Cells, labels: Labels, rates: Floats) -> None:
         self.cells = cells
+        self.rates = rates
+        self.density = (rates / rates.mean()).ravel()  # of clutter, relative to a uniform one
+        self.log_density = np.log(self.density[cells.index])
         self.total = float(cells.sums[:, 0].sum())
         self.valleys: dict[bytes, float] = {}
         self.uncut: set[bytes] = set()
@@ -108,6 +110,7 @@ class _Moves:
         self.labels[inside] = compact
         self.zones = np.zeros((int(self.labels.max(initial=-1)) + 1, 6))
         np.add.at(self.zones, compact, self.cells.sums[inside])
+        self.as_clutter = np.bincount(compact, (self.cells.sums[:, 0] * self.log_density)[inside], len(self.zones))
         self.clutter = self.total - float(self.zones[:, 0].sum())
 
     def settle(self) -> Labels:
@@ -134,7 +137,7 @@ class _Moves:
         count = np.zeros(GRID_ROWS * GRID_COLUMNS)
         count[self.cells.index[outside]] = self.cells.sums[outside, 0]
         labels, known = self.labels, len(self.zones)
-        dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), FOUND_CHANCE)
+        dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), self.rates, FOUND_CHANCE)
         if not dense.any():
             return False
         groups = groups_of(dense)[self.cells.index]
@@ -189,29 +192,31 @@ class _Moves:
             self._remove(k)
 
     def _drop_gain(self, which: Labels) -> Floats:
-        """What the log posterior gains when a zone is clutter instead, but nothing where it stands out
-        (`_excess`)."""
+        """What the log posterior gains when a zone is clutter instead; but nothing where it stands out (`_excess`), and
+        something where it is hardly denser than the clutter around it."""
         n, count = self.zones[which, 0], len(self.zones)
         total = np.array(self.total)
         prior = log_zones(count - 1, total) - log_zones(count, total) - log_share(n)
-        gain = prior + gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1) - log_evidence(self.zones[which])
-        doubtful = gain > 0
-        gain[doubtful] = np.minimum(gain[doubtful], EXCESS_MIN - self._excess(which[doubtful]))
+        gain = prior + gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1)
+        gain += self.as_clutter[which] - log_evidence(self.zones[which])
+        contrast, excess = self._excess(which)
+        gain = np.where(gain > 0, np.minimum(gain, EXCESS_MIN - excess), gain)
+        gain[contrast < CONTRAST_MIN] = np.maximum(gain[contrast < CONTRAST_MIN], 1.0)
         return np.asarray(gain)
 
-    def _excess(self, which: Labels) -> Floats:
-        """Log likelihood ratio of each zone's surplus over clutter within two standard deviations
-        (Poisson)."""
+    def _excess(self, which: Labels) -> tuple[Floats, Floats]:
+        """Density of each zone in terms of the clutter's there, within two standard deviations, and the log likelihood
+        ratio of the surplus (Poisson)."""
         mean, cov = gaussians(self.zones[which])
         xx, xy, yy = (cov + _CELL_SPREAD).T[:, :, None]
         dx, dy = _CENTRES[0] - mean[:, :1], _CENTRES[1] - mean[:, 1:]
         inside = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy < 4 * (xx * yy - xy * xy)
         inside[:, self.cells.index] &= (self.labels < 0) | (self.labels == which[:, None])
-        open_cells = inside.shape[1] - int((self.labels >= 0).sum())
-        expected = np.maximum(inside.sum(axis=1), 1) * (self.clutter + 1) / max(open_cells, 1)
+        outside = self.density.sum() - self.density[self.cells.index[self.labels >= 0]].sum()
+        expected = np.maximum(inside @ self.density, self.density.min()) * (self.clutter + 1) / max(outside, 1.0)
         n = np.maximum((inside[:, self.cells.index] * self.cells.sums[:, 0]).sum(axis=1), 1e-9)
         excess = n * np.log(n / expected) - n + expected
-        return np.where(n > CONTRAST_MIN * expected, excess, 0.0)
+        return n / expected, np.where(n > expected, excess, 0.0)
 
     def _apart(self, a: Floats, b: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """What the log posterior gains by two zones ``a`` and ``b`` (..., 6) instead of one, and whether that
@@ -273,7 +278,7 @@ class _Moves:
             np.log(self.zones[:, 0] + 1) - np.log(2 * np.pi) - 0.5 * np.log(determinant) - 0.5 * squared / determinant
         )
         best = score.argmax(axis=1)
-        explained = score[np.arange(len(best)), best] > np.log(self.clutter + 1)
+        explained = score[np.arange(len(best)), best] > np.log(self.clutter + 1) + self.log_density
         self._set(np.where(explained, best, -1))
 
     def _split(self) -> bool:

@@ -15,6 +15,7 @@ from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
+from camtopod.learn.clutter import clutter_rates
 from camtopod.learn.mixture import classify_cells
 from camtopod.learn.partition import Cells, partition
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
@@ -99,11 +100,13 @@ def find_zones(sums: CellSums, previous: tuple[ZoneShape, ...] = (), next_number
     if not len(occupied):
         return ZoneMap((), np.full((GRID_ROWS, GRID_COLUMNS), -1, dtype=np.int16), next_number)
     scale = np.array([1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2])
-    labels = partition(Cells.of(flat[occupied] / scale, occupied), np.asarray(sums.count))
+    rates = clutter_rates(np.asarray(sums.count))
+    labels = partition(Cells.of(flat[occupied] / scale, occupied), np.asarray(sums.count), rates)
     total = int(flat[occupied[labels >= 0], 0].sum())
     found = [_shape(flat[occupied[labels == k]].sum(axis=0), total) for k in range(labels.max() + 1)]
     zones, next_number = match_zones(previous, found, next_number)
-    return ZoneMap(zones, classify_cells(zones, int(flat[:, 0].sum()) / total - 1.0), next_number)
+    clutter = (int(flat[:, 0].sum()) / total - 1.0) * rates / rates.mean()
+    return ZoneMap(zones, classify_cells(zones, clutter), next_number)
 
 
 def _shape(sums: Integers, total: int) -> ZoneShape:
