@@ -62,8 +62,11 @@ class Camera(Struct, frozen=True):
     clock_offset_sd: float | None = None
 
 
-class Transit(Struct, frozen=True):
-    """Transit time from the exit at ``from`` to the entry at ``to``, seconds; negative where views overlap."""
+class Transit(Struct, frozen=True, omit_defaults=True):
+    """Transit time from the exit at ``from`` to the entry at ``to``, seconds; negative where views overlap.
+
+    ``mean_sd``, ``q50_sd``: standard errors of mean and median.
+    """
 
     mode: float
     mean: float
@@ -71,6 +74,8 @@ class Transit(Struct, frozen=True):
     q10: float
     q50: float
     q90: float
+    mean_sd: float | None = None
+    q50_sd: float | None = None
 
 
 class Histogram(Struct, frozen=True):

@@ -43,14 +43,64 @@ def test_figures_equal_their_definitions(seed: int, n: int, pairs: int) -> None:
         x, w = lag[pair == p], weight[pair == p]
         assert found.total[p] == pytest.approx(w.sum())
         if w.sum() > 0:
-            assert found.mean[p] == pytest.approx(np.average(x, weights=w))
-            assert found.sd[p] == pytest.approx(np.sqrt(np.average((x - np.average(x, weights=w)) ** 2, weights=w)))
+            low, middle, high = (naive.weighted_quantile(x, w, q) for q in (0.25, 0.5, 0.75))
+            near = abs(x - middle) <= 4.5 * max((high - low) / 1.349, 0.2)
+            mean = np.average(x[near], weights=w[near])
+            sd = np.sqrt(np.average((x[near] - mean) ** 2, weights=w[near]))
+            assert found.mean[p] == pytest.approx(mean)
+            assert found.sd[p] == pytest.approx(sd)
+            assert found.mean_error[p] == pytest.approx(np.hypot(max(sd, 0.2) / np.sqrt(w.sum()), 0.01 * mean))
             assert found.ahead[p] == pytest.approx(w[x < 0].sum() / w.sum())
             assert found.quantiles[p, 0] <= found.quantiles[p, 1] <= found.quantiles[p, 2]
         else:
             figures = (found.mean[p], found.sd[p], found.ahead[p], *found.quantiles[p])
             assert np.isnan(figures).all()
         assert np.isnan(found.mode[p])
+
+
+def walks(seed: int, pairs: int, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pair, lag and log slowness of ``n`` transitions of each pair; the median transit is 10 s, objects differ much in
+    speed, and one's speed is known nearly.
+    """
+    rng = np.random.default_rng(seed)
+    pace = 0.3 * rng.standard_normal(pairs * n)
+    lag = 10.0 * np.exp(pace + 0.1 * rng.standard_normal(pairs * n))
+    return np.repeat(np.arange(pairs, dtype=np.int32), n), lag, pace + 0.07 * rng.standard_normal(pairs * n)
+
+
+@pytest.mark.parametrize("slow_known", [False, True])
+def test_the_median_is_as_sure_as_it_says(slow_known: bool) -> None:
+    pairs, n = 400, 60
+    pair, lag, slow = walks(1, pairs, n)
+    told = (slow, np.full(pairs, 0.01)) if slow_known else (None, None)
+    found = transit_figures(pair, lag, np.ones(len(lag)), np.zeros((pairs, BINS.size)), BINS, *told)
+    away = np.abs(found.quantiles[:, 1] - 10.0)
+    assert 0.85 < np.mean(away < 1.645 * found.median_error) < 0.99
+    assert 0.85 < np.mean(np.abs(found.mean - 10.0 * np.exp(0.05)) < 1.645 * found.mean_error) < 0.99
+    plain = 1.2533 * 0.316 * 10.0 / np.sqrt(n)
+    assert np.sqrt(np.mean(away**2)) < (0.65 if slow_known else 1.1) * plain
+
+
+def test_what_is_far_off_is_chance() -> None:
+    pair, lag, _ = walks(2, 50, 100)
+    rng = np.random.default_rng(2)
+    stray = rng.integers(0, 50, 500).astype(np.int32)
+    pair, lag = np.concatenate((pair, stray)), np.concatenate((lag, rng.uniform(40, 120, 500)))
+    found = transit_figures(pair, lag, np.ones(len(lag)), np.zeros((50, BINS.size)), BINS)
+    assert np.median(found.mean) == pytest.approx(10.5, rel=0.05)
+    assert np.average(lag) > 15
+
+
+def test_unknown_slowness_changes_nothing() -> None:
+    pair, lag, slow = walks(3, 3, 40)
+    slow[pair == 1] = np.nan
+    density = np.zeros((3, BINS.size))
+    plain = transit_figures(pair, lag, np.ones(len(lag)), density, BINS)
+    found = transit_figures(pair, lag, np.ones(len(lag)), density, BINS, slow, np.full(3, 0.01))
+    assert found.quantiles[1].tolist() == plain.quantiles[1].tolist()
+    assert found.median_error[1] == plain.median_error[1]
+    assert found.quantiles[0, 1] != plain.quantiles[0, 1]
+    assert np.diff(found.quantiles[0]) == pytest.approx(np.diff(plain.quantiles[0]))
 
 
 def test_figures_of_no_pair() -> None:

@@ -74,7 +74,10 @@ def link_records(
         Link(
             ids[table.source[k]], ids[table.target[k]], relation or relation_of(float(t.ahead[k])),
             short(table.probability[k]), short(t.total[k]),
-            Transit(short(t.mode[k]), short(t.mean[k]), short(t.sd[k]), *(short(q) for q in t.quantiles[k])),
+            Transit(
+                *(short(value) for value in (t.mode[k], t.mean[k], t.sd[k], *t.quantiles[k])),
+                *(short(value) for value in (t.mean_error[k], t.median_error[k])),
+            ),
             short(table.q[k]), short(table.variance[k]), _histogram(table.counts[k], bins),
         )
         for k in range(len(table.source))

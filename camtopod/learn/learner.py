@@ -26,6 +26,7 @@ from camtopod.learn.links import (
     LinkTable,
     beside,
     join,
+    pace_of,
     refresh_monte_carlo,
     significant,
     tabulate,
@@ -195,6 +196,7 @@ class Learner:
             version, now, scene, [zone_id(cameras, zone) for zone in scene.zones], cameras, silences, changes, joined,
             self.settings.publish_probability_min,
         )  # fmt: skip
+        self._alarms.clocks(version, now, topology.cameras)
         self.topology = stamp(
             replace(
                 topology, site=self.site, epoch=self.epoch, version=version, as_of=now, events=self._learned,
@@ -249,7 +251,8 @@ class Learner:
         posterior, fit = fit_jointly(departures, arrivals, candidates, self.bins, zones, scene.last, known)
         self._memory.remember(posterior, fit, scene, len(self._window), fresh=known is None)
         ratio = cross_evidence(departures, arrivals, fit, self.bins, zones, first, scene.last)
-        between = tabulate(transitions_of(fit), leaving, self.bins, zones).with_evidence(ratio, zones * zones)
+        pace = pace_of(fit, departures, arrivals, zones)
+        between = tabulate(transitions_of(fit), leaving, self.bins, zones, pace).with_evidence(ratio, zones * zones)
         likely = tabulate(transitions_of(posterior), leaving, self.bins, zones)
         over = scene.last - self.bins.lag_max
         self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)

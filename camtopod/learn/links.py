@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn import mahalanobis, montecarlo
+from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.joint import Fit, smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.settings import Settings
 from camtopod.learn.significance import Ways, explained_by_missed, log_likelihood_ratio, q_values
-from camtopod.learn.transit import TransitFigures, transit_figures
+from camtopod.learn.slowness import combined
+from camtopod.learn.transit import MEDIAN_ERROR, TransitFigures, transit_figures
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -53,6 +55,29 @@ def transitions_of(fit: Fit) -> Transitions:
     return Transitions(c.source[c.pair], c.target[c.pair], c.lag, fit.responsibility, fit.flat)
 
 
+class Pace(NamedTuple):
+    """How fast the objects of transitions were."""
+
+    slow: Floats
+    """(M,) by what power of e slower than usual, as far as that bears on lags; nan where unknown."""
+    left: Floats
+    """(zones,) standard error of what is usual among those that leave there."""
+    came: Floats
+    """(zones,) the same among those that come there."""
+
+
+def pace_of(fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) -> Pace | None:
+    """Of the candidates of a joint fit; None where speeds tell nothing."""
+    scaling, _, sd = fit.persistence
+    if scaling <= 0:
+        return None
+    c = fit.candidates
+    slow = scaling * combined(departures.slow[c.departure], arrivals.slow[c.arrival])
+    number = (np.bincount(ends.zone[np.isfinite(ends.slow)], minlength=zones) for ends in (departures, arrivals))
+    left, came = (scaling * MEDIAN_ERROR * sd / np.sqrt(np.maximum(n, 1)) for n in number)
+    return Pace(slow, left, came)
+
+
 class LinkTable(NamedTuple):
     """Figures of P pairs of zones, (P,) each; ``counts`` are expected transitions per lag bin, (P, bins)."""
 
@@ -79,7 +104,9 @@ class LinkTable(NamedTuple):
         return self._replace(ratio=ratio, q=q_values(ratio, tests))
 
 
-def tabulate(transitions: Transitions, leaving: Floats, bins: LagBins, zones: int) -> LinkTable:
+def tabulate(
+    transitions: Transitions, leaving: Floats, bins: LagBins, zones: int, pace: Pace | None = None
+) -> LinkTable:
     """Figures of every pair of zones that has a transition. ``leaving`` (zones,): how many could have taken one."""
     key = transitions.source.astype(np.int64) * zones + transitions.target
     present, pair = np.unique(key, return_inverse=True)
@@ -93,7 +120,8 @@ def tabulate(transitions: Transitions, leaving: Floats, bins: LagBins, zones: in
     )
     counts: Floats = flat.reshape(pairs, bins.size).astype(float)
     density = smooth(counts)[0] / bins.widths
-    transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins)
+    slow, error = (None, None) if pace is None else (pace.slow, 0.5 * np.hypot(pace.left[source], pace.came[target]))
+    transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins, slow, error)
     ratio = log_likelihood_ratio(pair, transitions.weight, transitions.flat, pairs)
     variance = np.nan_to_num(transit.sd) ** 2 / mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
     probability = np.minimum(transit.total / np.maximum(leaving[source], 1.0), 1.0)

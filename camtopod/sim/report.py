@@ -128,7 +128,7 @@ def _links(setup: Setup, settings: SimSettings, ids: list[str], recorded: Passag
 
 def _times(one: Transit, metres: float) -> Transit:
     """A metre's figures scaled to a way's length."""
-    return Transit(*(round(getattr(one, name) * metres, 4) for name in Transit.__struct_fields__))
+    return Transit(*(round(time * metres, 4) for time in (one.mode, one.mean, one.sd, one.q10, one.q50, one.q90)))
 
 
 def _walked(recorded: Passages) -> dict[tuple[bool, int, int], int]:
