@@ -93,7 +93,7 @@ def _doors(job: str, base: SimSettings, seeds: range, doors: int) -> None:
         known = np.array([row.needed for row in some if not np.isnan(row.needed)])
         if len(known):
             print(
-                f"{job}, {len(some)} links with {least} passages after it or more: {len(known)} found, after a median of "
+                f"{job}, {len(some)} links of {least} passages or more since: {len(known)} found, after a median of "
                 f"{np.median(known):.0f} passages (quartiles {np.quantile(known, 0.25):.0f} to "
                 f"{np.quantile(known, 0.75):.0f}); {sum(row.alarmed for row in some)} alarms"
             )

@@ -13,7 +13,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.topology import ALARMS_KEPT_MAX, apply_delta, make_delta
-from camtopod.records import Delta, Event, Topology
+from camtopod.records import Camera, Delta, Event, Topology
 
 ZONES = ["a/1", "b/1", "b/2"]
 OPENED, CLOSED = Change(0, 1, 100.0, 0.0, 0.5, 20.0), Change(0, 1, 300.0, 0.5, 0.0, 20.0)
@@ -115,6 +115,15 @@ def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
     for version, silence in enumerate([Silences([], False), gone, gone, back, back], start=1):
         log.cameras(version, 10.0 * version, [Silences([], False), silence], ["a", "b"])
     assert said(log) == [(2, "camera_silent", "b"), (4, "camera_back", "b")]
+
+
+def test_a_clock_is_told_when_it_moves_and_not_when_it_becomes_known() -> None:
+    log = AlarmLog()
+    for version, (offset, sd) in enumerate(
+        [(0.0, None), (30.0, 1.0), (30.9, 0.4), (30.5, 0.2), (30.8, 0.1), (28.0, 0.1), (28.0, 0.1)], start=1
+    ):
+        log.clocks(version, 10.0 * version, [Camera("a", [], offset, sd), Camera("b", [], 0.0, sd)])
+    assert said(log) == [(6, "clock_changed", "a")]
 
 
 # --- the whole learner ---

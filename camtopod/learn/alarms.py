@@ -14,12 +14,15 @@ from camtopod.learn.change import Change, Trials, latest_change, threshold_nats
 from camtopod.learn.scene import Scene
 from camtopod.learn.silence import Silences
 from camtopod.learn.topology import ALARMS_KEPT_MAX
-from camtopod.records import Alarm
+from camtopod.records import Alarm, Camera
 
 SUBJECTS_MAX = 10_000
 """Links and zones whose last report is remembered; beyond, the oldest is forgotten."""
 SHARE_CHANGE_MIN = 0.1
 """A link that stays open is reported when its share has changed by this; smaller changes are followed silently."""
+CLOCK_CHANGE_SECONDS_MIN = 0.5
+CLOCK_CHANGE_SD = 4.0
+"""A clock is reported when it has moved by both, the second in standard deviations."""
 GONE_RATIO = 0.05
 """A zone is gone, or new, when its share of the camera's events is, or was, at most this much of what it was, or is."""
 ZONE_SHARE_MAX = 0.99
@@ -33,6 +36,7 @@ class AlarmLog:
         """The newest `ALARMS_KEPT_MAX`, oldest first."""
         self._said: dict[str, float] = {}  # subject -> when last reported; for what can change again
         self._silent: set[str] = set()
+        self._clock: dict[str, tuple[float, float]] = {}  # offset in seconds and its sd that changes are held against
 
     def add(self, version: int, t: float, kind: str, subject: str, detail: str) -> None:
         """Report something found outside this module."""
@@ -84,6 +88,20 @@ class AlarmLog:
             elif name in self._silent and not ongoing:
                 self._silent.discard(name)
                 self.add(version, t, "camera_back", name, "events again")
+
+    def clocks(self, version: int, t: float, cameras: list[Camera]) -> None:
+        """Cameras whose clock has moved against the others. What is known for the first time is no change."""
+        for camera in cameras:
+            now, sd = camera.clock_offset, camera.clock_offset_sd
+            if sd is None:
+                continue
+            before, before_sd = self._clock.get(camera.id, (now, np.inf))
+            moved = abs(now - before)
+            clear = moved >= CLOCK_CHANGE_SECONDS_MIN and moved > CLOCK_CHANGE_SD * np.hypot(sd, before_sd)
+            if clear:
+                self.add(version, t, "clock_changed", camera.id, f"ahead by {before:.2f} s before, by {now:.2f} s now")
+            if clear or sd < before_sd / 2:
+                self._clock[camera.id] = now, sd
 
     def _once(self, version: int, t: float, kind: str, subject: str, detail: str, since: float) -> None:
         """Report a change unless what is known of the subject was known when it was last reported."""
