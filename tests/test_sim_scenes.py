@@ -25,16 +25,16 @@ from camtopod.sim.walkway import WalkwaySettings, simulate_walkway
 
 Recording = tuple[list[Event], Truth]
 SCENES: dict[str, Callable[[int], Recording]] = {
-    "hall": lambda seed: simulate_hall(HallSettings(seed=seed, seconds=1200.0)),
+    "hall": lambda seed: simulate_hall(HallSettings(seed=seed, seconds=900.0)),
     "crowd": lambda seed: simulate_crowd(CrowdSettings(seed=seed, seconds=300.0)),
     "walkway": lambda seed: simulate_walkway(WalkwaySettings(seed=seed)),
-    "road": lambda seed: simulate_road(RoadSettings(seed=seed, seconds=1800.0)),
+    "road": lambda seed: simulate_road(RoadSettings(seed=seed, seconds=1800.0, per_second=0.4)),
 }
 SIMULATE: dict[str, tuple[Callable[..., Recording], msgspec.Struct]] = {
-    "hall": (simulate_hall, HallSettings(seconds=600.0)),
+    "hall": (simulate_hall, HallSettings(seconds=400.0)),
     "crowd": (simulate_crowd, CrowdSettings(seconds=120.0)),
     "walkway": (simulate_walkway, WalkwaySettings()),
-    "road": (simulate_road, RoadSettings(seconds=900.0)),
+    "road": (simulate_road, RoadSettings(seconds=1200.0, per_second=0.4)),
 }
 NO_FAULTS = Faults(missed=0.0, clutter=0.0, broken_every=np.inf, short=0.0, noise=0.0)
 
@@ -184,7 +184,7 @@ def test_people_in_a_hall_are_in_several_views_and_cross_borders_anywhere() -> N
 
 def test_trains_bring_platoons() -> None:
     def unevenness(share: float) -> float:
-        events, _ = simulate_hall(HallSettings(train_share=share, seconds=2400.0, faults=NO_FAULTS))
+        events, _ = simulate_hall(HallSettings(train_share=share, walkers_per_hour=1500.0, faults=NO_FAULTS))
         counts = np.histogram([e.t for e in events if e.kind == "entry"], np.arange(0, 2401, 30) + 1_700_000_000)[0]
         return float(counts.var() / counts.mean())
 

@@ -29,8 +29,8 @@ class HallSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """What is simulated. Times are seconds."""
 
     seed: int = 0
-    walkers_per_hour: float = 1500.0
-    seconds: float = 3600.0
+    walkers_per_hour: float = 2400.0
+    seconds: float = 2400.0
     cameras: int = 7
     size: tuple[float, float] = (40.0, 30.0)
     """Metres."""

@@ -46,9 +46,9 @@ class RoadSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """What is simulated. Times are seconds."""
 
     seed: int = 0
-    per_second: float = 0.3
+    per_second: float = 0.2
     """Vehicles that begin a trip."""
-    seconds: float = 3600.0
+    seconds: float = 7200.0
     cameras: int = 20
     grid: tuple[int, int] = (4, 5)
     """Arterials that cross, north to south and west to east."""
