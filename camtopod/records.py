@@ -105,11 +105,18 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     histogram: Histogram | None = None
 
 
-class Pair(Struct, frozen=True):
-    """A related pair of cameras, ids sorted: the thesis's black (overlapped) or grey (unseen path) edge."""
+class Pair(Struct, frozen=True, omit_defaults=True):
+    """A related pair of cameras, ids sorted: the thesis's black (overlapped) or grey (unseen path) edge.
+
+    ``by_lags``: from where the lags of the links lie; ``by_sum_rule``: from the thesis's table 4.4, none where it could
+    not be tested; ``reason``: why the two are not the same.
+    """
 
     cameras: tuple[str, str]
     relation: PairRelation
+    by_lags: PairRelation | None = None
+    by_sum_rule: PairRelation | None = None
+    reason: str | None = None
 
 
 class ZoneModel(Struct, frozen=True):

@@ -27,7 +27,7 @@ from camtopod.learn.links import (
 from camtopod.learn.overlap import sum_rule
 from camtopod.learn.relations import camera_pairs, relation_of
 from camtopod.learn.settings import Settings
-from camtopod.records import ChainEdge, Link, Pair, Transit, Zone
+from camtopod.records import ChainEdge, Link, Transit, Zone
 
 BINS = LagBins(-20.0, 120.0)
 SETTINGS = Settings(publish_q_max=0.01, publish_probability_min=0.03, missed_share_max=0.25)
@@ -236,6 +236,14 @@ def zone(name: str, exits: int = 10) -> Zone:
 ZONES = [zone(name) for name in ("a/1", "a/2", "b/1", "b/2", "c/1")]
 
 
+def related(links: list[Link], tolerance: float = 0.2) -> list[tuple[str, ...]]:
+    """Cameras, relation, verdict by the lags, verdict by the sum rule ("": not tested)."""
+    pairs = camera_pairs(ZONES, links, tolerance)
+    for pair in pairs:
+        assert (pair.reason is None) == (pair.by_lags == pair.by_sum_rule)
+    return [("".join(p.cameras), p.relation, p.by_lags or "", p.by_sum_rule or "") for p in pairs]
+
+
 def test_pairs_of_cameras_once_each_sorted() -> None:
     links = [
         link("b/1", "a/1", "unseen", 8.0),
@@ -243,7 +251,7 @@ def test_pairs_of_cameras_once_each_sorted() -> None:
         link("c/1", "a/1", "overlapped", -2.0),
         link("a/1", "a/2", "unseen", 30.0),  # comes back
     ]
-    assert camera_pairs(ZONES, links, 0.2) == [Pair(("a", "b"), "unseen_path"), Pair(("a", "c"), "overlapped")]
+    assert related(links) == [("ab", "unseen_path", "unseen_path", ""), ("ac", "overlapped", "overlapped", "")]
     assert camera_pairs(ZONES, [], 0.2) == []
     assert camera_pairs(ZONES, [link("a/1", "a/2", "visible", 5.0)], 0.2) == []
 
@@ -251,17 +259,20 @@ def test_pairs_of_cameras_once_each_sorted() -> None:
 def test_one_overlapped_link_makes_the_pair_overlapped() -> None:
     links = [link("a/1", "b/1", "unseen", 8.0), link("b/2", "a/2", "overlapped", -1.0)]
     for order in (links, links[::-1]):
-        assert camera_pairs(ZONES, order, 0.2) == [Pair(("a", "b"), "overlapped")]
+        assert related(order) == [("ab", "overlapped", "overlapped", "")]
 
 
-def test_entered_during_the_passage_is_overlapped_by_the_sum_rule() -> None:
-    """Half of the lags are negative, so the link alone says unseen; the passage of 6 s decides."""
+def test_both_verdicts_and_why_they_differ() -> None:
+    """Half of the lags of the first are negative, so the lags alone say unseen; the passage of 6 s decides."""
     inside, after = link("a/2", "b/1", "unseen", -0.5), link("a/2", "b/1", "unseen", 0.5)
+    ahead, too_early = link("a/2", "b/1", "overlapped", -2.0), link("a/2", "b/1", "overlapped", -9.0)
     passage = link("a/1", "a/2", "visible", 6.0)
-    assert camera_pairs(ZONES, [inside], 0.2) == [Pair(("a", "b"), "unseen_path")]
-    assert camera_pairs(ZONES, [passage, inside], 0.2) == [Pair(("a", "b"), "overlapped")]
-    assert camera_pairs(ZONES, [passage, after], 0.2) == [Pair(("a", "b"), "unseen_path")]
-    assert camera_pairs(ZONES, [passage, after], 1.0) == [Pair(("a", "b"), "overlapped")]
+    assert related([inside]) == [("ab", "unseen_path", "unseen_path", "")]
+    assert related([passage, inside]) == [("ab", "overlapped", "unseen_path", "overlapped")]
+    assert related([passage, after]) == [("ab", "unseen_path", "unseen_path", "unseen_path")]
+    assert related([passage, after], tolerance=1.0) == [("ab", "overlapped", "unseen_path", "overlapped")]
+    assert related([passage, ahead]) == [("ab", "overlapped", "overlapped", "overlapped")]
+    assert related([passage, too_early]) == [("ab", "overlapped", "overlapped", "unseen_path")]
 
 
 # --- chain ---
