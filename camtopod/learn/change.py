@@ -32,8 +32,10 @@ from camtopod.learn.significance import log_likelihood_ratio
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-FALSE_ALARM = 1e-3
-"""Probability that chance makes a change anywhere in one window."""
+FALSE_ALARM = 5e-3
+"""Probability by theory that chance makes a change anywhere in one window; what is doubtful varies less than theory has
+it, so that in measurement it is far less.
+"""
 FACTORS = np.concatenate(([0.0], np.geomspace(0.03, 100.0, 25)))
 """Shares after over shares on the whole that are tried."""
 SPLIT_DEPARTURES_MIN = 4

@@ -21,7 +21,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     refit_hours: float = 1.0
     """... or when there are any and this much event time has passed."""
     window_hours: float = 336.0
-    """Events older than this are forgotten."""
+    """Forgetting: events older than this are not learned from. Ways that open or close are found within it."""
     window_events_max: int = 60_000
     """At most this many events are kept for learning, whatever their age."""
     transit_max_seconds: float = 120.0
