@@ -7,6 +7,8 @@ are the learned hazards, all of them, weak evidence included. Three things are t
 * *seen*: where views overlap the object may already have appeared; each recent arrival counts for its hazard over the
   rate of everything else that could have caused it, and an overlapped view without an arrival loses its share;
 * *alive*: a camera silent for far longer than its traffic allows is not where objects will be seen.
+
+Events come with their cameras' own clocks; inside, times are right ones, as far as the topology knows the clocks.
 """
 
 from __future__ import annotations
@@ -67,6 +69,9 @@ class Predictor:
         self._of_camera: dict[str, list[int]] = {}
         for k, zone in enumerate(self.zones):
             self._of_camera.setdefault(zone.camera, []).append(k)
+        self._ahead = {camera.id: camera.clock_offset for camera in topology.cameras}
+        self._clocks_apart = max(self._ahead.values(), default=0.0) - min(self._ahead.values(), default=0.0)
+        self._corrected = topology.model is not None and topology.model.clocks_corrected
         self._share = {known.camera: known.share for known in (topology.model.cameras if topology.model else [])}
         self._stay_max = {
             camera: self._hazards.longest_stay(zones) or UNDER_WAY_SECONDS_MAX
@@ -97,18 +102,19 @@ class Predictor:
         if zone is None:
             return
         self._last_event[event.camera] = self._events
+        t = event.t - self._ahead[event.camera]
         if event.kind == "entry":
-            self._arrivals.append(_Arrival(event.t, zone, self._rate_at(zone, event.t)))
+            self._arrivals.append(_Arrival(t, zone, self._rate_at(zone, t)))
             if event.track is not None:
-                self._under_way[event.camera, str(event.track)] = _Passage(event.t, event.camera)
-                self._forget_stale(event.t)
+                self._under_way[event.camera, str(event.track)] = _Passage(t, event.camera)
+                self._forget_stale(t)
             return
         passage = self._under_way.pop((event.camera, str(event.track)), None)
         since = passage.t if passage else -math.inf
-        self._exits.append(_Left(event.t, since, zone))
-        for arrival in self._recent(event.t, since, event.camera):
+        self._exits.append(_Left(t, since, zone))
+        for arrival in self._recent(t, since, event.camera):
             before = self._hazards.rate_ahead(event.camera, arrival.zone) if passage else 0.0
-            arrival.rate += self._hazards.rate(zone, arrival.zone, arrival.t - event.t) - before
+            arrival.rate += self._hazards.rate(zone, arrival.zone, arrival.t - t) - before
 
     def zone_of(self, event: Event) -> int | None:
         """Index of the zone the event most likely belongs to; None for a camera without zones."""
@@ -127,14 +133,18 @@ class Predictor:
         if zone is None:
             return Prediction(event.camera, None, event.t, track, self.topology.version, 1.0, [])
         passage = self._under_way.get((event.camera, str(event.track))) if event.track is not None else None
-        return self.predict_from(zone, event.t, passage.t if passage else None, track)
+        since = passage.t + self._ahead[event.camera] if passage else None
+        return self.predict_from(zone, event.t, since, track)
 
     def predict_from(self, zone: int, t: float, since: float | None = None, track: str | None = None) -> Prediction:
-        """The same for an object that left a zone (index) at ``t`` after a passage begun at ``since``, if known."""
+        """The same for an object that left a zone (index) at ``t`` after a passage begun at ``since``, if known; by the
+        clock of the zone's camera.
+        """
         here, outcomes = self.zones[zone], self._hazards.outcomes.get(zone)
         if outcomes is None:
             return Prediction(here.camera, here.id, t, track, self.topology.version, 1.0, [])
-        mass, leave = self._odds(here.camera, outcomes, t, since)
+        ahead = self._ahead[here.camera]
+        mass, leave = self._odds(here.camera, outcomes, t - ahead, None if since is None else since - ahead)
         odds = mass.sum(axis=1)
         total = leave + float(odds.sum())
         order = [int(k) for k in np.argsort(-odds, kind="stable") if odds[k] >= NEXT_PROBABILITY_MIN * total]
@@ -144,7 +154,8 @@ class Predictor:
             target = self.zones[outcomes.targets[k]]
             reached = np.concatenate(([0.0], np.cumsum(mass[k])))
             q10, q50, q90 = np.interp(np.array((0.1, 0.5, 0.9)) * reached[-1], reached, self._hazards.bins.edges)
-            times = (round(float(q), 3) for q in (q10, q50, q90))
+            shift = 0.0 if self._corrected else self._later(here.camera, outcomes.targets[k])
+            times = (round(float(q) + shift, 3) for q in (q10, q50, q90))
             following.append(NextCamera(target.camera, target.id, float(odds[k]) / kept, *times))
         return Prediction(here.camera, here.id, t, track, self.topology.version, leave / kept, following)
 
@@ -157,33 +168,44 @@ class Predictor:
             exposed = np.where(past, np.clip((bins.edges[1:] + (t - since)) / bins.widths, 0.0, 1.0), 1.0)
         prior = outcomes.hazard * bins.widths * exposed
         leave = max(1.0 - float(prior.sum()), LEAVE_FLOOR)
-        mass = np.where(past, 0.0, prior) * np.array([self._alive(k) for k in outcomes.targets])[:, None]
+        later = np.array([self._later(camera, k) for k in outcomes.targets])
+        mass = (
+            np.where(bins.edges[1:] <= -later[:, None], 0.0, prior)
+            * np.array([self._alive(k) for k in outcomes.targets])[:, None]
+        )
         row = {target: k for k, target in enumerate(outcomes.targets)}
         for arrival in self._recent(t, -math.inf if since is None else since, camera):
             k = row.get(arrival.zone)
-            if k is None:
-                continue
             lag = arrival.t - t
+            if k is None or lag > bins.lag_max:
+                continue
             at = math.floor(math.asinh(lag / bins.scale) / bins.step) - bins.first
             own = self._hazards.rate_ahead(camera, arrival.zone) if since is not None else 0.0
             mass[k, at] += outcomes.hazard[k, at] * exposed[at] / max(arrival.rate - own, RATE_MIN)
         return mass, leave
 
     def _recent(self, t: float, since: float, camera: str) -> list[_Arrival]:
-        """Arrivals in other views between ``since`` and ``t`` that could be the object leaving ``camera`` at ``t``."""
-        found = []
+        """Arrivals in other views from ``since`` on that were there by ``t``, clocks taken as they are, and could be
+        the object leaving ``camera`` at ``t``.
+        """
+        found, oldest = [], t + self._hazards.bins.lag_min
         for arrival in reversed(self._arrivals):
-            if arrival.t < t + self._hazards.bins.lag_min:
+            if arrival.t < oldest - self._clocks_apart:
                 break
-            if since < arrival.t < t and self.zones[arrival.zone].camera != camera:
+            known = arrival.t + self._later(camera, arrival.zone) < t
+            if known and arrival.t > since and arrival.t >= oldest and self.zones[arrival.zone].camera != camera:
                 found.append(arrival)
         return found
+
+    def _later(self, camera: str, zone: int) -> float:
+        """By how much lags from a camera to a zone are longer by those cameras' clocks than in truth, seconds."""
+        return self._ahead[self.zones[zone].camera] - self._ahead[camera]
 
     def _rate_at(self, zone: int, t: float) -> float:
         """Rate (1/s) at which the outside, those who have left and those still in view could cause an arrival now."""
         rate = self._hazards.arrival_rate[zone]
         for left in reversed(self._exits):
-            if t - left.t > self._hazards.bins.lag_max:
+            if t - left.t > self._hazards.bins.lag_max + self._clocks_apart:
                 break
             rate += self._hazards.rate(left.zone, zone, t - left.t)
         camera = self.zones[zone].camera
