@@ -113,6 +113,8 @@ def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site
     stored(daemon, len(events))
     late = TopologyView(site.client(daemon))
     assert late.wait_for(1, 10) == view.topology, "a late joiner gets the whole"
+    status = daemon.status()
+    assert (status["alarms"], status["score"]) == ([], expected.score)
 
 
 def test_a_restart_replays_the_journal_to_the_same_version(site: Site) -> None:
