@@ -57,6 +57,7 @@ class Record(Struct, omit_defaults=True):
     seed: int
     method: str
     seconds: float
+    """Of processor time: other work on the machine does not count."""
     figures: dict[str, float | None] = {}
     ranked: dict[str, Ranked] = {}
 
@@ -83,18 +84,18 @@ def learn(events: Sequence[Event], settings: Settings) -> tuple[Topology, Topolo
     former. Events are fed as `camtopod learn` feeds them."""
     learner, head = Learner(settings), None
     cut = int(TRAIN_SHARE * len(events))
-    aside, started = 0.0, time.perf_counter()
+    aside, started = 0.0, time.process_time()
     for index, event in enumerate(events):
         if index == cut:
-            paused = time.perf_counter()
+            paused = time.process_time()
             twin = copy.deepcopy(learner)
             twin.flush()
             head = twin.topology
-            aside = time.perf_counter() - paused
+            aside = time.process_time() - paused
         learner.receive(event)
         learner.updates()
     learner.flush()
-    seconds = time.perf_counter() - started - aside
+    seconds = time.process_time() - started - aside
     assert learner.topology is not None
     assert head is not None
     return learner.topology, head, seconds
@@ -139,12 +140,12 @@ def prediction_figures(head: Topology, events: Sequence[Event], truth: Truth) ->
     place = predictor.zone_of
     states = [place(event) if event.kind == "exit" else None for event in events]
     made: list[Prediction] = []
-    started = time.perf_counter()
+    started = time.process_time()
     for index in range(max(0, cut - WARM_EVENTS), len(events)):
         if index >= cut and events[index].kind == "exit":
             made.append(predictor.predict(events[index]))
         predictor.observe(events[index])
-    seconds = time.perf_counter() - started
+    seconds = time.process_time() - started
 
     def zone_of(event: Event) -> str | None:
         zone = place(event)
@@ -175,9 +176,9 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
         chains["told chain, true zones"] = truth.zone
     records = []
     for name, states in chains.items():
-        started = time.perf_counter()
+        started = time.process_time()
         result = score_predictions(told(events, truth, cut, states), events[cut:], tail)
-        seconds = time.perf_counter() - started
+        seconds = time.process_time() - started
         records.append(Record(regime, seed, f"next: {name}", seconds, _plain(_of_predictions(result, ""))))
     if truth.zones:
         told_error = _plain({"median_error": transit_error(events, truth)})
@@ -194,9 +195,9 @@ def links(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
     found = candidates(seen)
     records = []
     for name, method in LINK_METHODS.items():
-        started = time.perf_counter()
+        started = time.process_time()
         findings = method(seen, found) if method in TAKE_CANDIDATES else method(seen)
-        seconds = time.perf_counter() - started
+        seconds = time.process_time() - started
         ranked = {variant: rank(result, seen, truth) for variant, result in findings.items()}
         figures: dict[str, float | None] = {}
         if LITERAL in findings:
@@ -214,12 +215,12 @@ def zones(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
             positions.setdefault(event.camera, []).append((event.x, event.y))
     records = []
     for name, variants in methods().items():
-        started = time.perf_counter()
+        started = time.process_time()
         figures: dict[str, float | None] = {}
         for variant, cluster in variants.items():
             right = [_zones_right(cluster(np.array(at)), camera, truth) for camera, at in positions.items()]
             figures[variant] = float(np.mean(right))
-        records.append(Record(regime, seed, f"zones: {name}", time.perf_counter() - started, figures))
+        records.append(Record(regime, seed, f"zones: {name}", time.process_time() - started, figures))
     return records
 
 

@@ -48,7 +48,7 @@ ROWS = {
     "prediction_ms": "milliseconds a prediction",
     "events": "events",
     "events_per_second": "events a second",
-    "seconds": "seconds to learn",
+    "seconds": "seconds of processor time to learn",
 }
 TARGET_TITLES = {
     "silent": "runs without a false link between cameras",
@@ -222,7 +222,7 @@ def _reached(target: Target, values: Sequence[float]) -> str:
 
 def _seconds(records: Sequence[Record]) -> list[str]:
     """Seconds a network of every method, mean and longest."""
-    lines = [f"{'seconds a network':58}{'mean':>10}{'longest':>10}"]
+    lines = [f"{'seconds of processor time a network':58}{'mean':>10}{'longest':>10}"]
     for method in dict.fromkeys(record.method for record in records):
         seconds = [record.seconds for record in records if record.method == method]
         lines.append(f"  {method:56}{np.mean(seconds):>10.2f}{max(seconds):>10.2f}")

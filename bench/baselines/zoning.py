@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 POINTS_MAX = 1500
 """The scikit-learn methods see at most so many of a camera's events, drawn at random."""
 SILHOUETTE_POINTS_MAX = 400
-MEAN_SHIFT_POINTS_MAX = 600
+MEAN_SHIFT_POINTS_MAX = 500
 CLUSTERS_MAX = 8
 SILHOUETTE_MIN = 0.5
 SMALLEST_SHARES = (0.01, 0.03, 0.06)
