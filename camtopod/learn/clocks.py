@@ -43,6 +43,10 @@ ASYMMETRY_PRIOR = 0.04
 SD_MIN_SECONDS = 0.05
 TURNING_SHARE = 0.2
 """Objects commonly leave where they entered when more than this share of those who leave there do."""
+SPREAD_SHARE_MAX = 0.75
+"""Transit times that vary by more than this share of the way are of several ways, which need not be the same back."""
+SHORT_SECONDS = 2.0
+"""Shorter ways count as this long there."""
 RIGHT_WEIGHT = 0.01
 """A second of offset of one clock weighs as much as this many standard deviations of disagreement of one way."""
 STAYS_RIGHT = 0.5
@@ -157,6 +161,8 @@ def differences(
         there, back = slice(at, at + len(u)), slice(len(source) + at, len(source) + at + len(u))
         at += len(u)
         for k, way in two_ways(counts[there], counts[back]):
+            if way.spread > SPREAD_SHARE_MAX * max(abs(way.transit), SHORT_SECONDS / BIN_SECONDS):
+                continue
             # One walk from u to v also shows as the way v -> u that begins before it ends, if objects turn at both.
             if turning[u[k]] and turning[v[k]] and way.transit <= way.spread:
                 continue
