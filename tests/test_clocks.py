@@ -1,0 +1,308 @@
+"""Clock offsets: counting lags, ways walked in both directions, and what a network of them says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camtopod.learn import coarse
+from camtopod.learn.candidates import Arrivals, Departures
+from camtopod.learn.clocks import (
+    REFRESH_SHARE,
+    SPAN_MIN_SECONDS,
+    ClockKeeper,
+    Clocks,
+    Difference,
+    estimate_clocks,
+    held,
+    right_clocks,
+    solve,
+)
+from camtopod.learn.coarse import LAGS, chance, correlograms, standing_out
+from camtopod.learn.scene import Passages, Scene, ZoneRef
+from camtopod.learn.twoway import best_shift, two_ways
+
+HOURS_2 = 7200.0
+ENTRY, EXIT = True, False
+
+
+# --- counting lags ---
+
+
+def some_events(seed: int, n: int, labels: int, span: float) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return np.sort(rng.uniform(0.0, span, n)), rng.integers(0, labels, n).astype(np.int32)
+
+
+def counted(seed: int, labels: int, bin_seconds: float) -> np.ndarray:
+    source, target = (a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(labels), np.arange(labels)))
+    left, came = some_events(seed, 150, labels, 7000.0), some_events(seed + 1, 170, labels, 7000.0)
+    return correlograms(left, came, labels, source, target, bin_seconds)
+
+
+@pytest.mark.parametrize("bin_seconds", [1.0, 4.0])
+def test_lags_are_counted_one_by_one(bin_seconds: float) -> None:
+    left, came = some_events(5, 60, 2, 3000.0), some_events(6, 50, 2, 3000.0)
+    found = correlograms(left, came, 2, np.array([0, 1]), np.array([1, 1]), bin_seconds)
+    first = min(left[0][0], came[0][0])
+    slow = np.zeros((2, 2 * LAGS + 1))
+    for t, zone in zip(*left, strict=True):
+        for s, other in zip(*came, strict=True):
+            lag = int((s - first) / bin_seconds) - int((t - first) / bin_seconds)
+            if other == 1 and abs(lag) <= LAGS:
+                slow[zone, lag + LAGS] += 1
+    assert (found == slow).all()
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.integers(0, 10**6))
+def test_both_ways_of_counting_give_the_same(seed: int) -> None:
+    by_difference = counted(seed, 3, 1.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(coarse, "DIFFERENCES_MAX", 0)
+        assert (counted(seed, 3, 1.0) == by_difference).all()
+    assert by_difference.sum() > 0
+
+
+def test_beyond_the_limit_the_newest_time_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    t = np.arange(0.0, 10 * coarse.BLOCK, 50.0)
+    zone = np.zeros(len(t), np.int32)
+    monkeypatch.setattr(coarse, "SPECTRA_MAX", 2)
+    found = correlograms((t, zone), (t, zone), 1, np.zeros(1, np.int32), np.zeros(1, np.int32), 1.0)
+    assert found[0, LAGS] == np.sum(t >= t[-1] - 2 * coarse.BLOCK)
+
+
+def test_what_stands_out_is_the_peak_and_not_the_rhythm() -> None:
+    lag = np.arange(-LAGS, LAGS + 1)
+    rate = 20.0 + 10.0 * np.cos(lag / 900.0)
+    counts = np.random.default_rng(1).poisson(rate + 12.0 * np.exp(-0.5 * ((lag - 30) / 4) ** 2))[None, :]
+    clear = standing_out(counts.astype(np.float32), chance(counts.astype(np.float32)))[0]
+    assert abs(int(np.argmax(clear)) - LAGS - 30) < 4
+    assert np.mean(clear[np.abs(lag - 30) > 20] > 0) < 0.05
+
+
+# --- ways walked in both directions ---
+
+
+def lag_counts(seed: int, *peaks: tuple[float, float, int]) -> np.ndarray:
+    """A correlogram (1, lags) with chance of 1 a bin and peaks (at, spread, number)."""
+    rng = np.random.default_rng(seed)
+    counts = rng.poisson(1.0, 2 * LAGS + 1)
+    for at, spread, number in peaks:
+        lags = np.rint(rng.normal(at, spread, number)).astype(int)
+        counts += np.bincount(lags + LAGS, minlength=2 * LAGS + 1)
+    return counts[None, :].astype(np.float32)
+
+
+@pytest.mark.parametrize(("transit", "ahead"), [(20.0, 0.0), (20.0, 28.0), (-3.0, -12.5), (60.0, 400.0)])
+def test_twice_the_difference_is_between_there_and_back(transit: float, ahead: float) -> None:
+    errors = []
+    for seed in range(20):
+        forth = lag_counts(seed, (transit + ahead, 3.0, 300))
+        back = lag_counts(100 + seed, (transit - ahead, 3.0, 200))
+        ((pair, way),) = two_ways(forth, back)
+        assert pair == 0
+        assert way.transit == pytest.approx(transit, abs=2.0)
+        assert way.spread == pytest.approx(3.0, rel=0.4)
+        errors.append((way.ahead - ahead) / way.sd)
+    assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+def test_one_way_alone_tells_nothing() -> None:
+    for seed in range(20):
+        assert two_ways(lag_counts(seed, (15.0, 2.0, 200)), lag_counts(seed + 50)) == []
+
+
+def test_two_answers_are_none() -> None:
+    """Back it is 20 s as often as 60 s."""
+    forth, back = lag_counts(1, (200.0, 2.0, 100)), lag_counts(2, (20.0, 2.0, 100), (100.0, 2.0, 100))
+    clear = [standing_out(counts, chance(counts)) for counts in (forth, back)]
+    assert best_shift(clear[0], clear[1])[1] == 0.0
+
+
+# --- a network ---
+
+
+class Walks:
+    """Walks between the doors of cameras, as the cameras' clocks tell them."""
+
+    def __init__(self, ahead: list[float], seed: int = 0) -> None:
+        self.ahead, self.rng = np.array(ahead), np.random.default_rng(seed)
+        self.doors: list[tuple[int, int]] = []
+        self.events: list[tuple[float, int, bool]] = []
+
+    def door(self, camera: int, number: int) -> int:
+        """Index of a camera's door."""
+        if (camera, number) not in self.doors:
+            self.doors.append((camera, number))
+        return self.doors.index((camera, number))
+
+    def way(self, a: tuple[int, int], b: tuple[int, int], seconds: float, walks: int = 150) -> None:
+        """People who leave at door ``a`` and enter at ``b``."""
+        start = self.rng.uniform(0.0, HOURS_2, walks)
+        u, v = self.door(*a), self.door(*b)
+        later = seconds * np.exp(0.25 * self.rng.standard_normal(walks))
+        self.events += [(t + self.ahead[a[0]], u, EXIT) for t in start]
+        self.events += [(t + self.ahead[b[0]], v, ENTRY) for t in start + later]
+
+    def both(self, a: tuple[int, int], b: tuple[int, int], seconds: float, back: float | None = None) -> None:
+        self.way(a, b, seconds)
+        self.way(b, a, back or seconds)
+
+    def scene(self) -> Scene:
+        rows = sorted(self.events)
+        t, door = np.array([row[0] for row in rows]), np.array([row[1] for row in rows], np.int32)
+        camera = np.array([self.doors[k][0] for k in door], np.int32)
+        left = np.array([row[2] is EXIT for row in rows])
+        nan, none = np.full(len(t), np.nan), np.full(len(t), -1, np.int32)
+        departures = Departures(t[left], door[left], camera[left], nan[left], nan[left], none[left], none[left])
+        arrivals = Arrivals(t[~left], door[~left], camera[~left], nan[~left], nan[~left])
+        empty = np.zeros(0, np.int32)
+        passages = Passages(empty, empty, np.zeros(0), np.zeros(0))
+        zones = [ZoneRef(camera, number, None) for camera, number in self.doors]
+        counts = np.zeros(len(zones), np.int64)
+        cameras = len(self.ahead)
+        return Scene(
+            zones, departures, arrivals, passages, counts, counts, np.zeros(cameras, bool), t[0], t[-1],
+        )  # fmt: skip
+
+    def clocks(self) -> Clocks:
+        cameras = len(self.ahead)
+        return estimate_clocks(self.scene(), cameras, right_clocks(cameras))
+
+
+def ring(ahead: list[float], seed: int = 0) -> Walks:
+    """Cameras in a ring, each with a door to the next and one to the one before."""
+    walks = Walks(ahead, seed)
+    n = len(ahead)
+    for camera in range(n):
+        walks.both((camera, 1), ((camera + 1) % n, 2), 8.0 + 3.0 * camera)
+    return walks
+
+
+def test_wrong_clocks_are_found_and_right_ones_stay() -> None:
+    ahead = [0.0, 0.0, -25.0, 0.0, 7.0, 0.0]
+    found = ring(ahead).clocks()
+    assert found.identified.all()
+    assert found.offset == pytest.approx(ahead, abs=0.6)
+    assert (found.offset[[0, 1, 3, 5]] == 0).all()
+    assert (found.sd < 0.5).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_right_clocks_are_left_alone(seed: int) -> None:
+    found = ring([0.0] * 5, seed).clocks()
+    assert found.identified.all()
+    assert (found.offset == 0).all()
+
+
+def test_a_way_that_takes_longer_back_is_outvoted() -> None:
+    walks = ring([0.0] * 5)
+    walks.both((0, 3), (2, 3), 40.0, back=16.0)
+    assert (walks.clocks().offset == 0).all()
+
+
+def test_where_all_go_one_way_nothing_is_known() -> None:
+    walks = Walks([0.0, 20.0, 0.0, 0.0])
+    for camera in range(4):
+        walks.way((camera, 1), ((camera + 1) % 4, 2), 12.0, walks=300)
+    found = walks.clocks()
+    assert not found.identified.any()
+    assert (found.offset == 0).all()
+    assert np.isinf(found.sd).all()
+
+
+def test_one_door_for_all_on_a_one_way_road_is_no_way_back() -> None:
+    """Whoever leaves the second camera entered the first some time ago: that is not a way back with a wrong clock."""
+    walks = Walks([0.0, 0.0, 0.0])
+    start = walks.rng.uniform(0.0, HOURS_2, 300)
+    for camera in range(3):
+        door = walks.door(camera, 1)
+        came = start + 14.0 * camera * np.exp(0.05 * walks.rng.standard_normal(300))
+        walks.events += [(t, door, ENTRY) for t in came] + [(t + 4.0, door, EXIT) for t in came]
+    assert (walks.clocks().offset == 0).all()
+
+
+def test_little_time_tells_nothing() -> None:
+    walks = ring([0.0, 0.0, 25.0, 0.0])
+    cut = SPAN_MIN_SECONDS - 100.0
+    walks.events = [event for event in walks.events if 100.0 < event[0] < cut]
+    assert not walks.clocks().identified.any()
+
+
+def test_no_events_and_no_cameras() -> None:
+    walks = Walks([0.0, 0.0])
+    walks.way((0, 1), (1, 1), 5.0, walks=2)
+    scene = walks.scene()
+    nobody = scene._replace(arrivals=Arrivals(*(column[:0] for column in scene.arrivals)))
+    assert not estimate_clocks(nobody, 2, right_clocks(2)).identified.any()
+    assert len(solve([], np.zeros(0, np.int64), right_clocks(0)).offset) == 0
+
+
+# --- bringing differences together ---
+
+
+def differences_of(ahead: list[float], pairs: list[tuple[int, int]], seed: int = 0) -> list[Difference]:
+    rng = np.random.default_rng(seed)
+    return [Difference(a, b, ahead[b] - ahead[a] + 0.1 * rng.standard_normal(), 0.1, 10.0) for a, b in pairs]
+
+
+ALL_PAIRS = [(a, b) for a in range(5) for b in range(a)]
+
+
+def test_an_outlier_changes_nothing() -> None:
+    ahead = [0.0, 0.0, 12.0, 0.0, -3.0]
+    found = differences_of(ahead, ALL_PAIRS)
+    wild = [*found[1:], found[0]._replace(ahead=55.0)]
+    for differences in (found, wild):
+        assert solve(differences, np.ones(5, int), right_clocks(5)).offset == pytest.approx(ahead, abs=0.3)
+
+
+def test_small_offsets_are_not_called_wrong() -> None:
+    assert (
+        solve(differences_of([0.0, 0.15, 0.0, -0.1, 0.0], ALL_PAIRS), np.ones(5, int), right_clocks(5)).offset == 0
+    ).all()
+
+
+def test_of_two_clocks_the_busier_is_right_unless_it_was_wrong_before() -> None:
+    (difference,) = differences_of([0.0, 20.0], [(0, 1)])
+    for weight, wrong in ((np.array([9, 1]), 1), (np.array([1, 9]), 0)):
+        assert np.flatnonzero(solve([difference], weight, right_clocks(2)).offset).tolist() == [wrong]
+    known = Clocks(np.array([0.0, 20.0]), np.full(2, 0.2), np.ones(2, bool))
+    assert np.flatnonzero(solve([difference], np.array([2, 3]), known).offset).tolist() == [1]
+
+
+def test_ways_that_disagree_make_all_less_sure() -> None:
+    even = differences_of([0.0] * 5, 3 * ALL_PAIRS)
+    rng = np.random.default_rng(3)
+    uneven = [d._replace(ahead=d.ahead + float(1.0 * rng.standard_normal())) for d in even]
+    one, other = (solve(d, np.ones(5, int), right_clocks(5)) for d in (even, uneven))
+    assert (other.sd > 2.0 * one.sd).all()
+
+
+def test_known_offsets_stay_until_the_evidence_is_clear() -> None:
+    sd, yes = np.full(3, 0.2), np.ones(3, bool)
+    known = Clocks(np.array([5.0, 0.0, 7.0]), sd, yes)
+    near = Clocks(np.array([5.3, 0.0, 7.05]), sd / 10, np.array([True, True, True]))
+    assert held(known, near._replace(sd=sd)).offset.tolist() == [5.0, 0.0, 7.0]
+    assert held(known, near).offset.tolist() == [5.3, 0.0, 7.0]
+    gone = Clocks(np.zeros(3), np.full(3, np.inf), np.array([False, True, False]))
+    assert held(known, gone).offset.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_the_keeper_looks_when_there_is_enough_new() -> None:
+    scene = ring([0.0, 0.0, -25.0, 0.0]).scene()
+    events = len(scene.departures.t) + len(scene.arrivals.t)
+    keeper = ClockKeeper()
+    assert keeper.look(scene, 4, events)
+    first = keeper.clocks
+    assert np.flatnonzero(first.offset).tolist() == [2]
+    assert not keeper.look(scene, 4, events + int(0.9 * REFRESH_SHARE * events))
+    assert keeper.clocks is first
+    assert not keeper.look(scene, 4, events + int(1.1 * REFRESH_SHARE * events))
+    assert keeper.clocks is not first
+    assert keeper.clocks.offset.tolist() == first.offset.tolist()
+    assert not keeper.look(scene, 5, events)  # a new camera
+    assert len(keeper.clocks.offset) == 5
