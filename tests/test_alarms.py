@@ -205,3 +205,22 @@ def test_a_lost_camera_is_told_and_its_links_do_not_close() -> None:
     last = versions(sorted([e for e in events if e.camera == "a" or e.t < 7_200] + beside, key=lambda e: e.t))[-1]
     assert [(alarm.kind, alarm.subject) for alarm in last.alarms or []] == [("camera_silent", "b")]
     assert any(link.from_.startswith("a") and link.to.startswith("b") for link in last.links)
+
+
+def test_a_door_of_its_own_that_comes_into_use_is_a_new_zone() -> None:
+    chance = np.random.default_rng(5)
+    events = [e for k, t in enumerate(poisson(0.02, 0, 14_400, 5)) for e in passage("a", t, 0.1, f"l{k}", chance)]
+    events += [e for k, t in enumerate(poisson(0.02, 7_200, 14_400, 6)) for e in passage("a", t, 0.9, f"r{k}", chance)]
+    alarms = versions(sorted(events, key=lambda event: event.t))[-1].alarms or []
+    assert [(alarm.kind, alarm.subject[:2]) for alarm in alarms] == [("zone_new", "a/")]
+    assert 7_200 < alarms[0].t < 9_600
+
+
+def test_a_scene_that_fills_tells_nothing() -> None:
+    """Exits begin when the first who entered have reached them."""
+    chance = np.random.default_rng(7)
+    events = []
+    for k, t in enumerate(poisson(0.1, 0, 3_600, 7)):
+        came, left = passage("a", t, 0.1, str(k), chance)
+        events += [came, Event("a", "exit", left.t + 600, left.x, left.y, left.track)]
+    assert versions(sorted(events, key=lambda event: event.t))[-1].alarms is None

@@ -20,6 +20,12 @@ SUBJECTS_MAX = 10_000
 """Links and zones whose last report is remembered; beyond, the oldest is forgotten."""
 SHARE_CHANGE_MIN = 0.1
 """A link that stays open is reported when its share has changed by this; smaller changes are followed silently."""
+STARTING_SECONDS = 1800.0
+"""Nothing is reported to have changed so soon after the first event: people who were about have yet to be seen."""
+SILENCE_SLACK_SECONDS = 900.0
+"""Links that change so near to where a camera falls silent, or is back, are taken for its work: who passed through it
+unseen seems to have gone straight on.
+"""
 CLOCK_CHANGE_SECONDS_MIN = 0.5
 CLOCK_CHANGE_SD = 4.0
 """A clock is reported when it has moved by both, the second in standard deviations."""
@@ -50,8 +56,13 @@ class AlarmLog:
         links join; ``share_min``: a smaller share makes no link.
         """
         self.cameras(version, t, silences, cameras)
-        self.zones(version, t, scene, zones)
-        self.links(version, t, changes, zones, published, share_min)
+        begun = scene.first + STARTING_SECONDS
+        for index, change in zone_changes(scene).items():
+            if change[2] >= begun:
+                self.zone(version, t, zones[index], *change)
+        edges = np.array([edge for silence in silences for interval in silence.intervals for edge in interval])
+        own = [c for c in changes if c.since >= begun and not np.any(np.abs(edges - c.since) < SILENCE_SLACK_SECONDS)]
+        self.links(version, t, own, zones, published, share_min)
 
     def links(
         self, version: int, t: float, changes: Iterable[Change], zones: list[str],
@@ -71,12 +82,11 @@ class AlarmLog:
             detail = f"share {change.before:.2f} until {change.since:.0f}, {change.after:.2f} since"
             self._once(version, t, kind, subject, detail, change.since)
 
-    def zones(self, version: int, t: float, scene: Scene, ids: list[str]) -> None:
-        """Zones that came into use or fell out of it."""
-        for index, (before, after, since) in zone_changes(scene).items():
-            kind = "zone_new" if after > before else "zone_gone"
-            detail = f"{before:.2f} of the camera's events until {since:.0f}, {after:.2f} since"
-            self._once(version, t, kind, ids[index], detail, since)
+    def zone(self, version: int, t: float, subject: str, before: float, after: float, since: float) -> None:
+        """A zone that came into use or fell out of it."""
+        kind = "zone_new" if after > before else "zone_gone"
+        detail = f"{before:.2f} of the camera's entries or exits until {since:.0f}, {after:.2f} since"
+        self._once(version, t, kind, subject, detail, since)
 
     def cameras(self, version: int, t: float, silences: list[Silences], cameras: list[str]) -> None:
         """Cameras that fell silent, and those that are back."""
@@ -115,15 +125,15 @@ class AlarmLog:
 
 
 def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
-    """Zones whose share of their camera's events began or ended: zone -> share before, after, since when (seconds)."""
-    d, a = scene.departures, scene.arrivals
-    t, zone, camera = (np.concatenate(columns) for columns in ((d.t, a.t), (d.zone, a.zone), (d.camera, a.camera)))
-    order = np.argsort(t, kind="stable")
-    t, zone, camera = t[order], zone[order], camera[order]
-    threshold = threshold_nats(len(scene.zones), len(t))
+    """Zones whose share of their camera's events began or ended: zone -> share before, after, since when (seconds).
+
+    Of entries or of exits, whichever the zone has more of: as a scene fills there are entries first, in the end exits.
+    """
+    threshold = threshold_nats(len(scene.zones), len(scene.departures.t) + len(scene.arrivals.t))
     found = {}
     for index, ref in enumerate(scene.zones):
-        seen, own = t[camera == ref.camera], t[zone == index]
+        events = scene.departures if scene.exits[index] > scene.entries[index] else scene.arrivals
+        seen, own = events.t[events.camera == ref.camera], events.t[events.zone == index]
         if len(own) == len(seen):
             continue
         change = latest_change(Trials(seen, np.ones(len(seen)), own, np.full(len(own), ZONE_SHARE_MAX)), threshold)
