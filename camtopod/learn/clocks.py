@@ -4,8 +4,8 @@ Every way that is walked in both directions says how two clocks differ (see `two
 together over the whole network, robustly, under two assumptions: ways there and back take about as long (how nearly so
 is learned from how well the differences agree), and most clocks are right. A clock is only called wrong on clear
 evidence. Where all traffic goes one way, nothing tells a wrong clock from a long way: the clock counts as right and
-is marked as unidentified. In a part of the network that hangs together by two cameras only, the clock of the one with
-more events counts as right.
+is marked as unidentified; and so it is between cameras without positions, where all ways are one. In a part of the
+network that hangs together by two cameras only, the clock of the one with more events counts as right.
 """
 
 from __future__ import annotations
@@ -163,8 +163,8 @@ def differences(
         for k, way in two_ways(counts[there], counts[back]):
             if way.spread > SPREAD_SHARE_MAX * max(abs(way.transit), SHORT_SECONDS / BIN_SECONDS):
                 continue
-            # One walk from u to v also shows as the way v -> u that begins before it ends, if objects turn at both.
-            if turning[u[k]] and turning[v[k]] and way.transit <= way.spread:
+            # One walk from u to v then also shows as a way from v to u that ends before it begins.
+            if turning[u[k]] and turning[v[k]]:
                 continue
             sd = max(way.sd * BIN_SECONDS, SD_MIN_SECONDS)
             found.append(Difference(a, b, way.ahead * BIN_SECONDS, sd, way.transit * BIN_SECONDS))
