@@ -21,8 +21,12 @@ from camtopod.learn.clocks import (
     solve,
 )
 from camtopod.learn.coarse import LAGS, chance, correlograms, standing_out
+from camtopod.learn.learner import Learner
+from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Passages, Scene, ZoneRef
+from camtopod.learn.settings import Settings
 from camtopod.learn.twoway import best_shift, two_ways
+from camtopod.records import Event, Topology
 
 HOURS_2 = 7200.0
 ENTRY, EXIT = True, False
@@ -306,3 +310,78 @@ def test_the_keeper_looks_when_there_is_enough_new() -> None:
     assert keeper.clocks.offset.tolist() == first.offset.tolist()
     assert not keeper.look(scene, 5, events)  # a new camera
     assert len(keeper.clocks.offset) == 5
+
+
+# --- the learner ---
+
+
+def learned(correct_clocks: bool) -> Topology:
+    """Four cameras in a ring, the clock of the third 14 s ahead; doors left and right in the image."""
+    walks = ring([0.0, 0.0, 14.0, 0.0])
+    learner = Learner(Settings(correct_clocks=correct_clocks, refit_hours=24.0, refit_share=10.0))
+    noise = np.random.default_rng(1)
+    for t, door, entry in sorted(walks.events):
+        camera, number = walks.doors[door]
+        x, y = np.clip(noise.normal((0.2 if number == 1 else 0.8, 0.5), 0.02), 0, 1).round(4)
+        learner.receive(Event(f"c{camera}", "entry" if entry else "exit", round(1e6 + t, 6), float(x), float(y)))
+    learner.flush()
+    assert learner.topology is not None
+    return learner.topology
+
+
+@pytest.fixture(scope="module")
+def stated() -> Topology:
+    """By the cameras' own clocks."""
+    return learned(False)
+
+
+@pytest.fixture(scope="module")
+def corrected() -> Topology:
+    """In right time."""
+    return learned(True)
+
+
+def medians(topology: Topology) -> dict[str, float]:
+    """Median of each link by its cameras."""
+    camera = {zone.id: zone.camera for zone in topology.zones}
+    return {camera[k.from_] + camera[k.to]: k.transit.q50 for k in topology.links if camera[k.from_] != camera[k.to]}
+
+
+def test_offsets_are_published(stated: Topology, corrected: Topology) -> None:
+    for topology in (stated, corrected):
+        offsets = {camera.id: camera.clock_offset for camera in topology.cameras}
+        assert offsets == pytest.approx({"c0": 0.0, "c1": 0.0, "c2": 14.0, "c3": 0.0}, abs=0.5)
+        assert all(0 < (camera.clock_offset_sd or 0.0) < 0.5 for camera in topology.cameras)
+
+
+def test_transit_times_are_in_right_time_when_asked(stated: Topology, corrected: Topology) -> None:
+    truth = {"c0c1": 8.0, "c1c2": 11.0, "c2c3": 14.0, "c3c0": 17.0}
+    truth |= {name[2:] + name[:2]: seconds for name, seconds in truth.items()}
+    assert medians(corrected) == pytest.approx(truth, rel=0.1)
+    (ahead,) = (camera.clock_offset for camera in stated.cameras if camera.id == "c2")
+    shifted = {name: t + ahead * ((name[2:] == "c2") - (name[:2] == "c2")) for name, t in medians(corrected).items()}
+    assert medians(stated) == pytest.approx(shifted, abs=0.01)
+    assert [pair.relation for pair in stated.pairs] == ["unseen_path"] * 4
+
+
+def test_predictions_are_stated_by_the_clocks_that_will_tell(stated: Topology, corrected: Topology) -> None:
+    """An exit at c1 towards c2: in 11 s, when the clock there says 25 s later."""
+    for topology, seconds in ((stated, 25.0), (corrected, 11.0)):
+        prediction = Predictor(topology).predict(Event("c1", "exit", 1e6 + 9000.0, 0.2, 0.5))
+        first = prediction.next_[0]
+        assert (first.camera, prediction.t) == ("c2", 1e6 + 9000.0)
+        assert first.q50 == pytest.approx(seconds, abs=1.5)
+
+
+def test_what_has_been_seen_by_a_wrong_clock_counts(stated: Topology) -> None:
+    """From c2, 14 s ahead, to c3 takes 14 s. Somebody at c3 half a second before the exit, as the clocks tell it."""
+    leaves = Event("c2", "exit", 1e6 + 9000.0, 0.2, 0.5)
+    alone, seen = Predictor(stated), Predictor(stated)
+    seen.observe(Event("c3", "entry", leaves.t - 0.5, 0.8, 0.5))
+    for predictor, q50 in ((seen, -0.5), (alone, None)):
+        first = predictor.predict(leaves).next_[0]
+        assert first.camera == "c3"
+        if q50 is None:
+            assert first.q50 > 0
+        else:
+            assert first.q50 == pytest.approx(q50, abs=1.0)
