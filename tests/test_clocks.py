@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camtopod.learn import coarse
+from camtopod.learn import clocks, coarse
 from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.clocks import (
     REFRESH_SHARE,
@@ -85,6 +85,20 @@ def test_what_stands_out_is_the_peak_and_not_the_rhythm() -> None:
     clear = standing_out(counts.astype(np.float32), chance(counts.astype(np.float32)))[0]
     assert abs(int(np.argmax(clear)) - LAGS - 30) < 4
     assert np.mean(clear[np.abs(lag - 30) > 20] > 0) < 0.05
+
+
+def test_the_quick_look_finds_the_row_with_a_peak() -> None:
+    rows = np.concatenate([lag_counts(seed) for seed in range(300)])
+    rows[277] = lag_counts(1, (50.0, 2.0, 40))
+    assert int(np.argmax(coarse.highest(rows))) == 277
+    assert len(coarse.highest(rows[:0])) == 0
+
+
+def test_of_a_large_network_the_promising_pairs_of_cameras_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    walks = ring([0.0, 0.0, -25.0, 0.0, 0.0, 0.0, 8.0, 0.0])
+    everything = walks.clocks()
+    monkeypatch.setattr(clocks, "ZONE_PAIRS_MAX", 8 * 8 + 7)  # of 28 pairs of cameras, a good quarter
+    assert walks.clocks().offset == pytest.approx(everything.offset, abs=0.1)
 
 
 # --- ways walked in both directions ---

@@ -18,9 +18,9 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
 from camtopod.learn.candidates import Arrivals, Departures
-from camtopod.learn.coarse import chance, correlograms, standing_out
+from camtopod.learn.coarse import correlograms, highest
 from camtopod.learn.scene import Scene
-from camtopod.learn.twoway import best_shift, two_ways
+from camtopod.learn.twoway import two_ways
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -180,14 +180,10 @@ def _promising(
         (departures.t, departures.camera), (arrivals.t, arrivals.camera), len(zones_of),
         np.concatenate((a, b)), np.concatenate((b, a)), SCREENING_BIN_SECONDS,
     )  # fmt: skip
-    peak = np.zeros(len(pairs))
-    for k in range(len(pairs)):
-        both = counts[[k, len(pairs) + k]]
-        clear = standing_out(both, chance(both))
-        peak[k] = best_shift(clear[:1], clear[1:])[1] if clear.any(axis=1).all() else 0.0
+    peak = np.minimum(*np.split(highest(counts), 2))
     order = np.argsort(-peak, kind="stable")
     size = np.cumsum([2 * len(zones_of[a[k]]) * len(zones_of[b[k]]) for k in order])
-    return [pairs[k] for k in np.sort(order[(size <= ZONE_PAIRS_MAX) & (peak[order] > 0)])]
+    return [pairs[k] for k in np.sort(order[(size <= ZONE_PAIRS_MAX)])]
 
 
 def solve(found: list[Difference], weight: NDArray[np.int64], known: Clocks) -> Clocks:

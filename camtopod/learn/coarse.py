@@ -32,6 +32,8 @@ SCALES_BINS = (1.5, 4.0, 10.0)
 """Peaks are looked for at these widths, as some transit times are kept closely, others not."""
 NOISE_SD = 2.5
 """What is below this many standard deviations of chance counts as nothing."""
+HIGHEST_LAGS, HIGHEST_WIDTH = 400, 5
+"""Bins either way that the quick look has, and width of its peaks."""
 NEAR_BINS = 100.0
 """Longer lags than this are the less likely the longer they are."""
 
@@ -112,3 +114,14 @@ def standing_out(counts: Counts, usual: Counts) -> Counts:
     near = 1.0 / np.sqrt(1.0 + (np.arange(-LAGS, LAGS + 1) / NEAR_BINS) ** 2)
     best *= near.astype(np.float32)
     return best
+
+
+def highest(counts: Counts) -> Floats:
+    """How far the highest peak stands out of chance in each correlogram (P, lags), (P,): quick, and at one width."""
+    peaks = []
+    for k in range(0, len(counts), ROWS_AT_ONCE):
+        rows = counts[k : k + ROWS_AT_ONCE, LAGS - HIGHEST_LAGS : LAGS + HIGHEST_LAGS + 1]
+        usual = chance(rows)
+        above = uniform_filter1d(rows - usual, HIGHEST_WIDTH, axis=1, mode="constant") / np.sqrt(usual)
+        peaks.append(above.max(axis=1).astype(np.float64))
+    return np.concatenate(peaks) if peaks else np.zeros(0)
