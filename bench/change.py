@@ -1,6 +1,7 @@
 """Doors that close and open, and buildings that stay as they are: how soon it is known, and how often wrongly.
 
     python -m bench change [--seeds N] [--first-seed S] [--hours H] [--doors D] [--jobs close,open,steady,score]
+                           [--objects RATE] [--rhythm SHARE] [--groups SHARE]
 
 Half-way through a made-up recording some doors (paths, both directions) close, or open. A link is *right* from the
 first version on after which it stays gone, or stays published. What it took is counted in passages: of a closed

@@ -177,18 +177,15 @@ class _Table:
     """Cumulative log likelihoods of one pair, so that any stretch of its departures is judged by a subtraction."""
 
     def __init__(self, trials: Trials) -> None:
-        n = len(trials.t)
         self.weight = np.concatenate(([0.0], np.cumsum(trials.weight)))
         self.rate = float(trials.share.sum()) / self.weight[-1]
         """Share of the departures on the whole."""
-        self.at = np.searchsorted(trials.moved, trials.t)
-        """(n,) transitions before each departure."""
-        self.at = np.append(self.at, len(trials.moved))
+        self.at = np.append(np.searchsorted(trials.moved, trials.t), len(trials.moved))
+        """(n + 1,) transitions before each departure, and in all."""
         log = np.log1p((FACTORS[:, None] - 1.0) * trials.share)
         self.log = np.concatenate((np.zeros((len(FACTORS), 1)), np.cumsum(log, axis=1)), axis=1)
         self.shares = trials.share
         self.possible = FACTORS * self.rate <= max(1.0, self.rate)
-        self.n = n
 
     def likelihood(self, begin: Ints, end: Ints) -> Floats:
         """Log likelihood of every factor (factors, S) for departures ``begin`` (S,) to ``end``."""
@@ -236,13 +233,12 @@ class _Table:
         square = chance = 0.0
         for low, high in ((begin, split), (split, end)):
             inside = edges[(edges >= low) & (edges <= high)]
-            factor = self.factor(low, high)
-            moved = np.concatenate(([0.0], np.cumsum(self._moved(low, high, factor))))
-            variance = np.concatenate(([0.0], np.cumsum(self._moved(low, high, factor) ** 2)))
+            each = self._moved(low, high, self.factor(low, high))
+            moved = np.concatenate(([0.0], np.cumsum(each)))
             count = np.diff(moved[self.at[inside] - self.at[low]])
             trials = np.diff(self.weight[inside])
             square += float(((count - trials * count.sum() / max(trials.sum(), 1e-9)) ** 2).sum())
-            chance += float(variance[-1]) * (1.0 - 1.0 / max(len(count), 1))
+            chance += float((each**2).sum()) * (1.0 - 1.0 / max(len(count), 1))
         return max(1.0, square / max(chance, 1e-9)) if chance > 0 else 1.0
 
     def _moved(self, begin: int, end: int, factor: float) -> Floats:
