@@ -31,7 +31,7 @@ FAR_SD = 4.5
 SPREAD_MIN_SECONDS = 0.2
 """Entries and exits are not seen more exactly than this."""
 LAG_ERROR = 0.01
-PACE_ERROR = 0.015
+PACE_ERROR = 0.02
 """What does not become surer with numbers (false transitions, speeds that are only nearly kept), as a share of the
 median: of the lags as they are, and of those at usual speed. Found on made-up networks.
 """
