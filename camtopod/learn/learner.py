@@ -34,6 +34,7 @@ from camtopod.learn.links import (
     without_missed,
 )
 from camtopod.learn.memory import Memory
+from camtopod.learn.moved import Move, find_move
 from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Scene, see
@@ -41,14 +42,16 @@ from camtopod.learn.scoring import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.topology import stamp
-from camtopod.learn.window import Window
-from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones
+from camtopod.learn.window import Window, cells_of
+from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.records import Event, Topology
 
 REFIT_EVENTS_MIN = 10
 """No new version for fewer new events, unless they have waited ``refit_hours``."""
 GONE_ZONES_MAX = 32
 """Vanished zones of a camera whose places are remembered, so that one that returns has its number back."""
+MOVE_EVENTS = 25
+"""After so many events of a camera it is asked again whether it has been turned."""
 ZONES_REFRESH_SHARE = 0.1
 """A camera's zones are learned again when this share of its events is new."""
 
@@ -71,6 +74,8 @@ class Learner:
         self._maps: list[ZoneMap] = []
         self._zoned: list[int] = []  # events of the camera when its zones were last learned
         self._gone: list[tuple[ZoneShape, ...]] = []  # zones that have vanished, latest first, for when they come back
+        self._looked: list[int] = []  # events of the camera when it was last asked whether it has been turned
+        self._moved: list[tuple[int, float, Move]] = []  # cameras turned since the last version, and since when
         self._tick_us = microseconds(self.settings.version_seconds)
         self._done_us: int | None = None  # the last tick worked off
         self._fitted_us: int | None = None  # the tick of the newest version
@@ -154,6 +159,7 @@ class Learner:
         self._scorer.watch(batch)
         self._window.append(batch)
         self._window.forget(until_us - microseconds(self.settings.window_hours * 3600.0))
+        self._look_for_moves()
         self._learned += len(batch)
         self._since_fit += len(batch)
 
@@ -161,7 +167,7 @@ class Learner:
         """Whether enough has changed for a new version."""
         if self._since_fit == 0:
             return False
-        if self._fitted_us is None or self._since_fit >= self._enough():
+        if self._fitted_us is None or self._moved or self._since_fit >= self._enough():
             return True
         return tick_us - self._fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
 
@@ -197,6 +203,10 @@ class Learner:
             self.settings.publish_probability_min,
         )  # fmt: skip
         self._alarms.clocks(version, now, topology.cameras)
+        for camera, since, move in self._moved:
+            detail = f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
+            self._alarms.add(version, now, "camera_moved", cameras[camera], detail)
+        self._moved = []
         self.topology = stamp(
             replace(
                 topology, site=self.site, epoch=self.epoch, version=version, as_of=now, events=self._learned,
@@ -207,6 +217,24 @@ class Learner:
         self._updates.append(self.topology)
         self._fitted_us, self._since_fit = tick_us, 0
 
+    def _look_for_moves(self) -> None:
+        """What a camera saw before it was turned is forgotten, and its zones get new numbers."""
+        window = self._window
+        for camera in range(len(self._maps)):
+            seen = window.seen[camera]
+            if seen - self._looked[camera] < MOVE_EVENTS:
+                continue
+            self._looked[camera] = seen
+            px, py = (window.column(name).astype(np.int64) for name in ("px", "py"))
+            rows = np.flatnonzero((window.column("camera") == camera) & (px >= 0))
+            move = find_move(cells_of(px[rows], py[rows]), self._maps[camera].cells)
+            if move:
+                since = float(window.column("t")[rows[move.first]] / MICROSECONDS)
+                window.forget_camera(camera, window.base + int(rows[move.first]))
+                self._maps[camera] = find_zones(window.cell_sums(camera), (), self._maps[camera].next_number)
+                self._zoned[camera], self._gone[camera] = seen, ()
+                self._moved.append((camera, since, move))
+
     def _refresh_zones(self) -> None:
         """Learn the zones of every camera again whose events have changed enough."""
         for camera in range(len(self._window.cameras)):
@@ -214,11 +242,12 @@ class Learner:
             if camera == len(self._maps):
                 self._maps.append(find_zones(self._window.cell_sums(camera)))
                 self._zoned.append(seen)
+                self._looked.append(seen)
                 self._gone.append(())
             elif seen - self._zoned[camera] >= ZONES_REFRESH_SHARE * self._window.placed(camera):
                 old = self._maps[camera]
                 known = old.zones + self._gone[camera]
-                new = find_zones(self._window.cell_sums(camera), known, old.next_number)
+                new = refresh_zones(self._window.cell_sums(camera), old, self._gone[camera])
                 numbers = {zone.number for zone in new.zones}
                 gone = tuple(zone for zone in known if zone.number not in numbers)
                 self._maps[camera], self._zoned[camera], self._gone[camera] = new, seen, gone[:GONE_ZONES_MAX]

@@ -45,6 +45,11 @@ UNLIKE = 2.0
 EXCESS_MIN = 11.0
 """Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's zone,
 say, though half of the events in its cells are clutter and so its Gaussian fits badly."""
+HOLD = 1.5
+"""While zones are held, what makes a new one must be so many times as clear as at first, and one goes when it is so
+many times less clear; else the numbers of zones would flicker."""
+HOLD_GAIN = 3.0
+"""The same where evidence is compared with none: so much log likelihood for the change."""
 _ROUNDS_MAX = 6
 _GAIN_HOPELESS = -10.0
 _CENTRES = np.stack(
@@ -76,10 +81,16 @@ class Cells(NamedTuple):
         return cls(index, sums, np.stack([x, y], 1), np.stack([xx, sums[:, 4] / n - x * y, yy], 1))
 
 
-def partition(cells: Cells, count: NDArray[np.int64], rates: Floats) -> Labels:
+def partition(cells: Cells, count: NDArray[np.int64], rates: Floats, held: Labels | None = None) -> Labels:
     """The zone of each occupied cell, counted from 0, or -1 for clutter; ``count`` (rows, columns) are all
-    events, ``rates`` those of clutter (`clutter_rates`)."""
+    events, ``rates`` those of clutter (`clutter_rates`).
+
+    ``held`` is the partition so far. It is changed only where the evidence is clear (`HOLD`).
+    """
     one = np.zeros(len(cells.index), dtype=np.intp)
+    if held is not None and held.max() >= 0 and count.sum() >= EVENTS_MIN:
+        labels = _Moves(cells, held, rates, held=True).settle()
+        return labels if labels.max() >= 0 else one
     if count.sum() < EVENTS_MIN:
         return one
     dense = dense_cells(count, rates, FLOOR_CHANCE)
@@ -92,8 +103,9 @@ class _Moves:
     """A partition of the cells being improved. ``zones`` (K, 6) are the sums of the groups, ``clutter`` the
     number of events outside."""
 
-    def __init__(self, cells: Cells, labels: Labels, rates: Floats) -> None:
+    def __init__(self, cells: Cells, labels: Labels, rates: Floats, held: bool = False) -> None:
         self.cells = cells
+        self.hold, self.hold_gain = (HOLD, HOLD_GAIN) if held else (1.0, 0.0)
         self.rates = rates
         self.density = (rates / rates.mean()).ravel()  # of clutter, relative to a uniform one
         self.log_density = np.log(self.density[cells.index])
@@ -144,7 +156,8 @@ class _Moves:
         self._set(np.where(groups >= 0, groups + known, labels))
         keys = [zone.tobytes() for zone in self.zones[known:]]
         for k in range(len(self.zones) - 1, known - 1, -1):
-            if keys[k - known] in self.tried or self._drop_gain(np.array([k]))[0] >= 0 or self._is_tail(k):
+            stays = self._drop_gain(np.array([k]), self.hold)[0] < -self.hold_gain
+            if keys[k - known] in self.tried or not stays or self._is_tail(k):
                 self._remove(k)
         self.tried.update(keys)
         return len(self.zones) > known
@@ -154,7 +167,7 @@ class _Moves:
         events."""
         others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
         return any(
-            not self._valley_between(1.0, self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k))
+            self._valley_between(self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k)) < VALLEY_MIN
             for j in others
         )
 
@@ -169,44 +182,44 @@ class _Moves:
         goes to the clutter instead where that costs less."""
         while len(self.zones) > 1:
             a, b = np.triu_indices(len(self.zones), 1)
-            gain, clear = self._apart(self.zones[a], self.zones[b])
+            gain, clear = self._apart(self.zones[a], self.zones[b], -self.hold_gain)
+            wanted = np.where(gain > -self.hold_gain, VALLEY_MIN, VALLEY_ALONE) / self.hold
             for pair in gain.argsort(kind="stable"):
                 i, j = int(a[pair]), int(b[pair])
                 inside = (self.labels == i) | (self.labels == j)
-                if not clear[pair] and not self._valley_between(gain[pair], self.zones[i], self.zones[j], inside):
+                if not clear[pair] and self._valley_between(self.zones[i], self.zones[j], inside) < wanted[pair]:
                     break
             else:
                 return
             small = i if self.zones[i, 0] < self.zones[j, 0] else j
-            if gain[pair] > 0 and self._drop_gain(np.array([small]))[0] > -gain[pair]:
+            if gain[pair] > 0 and self._drop_gain(np.array([small]), 1 / self.hold)[0] > -gain[pair]:
                 self._remove(small)
             else:
                 self._join(i, j)
 
     def _drop(self) -> None:
         while len(self.zones) > 1:
-            gain = self._drop_gain(np.arange(len(self.zones)))
+            gain = self._drop_gain(np.arange(len(self.zones)), 1 / self.hold)
             k = int(gain.argmax())
-            if gain[k] <= 0:
+            if gain[k] <= self.hold_gain:
                 return
             self._remove(k)
 
-    def _drop_gain(self, which: Labels) -> Floats:
-        """What the log posterior gains when a zone is clutter instead; but nothing where it stands out (`_excess`), and
-        something where it is hardly denser than the clutter around it."""
+    def _drop_gain(self, which: Labels, hold: float) -> Floats:
+        """What the log posterior gains when a zone is clutter instead; but nothing where it stands out (`EXCESS_MIN`),
+        and something where it is hardly denser than the clutter around it."""
         n, count = self.zones[which, 0], len(self.zones)
         total = np.array(self.total)
         prior = log_zones(count - 1, total) - log_zones(count, total) - log_share(n)
         gain = prior + gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1)
         gain += self.as_clutter[which] - log_evidence(self.zones[which])
-        contrast, excess = self._excess(which)
-        gain = np.where(gain > 0, np.minimum(gain, EXCESS_MIN - excess), gain)
-        gain[contrast < CONTRAST_MIN] = np.maximum(gain[contrast < CONTRAST_MIN], 1.0)
-        return np.asarray(gain)
+        inside, expected = self._inside(which)
+        doubt = EXCESS_MIN * hold - _log_surplus(inside, expected)
+        gain = np.where(gain > 0, np.minimum(gain, doubt), gain)
+        return np.asarray(np.maximum(gain, -_log_surplus(inside, CONTRAST_MIN * expected)))
 
-    def _excess(self, which: Labels) -> tuple[Floats, Floats]:
-        """Density of each zone in terms of the clutter's there, within two standard deviations, and the log likelihood
-        ratio of the surplus (Poisson)."""
+    def _inside(self, which: Labels) -> tuple[Floats, Floats]:
+        """Events within two standard deviations of each zone that are in no other one; those expected of clutter."""
         mean, cov = gaussians(self.zones[which])
         xx, xy, yy = (cov + _CELL_SPREAD).T[:, :, None]
         dx, dy = _CENTRES[0] - mean[:, :1], _CENTRES[1] - mean[:, 1:]
@@ -215,10 +228,9 @@ class _Moves:
         outside = self.density.sum() - self.density[self.cells.index[self.labels >= 0]].sum()
         expected = np.maximum(inside @ self.density, self.density.min()) * (self.clutter + 1) / max(outside, 1.0)
         n = np.maximum((inside[:, self.cells.index] * self.cells.sums[:, 0]).sum(axis=1), 1e-9)
-        excess = n * np.log(n / expected) - n + expected
-        return n / expected, np.where(n > expected, excess, 0.0)
+        return n, expected
 
-    def _apart(self, a: Floats, b: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def _apart(self, a: Floats, b: Floats, least: float) -> tuple[Floats, NDArray[np.bool_]]:
         """What the log posterior gains by two zones ``a`` and ``b`` (..., 6) instead of one, and whether that
         alone shows two: where they are far apart, or where an event of the smaller one is very unlike the
         other. Otherwise the gain is a coarsened one, and a valley is wanted.
@@ -237,14 +249,14 @@ class _Moves:
         gain += log_share(a[..., 0]) + log_share(b[..., 0]) - log_share(both[..., 0])
         gain += log_zones(count + 1, total) - log_zones(count, total)
         unlike = gain > UNLIKE * np.minimum(a[..., 0], b[..., 0])
-        return gain, (gain > 0) & (far | unlike)
+        return gain, (gain > least) & (far | unlike)
 
-    def _valley_between(self, gain: float, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> bool:
-        """Whether a valley shows groups with sums ``a`` and ``b`` (6,), cells ``inside``, to be two zones."""
+    def _valley_between(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
+        """Log likelihood ratio of a valley between groups with sums ``a`` and ``b`` (6,), cells ``inside``."""
         key = min(a.tobytes() + b.tobytes(), b.tobytes() + a.tobytes())
         if key not in self.valleys:
             self.valleys[key] = self._valley(a, b, inside)
-        return self.valleys[key] >= (VALLEY_MIN if gain > 0 else VALLEY_ALONE)
+        return self.valleys[key]
 
     def _valley(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
         (mean_a, mean_b), (cov_a, cov_b) = gaussians(np.stack([a, b]))
@@ -304,14 +316,15 @@ class _Moves:
         order = (self.cells.mean[members] @ _DIRECTIONS).argsort(axis=0, kind="stable")
         left = np.cumsum(self.cells.sums[members][order], axis=0)
         whole, left = left[-1:], left[:-1]
-        gain, clear = self._apart(left, whole - left)
+        gain, clear = self._apart(left, whole - left, self.hold_gain)
+        wanted = np.where(gain > self.hold_gain, VALLEY_MIN, VALLEY_ALONE) * self.hold
         inside = np.zeros(len(self.labels), dtype=np.bool_)
         inside[members] = True
         for angle in gain.max(axis=0).argsort(kind="stable")[::-1][:_CUTS_TRIED]:
             at = int(gain[:, angle].argmax())
             if gain[at, angle] > _GAIN_HOPELESS:
                 a, b = left[at, angle], whole[0, angle] - left[at, angle]
-                if clear[at, angle] or self._valley_between(gain[at, angle], a, b, inside):
+                if clear[at, angle] or self._valley_between(a, b, inside) >= wanted[at, angle]:
                     return np.asarray(members[order[at + 1 :, angle]])
         return None
 
@@ -321,6 +334,11 @@ def _discriminant(cov: Floats, difference: Floats) -> Floats:
     x, y = difference[..., 0], difference[..., 1]
     line = np.stack([cov[..., 2] * x - cov[..., 1] * y, cov[..., 0] * y - cov[..., 1] * x], axis=-1)
     return np.asarray(line / (np.hypot(line[..., 0], line[..., 1]) + 1e-300)[..., None])
+
+
+def _log_surplus(n: Floats, expected: Floats) -> Floats:
+    """Log likelihood ratio of ``n`` events where ``expected`` were (Poisson), negative where there are fewer."""
+    return np.asarray((n * np.log(n / expected) - n + expected) * np.sign(n - expected))
 
 
 def _sd_along(cov: Floats, line: Floats) -> Floats:

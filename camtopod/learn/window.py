@@ -1,8 +1,8 @@
 """Sliding window of event time: the events that count, and integer sums over them that are undone exactly.
 
-Rows are kept by column, oldest first; a row's absolute number never changes, so a passage (an exit and the entry that
-began it) is one number in the column ``mate``. Positions are fixed point and summed per grid cell and camera, so a
-zone's mean and covariance are exact whatever has come and gone.
+Rows are kept by column, oldest first; a row's absolute number changes with `forget_camera` only, so a passage (an exit
+and the entry that began it) is one number in the column ``mate``. Positions are fixed point and summed per grid cell
+and camera, so a zone's mean and covariance are exact whatever has come and gone.
 """
 
 from __future__ import annotations
@@ -82,6 +82,27 @@ class Window:
             self.base += drop
         return max(drop, 0)
 
+    def forget_camera(self, camera: int, before: int) -> int:
+        """Drop the camera's rows older than row number ``before`` (absolute), whatever their age; returns how many.
+
+        The rows that stay move up, so their numbers change; passages are renumbered with them.
+        """
+        gone = np.zeros(len(self), np.bool_)
+        gone[: max(before - self.base, 0)] = True
+        gone &= self.column("camera") == camera
+        drop = int(gone.sum())
+        self._count(np.flatnonzero(gone) + self._start, -1)
+        number = np.where(gone, NO_MATE, self.base + drop + np.cumsum(~gone) - 1)
+        mate = self.column("mate")
+        renumbered = np.where(mate >= self.base, number[np.maximum(mate - self.base, 0)], mate)
+        self._columns["mate"][self._start : self._stop] = renumbered
+        self._open = {key: int(number[row - self.base]) if row >= self.base else row for key, row in self._open.items()}
+        for column in self._columns.values():
+            column[self._start + drop : self._stop] = column[self._start : self._stop][~gone]
+        self._start += drop
+        self.base += drop
+        return drop
+
     def cell_sums(self, camera: int) -> CellSums:
         """The sums over one camera's events that have positions, each (rows, columns)."""
         return CellSums(*self.sums[camera][:6])
@@ -112,7 +133,7 @@ class Window:
             del self._open[next(iter(self._open))]
         return NO_MATE
 
-    def _count(self, rows: slice, sign: int) -> None:
+    def _count(self, rows: slice | NDArray[np.intp], sign: int) -> None:
         """Add (+1) or take back (-1) rows to the sums of their cameras."""
         camera = self._columns["camera"][rows]
         entry = self._columns["entry"][rows]

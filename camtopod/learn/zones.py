@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
@@ -23,6 +24,8 @@ from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
+ANEW_EVENTS_MAX = 4000
+"""With so many events zones are no longer learned from nothing."""
 POSITION_ONE = 1 << 12
 """An image position of 1.0 in the fixed point of the sums."""
 CELLS = GRID_ROWS * GRID_COLUMNS
@@ -61,6 +64,8 @@ class ZoneMap(Struct, frozen=True, eq=False):
     zones: tuple[ZoneShape, ...]
     cells: NDArray[np.int16]
     next_number: int
+    events: int = 0
+    """Events from which the map was learned from nothing."""
 
 
 def cell_of(x: float, y: float) -> tuple[int, int]:
@@ -90,23 +95,37 @@ def cell_sums(x: ArrayLike, y: ArrayLike) -> CellSums:
     return CellSums(*sums)
 
 
-def find_zones(sums: CellSums, previous: tuple[ZoneShape, ...] = (), next_number: int = 1) -> ZoneMap:
+def find_zones(
+    sums: CellSums, previous: tuple[ZoneShape, ...] = (), next_number: int = 1, held: NDArray[np.int16] | None = None
+) -> ZoneMap:
     """The zones behind ``sums``. Those at the place of a zone of ``previous`` keep its number, others are
     numbered from ``next_number``; ``previous`` may hold zones that had vanished, which so get their number
-    back when they return. Without events there are no zones.
+    back when they return. ``held`` (rows, columns) is the map so far (`ZoneMap.cells`), changed only where the evidence
+    is clear; None learns from nothing. Without events there are no zones.
     """
     flat = np.stack([np.asarray(grid).ravel() for grid in sums], axis=1)
     occupied = np.flatnonzero(flat[:, 0])
     if not len(occupied):
         return ZoneMap((), np.full((GRID_ROWS, GRID_COLUMNS), -1, dtype=np.int16), next_number)
     scale = np.array([1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2])
+    so_far = None if held is None else held.ravel()[occupied].astype(np.intp)
     rates = clutter_rates(np.asarray(sums.count))
-    labels = partition(Cells.of(flat[occupied] / scale, occupied), np.asarray(sums.count), rates)
+    labels = partition(Cells.of(flat[occupied] / scale, occupied), np.asarray(sums.count), rates, so_far)
     total = int(flat[occupied[labels >= 0], 0].sum())
     found = [_shape(flat[occupied[labels == k]].sum(axis=0), total) for k in range(labels.max() + 1)]
     zones, next_number = match_zones(previous, found, next_number)
     clutter = (int(flat[:, 0].sum()) / total - 1.0) * rates / rates.mean()
-    return ZoneMap(zones, classify_cells(zones, clutter), next_number)
+    return ZoneMap(zones, classify_cells(zones, clutter), next_number, int(flat[:, 0].sum()))
+
+
+def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()) -> ZoneMap:
+    """The zones now: those of ``old`` but where the evidence against them is clear. ``gone`` are vanished ones whose
+    numbers may come back. While the events are few, each doubling starts from nothing, lest early errors stay.
+    """
+    known, events = old.zones + gone, int(np.asarray(sums.count).sum())
+    if events >= 2 * old.events and old.events < ANEW_EVENTS_MAX:
+        return find_zones(sums, known, old.next_number)
+    return replace(find_zones(sums, known, old.next_number, old.cells), events=old.events)
 
 
 def _shape(sums: Integers, total: int) -> ZoneShape:
@@ -124,7 +143,7 @@ def match_zones(
     ``next_number``, which is above every number ever given. Returns the zones by number and the next free
     number.
 
-    The assignment (Hungarian) minimises the summed Mahalanobis distances; a pair further apart than
+    The assignment (Hungarian) minimises the summed distances; a pair further apart than
     `MATCH_DISTANCE` is never made.
     """
     number: dict[int, int] = {}
@@ -144,7 +163,10 @@ def match_zones(
 
 
 def _distance(a: ZoneShape, b: ZoneShape) -> float:
-    """Mahalanobis distance of two zones' centres under the mean of their covariances."""
+    """How far two zones are apart, by the root of eight times the Bhattacharyya distance: the Mahalanobis distance of
+    their centres under the mean of their covariances where these are alike, and more where they are not."""
     cov = (np.array(a.cov) + np.array(b.cov)) / 2 + np.eye(2) * PLACE_SD_MIN**2
     d = np.array([a.x - b.x, a.y - b.y])
-    return float(np.sqrt(d @ np.linalg.solve(cov, d)))
+    spread = [np.linalg.det(np.array(zone.cov) + np.eye(2) * PLACE_SD_MIN**2) for zone in (a, b)]
+    unlike = np.log(np.linalg.det(cov) ** 2 / (spread[0] * spread[1]))
+    return float(np.sqrt(d @ np.linalg.solve(cov, d) + 2 * max(unlike, 0.0)))

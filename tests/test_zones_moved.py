@@ -1,0 +1,151 @@
+"""A camera that is turned gets new zones, and nothing else is taken for that."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+
+from camtopod.learn.learner import Learner
+from camtopod.learn.moved import find_move
+from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS, Settings
+from camtopod.learn.window import Window
+from camtopod.learn.zones import POSITION_ONE, cell_sums, cells_of, find_zones
+from camtopod.records import Event
+
+BEFORE = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3)]
+AFTER = [(0.3, 0.1), (0.7, 0.7), (0.2, 0.8)]
+
+
+def places(
+    seed: int, doors: list[tuple[float, float]], shares: list[float], n: int, clutter: float = 0.2
+) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    door = np.array(doors)[rng.choice(len(doors), n, p=shares)] + 0.02 * rng.standard_normal((n, 2))
+    return np.clip(np.where(rng.random((n, 1)) < clutter, rng.random((n, 2)), door), 0, 1)
+
+
+def cells(positions: np.ndarray) -> np.ndarray:
+    row, column = cells_of(*positions.T)
+    return row * GRID_COLUMNS + column
+
+
+def first_look(before: np.ndarray, after: np.ndarray) -> int | None:
+    """After how many of the later events a move is seen, looking every 25; None: never."""
+    table = find_zones(cell_sums(*before.T)).cells
+    cell = cells(np.concatenate([before, after]))
+    looks = range(len(before) + 25, len(cell) + 1, 25)
+    return next((at - len(before) for at in looks if find_move(cell[:at], table)), None)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("n", [200, 2000])
+def test_a_turned_camera_is_seen_within_a_hundred_events(seed: int, n: int) -> None:
+    before = places(seed, BEFORE, [0.5, 0.3, 0.2], n)
+    after = places(seed + 100, AFTER, [0.4, 0.4, 0.2], 200)
+    seen = first_look(before, after)
+    assert seen is not None
+    assert seen <= 100
+    move = find_move(cells(np.concatenate([before, after])), find_zones(cell_sums(*before.T)).cells)
+    assert move is not None
+    assert abs(move.first - n) <= 20
+    assert move.outside > 0.8
+    assert move.left < 0.2
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    ("doors", "shares", "clutter"),
+    [
+        (BEFORE, [0.5, 0.3, 0.2], 0.2),  # as before
+        (BEFORE, [0.05, 0.1, 0.85], 0.2),  # other doors busy
+        (BEFORE, [0.5, 0.3, 0.2], 0.7),  # hardly anybody, as much clutter
+        (BEFORE, [0.0, 0.6, 0.4], 0.2),  # one closed
+        ([*BEFORE, (0.3, 0.1)], [0.25, 0.15, 0.1, 0.5], 0.2),  # one opened
+        ([*BEFORE, (0.3, 0.1)], [0.0, 0.3, 0.2, 0.5], 0.2),  # both
+    ],
+)
+def test_other_changes_are_no_move(
+    seed: int, doors: list[tuple[float, float]], shares: list[float], clutter: float
+) -> None:
+    before = places(seed, BEFORE, [0.5, 0.3, 0.2], 1000)
+    assert first_look(before, places(seed + 100, doors, shares, 400, clutter)) is None
+
+
+def test_few_events_and_no_zones_are_no_move() -> None:
+    empty = np.full((GRID_ROWS, GRID_COLUMNS), -1, np.int16)
+    assert find_move(np.zeros(0, np.int64), empty) is None
+    assert find_move(np.arange(400) % 720, empty) is None
+    before = places(0, BEFORE, [0.5, 0.3, 0.2], 90)
+    assert first_look(before, places(1, AFTER, [0.4, 0.4, 0.2], 60)) is None
+
+
+def test_window_forgets_one_camera_and_keeps_the_passages_of_the_others() -> None:
+    window = Window(100)
+    rng = np.random.default_rng(0)
+    for k in range(30):
+        camera, kind, track = (
+            "ab"[int(rng.integers(2)) if k else 0],
+            ("entry", "exit")[int(rng.integers(2))],
+            str(rng.integers(3)),
+        )
+        window.append([(k, Event(camera, kind, float(k), *rng.random(2), track=track))])
+    window.forget(3)
+    t, camera, mate, base = (*(window.column(c).copy() for c in ("t", "camera", "mate")), window.base)
+    stays = (t >= 18) | (camera == 1)
+    began = np.where(mate >= base, t[np.maximum(mate - base, 0)], -1)
+    began[(mate >= base) & ~stays[np.maximum(mate - base, 0)]] = -1
+    row = base + int(np.flatnonzero(t == 18)[0])
+    assert window.forget_camera(0, row) == (~stays).sum() > 0
+    assert window.column("t").tolist() == t[stays].tolist()
+    mate = window.column("mate")
+    now = np.where(mate >= window.base, window.column("t")[np.maximum(mate - window.base, 0)], -1)
+    assert now.tolist() == began[stays].tolist()
+    rows = zip(*(window.column(c) for c in ("camera", "entry", "px", "py")), strict=True)
+    kept = [Event("ab"[c], "entry" if e else "exit", 0.0, x / POSITION_ONE, y / POSITION_ONE) for c, e, x, y in rows]
+    sums, _ = naive.window_sums(kept, GRID_ROWS, GRID_COLUMNS, POSITION_ONE)
+    assert all((window.sums[k] == sums["ab"[k]]).all() for k in (0, 1))
+    window.append([(40, Event("b", "exit", 40.0, track="0"))])
+    last = int(window.column("mate")[-1])
+    assert last < window.base or window.column("camera")[last - window.base] == 1
+
+
+def walks(seed: int, start: float, n: int, doors: list[tuple[float, float]]) -> list[Event]:
+    """People who leave camera a at its first door and appear in b 8 seconds later; others come and go in a."""
+    rng = np.random.default_rng(seed)
+    made, t = list[Event](), start
+    for k in range(n):
+        t += rng.exponential(40.0)
+        came, left = (np.clip(np.array(doors[d]) + 0.015 * rng.standard_normal(2), 0, 1) for d in (1 + k % 2, 0))
+        there, gone = (np.clip(np.array(p) + 0.015 * rng.standard_normal(2), 0, 1) for p in ((0.1, 0.2), (0.9, 0.9)))
+        lag = 8.0 + rng.normal()
+        made += [Event("a", "entry", t, *came, track=k), Event("a", "exit", t + 6, *left, track=k)]
+        made += [Event("b", "entry", t + 6 + lag, *there, track=k), Event("b", "exit", t + 12 + lag, *gone, track=k)]
+    return sorted(made, key=lambda event: event.t)
+
+
+def test_learner_starts_a_turned_camera_anew_and_says_so() -> None:
+    learner = Learner(Settings())
+    for event in walks(0, 0.0, 300, BEFORE):
+        learner.receive(event)
+    learner.flush()
+    before = learner.topology
+    assert before is not None
+    old = next(camera.zones for camera in before.cameras if camera.id == "a")
+    assert len(old) == 3
+    assert any(link.from_ in old and link.to.startswith("b/") for link in before.links)
+    for event in walks(1, before.as_of, 150, AFTER):
+        learner.receive(event)
+    learner.flush()
+    after = learner.topology
+    assert after is not None
+    zones = {camera.id: camera.zones for camera in after.cameras}
+    assert zones["b"] == next(camera.zones for camera in before.cameras if camera.id == "b")
+    assert len(zones["a"]) == 3
+    assert not set(zones["a"]) & set(old)
+    places_now = np.array([(zone.x, zone.y) for zone in after.zones if zone.camera == "a"])
+    assert (np.abs(places_now[:, None] - np.array(AFTER)).max(axis=2).min(axis=1) < 0.02).all()
+    assert not any({link.from_, link.to} & set(old) for link in [*after.links, *(after.weak_links or [])])
+    assert any(link.from_ in zones["a"] and link.to.startswith("b/") for link in after.links)
+    moved = [alarm for alarm in after.alarms or [] if alarm.kind == "camera_moved"]
+    assert [alarm.subject for alarm in moved] == ["a"]
