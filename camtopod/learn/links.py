@@ -158,7 +158,7 @@ def without_missed(
     for k in np.flatnonzero(found):
         kept[k] = not explained_by_missed(
             int(between.source[k]), int(between.target[k]), float(between.probability[k]),
-            float(between.transit.mean[k]), links, passages, settings.missed_share_max,
+            float(between.transit.quantiles[k, 1]), links, passages, settings.missed_share_max,
         )  # fmt: skip
     return kept
 
@@ -167,7 +167,7 @@ def ways(table: LinkTable, keep: NDArray[np.bool_]) -> Ways:
     """Rows of the table as ways by source zone."""
     result = Ways()
     for k in np.flatnonzero(keep):
-        row = (int(table.target[k]), table.probability[k], table.transit.mean[k], table.transit.sd[k])
+        row = (int(table.target[k]), table.probability[k], table.transit.quantiles[k, 1], table.transit.sd[k])
         result.setdefault(int(table.source[k]), []).append(row)
     return result
 

@@ -17,7 +17,7 @@ Ints = NDArray[np.int32]
 RESPONSIBILITY_MAX = 1.0 - 1e-6
 FLAT_MAX = 1e6
 MISSED_LAG_SD = 3.0
-"""A way over a missed passage must fit the link's mean lag within this many standard deviations."""
+"""A way over a missed passage must fit the link's median lag within this many standard deviations."""
 
 
 def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs: int) -> Floats:
@@ -44,11 +44,11 @@ def q_values(ratio: Floats, tests: int) -> Floats:
 
 
 class Ways(dict[int, list[tuple[int, float, float, float]]]):
-    """Directed weighted ways by source zone: (target zone, probability, mean seconds, sd seconds)."""
+    """Directed weighted ways by source zone: (target zone, probability, median seconds, sd seconds)."""
 
 
 def explained_by_missed(
-    source: int, target: int, probability: float, mean: float, links: Ways, passages: Ways, missed_share_max: float
+    source: int, target: int, probability: float, median: float, links: Ways, passages: Ways, missed_share_max: float
 ) -> bool:
     """Whether source -> target is what remains of source -> (a camera that missed the passage) -> target.
 
@@ -58,12 +58,12 @@ def explained_by_missed(
     """
     odds = missed_share_max / (1.0 - missed_share_max)
     total = 0.0
-    for a, p_in, mean_in, sd_in in links.get(source, []):
-        for b, p_through, mean_through, sd_through in passages.get(a, []):
-            for end, p_out, mean_out, sd_out in links.get(b, []):
+    for a, p_in, median_in, sd_in in links.get(source, []):
+        for b, p_through, median_through, sd_through in passages.get(a, []):
+            for end, p_out, median_out, sd_out in links.get(b, []):
                 if end != target:
                     continue
                 spread = np.sqrt(sd_in**2 + sd_through**2 + sd_out**2) + 1.0
-                if abs(mean_in + mean_through + mean_out - mean) <= MISSED_LAG_SD * spread:
+                if abs(median_in + median_through + median_out - median) <= MISSED_LAG_SD * spread:
                     total += p_in * p_through * p_out
     return probability <= odds * total
