@@ -6,6 +6,7 @@ In the order in which data flows:
 * `intake`: any order in, by time out; `window`: the events that count, as sums that can be undone
 * `daspec` and `clutter`, `partition`, `evidence`, `valley`: entry and exit zones; `mixture`: which cell is which zone;
   `zones`: all of it, with numbers that stay with their place
+* `coarse`, `twoway`, `clocks`: whose clock is wrong, and by how much
 * `scene`: who left, who came, who passed through; `rates`: how often anyway; `slowness`: how fast
 * `candidates`, `lags`, `joint`, `memory`: which arrival belongs to which departure; `passages`: also in one view
 * `crossfit`, `significance`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its figures; `links`
