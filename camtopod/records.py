@@ -139,6 +139,48 @@ class CameraModel(Struct, frozen=True):
     last_event: float
 
 
+class Outcome(Struct, frozen=True):
+    """One zone where objects may appear next. ``share`` of the departures are expected there; ``hazard`` has, per lag
+    bin, the probability of appearing in it for a departure that is exposed to it.
+    """
+
+    to: str
+    share: float
+    hazard: Histogram
+
+
+class Onward(Struct, frozen=True):
+    """What is expected of objects leaving ``zone``: to appear next elsewhere, or (``leave``) not to be seen again."""
+
+    zone: str
+    leave: float
+    next_: list[Outcome]
+
+
+class EntryKernel(Struct, frozen=True):
+    """Objects that entered a view at ``zone`` and appear at ``to`` before they leave it; the lags of ``hazard`` count
+    from the entry.
+    """
+
+    zone: str
+    to: str
+    hazard: Histogram
+
+
+class Context(Struct, frozen=True, omit_defaults=True):
+    """Departures at ``zone`` of which more is known: the zone of ``entry``, the ``block`` of the image where they left
+    (row * columns + column of a coarse grid), the camera where they probably were before (``previous``). ``departures``
+    and the transitions ``to`` each zone are weighed by how sure they are.
+    """
+
+    zone: str
+    departures: float
+    to: dict[str, float]
+    entry: str | None = None
+    block: int | None = None
+    previous: str | None = None
+
+
 class Model(Struct, frozen=True):
     """What `predict` needs beyond the links. Lag bin ``k`` starts at ``lag_scale * sinh(lag_step * k)`` seconds."""
 
@@ -150,6 +192,10 @@ class Model(Struct, frozen=True):
     cameras: list[CameraModel]
     clocks_corrected: bool = False
     """Whether the links' transit times are in right time, not by the cameras' own clocks. Histograms always are."""
+    onward: list[Onward] | None = None
+    """The posterior, weak evidence included; without it prediction reads the links."""
+    entered: list[EntryKernel] | None = None
+    contexts: list[Context] | None = None
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from camtopod.learn.chain import markov_chain
 from camtopod.learn.clocks import Clocks
-from camtopod.learn.intake import MICROSECONDS
-from camtopod.learn.joint import Fit
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable
 from camtopod.learn.relations import camera_pairs, relation_of
@@ -23,7 +21,6 @@ from camtopod.learn.window import Window
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
-    CameraModel,
     Histogram,
     Link,
     Model,
@@ -31,7 +28,6 @@ from camtopod.records import (
     Topology,
     Transit,
     Zone,
-    ZoneModel,
 )
 
 DIGITS = 6
@@ -78,7 +74,7 @@ def link_records(
                 *(short(value) for value in (t.mode[k], t.mean[k], t.sd[k], *t.quantiles[k])),
                 *(short(value) for value in (t.mean_error[k], t.median_error[k])),
             ),
-            short(table.q[k]), short(table.variance[k]), _histogram(table.counts[k], bins),
+            short(table.q[k]), short(table.variance[k]), histogram(table.counts[k], bins),
         )
         for k in range(len(table.source))
     ]  # fmt: skip
@@ -100,7 +96,7 @@ def by_clocks(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> 
     return result
 
 
-def _histogram(counts: NDArray[np.float64], bins: LagBins) -> Histogram:
+def histogram(counts: NDArray[np.float64], bins: LagBins) -> Histogram:
     """Expected transitions per lag bin without the empty ends."""
     full = np.flatnonzero(counts > HISTOGRAM_MASS_MIN * counts.sum())
     if len(full) == 0:
@@ -108,34 +104,9 @@ def _histogram(counts: NDArray[np.float64], bins: LagBins) -> Histogram:
     return Histogram(bins.first + int(full[0]), [float(f"{n:.3g}") for n in counts[full[0] : full[-1] + 1]])
 
 
-def model_of(
-    cameras: list[str], scene: Scene, fit: Fit | None, bins: LagBins, window: Window, clocks_corrected: bool
-) -> Model:
-    """Rates and stays that prediction needs beside the links."""
-    d = scene.departures
-    span = max(scene.last - scene.first, 1.0)
-    zones = []
-    for index, zone in enumerate(scene.zones):
-        stay = (d.t - d.since)[(d.zone == index) & np.isfinite(d.since)]
-        deciles = [short(float(value)) for value in np.quantile(stay, STAY_DECILES)] if len(stay) else []
-        outside = 1.0 if fit is None else float(fit.outside[index])
-        rate = outside * float(scene.entries[index]) / span
-        zones.append(ZoneModel(zone_id(cameras, zone), int(scene.exits[index]), short(rate), deciles))
-    camera = window.column("camera").astype(np.int64)
-    t = window.column("t")
-    share = np.bincount(camera, minlength=len(cameras)) / max(len(camera), 1)
-    last = np.zeros(len(cameras))
-    np.maximum.at(last, camera, t / MICROSECONDS)
-    models = [CameraModel(name, short(share[k]), float(last[k])) for k, name in enumerate(cameras) if share[k] > 0]
-    return Model(
-        bins.scale, bins.step, bins.lag_min, bins.lag_max,
-        sorted(zones, key=lambda zone: zone.zone), sorted(models, key=lambda model: model.camera), clocks_corrected,
-    )  # fmt: skip
-
-
 def assemble(
-    settings: Settings, window: Window, scene: Scene, fit: Fit | None, bins: LagBins, clocks: Clocks,
-    links: list[Link], weak_links: list[Link],
+    settings: Settings, window: Window, scene: Scene, model: Model, clocks: Clocks, links: list[Link],
+    weak_links: list[Link],
 ) -> Topology:  # fmt: skip
     """The content of one version, without site, epoch, version, moment, number of events and digest."""
     zones = zone_records(window.cameras, scene)
@@ -153,5 +124,5 @@ def assemble(
         pairs=camera_pairs(zones, links, settings.overlap_tolerance_seconds),
         weak_links=by_clocks(weak_links, zones, shift),
         chain=markov_chain(zones, [*links, *weak_links], DIGITS),
-        model=model_of(window.cameras, scene, fit, bins, window, settings.correct_clocks),
+        model=model,
     )  # fmt: skip

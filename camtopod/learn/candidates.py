@@ -34,8 +34,10 @@ class Departures(NamedTuple):
     def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
         """The departures ``kept`` when of the arrivals only those of the mask ``arrivals`` are."""
         number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)  # -1 looks at the last
-        rest = Departures(*(column[kept] for column in self))
-        return rest._replace(own=number[rest.own])
+        own = number[self.own[kept]]
+        return Departures(
+            self.t[kept], self.zone[kept], self.camera[kept], self.since[kept], self.slow[kept], own, self.block[kept]
+        )
 
     @staticmethod
     def untold(t: Floats, zone: Ints, camera: Ints, since: Floats, slow: Floats) -> Departures:
@@ -57,7 +59,7 @@ class Arrivals(NamedTuple):
 
     def take(self, kept: NDArray[np.bool_]) -> Arrivals:
         """The arrivals ``kept``."""
-        return Arrivals(*(column[kept] for column in self))
+        return Arrivals(self.t[kept], self.zone[kept], self.camera[kept], self.rate[kept], self.slow[kept])
 
 
 class Candidates(NamedTuple):

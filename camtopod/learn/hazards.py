@@ -1,6 +1,6 @@
 """The hazards of a topology version, ready for prediction: where objects that leave a zone appear, and when.
 
-Read off the published and the weak links of the version, which is all that a subscriber gets.
+Read off the posterior that the version carries; where it carries none, off its links.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.joint import smooth
+from camtopod.learn.joint import LEAVE_FLOOR, smooth
 from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins
-from camtopod.records import Link, Topology
+from camtopod.records import Histogram, Link, Onward, Topology
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +26,10 @@ class Outcomes(NamedTuple):
     """Where objects that leave one zone appear next."""
 
     targets: list[int]
+    share: Floats
+    """(targets,) of the departures."""
+    leave: float
+    """Share of the departures not seen again."""
     hazard: Floats
     """(targets, bins) per second and exposed departure."""
     exposure: Floats
@@ -50,7 +54,14 @@ class Hazards:
         for known in model.zones if model else []:
             self.arrival_rate[index[known.zone]] += known.arrival_rate
             self.stay[index[known.zone]] = known.stay
-        self.outcomes = self._read([*topology.links, *(topology.weak_links or [])], index)
+        if model is None or model.onward is None:
+            self.outcomes = self._from_links([*topology.links, *(topology.weak_links or [])], index)
+        else:
+            self.outcomes = self._from_posterior(model.onward, index)
+        self._entered: dict[int, dict[int, list[float]]] = {}
+        for kernel in (model and model.entered) or []:
+            hazard = _on_bins(kernel.hazard, self.bins) / self.bins.widths
+            self._entered.setdefault(index[kernel.zone], {})[index[kernel.to]] = hazard.tolist()
         self._rows = {
             (zone, target): row
             for zone, outcomes in self.outcomes.items()
@@ -66,6 +77,15 @@ class Hazards:
         rate: float = row[math.floor(math.asinh(lag / self.bins.scale) / self.bins.step) - self.bins.first]
         return rate
 
+    def rate_entered(self, entry: int | None, target: int, elapsed: float) -> float:
+        """Rate (1/s) at which an object that entered a view at zone ``entry`` (None: unknown) ``elapsed`` seconds ago
+        and is still in it appears at another zone.
+        """
+        row = self._entered.get(entry, {}).get(target) if entry is not None else None
+        if row is None or not 0.0 < elapsed <= self.bins.lag_max:
+            return 0.0
+        return row[math.floor(math.asinh(elapsed / self.bins.scale) / self.bins.step) - self.bins.first]
+
     def rate_ahead(self, camera: str, target: int) -> float:
         """Rate (1/s) at which an object in the view of a camera appears at a zone before it leaves the view."""
         return self._ahead.get((camera, target), 0.0)
@@ -74,7 +94,17 @@ class Hazards:
         """Longest passage known that left at one of the zones, seconds."""
         return max((self.stay[zone][-1] for zone in zones if self.stay[zone]), default=None)
 
-    def _read(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
+    def _from_posterior(self, rows: list[Onward], index: dict[str, int]) -> dict[int, Outcomes]:
+        outcomes = {}
+        for row in rows:
+            if row.next_:
+                hazard = np.stack([_on_bins(outcome.hazard, self.bins) for outcome in row.next_]) / self.bins.widths
+                share = np.array([outcome.share for outcome in row.next_])
+                zone, targets = index[row.zone], [index[outcome.to] for outcome in row.next_]
+                outcomes[zone] = Outcomes(targets, share, row.leave, hazard, self._exposure(zone))
+        return outcomes
+
+    def _from_links(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
         grouped: dict[int, list[Link]] = {}
         for link in links:
             if link.relation != "visible" and link.from_ in index and link.to in index:
@@ -86,7 +116,8 @@ class Hazards:
             share = spread / np.maximum(spread.sum(axis=1, keepdims=True), 1e-300)
             probability = np.array([link.probability for link in out])[:, None]
             hazard = probability * share / (self.bins.widths * exposure)
-            outcomes[zone] = Outcomes([index[link.to] for link in out], hazard, exposure)
+            leave = max(1.0 - float(probability.sum()), LEAVE_FLOOR)
+            outcomes[zone] = Outcomes([index[link.to] for link in out], probability[:, 0], leave, hazard, exposure)
         return outcomes
 
     def _exposure(self, zone: int) -> Floats:
@@ -123,13 +154,18 @@ def _lag_range(topology: Topology) -> tuple[float, float]:
 
 def _counts(link: Link, bins: LagBins) -> Floats:
     """The link's histogram on the bins, (bins,); one without is spread as its quantiles say."""
-    counts = np.zeros(bins.size)
     if link.histogram is not None:
-        start = link.histogram.first - bins.first
-        for k, mass in enumerate(link.histogram.mass):
-            if 0 <= start + k < bins.size:
-                counts[start + k] += mass
-        return counts
+        return _on_bins(link.histogram, bins)
     sd = max((link.transit.q90 - link.transit.q10) / (2 * NORMAL_Q90), 0.5)
     shape = np.exp(-0.5 * ((bins.centres - link.transit.q50) / sd) ** 2) * bins.widths
     return shape / max(float(shape.sum()), 1e-300) * link.transitions
+
+
+def _on_bins(histogram: Histogram, bins: LagBins) -> Floats:
+    """A histogram on all of the bins, (bins,)."""
+    counts = np.zeros(bins.size)
+    start = histogram.first - bins.first
+    for k, mass in enumerate(histogram.mass):
+        if 0 <= start + k < bins.size:
+            counts[start + k] += mass
+    return counts

@@ -52,7 +52,6 @@ transition off each. Left out, thousands of pairs share the arrivals that come f
 """
 FOLLOWED_TRANSITIONS_MIN = 0.05
 """A pair of zones with fewer expected transitions is not followed in later rounds."""
-POSTERIOR_SPARSITY = 0.3
 POOLING_DEPARTURES = 3.0
 """In the posterior, what leaves anywhere in a camera's view counts for each of its zones as much as this many
 departures.
@@ -80,41 +79,34 @@ class Fit(NamedTuple):
 
 
 class Known(NamedTuple):
-    """Hazards (P, bins; rows of zeros where unknown) of an earlier posterior and of its links, and what speed told."""
+    """Hazards (P, bins; rows of zeros where unknown) of an earlier fit, and what speed told."""
 
-    posterior: Floats
-    linked: Floats
+    hazard: Floats
     persistence: Persistence
 
 
 def fit_jointly(
     departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
     known: Known | None = None,
-) -> tuple[Fit, Fit]:  # fmt: skip
-    """The joint fit of everything that left and came up to ``until`` (seconds): the posterior, and the links in it.
-
-    The *posterior* keeps all weak evidence and lends each zone some of its camera's: best for prediction. The second
-    fit has a sparse prior and stands for what is linked. ``known``: what earlier fits of both kinds found, to go on
-    from.
+) -> Fit:  # fmt: skip
+    """The joint fit of everything that left and came up to ``until`` (seconds), for what is linked: with a sparse prior
+    and without what has next to nothing. ``known``: what an earlier fit found, to go on from.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
     if known is None:
         first = fitter.run(fitter.start())
-        likely = linked = fitter.run(fitter.use_slowness(first)).hazard
+        hazard = fitter.run(fitter.use_slowness(first)).hazard
     else:
         fitter.use(known.persistence)
-        floor = START_FLOOR * fitter.start()
-        likely, linked = np.maximum(known.posterior, floor), np.maximum(known.linked, floor)
-    fitter.pooling, fitter.sparsity = POOLING_DEPARTURES, POSTERIOR_SPARSITY
-    posterior = fitter.run(likely)
-    fitter.pooling, fitter.sparsity = 0.0, SPARSITY
-    fit = fitter.prune(fitter.run(linked))
+        hazard = np.maximum(known.hazard, START_FLOOR * fitter.start())
+    fitter.sparsity = SPARSITY
+    fit = fitter.prune(fitter.run(hazard))
     for _ in range(SPARSE_ROUNDS_MAX - 1):
         before = fitter.persistence
         fit = fitter.prune(fitter.run(fitter.use_slowness(fit)))
         if max(abs(now - then) for now, then in zip(fitter.persistence, before, strict=True)) < SETTLED:
             break
-    return posterior, fit
+    return fit
 
 
 class JointFitter:
@@ -223,11 +215,7 @@ class JointFitter:
         """E step: responsibilities (M,)."""
         c = self.candidates
         background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
-        # Leave one out: left in, a lone arrival would be its own evidence and all clutter would find a departure.
-        others = np.maximum(1.0 - self._responsibility * self._own[self._cell], 0.0)
-        weight = hazard.ravel()[self._cell] * others * self._agreement
-        again = np.bincount(c.source, self._appears(hazard), minlength=self.zones)
-        leave = np.maximum(1.0 - again, LEAVE_FLOOR)[self.departures.zone]
+        weight, leave = self._weights(hazard), self._leave(hazard)
         taken = weight * self._message
         free = (leave + np.bincount(c.departure, taken, minlength=len(leave)))[c.departure] - taken
         offer = weight / free
@@ -235,6 +223,19 @@ class JointFitter:
         self._message = 1.0 / np.maximum(demand - offer, 1e-12)
         self._responsibility = offer / demand
         return self._responsibility
+
+    def _weights(self, hazard: Floats) -> Floats:
+        """Hazard (M,) of each candidate that the others make."""
+        # Leave one out: left in, a lone arrival would be its own evidence and all clutter would find a departure.
+        others = np.maximum(1.0 - self._responsibility * self._own[self._cell], 0.0)
+        weight: Floats = hazard.ravel()[self._cell] * others * self._agreement
+        return weight
+
+    def _leave(self, hazard: Floats) -> Floats:
+        """Probability (n,) that the object of each departure is not seen again."""
+        again = np.bincount(self.candidates.source, self._appears(hazard), minlength=self.zones)
+        left: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)[self.departures.zone]
+        return left
 
     def _count(self, responsibility: Floats) -> Floats:
         """Expected transitions (P, bins)."""

@@ -10,6 +10,8 @@ within the lateness, nor on how fast or when the program ran.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -20,7 +22,7 @@ from camtopod.learn.change import Change, find_changes, present
 from camtopod.learn.clocks import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
-from camtopod.learn.joint import Fit, fit_jointly
+from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import (
     LinkTable,
@@ -34,8 +36,10 @@ from camtopod.learn.links import (
     without_missed,
 )
 from camtopod.learn.memory import Memory
+from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
 from camtopod.learn.passages import visible_transitions, with_usual_stays
+from camtopod.learn.posterior import Posterior, fit_posterior
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Scene, see
 from camtopod.learn.scoring import Scorer
@@ -191,7 +195,9 @@ class Learner:
         visible = refresh_monte_carlo(through.rows(seen), self.stay_bins)
         cameras = self._window.cameras
         topology = assemble(
-            self.settings, self._window, scene, posterior, self.bins, self._keeper.clocks,
+            self.settings, self._window, scene,
+            model_of(cameras, scene, posterior, self.bins, self._window, changes, self.settings.correct_clocks),
+            self._keeper.clocks,
             links=link_records(cameras, scene, published, self.bins)
             + link_records(cameras, scene, visible, self.stay_bins, "visible"),
             weak_links=link_records(cameras, scene, beside(likely, published, len(scene.zones)), self.bins),
@@ -266,7 +272,7 @@ class Learner:
 
     def _between_views(
         self, scene: Scene, silences: list[Silences]
-    ) -> tuple[Fit | None, LinkTable, LinkTable, list[Change]]:
+    ) -> tuple[Posterior | None, LinkTable, LinkTable, list[Change]]:
         """Links that leave a view: the joint fit of departures and arrivals, and what in it has changed."""
         zones = len(scene.zones)
         departures, arrivals = newest(scene.departures, scene.arrivals, self.bins, self.settings.candidates_max)
@@ -276,15 +282,20 @@ class Learner:
             return None, empty, empty, []
         first = float(min(departures.t[0], arrivals.t[0]))
         candidates = find_candidates(departures, arrivals, self.bins, zones)
-        known = self._memory.recall(candidates, scene, self.bins, len(self._window))
-        posterior, fit = fit_jointly(departures, arrivals, candidates, self.bins, zones, scene.last, known)
-        self._memory.remember(posterior, fit, scene, len(self._window), fresh=known is None)
+        problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
+        if self._memory.fresh_due(self._learned, len(self._window)):
+            self._memory.started(self._learned)
+            fit, posterior = fit_jointly(*problem), fit_posterior(*problem)
+        else:
+            fit = fit_jointly(*problem, self._memory.links(candidates, scene, self.bins))
+            posterior = fit_posterior(*problem, partial(self._memory.members, scene, self.bins))
+        self._memory.remember(fit, posterior, scene)
         ratio = cross_evidence(departures, arrivals, fit, self.bins, zones, first, scene.last)
         pace = pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), leaving, self.bins, zones, pace).with_evidence(ratio, zones * zones)
-        likely = tabulate(transitions_of(posterior), leaving, self.bins, zones)
+        likely = tabulate(transitions_of(posterior.fit), leaving, self.bins, zones)
         over = scene.last - self.bins.lag_max
-        self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
+        self._scorer.mark(posterior.fit, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
         share_min = self.settings.publish_probability_min
         return (

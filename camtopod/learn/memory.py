@@ -8,14 +8,18 @@ from numpy.typing import NDArray
 from camtopod.learn.candidates import Candidates
 from camtopod.learn.joint import Fit, Known
 from camtopod.learn.lags import LagBins
+from camtopod.learn.posterior import Kernels, Posterior
 from camtopod.learn.scene import Scene, ZoneRef
 from camtopod.learn.slowness import NO_PERSISTENCE, Persistence
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 PairKey = tuple[int, int, int, int]
+Rows = dict[PairKey, Floats]
 
-FRESH_GROWTH = 1.5
-"""A fit from nothing is due when the window has grown by this since the last one, so that early mistakes do not stay.
+FRESH_SHARE = 0.5
+"""A fit from nothing is due when this share of the window is new since the last one, so that early mistakes do not
+stay and what creeps over many small steps starts again.
 """
 
 
@@ -25,35 +29,60 @@ def _key(source: ZoneRef, target: ZoneRef) -> PairKey:
 
 
 class Memory:
-    """Hazards of the last posterior and of its links, by zones."""
+    """Hazards of the last links and of the last posterior's members, by zones."""
 
     def __init__(self) -> None:
-        self._posterior: dict[PairKey, Floats] = {}
-        self._linked: dict[PairKey, Floats] = {}
+        self._linked: Rows = {}
         self._persistence: Persistence = NO_PERSISTENCE
-        self._fresh_size = 0
+        self._members: list[tuple[Rows, Rows]] = []
+        self._fresh_at: int | None = None
 
-    def recall(self, candidates: Candidates, scene: Scene, bins: LagBins, window: int) -> Known | None:
-        """What to go on from for these candidates; None when a fit from nothing is due."""
-        if window >= FRESH_GROWTH * self._fresh_size:
-            return None
-        keys = [_key(scene.zones[u], scene.zones[v]) for u, v in zip(candidates.source, candidates.target, strict=True)]
-        none = np.zeros(bins.size)
-        posterior, linked = (
-            np.array([table.get(key, none) for key in keys]).reshape(-1, bins.size)
-            for table in (self._posterior, self._linked)
-        )
-        return Known(posterior, linked, self._persistence)
+    def fresh_due(self, learned: int, window: int) -> bool:
+        """Whether to start from nothing: ``learned`` events have come in all, ``window`` count."""
+        return self._fresh_at is None or learned - self._fresh_at >= FRESH_SHARE * window
 
-    def remember(self, posterior: Fit, linked: Fit, scene: Scene, window: int, fresh: bool) -> None:
-        """Keep what the next fit can go on from; ``fresh``: these were made from nothing."""
-        self._posterior, self._linked = _by_zones(posterior, scene), _by_zones(linked, scene)
+    def started(self, learned: int) -> None:
+        """A fit from nothing was made when ``learned`` events had come in."""
+        self._fresh_at = learned
+
+    def links(self, candidates: Candidates, scene: Scene, bins: LagBins) -> Known:
+        """What the joint fit can go on from for these candidates."""
+        return Known(_rows(self._linked, candidates.source, candidates.target, scene, bins), self._persistence)
+
+    def members(self, scene: Scene, bins: LagBins, candidates: Candidates, source: Ints, target: Ints) -> list[Kernels]:
+        """What the posterior's members can go on from: ``source``, ``target`` (Q,) are the zones
+        of the entry kernels.
+        """
+        return [
+            Kernels(
+                _rows(exit_rows, candidates.source, candidates.target, scene, bins),
+                _rows(entry_rows, source, target, scene, bins),
+            )
+            for exit_rows, entry_rows in self._members
+        ]
+
+    def remember(self, linked: Fit, posterior: Posterior, scene: Scene) -> None:
+        """Keep what the next fits can go on from."""
+        self._linked = _by_zones(linked.hazard, linked.candidates.source, linked.candidates.target, scene)
         self._persistence = linked.persistence
-        if fresh:
-            self._fresh_size = window
+        c = posterior.fit.candidates
+        self._members = [
+            (
+                _by_zones(member.exit, c.source, c.target, scene),
+                _by_zones(member.entry, posterior.entry_source, posterior.entry_target, scene),
+            )
+            for member in posterior.members
+        ]
 
 
-def _by_zones(fit: Fit, scene: Scene) -> dict[PairKey, Floats]:
+def _rows(table: Rows, source: Ints, target: Ints, scene: Scene, bins: LagBins) -> Floats:
+    none = np.zeros(bins.size)
+    keys = (_key(scene.zones[u], scene.zones[v]) for u, v in zip(source, target, strict=True))
+    return np.array([table.get(key, none) for key in keys]).reshape(-1, bins.size)
+
+
+def _by_zones(hazard: Floats, source: Ints, target: Ints, scene: Scene) -> Rows:
     """The hazard of each pair of zones."""
-    pairs = zip(fit.candidates.source, fit.candidates.target, strict=True)
-    return {_key(scene.zones[u], scene.zones[v]): fit.hazard[k] for k, (u, v) in enumerate(pairs)}
+    return {
+        _key(scene.zones[u], scene.zones[v]): hazard[k] for k, (u, v) in enumerate(zip(source, target, strict=True))
+    }

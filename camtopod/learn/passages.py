@@ -57,5 +57,5 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     if len(starts.t) == 0 or len(ends.t) == 0:
         return join([])
     candidates = find_candidates(starts, ends, bins, zones)
-    _, fit = fit_jointly(starts, ends, candidates, bins, zones, scene.last)
+    fit = fit_jointly(starts, ends, candidates, bins, zones, scene.last)
     return transitions_of(fit)

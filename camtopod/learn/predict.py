@@ -1,8 +1,9 @@
 """Where an object that has just left will appear next: competing outcomes, weighed by what has been seen since.
 
 For an exit at zone u the outcomes are: appearing at each zone v with a lag, or not being seen again. Their prior odds
-are the learned hazards, all of them, weak evidence included. Three things are then known at the time of the exit:
+are the learned hazards, all of them, weak evidence included. Four things are then known at the time of the exit:
 
+* *context*: where the object came in, where exactly it left, from which camera it probably came before;
 * *exposure*: a lag of -L is only possible if this passage has lasted L;
 * *seen*: where views overlap the object may already have appeared; each recent arrival counts for its hazard over the
   rate of everything else that could have caused it, and an overlapped view without an arrival loses its share;
@@ -16,12 +17,14 @@ from __future__ import annotations
 import math
 from collections import deque
 
+import msgspec
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.learn.hazards import Hazards, Outcomes
-from camtopod.learn.joint import LEAVE_FLOOR
+from camtopod.learn.scene import block_of
+from camtopod.learn.surroundings import Surroundings
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
 
 Floats = NDArray[np.float64]
@@ -54,6 +57,11 @@ class _Left(Struct):
 class _Passage(Struct):
     t: float
     camera: str
+    entry: int
+    """Zone of entry."""
+    previous: str | None = None
+    """Camera it most probably came from, and the probability of that."""
+    sure: float = 0.0
 
 
 class Predictor:
@@ -66,6 +74,7 @@ class Predictor:
         self.topology = topology
         self.zones = topology.zones
         self._hazards = Hazards(topology)
+        self._surroundings = Surroundings(topology)
         self._of_camera: dict[str, list[int]] = {}
         for k, zone in enumerate(self.zones):
             self._of_camera.setdefault(zone.camera, []).append(k)
@@ -90,7 +99,11 @@ class Predictor:
         moved = {k: index[zone.id] for k, zone in enumerate(self.zones) if zone.id in index}
         newer._arrivals.extend(_Arrival(a.t, moved[a.zone], a.rate) for a in self._arrivals if a.zone in moved)
         newer._exits.extend(_Left(x.t, x.since, moved[x.zone]) for x in self._exits if x.zone in moved)
-        newer._under_way = dict(self._under_way)
+        newer._under_way = {
+            key: msgspec.structs.replace(passage, entry=moved[passage.entry])
+            for key, passage in self._under_way.items()
+            if passage.entry in moved
+        }
         newer._events = self._events
         newer._last_event = {camera: self._last_event.get(camera, self._events) for camera in newer._of_camera}
         return newer
@@ -104,9 +117,13 @@ class Predictor:
         self._last_event[event.camera] = self._events
         t = event.t - self._ahead[event.camera]
         if event.kind == "entry":
-            self._arrivals.append(_Arrival(t, zone, self._rate_at(zone, t)))
+            causes = self._causes(zone, t)
+            rate = self._hazards.arrival_rate[zone] + sum(causes.values())
+            self._arrivals.append(_Arrival(t, zone, rate))
             if event.track is not None:
-                self._under_way[event.camera, str(event.track)] = _Passage(t, event.camera)
+                previous = max(causes, key=lambda camera: causes[camera], default=None)
+                sure = causes[previous] / rate if previous is not None else 0.0
+                self._under_way[event.camera, str(event.track)] = _Passage(t, event.camera, zone, previous, sure)
                 self._forget_stale(t)
             return
         passage = self._under_way.pop((event.camera, str(event.track)), None)
@@ -133,18 +150,21 @@ class Predictor:
         if zone is None:
             return Prediction(event.camera, None, event.t, track, self.topology.version, 1.0, [])
         passage = self._under_way.get((event.camera, str(event.track))) if event.track is not None else None
-        since = passage.t + self._ahead[event.camera] if passage else None
-        return self.predict_from(zone, event.t, since, track)
+        return self.predict_from(zone, event.t, passage, track, block_of(event.x, event.y))
 
-    def predict_from(self, zone: int, t: float, since: float | None = None, track: str | None = None) -> Prediction:
-        """The same for an object that left a zone (index) at ``t`` after a passage begun at ``since``, if known; by the
-        clock of the zone's camera.
+    def predict_from(
+        self, zone: int, t: float, passage: _Passage | None = None, track: str | None = None, block: int | None = None
+    ) -> Prediction:
+        """The same for an object that left a zone (index) at ``t`` by the clock of the zone's camera, after a passage
+        and in a block of the image, if known.
         """
         here, outcomes = self.zones[zone], self._hazards.outcomes.get(zone)
         if outcomes is None:
             return Prediction(here.camera, here.id, t, track, self.topology.version, 1.0, [])
-        ahead = self._ahead[here.camera]
-        mass, leave = self._odds(here.camera, outcomes, t - ahead, None if since is None else since - ahead)
+        mass = self._odds(here.camera, outcomes, t - self._ahead[here.camera], passage)
+        known = (None, None, 0.0) if passage is None else (passage.entry, passage.previous, passage.sure)
+        likelier, leave = self._surroundings.multipliers(zone, outcomes, block, *known)
+        mass *= likelier[:, None]
         odds = mass.sum(axis=1)
         total = leave + float(odds.sum())
         order = [int(k) for k in np.argsort(-odds, kind="stable") if odds[k] >= NEXT_PROBABILITY_MIN * total]
@@ -159,30 +179,33 @@ class Predictor:
             following.append(NextCamera(target.camera, target.id, float(odds[k]) / kept, *times))
         return Prediction(here.camera, here.id, t, track, self.topology.version, leave / kept, following)
 
-    def _odds(self, camera: str, outcomes: Outcomes, t: float, since: float | None) -> tuple[Floats, float]:
-        """Odds of every (target, lag bin), (targets, bins), and of not being seen again."""
-        bins, past = self._hazards.bins, self._hazards.past
-        if since is None:
+    def _odds(self, camera: str, outcomes: Outcomes, t: float, passage: _Passage | None) -> Floats:
+        """Odds of every (target, lag bin), (targets, bins), beside those of not being seen again."""
+        bins, past, since = self._hazards.bins, self._hazards.past, -math.inf if passage is None else passage.t
+        if passage is None:
             exposed = outcomes.exposure
         else:
             exposed = np.where(past, np.clip((bins.edges[1:] + (t - since)) / bins.widths, 0.0, 1.0), 1.0)
         prior = outcomes.hazard * bins.widths * exposed
-        leave = max(1.0 - float(prior.sum()), LEAVE_FLOOR)
         later = np.array([self._later(camera, k) for k in outcomes.targets])
-        mass = (
+        mass: Floats = (
             np.where(bins.edges[1:] <= -later[:, None], 0.0, prior)
             * np.array([self._alive(k) for k in outcomes.targets])[:, None]
         )
         row = {target: k for k, target in enumerate(outcomes.targets)}
-        for arrival in self._recent(t, -math.inf if since is None else since, camera):
+        for arrival in self._recent(t, since, camera):
             k = row.get(arrival.zone)
             lag = arrival.t - t
             if k is None or lag > bins.lag_max:
                 continue
             at = math.floor(math.asinh(lag / bins.scale) / bins.step) - bins.first
-            own = self._hazards.rate_ahead(camera, arrival.zone) if since is not None else 0.0
-            mass[k, at] += outcomes.hazard[k, at] * exposed[at] / max(arrival.rate - own, RATE_MIN)
-        return mass, leave
+            entered = own = 0.0
+            if passage is not None:
+                entered = self._hazards.rate_entered(passage.entry, arrival.zone, arrival.t - since)
+                own = entered + self._hazards.rate_ahead(camera, arrival.zone)
+            here = outcomes.hazard[k, at] * exposed[at] + entered
+            mass[k, at] += here / max(arrival.rate - own, RATE_MIN)
+        return mass
 
     def _recent(self, t: float, since: float, camera: str) -> list[_Arrival]:
         """Arrivals in other views from ``since`` on that were there by ``t``, clocks taken as they are, and could be
@@ -201,18 +224,27 @@ class Predictor:
         """By how much lags from a camera to a zone are longer by those cameras' clocks than in truth, seconds."""
         return self._ahead[self.zones[zone].camera] - self._ahead[camera]
 
-    def _rate_at(self, zone: int, t: float) -> float:
-        """Rate (1/s) at which the outside, those who have left and those still in view could cause an arrival now."""
-        rate = self._hazards.arrival_rate[zone]
+    def _causes(self, zone: int, t: float) -> dict[str, float]:
+        """Rate (1/s) at which those who have left each camera and those still in its view could cause an arrival now.
+
+        What comes from outside is not among them.
+        """
+        causes: dict[str, float] = {}
         for left in reversed(self._exits):
             if t - left.t > self._hazards.bins.lag_max + self._clocks_apart:
                 break
-            rate += self._hazards.rate(left.zone, zone, t - left.t)
-        camera = self.zones[zone].camera
+            rate = self._hazards.rate(left.zone, zone, t - left.t)
+            if rate:
+                camera = self.zones[left.zone].camera
+                causes[camera] = causes.get(camera, 0.0) + rate
+        here = self.zones[zone].camera
         for passage in self._under_way.values():
-            if passage.camera != camera:
-                rate += self._hazards.rate_ahead(passage.camera, zone)
-        return rate
+            if passage.camera != here:
+                rate = self._hazards.rate_ahead(passage.camera, zone)
+                rate += self._hazards.rate_entered(passage.entry, zone, t - passage.t)
+                if rate:
+                    causes[passage.camera] = causes.get(passage.camera, 0.0) + rate
+        return causes
 
     def _forget_stale(self, now: float) -> None:
         """Forget the oldest passages under way: those that have lasted too long, and any beyond the limit."""

@@ -80,6 +80,14 @@ def blocks_of(px: NDArray[np.int32], py: NDArray[np.int32]) -> Ints:
     return np.where(px < 0, -1, row * BLOCKS_ACROSS + column).astype(np.int32)
 
 
+def block_of(x: float | None, y: float | None) -> int | None:
+    """The same of one position in fractions of the image; None where there is none."""
+    if x is None or y is None:
+        return None
+    row, column = (min(int(round(p * POSITION_ONE) * BLOCKS_ACROSS // POSITION_ONE), BLOCKS_ACROSS - 1) for p in (y, x))
+    return row * BLOCKS_ACROSS + column
+
+
 def see(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Scene:
     """Label the window's events with zones and sort them into departures, arrivals and passages.
 

@@ -26,7 +26,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """At most this many events are kept for learning, whatever their age."""
     transit_max_seconds: float = 120.0
     """The longest transit time looked for."""
-    overlap_max_seconds: float = 20.0
+    overlap_max_seconds: float = 120.0
     """How long before it leaves one view an object may be seen to appear in an overlapping one."""
     overlap_tolerance_seconds: float = 0.45
     """T of the thesis's overlap test (table 4.4)."""

@@ -1,0 +1,140 @@
+"""What else is known of an object that leaves, and what it says about where it goes.
+
+Where it came in, where exactly it left, and which camera it probably came from before: people and vehicles have a
+direction. Each level of context counts departures and transitions and backs off to the level before it where it has
+seen little: ``p = (f N + k p') / (f n + k)``, interpolated as in the language models of Jelinek and Mercer (1980). As
+nobody is identified, n departures say less than n; ``f`` is the share of their transitions that is sure (the mean
+responsibility of a transition).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.candidates import Arrivals, Candidates, Departures
+
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
+
+LEVELS = ("entry", "block", "entry+block", "previous")
+"""In this order: the zone of entry; the block of the image of the exit; both; the camera before."""
+BACK_OFF_DEPARTURES = 5.0
+MULTIPLIER_MAX = 100.0
+PREVIOUS_RESPONSIBILITY_MIN = 0.02
+"""Less likely sources of an arrival are not looked at when it is asked which camera an object came from."""
+
+
+class Level(NamedTuple):
+    """One level: context ``k`` belongs to zone ``zone[k]`` and has the parts ``parts[k]`` (-1: no such part)."""
+
+    zone: Longs
+    """(contexts,)"""
+    parts: Longs
+    """(contexts, 2): zone of entry or camera before, and block."""
+    departures: Floats
+    """(contexts,) sure departures, f n."""
+    transitions: Floats
+    """(contexts, zones) sure transitions, f N."""
+
+
+class Contexts:
+    """The contexts of all departures of a fit and what the responsibilities say of them."""
+
+    def __init__(self, departures: Departures, arrivals: Arrivals, zones: int, cameras: int) -> None:
+        self.zones, self.cameras = zones, cameras
+        self.departures, self.arrivals = departures, arrivals
+        zone, block = departures.zone.astype(np.int64), departures.block.astype(np.int64)
+        self.entry = np.where(departures.own >= 0, arrivals.zone[departures.own], -1).astype(np.int64)
+        nothing = np.full(len(zone), -1)
+        self._fixed = [
+            _numbered(zone, first, second)
+            for first, second in ((self.entry, nothing), (nothing, block), (self.entry, block))
+        ]
+        self._known = [self.entry >= 0, block >= 0, (self.entry >= 0) & (block >= 0)]
+
+    def learn(
+        self, candidates: Candidates, responsibility: Floats, share: Floats, gone: Floats, leave: Floats,
+        weight: Floats, counted: Floats,
+    ) -> tuple[list[Level], Floats, Floats]:  # fmt: skip
+        """The levels, and of each candidate (M,) and each departure (n,): probability and leaving in its context.
+
+        ``share`` (M,), ``leave`` (n,): the same without context; ``gone`` (n,): probability of not having been seen
+        again; ``weight`` (n,), ``counted`` (M,): how much departures and candidates count. Each is judged by the
+        others (leave one out).
+        """
+        c, zone = candidates, self.departures.zone
+        sure = self._sureness(zone[c.departure], responsibility * counted, responsibility)[zone]
+        target = self.arrivals.zone[c.arrival]
+        levels = []
+        for (number, keys), told in self._contexts(c, responsibility):
+            told_weight = told * weight
+            n = np.bincount(number, sure * told_weight, minlength=len(keys))
+            cell = number[c.departure] * self.zones + target
+            own = sure[c.departure] * told[c.departure] * counted * responsibility
+            moved = np.bincount(cell, own, minlength=len(keys) * self.zones)
+            mine = sure * told_weight
+            below = (n[number] - mine + BACK_OFF_DEPARTURES)[c.departure]
+            here = np.maximum(moved[cell] - own + BACK_OFF_DEPARTURES * share, 0.0) / below
+            share = told[c.departure] * here + (1.0 - told[c.departure]) * share
+            left = np.bincount(number, mine * gone, minlength=len(keys))
+            stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
+            leave = told * stays / (n[number] - mine + BACK_OFF_DEPARTURES) + (1.0 - told) * leave
+            moved = moved.reshape(len(keys), self.zones)
+            levels.append(Level(keys[:, 0], keys[:, 1:], n.astype(float), moved.astype(float)))
+        return levels, share, leave
+
+    def _contexts(self, candidates: Candidates, responsibility: Floats) -> list[tuple[tuple[Longs, Longs], Floats]]:
+        """(Context of each departure, keys of the contexts) and how sure the context is (n,), level by level."""
+        told = [known.astype(float) for known in self._known]
+        camera, sure = self._previous(candidates, responsibility)
+        zone = self.departures.zone.astype(np.int64)
+        dense = np.arange(self.zones * self.cameras)
+        keys = np.column_stack((dense // self.cameras, dense % self.cameras, np.full(len(dense), -1)))
+        previous = (zone * self.cameras + np.maximum(camera, 0), keys)
+        return list(zip([*self._fixed, previous], [*told, sure], strict=True))
+
+    def _previous(self, candidates: Candidates, responsibility: Floats) -> tuple[Longs, Floats]:
+        """Camera each object most probably came from (n,), -1: unknown, and the probability of that."""
+        c, d = candidates, self.departures
+        likely = np.flatnonzero(responsibility > PREVIOUS_RESPONSIBILITY_MIN)
+        key = c.arrival[likely].astype(np.int64) * self.cameras + d.camera[c.departure[likely]]
+        present, number = np.unique(key, return_inverse=True)
+        mass = np.bincount(number, responsibility[likely], minlength=len(present))
+        order = np.argsort(mass, kind="stable")
+        arrival, camera = present[order] // self.cameras, present[order] % self.cameras
+        best, sure = np.full(len(self.arrivals.t) + 1, -1), np.zeros(len(self.arrivals.t) + 1)
+        best[arrival], sure[arrival] = camera, mass[order]  # where there are several the last, the largest, stays
+        return best[d.own], np.minimum(sure[d.own], 1.0)
+
+    def _sureness(self, zone: NDArray[np.int32], transitions: Floats, responsibility: Floats) -> Floats:
+        """Share of the transitions from each zone (zones,) that is sure."""
+        squares = np.bincount(zone, transitions * responsibility, minlength=self.zones)
+        sure: Floats = squares / np.maximum(np.bincount(zone, transitions, minlength=self.zones), 1e-300)
+        return sure
+
+
+def mean_levels(members: list[list[Level]]) -> list[Level]:
+    """The mean of several fits' levels over the same departures."""
+    return [
+        Level(
+            same[0].zone, same[0].parts,
+            np.mean([level.departures for level in same], axis=0),
+            np.mean([level.transitions for level in same], axis=0),
+        )
+        for same in zip(*members, strict=True)
+    ]  # fmt: skip
+
+
+def multipliers(before: Floats, after: Floats) -> Floats:
+    """By how much a context raises probabilities."""
+    ratio: Floats = np.clip(after / np.maximum(before, 1e-300), 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX)
+    return ratio
+
+
+def _numbered(zone: Longs, first: Longs, second: Longs) -> tuple[Longs, Longs]:
+    """Context number of each departure (n,) and the keys (contexts, 3) of the contexts."""
+    keys, number = np.unique(np.column_stack((zone, first, second)), axis=0, return_inverse=True)
+    return number.ravel().astype(np.int64), keys.astype(np.int64)

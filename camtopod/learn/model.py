@@ -1,0 +1,127 @@
+"""The posterior -> what prediction needs, as the topology carries it."""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from camtopod.learn.assemble import STAY_DECILES, histogram, short, zone_id
+from camtopod.learn.change import Change
+from camtopod.learn.contexts import LEVELS, Level
+from camtopod.learn.intake import MICROSECONDS
+from camtopod.learn.lags import LagBins
+from camtopod.learn.posterior import Posterior
+from camtopod.learn.scene import Scene
+from camtopod.learn.window import Window
+from camtopod.records import CameraModel, Context, EntryKernel, Model, Onward, Outcome, ZoneModel
+
+Floats = NDArray[np.float64]
+
+OUTCOMES_PER_ZONE_MAX = 24
+"""Zones where objects leaving one zone may appear next, the likeliest first."""
+ENTRY_KERNELS_PER_ZONE_MAX = 16
+SHARE_MIN = 1e-4
+CONTEXT_DEPARTURES_MIN = 0.5
+"""Contexts of fewer sure departures are left out; so are their transitions below `CONTEXT_TRANSITIONS_MIN`."""
+CONTEXT_TRANSITIONS_MIN = 0.05
+SHARE_FLOOR = 1e-3
+"""Of what is measured against a share that has changed since, at least this much counts."""
+
+
+def model_of(
+    cameras: list[str], scene: Scene, posterior: Posterior | None, bins: LagBins, window: Window,
+    changes: list[Change], clocks_corrected: bool,
+) -> Model:  # fmt: skip
+    """Everything beside the links that prediction reads."""
+    ids = [zone_id(cameras, zone) for zone in scene.zones]
+    zones = sorted(_zone_models(ids, scene, posterior), key=lambda zone: zone.zone)
+    model = Model(
+        bins.scale, bins.step, bins.lag_min, bins.lag_max, zones, _camera_models(cameras, window), clocks_corrected
+    )
+    if posterior is None:
+        return model
+    now = _presently(posterior, changes)
+    return replace(
+        model, onward=_onward(ids, posterior, now, bins), entered=_entered(ids, posterior, bins),
+        contexts=_contexts(ids, cameras, posterior.levels),
+    )  # fmt: skip
+
+
+def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> list[ZoneModel]:
+    """Rates of arrivals from outside, and how long passages last."""
+    d = scene.departures
+    span = max(scene.last - scene.first, 1.0)
+    zones = []
+    for index, name in enumerate(ids):
+        stay = (d.t - d.since)[(d.zone == index) & np.isfinite(d.since)]
+        deciles = [short(float(value)) for value in np.quantile(stay, STAY_DECILES)] if len(stay) else []
+        outside = 1.0 if posterior is None else float(posterior.fit.outside[index])
+        rate = outside * float(scene.entries[index]) / span
+        zones.append(ZoneModel(name, int(scene.exits[index]), short(rate), deciles))
+    return zones
+
+
+def _camera_models(cameras: list[str], window: Window) -> list[CameraModel]:
+    """Shares of all events, and when each camera was last heard."""
+    camera = window.column("camera").astype(np.int64)
+    share = np.bincount(camera, minlength=len(cameras)) / max(len(camera), 1)
+    last = np.zeros(len(cameras))
+    np.maximum.at(last, camera, window.column("t") / MICROSECONDS)
+    models = [CameraModel(name, short(share[k]), float(last[k])) for k, name in enumerate(cameras) if share[k] > 0]
+    return sorted(models, key=lambda model: model.camera)
+
+
+def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
+    """Factor (P,) from a pair's share in the window to its share now."""
+    c = posterior.fit.candidates
+    after = {(change.source, change.target): change.after for change in changes}
+    factor = np.ones(len(c.source))
+    for k, pair in enumerate(zip(c.source.tolist(), c.target.tolist(), strict=True)):
+        if pair in after:
+            factor[k] = after[pair] / max(float(posterior.share[k]), SHARE_FLOOR)
+    return factor
+
+
+def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) -> list[Onward]:
+    c = posterior.fit.candidates
+    share = posterior.share * now
+    mass = posterior.fit.hazard * bins.widths * now[:, None]
+    rows = []
+    for zone in range(len(ids)):
+        pairs = np.flatnonzero((c.source == zone) & (share > SHARE_MIN))
+        pairs = pairs[np.argsort(-share[pairs], kind="stable")][:OUTCOMES_PER_ZONE_MAX]
+        outcomes = [Outcome(ids[c.target[k]], short(float(share[k])), histogram(mass[k], bins)) for k in pairs.tolist()]
+        rows.append(Onward(ids[zone], short(float(posterior.leave[zone])), outcomes))
+    return sorted(rows, key=lambda row: row.zone)
+
+
+def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryKernel]:
+    p = posterior
+    mass = p.entry_hazard * bins.widths
+    total = mass.sum(axis=1)
+    rows = []
+    for zone in range(len(ids)):
+        pairs = np.flatnonzero((p.entry_source == zone) & (total > SHARE_MIN))
+        pairs = pairs[np.argsort(-total[pairs], kind="stable")][:ENTRY_KERNELS_PER_ZONE_MAX]
+        rows += [EntryKernel(ids[zone], ids[p.entry_target[k]], histogram(mass[k], bins)) for k in pairs.tolist()]
+    return sorted(rows, key=lambda row: (row.zone, row.to))
+
+
+def _contexts(ids: list[str], cameras: list[str], levels: list[Level]) -> list[Context]:
+    result = []
+    for name, level in zip(LEVELS, levels, strict=True):
+        for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
+            first, block = (int(part) for part in level.parts[k])
+            if (first < 0 and name != "block") or (block < 0 and "block" in name):
+                continue
+            moved = level.transitions[k]
+            to = {ids[v]: short(float(moved[v])) for v in np.flatnonzero(moved > CONTEXT_TRANSITIONS_MIN).tolist()}
+            result.append(
+                Context(
+                    ids[level.zone[k]], short(float(level.departures[k])), dict(sorted(to.items())),
+                    ids[first] if "entry" in name else None, block if "block" in name else None,
+                    cameras[first] if name == "previous" else None,
+                )
+            )  # fmt: skip
+    return sorted(result, key=lambda row: (row.zone, row.entry or "", row.block or 0, row.previous or ""))
