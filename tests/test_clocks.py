@@ -304,7 +304,9 @@ def test_known_offsets_stay_until_the_evidence_is_clear() -> None:
     sd, yes = np.full(3, 0.2), np.ones(3, bool)
     known = Clocks(np.array([5.0, 0.0, 7.0]), sd, yes)
     near = Clocks(np.array([5.3, 0.0, 7.05]), sd / 10, np.array([True, True, True]))
-    assert held(known, near._replace(sd=sd)).offset.tolist() == [5.0, 0.0, 7.0]
+    stays = held(known, near._replace(sd=sd))
+    assert stays.offset.tolist() == [5.0, 0.0, 7.0]
+    assert stays.sd == pytest.approx(np.hypot(0.2, [0.3, 0.0, 0.05]))
     assert held(known, near).offset.tolist() == [5.3, 0.0, 7.0]
     gone = Clocks(np.zeros(3), np.full(3, np.inf), np.array([False, True, False]))
     assert held(known, gone).offset.tolist() == [0.0, 0.0, 0.0]

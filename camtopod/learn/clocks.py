@@ -295,4 +295,5 @@ def held(known: Clocks, found: Clocks) -> Clocks:
     away = np.abs(found.offset - known.offset)
     moves = ~found.identified | (away > np.maximum(MOVE_SD * found.sd, MOVE_MIN_SECONDS))
     offset: Floats = np.where(moves, found.offset, known.offset)
-    return found._replace(offset=offset.round(DECIMALS))
+    sd: Floats = np.where(moves, found.sd, np.hypot(found.sd, away))
+    return found._replace(offset=offset.round(DECIMALS), sd=sd)
