@@ -105,16 +105,22 @@ def find_changes(
         counts = moved <= over
         change = latest_change(Trials(t, weight, moved[counts], share[counts]), threshold)
         if change is not None:
-            found.append(Change(source, target, *change, linked=_linked(fit, departures, pair, change[0])))
+            since, _, after, _ = change
+            factor = after * weight.sum() / share[counts].sum()
+            found.append(Change(source, target, *change, linked=_linked(fit, departures, pair, since, factor)))
     return found
 
 
-def _linked(fit: Fit, departures: Departures, pair: int, since: float) -> float:
-    """Evidence in nats that a pair of zones is joined from what left ``since`` (seconds) alone."""
+def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: float) -> float:
+    """Evidence in nats that a pair of zones is joined, from what left ``since`` (seconds) with ``factor`` times the
+    hazard of the fit.
+    """
     rows = np.flatnonzero(fit.candidates.pair == pair)
     rows = rows[departures.t[fit.candidates.departure[rows]] >= since]
     one = np.zeros(len(rows), np.int32)
-    return float(log_likelihood_ratio(one, fit.responsibility[rows], fit.flat[rows], 1)[0])
+    share = fit.responsibility[rows]
+    share = factor * share / (1.0 - share + factor * share)
+    return float(log_likelihood_ratio(one, share, fit.flat[rows], 1)[0])
 
 
 def threshold_nats(series: int, trials: int) -> float:
