@@ -49,8 +49,15 @@ def test_a_change_is_said_once_and_the_next_one_again() -> None:
 )
 def test_what_counts_as_which_change(change: Change, joined: bool, kind: str | None) -> None:
     log = AlarmLog()
+    log.links(4, 50.0, [], ZONES, {(0, 2)} if change.before >= 0.03 else set(), 0.03)
     log.links(5, 200.0, [change], ZONES, {(0, 2)} if joined else set(), 0.03)
     assert [alarm.kind for alarm in log.newest] == ([] if kind is None else [kind])
+
+
+def test_what_was_never_published_does_not_close() -> None:
+    log = AlarmLog()
+    log.links(5, 400.0, [CLOSED], ZONES, set(), 0.03)
+    assert log.newest == []
 
 
 def test_only_the_newest_are_kept() -> None:

@@ -41,6 +41,7 @@ class AlarmLog:
         self.newest: list[Alarm] = []
         """The newest `ALARMS_KEPT_MAX`, oldest first."""
         self._said: dict[str, float] = {}  # subject -> when last reported; for what can change again
+        self._joined: set[str] = set()  # links that have been published and not been said to have closed
         self._silent: set[str] = set()
         self._clock: dict[str, tuple[float, float]] = {}  # offset in seconds and its sd that changes are held against
 
@@ -73,14 +74,18 @@ class AlarmLog:
             closed = change.after < share_min
             opened = not closed and change.before < share_min
             slight = not opened and abs(change.after - change.before) < SHARE_CHANGE_MIN
-            was_none = closed and change.before < share_min
+            subject = f"{zones[change.source]}->{zones[change.target]}"
+            was_none = closed and subject not in self._joined
             is_none = not closed and (change.source, change.target) not in published
             if (slight and not closed) or was_none or is_none:
                 continue
             kind = "link_closed" if closed else "link_opened" if opened else "link_changed"
-            subject = f"{zones[change.source]}->{zones[change.target]}"
             detail = f"share {change.before:.2f} until {change.since:.0f}, {change.after:.2f} since"
             self._once(version, t, kind, subject, detail, change.since)
+            if closed:
+                self._joined.discard(subject)
+        links = {f"{zones[source]}->{zones[target]}" for source, target in published}
+        self._joined = links if len(self._joined) > SUBJECTS_MAX else self._joined | links
 
     def zone(self, version: int, t: float, subject: str, before: float, after: float, since: float) -> None:
         """A zone that came into use or fell out of it."""
