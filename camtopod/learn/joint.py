@@ -261,10 +261,10 @@ class JointFitter:
         source, target = self._camera[self.candidates.source], self._camera[self.candidates.target]
         cameras = int(self._camera.max()) + 1
         pair = source * cameras + target
-        pooled = np.zeros((cameras * cameras, self.bins.size))
-        np.add.at(pooled, pair, counts)
-        exposed = np.zeros((cameras, self.bins.size))
-        np.add.at(exposed, self._camera, self.exposure)
+        pooled, exposed = (
+            summed(rows, group, groups)
+            for rows, group, groups in ((counts, pair, cameras * cameras), (self.exposure, self._camera, cameras))
+        )
         rates = smooth(pooled)[0] / np.maximum(np.repeat(exposed, cameras, axis=0), 1.0)
         share = self._per_zone / np.bincount(self._camera, self._per_zone)[self._camera]
         lent: Floats = rates[pair] * share[self.candidates.target][:, None]
@@ -278,8 +278,11 @@ class JointFitter:
         return total
 
     def flatness(self, hazard: Floats) -> Floats:
-        """Hazard without its dependence on the lag over the hazard, of each candidate (M,)."""
-        even = (hazard * self.bins.widths).sum(axis=1) / self.bins.widths.sum()
+        """Hazard without its dependence on the lag over the hazard, of each candidate (M,): as many transitions are
+        expected of it.
+        """
+        exposed = self.exposure[self.candidates.source] * self.bins.widths
+        even = (hazard * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
         flat: Floats = even[self.candidates.pair] / np.maximum(hazard.ravel()[self._cell], 1e-300)
         return flat
 
@@ -301,6 +304,16 @@ def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -
         over = np.searchsorted(left, bins.edges[1:], side="left")
         exposed[zone] = len(here) - np.where(ahead, begun, over)
     return exposed
+
+
+def summed(rows: Floats, group: NDArray[np.int64], groups: int) -> Floats:
+    """Sums (groups, columns) of the rows of each group."""
+    result = np.zeros((groups, rows.shape[1]))
+    order = np.argsort(group, kind="stable")
+    present, first = np.unique(group[order], return_index=True)
+    if len(present):
+        result[present] = np.add.reduceat(rows[order], first, axis=0)
+    return result
 
 
 def smooth(counts: Floats) -> tuple[Floats, Floats]:
