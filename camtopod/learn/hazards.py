@@ -62,20 +62,32 @@ class Hazards:
         for kernel in (model and model.entered) or []:
             hazard = _on_bins(kernel.hazard, self.bins) / self.bins.widths
             self._entered.setdefault(index[kernel.zone], {})[index[kernel.to]] = hazard.tolist()
-        self._rows = {
-            (zone, target): row
-            for zone, outcomes in self.outcomes.items()
-            for target, row in zip(outcomes.targets, outcomes.hazard.tolist(), strict=True)
-        }
+        every = list(self.outcomes.items())
+        self._rows: Floats = np.concatenate(
+            [np.zeros((1, self.bins.size)), *(outcomes.hazard for _, outcomes in every)]
+        )
+        self._row_of: dict[int, NDArray[np.int32]] = {}
+        """By target, the row of each source (zones,); row 0, all zeros, where there is none."""
+        pairs = [(zone, target) for zone, outcomes in every for target in outcomes.targets]
+        for row, (zone, target) in enumerate(pairs, start=1):
+            self._row_of.setdefault(target, np.zeros(len(index), np.int32))[zone] = row
         self._ahead = self._mean_rates_ahead(topology)
 
     def rate(self, source: int, target: int, lag: float) -> float:
         """Hazard (1/s) of one pair of zones at one lag (seconds)."""
-        row = self._rows.get((source, target))
-        if row is None or not self.bins.lag_min <= lag <= self.bins.lag_max:
+        row = self._row_of.get(target)
+        if row is None or not row[source] or not self.bins.lag_min <= lag <= self.bins.lag_max:
             return 0.0
-        rate: float = row[math.floor(math.asinh(lag / self.bins.scale) / self.bins.step) - self.bins.first]
-        return rate
+        at = math.floor(math.asinh(lag / self.bins.scale) / self.bins.step) - self.bins.first
+        return float(self._rows[row[source], at])
+
+    def rates(self, sources: NDArray[np.int32], target: int, lag: Floats) -> Floats:
+        """Hazards (n,) in 1/s from several zones (n,) to one at lags (n,) in seconds."""
+        row = self._row_of.get(target)
+        if row is None:
+            return np.zeros(len(lag))
+        at = self.bins.index(lag)
+        return np.where(at >= 0, self._rows[row[sources], at], 0.0)
 
     def rate_entered(self, entry: int | None, target: int, elapsed: float) -> float:
         """Rate (1/s) at which an object that entered a view at zone ``entry`` (None: unknown) ``elapsed`` seconds ago

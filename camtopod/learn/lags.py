@@ -7,6 +7,8 @@ an end bin they would look like a peak there.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,9 +40,11 @@ class LagBins:
         return k
 
 
+@lru_cache(maxsize=64)
 def smoother(size: int, sd_bins: float) -> NDArray[np.float64]:
     """Matrix (size, size) that spreads each bin's mass over its neighbours; columns sum to 1, so mass is kept."""
     offset = np.arange(size)[:, None] - np.arange(size)[None, :]
     kernel: NDArray[np.float64] = np.exp(-0.5 * (offset / sd_bins) ** 2)
     kernel /= kernel.sum(axis=0, keepdims=True)
+    kernel.flags.writeable = False
     return kernel

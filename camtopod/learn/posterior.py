@@ -34,19 +34,21 @@ from camtopod.learn.joint import (
 )
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import chance_rates
+from camtopod.learn.significance import RESPONSIBILITY_MAX
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-MEMBERS_MAX = 6
-MEMBER_CANDIDATES = 1_500_000
+MEMBERS_MAX = 4
+MEMBER_CANDIDATES = 800_000
 """As many members are fitted as have this many candidates together: with more events, one is sure enough."""
 STRETCHES = 60
 """Stretches of time that a member weighs."""
 ENSEMBLE_SEED = 1981
 FIRST_ROUNDS, FIRST_ITERATIONS = 3, 5
 """Of a fit from nothing, without contexts; speed is looked at after each."""
-SCOUT_ITERATIONS = 3
+SCOUT_ITERATIONS = 5
+OVERLAP_FALSE = 0.05
 NEGLIGIBLE = 1e-3
 """Candidates with a smaller responsibility after the first few iterations are left out of the others."""
 ROUNDS, ITERATIONS = 2, 4
@@ -166,11 +168,32 @@ class PosteriorFitter(JointFitter):
             self.entry_hazard = np.maximum(known.entry, START_FLOOR * self.entry_hazard)
             hazard = np.maximum(known.exit, START_FLOOR * hazard)
         self._iterate(hazard, SCOUT_ITERATIONS, contexts=False)
-        kept, c = np.flatnonzero(self._responsibility > NEGLIGIBLE), self.candidates
+        c = self.candidates
+        kept = np.flatnonzero((self._responsibility > NEGLIGIBLE) & ~self._impossible())
         present, pair = np.unique(c.pair[kept], return_inverse=True)
         return Candidates(
             c.departure[kept], c.arrival[kept], pair.astype(np.int32), c.lag[kept], c.source[present], c.target[present]
         )
+
+    def _impossible(self) -> NDArray[np.bool_]:
+        """Candidates (M,) that appear before the exit in the view of a camera that shows no overlap with this one.
+
+        Whether two views overlap is asked of all their zones, both ways, at once: how much better do appearances ahead
+        of the exit predict arrivals than nothing does? By chance anywhere with a probability of `OVERLAP_FALSE`.
+        """
+        c, cameras = self.candidates, int(self._camera.max(initial=0)) + 1
+        ahead = np.flatnonzero(c.lag < 0)
+        left, came = self.departures.camera[c.departure[ahead]], self.arrivals.camera[c.arrival[ahead]]
+        pair = np.minimum(left, came).astype(np.int64) * cameras + np.maximum(left, came)
+        key, number = np.unique(c.arrival[ahead].astype(np.int64) * cameras + left, return_inverse=True)
+        share = np.minimum(np.bincount(number, self._responsibility[ahead], minlength=len(key)), RESPONSIBILITY_MAX)
+        of_key = np.zeros(len(key), np.int64)
+        of_key[number] = pair
+        nats = np.bincount(of_key, -np.log1p(-share) - share, minlength=cameras * cameras)
+        overlapping = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
+        result = np.zeros(len(c.lag), bool)
+        result[ahead] = ~overlapping[pair]
+        return result
 
     def begin(self) -> None:
         """A fit from nothing."""
@@ -194,7 +217,7 @@ class PosteriorFitter(JointFitter):
         return Fit(hazard, nothing, self._at_exit, nothing, self.outside, self.candidates, self.persistence)
 
     def _iterate(self, hazard: Floats, iterations: int, contexts: bool) -> Floats:
-        for _ in range(iterations):
+        for iteration in range(iterations):
             self._expect(hazard)
             self._at_exit = self._responsibility * self._counted
             self._at_exit[self._early] *= 1.0 - self._entry_part
@@ -204,7 +227,7 @@ class PosteriorFitter(JointFitter):
             self.outside = np.clip(1.0 - per_zone / self._per_zone, OUTSIDE_FLOOR, 1.0)
             self.counts = self._count(self._at_exit)
             hazard = self._hazards(self.counts)
-            if contexts:
+            if contexts and iteration % 2 == 0:
                 self._learn_contexts()
         self.hazard = hazard
         return hazard

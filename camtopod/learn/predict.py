@@ -48,10 +48,25 @@ class _Arrival(Struct):
     """Rate (1/s) at which all that is known so far could have caused it."""
 
 
-class _Left(Struct):
-    t: float
-    since: float
-    zone: int
+class _Exits:
+    """The recent exits by time, as columns."""
+
+    def __init__(self) -> None:
+        self.t = np.zeros(2 * RECENT_MAX)
+        self.zone = np.zeros(2 * RECENT_MAX, np.int32)
+        self._stop = 0
+
+    def append(self, t: float, zone: int) -> None:
+        if self._stop == len(self.t):
+            self._stop = RECENT_MAX
+            self.t[:RECENT_MAX], self.zone[:RECENT_MAX] = self.t[RECENT_MAX:], self.zone[RECENT_MAX:]
+        self.t[self._stop], self.zone[self._stop] = t, zone
+        self._stop += 1
+
+    def after(self, t: float) -> tuple[Floats, NDArray[np.int32]]:
+        """Times and zones (n,) of those later than ``t``, as far as events come by time."""
+        first = max(int(np.searchsorted(self.t[: self._stop], t)), self._stop - RECENT_MAX, 0)
+        return self.t[first : self._stop], self.zone[first : self._stop]
 
 
 class _Passage(Struct):
@@ -87,7 +102,10 @@ class Predictor:
             for camera, zones in self._of_camera.items()
         }
         self._arrivals: deque[_Arrival] = deque(maxlen=RECENT_MAX)
-        self._exits: deque[_Left] = deque(maxlen=RECENT_MAX)
+        self._exits = _Exits()
+        self._names = list(self._of_camera)
+        number = {camera: k for k, camera in enumerate(self._names)}
+        self._camera_of = np.array([number[zone.camera] for zone in self.zones], np.int32)
         self._under_way: dict[tuple[str, str], _Passage] = {}
         self._events = 0
         self._last_event = dict.fromkeys(self._of_camera, 0)
@@ -98,7 +116,9 @@ class Predictor:
         index = {zone.id: k for k, zone in enumerate(newer.zones)}
         moved = {k: index[zone.id] for k, zone in enumerate(self.zones) if zone.id in index}
         newer._arrivals.extend(_Arrival(a.t, moved[a.zone], a.rate) for a in self._arrivals if a.zone in moved)
-        newer._exits.extend(_Left(x.t, x.since, moved[x.zone]) for x in self._exits if x.zone in moved)
+        for t, zone in zip(*(column.tolist() for column in self._exits.after(-math.inf)), strict=True):
+            if zone in moved:
+                newer._exits.append(t, moved[zone])
         newer._under_way = {
             key: msgspec.structs.replace(passage, entry=moved[passage.entry])
             for key, passage in self._under_way.items()
@@ -128,7 +148,7 @@ class Predictor:
             return
         passage = self._under_way.pop((event.camera, str(event.track)), None)
         since = passage.t if passage else -math.inf
-        self._exits.append(_Left(t, since, zone))
+        self._exits.append(t, zone)
         for arrival in self._recent(t, since, event.camera):
             before = self._hazards.rate_ahead(event.camera, arrival.zone) if passage else 0.0
             arrival.rate += self._hazards.rate(zone, arrival.zone, arrival.t - t) - before
@@ -211,7 +231,7 @@ class Predictor:
         """Arrivals in other views from ``since`` on that were there by ``t``, clocks taken as they are, and could be
         the object leaving ``camera`` at ``t``.
         """
-        found, oldest = [], t + self._hazards.bins.lag_min
+        found, oldest = [], max(t + self._hazards.bins.lag_min, since)
         for arrival in reversed(self._arrivals):
             if arrival.t < oldest - self._clocks_apart:
                 break
@@ -229,14 +249,10 @@ class Predictor:
 
         What comes from outside is not among them.
         """
-        causes: dict[str, float] = {}
-        for left in reversed(self._exits):
-            if t - left.t > self._hazards.bins.lag_max + self._clocks_apart:
-                break
-            rate = self._hazards.rate(left.zone, zone, t - left.t)
-            if rate:
-                camera = self.zones[left.zone].camera
-                causes[camera] = causes.get(camera, 0.0) + rate
+        left, zones = self._exits.after(t - self._hazards.bins.lag_max - self._clocks_apart)
+        rates = self._hazards.rates(zones, zone, t - left)
+        total = np.bincount(self._camera_of[zones], rates, minlength=len(self._names))
+        causes = {self._names[k]: float(total[k]) for k in np.flatnonzero(total)}
         here = self.zones[zone].camera
         for passage in self._under_way.values():
             if passage.camera != here:
