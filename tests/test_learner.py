@@ -81,7 +81,7 @@ def recordings(draw: st.DrawFn) -> list[Event]:
     ]  # fmt: skip
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(recordings(), st.randoms(use_true_random=False), st.integers(0, 5), st.booleans())
 def test_any_order_within_the_lateness(events: list[Event], chance: random.Random, lateness: int, told: bool) -> None:
     """Also with every event twice and time told in between, to the digest of every version."""
