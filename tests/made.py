@@ -1,5 +1,9 @@
-"""Made things for tests: a topology that is exactly the truth."""
+"""Made things for tests: a topology that is exactly the truth; passages through views."""
 
+import numpy as np
+
+from camtopod.learn.candidates import Arrivals, Departures
+from camtopod.learn.rates import local_rates
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Link, Topology, Zone
 from camtopod.sim.truth import Truth
 
@@ -35,3 +39,29 @@ def topology_of(truth: Truth) -> Topology:
         links=links,
         pairs=truth.pairs,
     )
+
+
+class Views:
+    """Objects passing through views: what a fit works on. ``camera`` is that of each zone; tracks tie every passage."""
+
+    def __init__(self, camera: list[int]) -> None:
+        self.camera = np.array(camera, np.int32)
+        self.rows: list[tuple[float, float, int, int, int]] = []
+
+    def through(self, entered: float, left: float, entry: int, leave: int, block: int = -1) -> None:
+        """One passage from zone ``entry`` to zone ``leave``, in a block of the image at its end."""
+        self.rows.append((entered, left, entry, leave, block))
+
+    def columns(self) -> tuple[Departures, Arrivals]:
+        """What left and what came, by time."""
+        since, t, entry, leave, block = (np.array(column) for column in zip(*self.rows, strict=True))
+        entry, leave, block = (column.astype(np.int32) for column in (entry, leave, block))
+        came, left = np.argsort(since, kind="stable"), np.argsort(t, kind="stable")
+        place = np.empty(len(t), np.int32)
+        place[came] = np.arange(len(t))
+        unknown = np.full(len(t), np.nan)
+        rate = local_rates(since[came], entry[came], len(self.camera))
+        return (
+            Departures(t[left], leave[left], self.camera[leave[left]], since[left], unknown, place[left], block[left]),
+            Arrivals(since[came], entry[came], self.camera[entry[came]], rate, unknown),
+        )

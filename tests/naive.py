@@ -311,3 +311,88 @@ def chain(zones, links):
             if number and exits:
                 moved[a, b] = min(number / exits, 1.0)
     return moved
+
+
+# --- posterior: contexts, entry kernels; prediction ---
+
+
+def entered_at(departures, arrivals):
+    """Zone of entry of each departure, -1 where it is unknown."""
+    return [int(arrivals.zone[own]) if own >= 0 else -1 for own in departures.own]
+
+
+def likeliest_before(departures, arrivals, pairs, responsibility, least):
+    """(Camera each departure's object was at before, how sure), by adding up who its arrival could have been."""
+    result = []
+    for own in departures.own:
+        mass = {}
+        for (d, a), r in zip(pairs, responsibility, strict=True):
+            if own >= 0 and a == own and r > least:
+                camera = int(departures.camera[d])
+                mass[camera] = mass.get(camera, 0.0) + r
+        best = max(mass, key=mass.get, default=-1)
+        result.append((best, min(mass.get(best, 0.0), 1.0)))
+    return result
+
+
+def contexts(
+    departures, arrivals, pairs, responsibility, share, gone, leave, weight, counted, back_off, least
+):  # fmt: skip
+    """`camtopod.learn.contexts.Contexts.learn`: every candidate and departure is judged by all the others, one by one.
+
+    Returns for each level (departures by context, transitions by context and target); the shares; the leaving.
+    """
+    n, entry = len(departures.t), entered_at(departures, arrivals)
+    sure = {}
+    for zone in set(departures.zone.tolist()):
+        own = [(r * w, r) for (d, _), r, w in zip(pairs, responsibility, counted, strict=True)
+               if departures.zone[d] == zone]  # fmt: skip
+        sure[zone] = sum(w * r for w, r in own) / max(sum(w for w, _ in own), 1e-300)
+    before = likeliest_before(departures, arrivals, pairs, responsibility, least)
+    levels = []
+    for name in ("entry", "block", "entry+block", "previous"):
+        key, told = [], []
+        for d in range(n):
+            first, block, certain = -1, -1, 1.0
+            if "entry" in name:
+                first, certain = entry[d], float(entry[d] >= 0)
+            if "block" in name:
+                block, certain = int(departures.block[d]), certain * (departures.block[d] >= 0)
+            if name == "previous":
+                first, certain = before[d]
+            key.append((int(departures.zone[d]), first, block))
+            told.append(certain)
+        mine = [sure[departures.zone[d]] * told[d] * weight[d] for d in range(n)]
+        moved = [sure[departures.zone[d]] * told[d] * w * r
+                 for (d, _), r, w in zip(pairs, responsibility, counted, strict=True)]  # fmt: skip
+        new_share = []
+        for c, (d, a) in enumerate(pairs):
+            above = sum(
+                moved[o] for o, (e, b) in enumerate(pairs)
+                if o != c and key[e] == key[d] and arrivals.zone[b] == arrivals.zone[a]
+            )  # fmt: skip
+            below = sum(mine[e] for e in range(n) if e != d and key[e] == key[d])
+            here = (above + back_off * share[c]) / (below + back_off)
+            new_share.append(told[d] * here + (1 - told[d]) * share[c])
+        new_leave = []
+        for d in range(n):
+            others = [e for e in range(n) if e != d and key[e] == key[d]]
+            stays = sum(mine[e] * gone[e] for e in others) + back_off * leave[d]
+            here = stays / (sum(mine[e] for e in others) + back_off)
+            new_leave.append(told[d] * here + (1 - told[d]) * leave[d])
+        share, leave = new_share, new_leave
+        departures_of, transitions_of = {}, {}
+        for d in range(n):
+            departures_of[key[d]] = departures_of.get(key[d], 0.0) + mine[d]
+        for c, (d, a) in enumerate(pairs):
+            cell = key[d], int(arrivals.zone[a])
+            transitions_of[cell] = transitions_of.get(cell, 0.0) + moved[c]
+        levels.append((departures_of, transitions_of))
+    return levels, np.array(share), np.array(leave)
+
+
+def multiplier(before, after, most):
+    """`camtopod.learn.contexts.multipliers` of one pair of probabilities."""
+    if after >= most * before:
+        return 1.0 / most if after == 0 else most
+    return max(after / before, 1.0 / most)

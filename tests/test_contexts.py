@@ -1,0 +1,158 @@
+"""Contexts of a departure: counted and backed off as by hand, and what they know about where objects go."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made import Views
+
+from camtopod.learn import contexts as module
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, find_candidates
+from camtopod.learn.contexts import LEVELS, Contexts, Level, mean_levels, multipliers
+from camtopod.learn.lags import LagBins
+
+SHORT = LagBins(-3.0, 8.0)
+CAMERAS = np.array([0, 0, 1, 2], np.int32)
+"""Camera of each of four zones."""
+
+
+def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
+    """Passages anywhere at any time, some without a known entry or block."""
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.uniform(0, 40, n))
+    zone = rng.integers(0, 4, n).astype(np.int32)
+    arrivals = Arrivals(t, zone, CAMERAS[zone], np.full(n, 0.1), np.full(n, np.nan))
+    own = np.where(rng.random(n) < 0.7, np.arange(n), -1).astype(np.int32)
+    block = rng.integers(-1, 3, n).astype(np.int32)
+    stay = rng.uniform(0.1, 4, n)
+    order = np.argsort(t + stay)
+    zone = np.where(own >= 0, (zone // 2) * 2 + rng.integers(0, 2, n), zone).astype(np.int32)
+    since = np.where(own >= 0, t, -np.inf)
+    departures = Departures((t + stay)[order], zone[order], CAMERAS[zone[order]], since[order], np.full(n, np.nan),
+                            own[order], block[order])  # fmt: skip
+    return departures, arrivals, find_candidates(departures, arrivals, SHORT, 4)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 14))
+def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
+    departures, arrivals, found = anything(seed, n)
+    rng = np.random.default_rng(seed)
+    m = len(found.lag)
+    responsibility, share = rng.random(m) ** 3, rng.random(m)
+    gone, leave, weight = rng.random((3, n))
+    counted = rng.exponential(1.0, m)
+    fast = Contexts(departures, arrivals, 4, 3).learn(found, responsibility, share, gone, leave, weight, counted)
+    slow = naive.contexts(
+        departures, arrivals, list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True)),
+        responsibility, share, gone, leave, weight, counted,
+        module.BACK_OFF_DEPARTURES, module.PREVIOUS_RESPONSIBILITY_MIN,
+    )  # fmt: skip
+    assert fast[1] == pytest.approx(slow[1])
+    assert fast[2] == pytest.approx(slow[2])
+    assert len(fast[0]) == len(LEVELS) == 4
+    for level, (n_of, moved_of) in zip(fast[0], slow[0], strict=True):
+        for k in range(len(level.zone)):
+            key = int(level.zone[k]), *level.parts[k].tolist()
+            assert level.departures[k] == pytest.approx(n_of.get(key, 0.0))
+            for target in range(4):
+                assert level.transitions[k, target] == pytest.approx(moved_of.get((key, target), 0.0))
+        assert sum(level.departures) == pytest.approx(sum(n_of.values()))
+        assert level.transitions.sum() == pytest.approx(sum(moved_of.values()))
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=10))
+def test_multipliers_are_bounded_ratios(pairs: list[tuple[float, float]]) -> None:
+    before, after = (np.array(column) for column in zip(*pairs, strict=True))
+    assert multipliers(before, after).tolist() == [
+        pytest.approx(naive.multiplier(b, a, module.MULTIPLIER_MAX)) for b, a in pairs
+    ]
+
+
+def told(views: Views, true: dict[float, float]) -> tuple[list[Level], Candidates, Departures, np.ndarray]:
+    """Levels when it is known who is who: ``true`` has, by the time of an exit, the time of the next appearance."""
+    departures, arrivals = views.columns()
+    zones = len(views.camera)
+    found = find_candidates(departures, arrivals, LagBins(-20.0, 120.0), zones)
+    right = np.array([true.get(departures.t[d]) == arrivals.t[a] for d, a in zip(*found[:2], strict=True)], float)
+    gone = 1.0 - np.minimum(np.bincount(found.departure, right, minlength=len(departures.t)), 1.0)
+    left = np.maximum(np.bincount(departures.zone, minlength=zones), 1)
+    share = (np.bincount(found.pair, right) / left[found.source])[found.pair]
+    leave = (np.bincount(departures.zone, gone, minlength=zones) / left)[departures.zone]
+    ones = np.ones(len(departures.t))
+    levels, after, _ = Contexts(departures, arrivals, zones, int(max(views.camera)) + 1).learn(
+        found, right, share, gone, leave, ones, np.ones(len(right))
+    )
+    return levels, found, departures, after
+
+
+@pytest.mark.parametrize("known", ["entry", "block"])
+def test_where_they_came_in_and_where_they_left_says_where_they_go(known: str) -> None:
+    """From zone 2, those who came in at 0 (or left in block 7) go to zone 3, the others to zone 4."""
+    rng = np.random.default_rng(0)
+    views, true, firsts = Views([0, 0, 0, 1, 2]), {}, []
+    for t in np.sort(rng.uniform(0, 20_000, 400)):
+        if first := rng.random() < 0.5:
+            firsts.append(t + 5)
+        entry, block = (0 if first else 1, -1) if known == "entry" else (0, 7 if first else 8)
+        views.through(t, t + 5, entry, 2, block)
+        views.through(t + 15, t + 20, 3 if first else 4, 3 if first else 4)
+        true[t + 5] = t + 15
+    levels, found, departures, after = told(views, true)
+    level = levels[LEVELS.index(known)]
+    context = {tuple(parts): k for k, parts in enumerate(level.parts.tolist()) if level.zone[k] == 2}
+    one, other = (context[0, -1], context[1, -1]) if known == "entry" else (context[-1, 7], context[-1, 8])
+    assert level.transitions[one, 3] == pytest.approx(level.departures[one])
+    assert level.transitions[one, 4] == 0
+    assert level.transitions[other, 4] == pytest.approx(level.departures[other])
+    candidate = found.source[found.pair] == 2
+    is_first = np.isin(departures.t[found.departure[candidate]], firsts)
+    to_three, share = found.target[found.pair[candidate]] == 3, after[candidate]
+    assert (share[is_first & to_three] > 0.95).all()
+    assert (share[~is_first & to_three] < 0.05).all()
+
+
+def test_a_context_seen_once_hardly_counts() -> None:
+    views, true = Views([0, 0, 1, 2]), {}
+    for k in range(40):
+        views.through(100.0 * k, 100.0 * k + 5, 0, 0)
+        views.through(100.0 * k + 15, 100.0 * k + 16, 2, 2)
+        true[100.0 * k + 5] = 100.0 * k + 15
+    views.through(5000.0, 5005.0, 1, 0)
+    views.through(5015.0, 5016.0, 3, 3)
+    true[5005.0] = 5015.0
+    _, found, departures, after = told(views, true)
+    (rare,) = np.flatnonzero((departures.t[found.departure] == 5005.0) & (found.target[found.pair] == 3))
+    assert after[rare] == pytest.approx(1 / 41)  # left out itself, there is nothing: as without the context
+
+
+def test_the_camera_before() -> None:
+    """Of those at zone 2 who came from camera 0 all go to zone 3; of the others none."""
+    rng = np.random.default_rng(1)
+    views, true = Views([0, 1, 2, 3, 4]), {}
+    for t in np.sort(rng.uniform(0, 40_000, 300)):
+        start, end = (0, 3) if rng.random() < 0.5 else (1, 4)
+        for step, zone in enumerate((start, 2, end)):
+            views.through(t + 20 * step, t + 20 * step + 5, zone, zone)
+            if zone != end:
+                true[t + 20 * step + 5] = t + 20 * step + 20
+    levels, found, _, after = told(views, true)
+    level = levels[LEVELS.index("previous")]
+    (row,) = np.flatnonzero((level.zone == 2) & (level.parts[:, 0] == 0))
+    assert level.transitions[row, 3] == pytest.approx(level.departures[row])
+    right = found.target[found.pair] > 2
+    assert set(np.round(after[right]).tolist()) <= {0.0, 1.0}
+    assert np.mean((after[right] > 0.9) | (after[right] < 0.1)) == 1.0
+
+
+def test_the_mean_of_several_fits() -> None:
+    zone, parts = np.array([0]), np.array([[1, -1]])
+    one = Level(zone, parts, np.array([2.0]), np.array([[1.0, 0.0]]))
+    other = Level(zone, parts, np.array([4.0]), np.array([[1.0, 3.0]]))
+    (mean,) = mean_levels([[one], [other]])
+    assert mean.departures.tolist() == [3.0]
+    assert mean.transitions.tolist() == [[1.0, 1.5]]
+    assert (mean.zone is zone, mean.parts is parts) == (True, True)
