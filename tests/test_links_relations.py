@@ -21,8 +21,6 @@ from camtopod.learn.links import (
     refresh_monte_carlo,
     significant,
     tabulate,
-    ways,
-    without_missed,
 )
 from camtopod.learn.overlap import sum_rule
 from camtopod.learn.relations import camera_pairs, relation_of
@@ -30,7 +28,7 @@ from camtopod.learn.settings import Settings
 from camtopod.records import ChainEdge, Link, Transit, Zone
 
 BINS = LagBins(-20.0, 120.0)
-SETTINGS = Settings(publish_q_max=0.01, publish_probability_min=0.03, missed_share_max=0.25)
+SETTINGS = Settings(publish_q_max=0.01, publish_probability_min=0.03)
 
 
 def transitions(*rows: tuple[int, int, float, float]) -> Transitions:
@@ -128,27 +126,6 @@ def test_monte_carlo_variance_is_near_that_of_the_transitions() -> None:
     assert table.variance[0] == pytest.approx(25 / (140**2 / 12), rel=0.1)
     assert table.variance[0] < refreshed.variance[0] < 2 * table.variance[0]
     assert refreshed.counts is table.counts
-
-
-def test_a_way_over_a_missed_passage_is_no_link() -> None:
-    """0 -> 1 (through to 2) -> 3, and what remains of it where the camera missed the passage."""
-    rows = [*repeated(0, 1, 10.0, 80), *repeated(2, 3, 20.0, 80), *repeated(0, 3, 35.0, 15), *repeated(0, 4, 35.0, 15)]
-    between = tabulate(transitions(*rows), np.full(5, 100.0), BINS, 5)
-    through = tabulate(transitions(*repeated(1, 2, 5.0, 90)), np.full(5, 100.0), BINS, 5)
-    found = np.ones(len(between.source), bool)
-    kept = without_missed(between, through, found, SETTINGS)
-    names = list(zip(between.source.tolist(), between.target.tolist(), strict=True))
-    assert [name for name, is_kept in zip(names, kept, strict=True) if not is_kept] == [(0, 3)]
-    assert found.all()
-    assert without_missed(between, tabulate(join([]), np.zeros(5), BINS, 5), found, SETTINGS).all()
-
-
-def test_ways_by_source() -> None:
-    table = tabulate(transitions(*repeated(0, 1, 10.0, 50), *repeated(0, 2, 20.0, 25)), np.full(3, 100.0), BINS, 3)
-    found = ways(table, np.array([True, True]))
-    assert [row[0] for row in found[0]] == [1, 2]
-    assert found[0][1][1:3] == pytest.approx((0.25, 20.0), abs=0.01)
-    assert ways(table, np.array([False, False])) == {}
 
 
 # --- weak links ---

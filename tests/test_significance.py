@@ -1,4 +1,4 @@
-"""Evidence, false discovery rates, and what missed passages explain."""
+"""Evidence and false discovery rates."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn.significance import Ways, explained_by_missed, log_likelihood_ratio, q_values
+from camtopod.learn.significance import log_likelihood_ratio, q_values
 
 RATIOS = st.lists(st.one_of(st.floats(-5, 40), st.sampled_from([0.0, 3.0])), max_size=25)
 
@@ -52,41 +52,3 @@ def test_certainty_is_finite() -> None:
     found = log_likelihood_ratio(np.zeros(2, np.int32), np.ones(2), np.array([0.0, np.inf]), 2)
     assert np.isfinite(found).all()
     assert found[1] == 0.0  # no candidate, no evidence
-
-
-# --- missed passages: 0 -> (1 .. 2) -> 3, where the camera of 1 and 2 is left out ---
-
-
-def ways(*rows: tuple[int, int, float, float, float]) -> Ways:
-    result = Ways()
-    for source, *row in rows:
-        result.setdefault(source, []).append(tuple(row))  # type: ignore[arg-type]
-    return result
-
-
-LINKS = ways((0, 1, 0.8, 10.0, 1.0), (2, 3, 0.5, 20.0, 2.0), (0, 3, 0.1, 35.0, 3.0), (2, 4, 0.5, 5.0, 1.0))
-PASSAGES = ways((1, 2, 0.9, 5.0, 0.5))
-
-
-@pytest.mark.parametrize(
-    ("probability", "mean", "missed", "expected"),
-    [
-        (0.1, 35.0, 0.25, True),  # 0.8 * 0.9 * 0.5 * 1/3 = 0.12
-        (0.12, 35.0, 0.25, True),
-        (0.13, 35.0, 0.25, False),
-        (0.13, 35.0, 0.5, True),
-        (0.1, 46.5, 0.25, False),  # 3 * (sqrt(1 + 0.25 + 4) + 1) = 9.9 s off at most
-        (0.1, 44.8, 0.25, True),
-        (0.1, 35.0, 0.0, False),
-    ],
-)
-def test_one_missed_passage(probability: float, mean: float, missed: float, expected: bool) -> None:
-    assert explained_by_missed(0, 3, probability, mean, LINKS, PASSAGES, missed) is expected
-
-
-def test_ways_add_up_and_must_be_whole() -> None:
-    twice = ways((1, 2, 0.9, 5.0, 0.5), (1, 5, 0.1, 5.0, 0.5))
-    further = ways(*((0, *row) for row in LINKS[0]), *((2, *row) for row in LINKS[2]), (5, 3, 1.0, 20.0, 1.0))
-    assert explained_by_missed(0, 3, 0.14, 35.0, further, twice, 0.25)
-    assert not explained_by_missed(0, 3, 0.01, 35.0, LINKS, Ways(), 0.25)
-    assert not explained_by_missed(9, 3, 0.01, 35.0, LINKS, PASSAGES, 0.25)

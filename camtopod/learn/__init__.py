@@ -9,7 +9,8 @@ In the order in which data flows:
 * `coarse`, `twoway`, `clocks`: whose clock is wrong, and by how much
 * `scene`: who left, who came, who passed through; `rates`: how often anyway; `slowness`: how fast
 * `candidates`, `lags`, `joint`, `memory`: which arrival belongs to which departure; `passages`: also in one view
-* `crossfit`, `significance`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its figures; `links`
+* `crossfit`, `significance`, `missed`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its
+  figures; `links`
 * `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
 * `change`, `silence`, `alarms`: what opened, closed, moved or fell silent; `scoring`: how good its own predictions were
 * `assemble`, `topology`: versions with digests and deltas; `hazards`, `predict`: where to look next

@@ -33,9 +33,9 @@ from camtopod.learn.links import (
     significant,
     tabulate,
     transitions_of,
-    without_missed,
 )
 from camtopod.learn.memory import Memory
+from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
 from camtopod.learn.passages import visible_transitions, with_usual_stays
@@ -189,7 +189,8 @@ class Learner:
             self._window.column("t") / MICROSECONDS, self._window.column("camera"), len(self._window.cameras)
         )
         posterior, between, likely, changes = self._between_views(scene, silences)
-        found = without_missed(between, through, significant(between, self.settings), self.settings)
+        camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
+        found = without_missed(between, through, significant(between, self.settings), camera_of, self.settings)
         published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
         seen = np.flatnonzero(significant(through, self.settings))
         visible = refresh_monte_carlo(through.rows(seen), self.stay_bins)

@@ -16,7 +16,7 @@ from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.joint import Fit, smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.settings import Settings
-from camtopod.learn.significance import Ways, explained_by_missed, log_likelihood_ratio, q_values
+from camtopod.learn.significance import log_likelihood_ratio, q_values
 from camtopod.learn.slowness import combined
 from camtopod.learn.transit import MEDIAN_ERROR, TransitFigures, transit_figures
 
@@ -147,29 +147,6 @@ def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:
         & (table.transit.total >= TRANSITIONS_MIN)
         & (table.variance <= mahalanobis.LINKED_VARIANCE_MAX)
     )
-
-
-def without_missed(
-    between: LinkTable, through: LinkTable, found: NDArray[np.bool_], settings: Settings
-) -> NDArray[np.bool_]:
-    """``found`` (P,) less the links that missed passages explain."""
-    links, passages = ways(between, found), ways(through, through.transit.total >= TRANSITIONS_MIN)
-    kept = found.copy()
-    for k in np.flatnonzero(found):
-        kept[k] = not explained_by_missed(
-            int(between.source[k]), int(between.target[k]), float(between.probability[k]),
-            float(between.transit.quantiles[k, 1]), links, passages, settings.missed_share_max,
-        )  # fmt: skip
-    return kept
-
-
-def ways(table: LinkTable, keep: NDArray[np.bool_]) -> Ways:
-    """Rows of the table as ways by source zone."""
-    result = Ways()
-    for k in np.flatnonzero(keep):
-        row = (int(table.target[k]), table.probability[k], table.transit.quantiles[k, 1], table.transit.sd[k])
-        result.setdefault(int(table.source[k]), []).append(row)
-    return result
 
 
 def beside(likely: LinkTable, published: LinkTable, zones: int) -> LinkTable:

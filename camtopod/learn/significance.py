@@ -1,4 +1,4 @@
-"""Is it a link? Significance of every pair of zones, and what missed passages explain away.
+"""Is it a link? Significance of every pair of zones.
 
 The evidence for a pair is the log likelihood ratio between the joint fit with and without it. Because the fit leaves
 every arrival out of its own prediction, the ratio is one of prediction, not of fit: under chance ``P(ratio > x)`` is
@@ -16,8 +16,6 @@ Ints = NDArray[np.int32]
 
 RESPONSIBILITY_MAX = 1.0 - 1e-6
 FLAT_MAX = 1e6
-MISSED_LAG_SD = 3.0
-"""A way over a missed passage must fit the link's median lag within this many standard deviations."""
 
 
 def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs: int) -> Floats:
@@ -41,29 +39,3 @@ def q_values(ratio: Floats, tests: int) -> Floats:
     q = np.empty(len(p))
     q[order] = np.minimum(np.minimum.accumulate(adjusted[::-1])[::-1], 1.0)
     return q
-
-
-class Ways(dict[int, list[tuple[int, float, float, float]]]):
-    """Directed weighted ways by source zone: (target zone, probability, median seconds, sd seconds)."""
-
-
-def explained_by_missed(
-    source: int, target: int, probability: float, median: float, links: Ways, passages: Ways, missed_share_max: float
-) -> bool:
-    """Whether source -> target is what remains of source -> (a camera that missed the passage) -> target.
-
-    ``links`` are the ways between cameras, ``passages`` those through them. Of those leaving at the source, a share
-    walks source -> a, a -> b through one camera, b -> target; if that camera misses at most ``missed_share_max`` of
-    all passages, at most odds of it times the share seen on that way can turn up as a direct link.
-    """
-    odds = missed_share_max / (1.0 - missed_share_max)
-    total = 0.0
-    for a, p_in, median_in, sd_in in links.get(source, []):
-        for b, p_through, median_through, sd_through in passages.get(a, []):
-            for end, p_out, median_out, sd_out in links.get(b, []):
-                if end != target:
-                    continue
-                spread = np.sqrt(sd_in**2 + sd_through**2 + sd_out**2) + 1.0
-                if abs(median_in + median_through + median_out - median) <= MISSED_LAG_SD * spread:
-                    total += p_in * p_through * p_out
-    return probability <= odds * total

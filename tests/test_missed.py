@@ -1,0 +1,150 @@
+"""What missed passages explain away, and what they do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camtopod.learn.lags import LagBins
+from camtopod.learn.links import LinkTable, Transitions, join, tabulate
+from camtopod.learn.missed import UNCERTAINTY, Odds, Ways, find_ways, unexplained, without_missed
+from camtopod.learn.settings import Settings
+
+SETTINGS = Settings(publish_probability_min=0.03, missed_share_max=0.25)
+BINS = LagBins(-SETTINGS.overlap_max_seconds, SETTINGS.transit_max_seconds)
+LEAVING = 400.0
+Row = tuple[int, int, float, int]
+"""Source, target, seconds, how many."""
+
+
+def table(*rows: Row, zones: int = 9) -> LinkTable:
+    """Figures of transitions that keep their time within a second."""
+    parts = []
+    for source, target, lag, n in rows:
+        spread = lag + np.linspace(-1.0, 1.0, n)
+        column = (np.full(n, source, np.int32), np.full(n, target, np.int32), spread, np.full(n, 0.999))
+        parts.append(Transitions(*column, np.full(n, 1e-3)))
+    return tabulate(join(parts), np.full(zones, LEAVING), BINS, zones)
+
+
+CAMERA = np.array([0, 1, 1, 2, 2, 3, 3, 4, 4])
+"""Zones 1 and 2 in camera 1, and so on; zone 0 alone in its own."""
+THROUGH = table((1, 2, 5.0, 300), (3, 4, 5.0, 300), (5, 6, 5.0, 300), (7, 8, 5.0, 300))
+CHAIN = ((0, 1, 10.0, 300), (2, 3, 10.0, 300), (4, 5, 10.0, 300), (6, 7, 10.0, 300))
+"""0 -> (1 2) -> (3 4) -> (5 6) -> (7 8): every way seen 300 times; over one missed camera it takes 25 s."""
+
+
+def kept(*rows: Row, through: LinkTable = THROUGH, settings: Settings = SETTINGS) -> set[tuple[int, int]]:
+    """The pairs that stay when all of the rows have been found."""
+    between = table(*rows)
+    found = np.ones(len(between.source), bool)
+    stays = without_missed(between, through, found, CAMERA, settings)
+    assert found.all()
+    return {(int(u), int(v)) for u, v, stay in zip(between.source, between.target, stays, strict=True) if stay}
+
+
+LINKS = {(u, v) for u, v, _, _ in CHAIN}
+
+
+def test_a_tenth_missed_everywhere() -> None:
+    """300 seen make 33 unseen."""
+    assert kept(*CHAIN, (0, 3, 25.0, 33), (2, 5, 25.0, 33), (4, 7, 25.0, 33)) == LINKS
+
+
+def test_several_missed_in_a_row() -> None:
+    missed = ((0, 3, 25.0, 100), (2, 5, 25.0, 100), (4, 7, 25.0, 100))
+    assert kept(*CHAIN, *missed, (0, 5, 40.0, 33), (2, 7, 40.0, 33), (0, 7, 55.0, 14)) == LINKS
+
+
+def test_a_link_of_its_own_beside_a_way_stays() -> None:
+    """Many more than elsewhere, at the very same lag; or at another one."""
+    others = ((2, 5, 25.0, 33), (4, 7, 25.0, 33))
+    assert kept(*CHAIN, *others, (0, 3, 25.0, 150)) == {*LINKS, (0, 3)}
+    assert kept(*CHAIN, *others, (0, 3, 60.0, 33)) == {*LINKS, (0, 3)}
+    assert kept(*CHAIN, *others, (0, 3, 26.0, 33)) == LINKS
+
+
+def test_a_camera_that_misses_little_explains_little() -> None:
+    """60 are few where every camera misses a quarter and many where hardly any misses one."""
+    rows = (*CHAIN, (0, 3, 25.0, 60))
+    assert (0, 3) not in kept(*rows, (2, 5, 25.0, 100), (4, 7, 25.0, 100))
+    assert (0, 3) in kept(*rows, (2, 5, 25.0, 2), (4, 7, 25.0, 2))
+
+
+def test_no_more_than_the_setting_says() -> None:
+    rows = (*CHAIN, (0, 3, 25.0, 80), (2, 5, 25.0, 80), (4, 7, 25.0, 80))
+    assert kept(*rows) == LINKS
+    assert kept(*rows, settings=Settings(missed_share_max=0.05)) > LINKS
+    assert len(kept(*rows, settings=Settings(missed_share_max=0.0))) == 7
+
+
+def test_without_ways_nothing_is_explained() -> None:
+    rows = (*CHAIN, (0, 3, 25.0, 33))
+    assert kept(*rows, through=table()) == {*LINKS, (0, 3)}
+    assert kept((0, 3, 25.0, 33)) == {(0, 3)}
+    assert kept() == set()
+
+
+def test_only_what_was_found_is_a_way() -> None:
+    between = table(*CHAIN, (0, 3, 25.0, 33))
+    found = ~((between.source == 0) & (between.target == 1))
+    assert without_missed(between, THROUGH, found, CAMERA, SETTINGS).tolist() == found.tolist()
+
+
+def test_what_is_left_over() -> None:
+    between = table(*CHAIN, (0, 3, 25.0, 150), (2, 5, 25.0, 30), (4, 7, 25.0, 30))
+    own = unexplained(between, THROUGH, np.ones(len(between.source), bool), CAMERA, SETTINGS)
+    left = {(int(u), int(v)): rest for u, v, rest in zip(between.source, between.target, own, strict=True)}
+    assert left[0, 1] == pytest.approx(between.transit.total[0])
+    assert left[2, 5] == pytest.approx(0.0, abs=0.5)
+    assert 150 - UNCERTAINTY * 100 <= left[0, 3] < 110
+
+
+@given(st.integers(0, 10**6), st.integers(0, 40), st.integers(0, 20))
+def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
+    rng = np.random.default_rng(seed)
+    ends, times, numbers = rng.integers(0, 9, (links, 2)), rng.uniform(1, 40, links), rng.integers(3, 20, links)
+    row = [(int(u), int(v), float(t), int(n)) for (u, v), t, n in zip(ends, times, numbers, strict=True)]
+    pick = [(a, b) for a in range(1, 9) for b in range(1, 9) if CAMERA[a] == CAMERA[b]]
+    seen = [(*pick[k], 5.0, 3 + int(k) % 9) for k in rng.integers(0, len(pick), passages)]
+    between, through = table(*row), table(*seen)
+    found = np.flatnonzero(rng.random(len(between.source)) < 0.7)
+    expected = []
+    for k in found:
+        for j in range(len(through.source)):
+            for m in found:
+                if between.target[k] == through.source[j] and through.target[j] == between.source[m]:
+                    total, stays = between.transit.total, through.transit.total
+                    share = stays[j] / stays[through.source == through.source[j]].sum()
+                    share /= stays[through.target == through.target[j]].sum()
+                    median = between.transit.quantiles[[k, m], 1].sum() + through.transit.quantiles[j, 1]
+                    pair = between.source[k] * 9 + between.target[m]
+                    expected.append((pair, CAMERA[between.target[k]], total[k] * share * total[m], median))
+    ways = find_ways(between, through, found, CAMERA)
+    actual = list(zip(*ways[:4], strict=True))
+    assert len(actual) == len(expected)
+    if expected:
+        assert sorted(actual) == pytest.approx(np.array(sorted(expected)))
+
+
+def test_odds_of_one_camera_and_of_its_neighbours() -> None:
+    """Camera 1 and 3 have fifty pairs each, camera 2 none: it gets what the others have."""
+    n = 100
+    camera, level = np.where(np.arange(n) < 50, 1, 3), np.ones(n)
+    ways = Ways(np.arange(n), camera, 20.0 * level, 9.0 * level, level)
+    seen = np.where(camera == 1, 2.0, 6.0)
+    odds = Odds(ways, np.arange(n), seen, 0.5)
+    assert [odds.of(k, 0) for k in (1, 3)] == pytest.approx([0.1, 0.3])
+    assert odds.of(2, 0) in (pytest.approx(0.1), pytest.approx(0.3))
+    assert odds.expected(0) == pytest.approx(2.0)
+    assert Odds(ways, np.arange(n), seen, 0.2).of(3, 0) == pytest.approx(0.25)
+    assert Odds(ways._replace(expected=level), np.arange(n), seen, 0.2).of(3, 0) == 0.25
+
+
+def test_a_pair_does_not_tell_of_itself() -> None:
+    ways = Ways(np.arange(4), np.array([1, 2, 2, 2]), np.full(4, 30.0), np.ones(4), np.ones(4))
+    odds = Odds(ways, np.arange(4), np.array([30.0, 3.0, 3.0, 3.0]), 0.5)
+    assert odds.of(1, 0) == pytest.approx(0.1)
+    assert odds.of(1, 1) == pytest.approx(1.0)
