@@ -391,6 +391,25 @@ def contexts(
     return levels, np.array(share), np.array(leave)
 
 
+def entry_kernels(departures, arrivals, candidates, bins, zones):
+    """What entry kernels count: per zone of entry and lag bin, the passages still in view when the bin begins; and of
+    each candidate that appears before the exit: ((zone of entry, zone of appearance), bin of the lag from the entry).
+    """
+    entry = entered_at(departures, arrivals)
+    exposed = np.zeros((zones, bins.size))
+    for d, zone in enumerate(entry):
+        for k in range(bins.size):
+            exposed[zone, k] += zone >= 0 and departures.t[d] - departures.since[d] >= bins.edges[k]
+    early = {}
+    for c, (d, a) in enumerate(zip(candidates.departure, candidates.arrival, strict=True)):
+        if entry[d] >= 0 and arrivals.t[a] < departures.t[d]:
+            lag = arrivals.t[a] - departures.since[d]
+            k = lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step)
+            if k >= 0:
+                early[c] = (entry[d], int(arrivals.zone[a])), k
+    return exposed, early
+
+
 def multiplier(before, after, most):
     """`camtopod.learn.contexts.multipliers` of one pair of probabilities."""
     if after >= most * before:

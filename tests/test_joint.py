@@ -248,6 +248,27 @@ def test_going_on_from_what_is_known() -> None:
     assert share(again, departures, 2, 1) < 0.05
 
 
+def test_going_on_again_and_again_breeds_nothing() -> None:
+    """What is doubtful does not grow because it was once thought possible."""
+    departures, arrivals = Walks(8).go(500, 8000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 0.9)).columns(2)
+    found = find_candidates(departures, arrivals, BINS, 2)
+    fit = fit_jointly(departures, arrivals, found, BINS, 2, 8000.0)
+    known = np.zeros((len(found.source), BINS.size))
+    known[(found.source == 1) & (found.target == 0)] = 0.1 / 120.0  # one in ten goes back some time, it is thought
+    known[(found.source == 0) & (found.target == 1)] = fit.hazard[
+        (fit.candidates.source == 0) & (fit.candidates.target == 1)
+    ]
+    for _ in range(6):
+        fit = fit_jointly(departures, arrivals, found, BINS, 2, 8000.0, Known(known, fit.persistence))
+        rows = {pair: k for k, pair in enumerate(zip(fit.candidates.source, fit.candidates.target, strict=True))}
+        known = np.array([
+            fit.hazard[rows[pair]] if pair in rows else np.zeros(BINS.size)
+            for pair in zip(found.source, found.target, strict=True)
+        ])  # fmt: skip
+    assert share(fit, departures, 1, 0) < 0.1
+    assert share(fit, departures, 0, 1) == pytest.approx(0.9, abs=0.05)
+
+
 @pytest.mark.parametrize("gap", [500.0, -500.0])
 def test_without_a_candidate(gap: float) -> None:
     """All arrivals long after, or long before, all departures."""

@@ -46,16 +46,14 @@ STRIDE = 1.8
 STRIDE_RATIO_MAX = 4.0
 SETTLING_ITERATIONS = 3
 """The last iterations of a round take EM's own steps."""
+SETTLING_SWEEPS = 2
+"""A fit that goes on from an earlier one first takes so many E steps alone."""
 SPARSITY = 1.0
 """Most pairs of zones are not linked: their totals have a sparse prior (a Gamma with shape 0), which takes one
 transition off each. Left out, thousands of pairs share the arrivals that come from outside among them.
 """
 FOLLOWED_TRANSITIONS_MIN = 0.05
 """A pair of zones with fewer expected transitions is not followed in later rounds."""
-POOLING_DEPARTURES = 3.0
-"""In the posterior, what leaves anywhere in a camera's view counts for each of its zones as much as this many
-departures.
-"""
 SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
 """(at least this many expected transitions, smooth by this many bins)."""
 
@@ -99,6 +97,7 @@ def fit_jointly(
     else:
         fitter.use(known.persistence)
         hazard = np.maximum(known.hazard, START_FLOOR * fitter.start())
+        fitter.settle(hazard)
     fitter.sparsity = SPARSITY
     fit = fitter.prune(fitter.run(hazard))
     for _ in range(SPARSE_ROUNDS_MAX - 1):
@@ -136,8 +135,10 @@ class JointFitter:
         """Number of pairs of zones followed, P."""
         return len(self.candidates.source)
 
-    def start(self) -> Floats:
-        """First hazards (P, bins): what exceeds chance in each pair's own histogram."""
+    def start(self, noise_sd: float = START_NOISE_SD) -> Floats:
+        """First hazards (P, bins): what exceeds chance and ``noise_sd`` standard deviations of it in each pair's own
+        histogram.
+        """
         if len(self.candidates.lag) == 0:
             return np.zeros((self.pairs, self.bins.size))
         seen = self._count(np.ones(len(self.candidates.lag)))
@@ -145,7 +146,7 @@ class JointFitter:
         left, came = self.departures, self.arrivals
         rates = chance_rates(left.t, left.zone, came.t, came.zone, self.zones)
         chance = rates[self.candidates.source, self.candidates.target][:, None] * exposed
-        above = np.maximum(excess(seen, chance, self.bins, START_NOISE_SD), START_FLOOR * seen)
+        above = np.maximum(excess(seen, chance, self.bins, noise_sd), START_FLOOR * seen)
         return above / np.maximum(exposed, self.bins.widths)
 
     def run(self, hazard: Floats) -> Fit:
@@ -153,15 +154,22 @@ class JointFitter:
         for iteration in range(ITERATIONS):
             responsibility = self._expect(hazard)
             counts = self._count(responsibility)
-            explained = np.bincount(self.candidates.arrival, responsibility, minlength=len(self.arrivals.t))
-            per_zone = np.bincount(self.arrivals.zone, explained, minlength=self.zones)
-            self.outside = np.clip(1.0 - per_zone / self._per_zone, OUTSIDE_FLOOR, 1.0)
+            self._look_outside()
             fresh = self._hazards(counts)
             stride = STRIDE if iteration < ITERATIONS - SETTLING_ITERATIONS else 1.0
             ratio = np.minimum(fresh / np.maximum(hazard, 1e-300), STRIDE_RATIO_MAX)
             hazard = fresh * ratio ** (stride - 1.0)
         flat = self.flatness(hazard)
         return Fit(hazard, counts, responsibility, flat, self.outside, self.candidates, self.persistence)
+
+    def settle(self, hazard: Floats) -> None:
+        """Messages and what comes from outside under hazards (P, bins) learned before.
+
+        Going on without, from half of the arrivals coming from outside, all that is doubtful would grow every time.
+        """
+        for _ in range(SETTLING_SWEEPS):
+            self._expect(hazard)
+            self._look_outside()
 
     def use_slowness(self, fit: Fit) -> Floats:
         """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins).
@@ -223,6 +231,12 @@ class JointFitter:
         self._message = 1.0 / np.maximum(demand - offer, 1e-12)
         self._responsibility = offer / demand
         return self._responsibility
+
+    def _look_outside(self) -> None:
+        """What no departure explains comes from outside."""
+        explained = np.bincount(self.candidates.arrival, self._responsibility, minlength=len(self.arrivals.t))
+        per_zone = np.bincount(self.arrivals.zone, explained, minlength=self.zones)
+        self.outside = np.clip(1.0 - per_zone / self._per_zone, OUTSIDE_FLOOR, 1.0)
 
     def _weights(self, hazard: Floats) -> Floats:
         """Hazard (M,) of each candidate that the others make."""
