@@ -56,26 +56,23 @@ class Contexts:
         self._known = [self.entry >= 0, block >= 0, (self.entry >= 0) & (block >= 0)]
 
     def learn(
-        self, candidates: Candidates, responsibility: Floats, share: Floats, gone: Floats, leave: Floats,
-        weight: Floats, counted: Floats,
-    ) -> tuple[list[Level], Floats, Floats]:  # fmt: skip
+        self, candidates: Candidates, responsibility: Floats, share: Floats, gone: Floats, leave: Floats
+    ) -> tuple[list[Level], Floats, Floats]:
         """The levels, and of each candidate (M,) and each departure (n,): probability and leaving in its context.
 
         ``share`` (M,), ``leave`` (n,): the same without context; ``gone`` (n,): probability of not having been seen
-        again; ``weight`` (n,), ``counted`` (M,): how much departures and candidates count. Each is judged by the
-        others (leave one out).
+        again. Each is judged by the others (leave one out).
         """
         c, zone = candidates, self.departures.zone
-        sure = self._sureness(zone[c.departure], responsibility * counted, responsibility)[zone]
+        sure = self._sureness(zone[c.departure], responsibility)[zone]
         target = self.arrivals.zone[c.arrival]
         levels = []
         for (number, keys), told in self._contexts(c, responsibility):
-            told_weight = told * weight
-            n = np.bincount(number, sure * told_weight, minlength=len(keys))
+            mine = sure * told
+            n = np.bincount(number, mine, minlength=len(keys))
             cell = number[c.departure] * self.zones + target
-            own = sure[c.departure] * told[c.departure] * counted * responsibility
+            own = mine[c.departure] * responsibility
             moved = np.bincount(cell, own, minlength=len(keys) * self.zones)
-            mine = sure * told_weight
             below = (n[number] - mine + BACK_OFF_DEPARTURES)[c.departure]
             here = np.maximum(moved[cell] - own + BACK_OFF_DEPARTURES * share, 0.0) / below
             share = told[c.departure] * here + (1.0 - told[c.departure]) * share
@@ -109,23 +106,11 @@ class Contexts:
         best[arrival], sure[arrival] = camera, mass[order]  # where there are several the last, the largest, stays
         return best[d.own], np.minimum(sure[d.own], 1.0)
 
-    def _sureness(self, zone: NDArray[np.int32], transitions: Floats, responsibility: Floats) -> Floats:
+    def _sureness(self, zone: NDArray[np.int32], responsibility: Floats) -> Floats:
         """Share of the transitions from each zone (zones,) that is sure."""
-        squares = np.bincount(zone, transitions * responsibility, minlength=self.zones)
-        sure: Floats = squares / np.maximum(np.bincount(zone, transitions, minlength=self.zones), 1e-300)
+        squares = np.bincount(zone, responsibility**2, minlength=self.zones)
+        sure: Floats = squares / np.maximum(np.bincount(zone, responsibility, minlength=self.zones), 1e-300)
         return sure
-
-
-def mean_levels(members: list[list[Level]]) -> list[Level]:
-    """The mean of several fits' levels over the same departures."""
-    return [
-        Level(
-            same[0].zone, same[0].parts,
-            np.mean([level.departures for level in same], axis=0),
-            np.mean([level.transitions for level in same], axis=0),
-        )
-        for same in zip(*members, strict=True)
-    ]  # fmt: skip
 
 
 def multipliers(before: Floats, after: Floats) -> Floats:

@@ -289,7 +289,7 @@ class Learner:
             fit, posterior = fit_jointly(*problem), fit_posterior(*problem)
         else:
             fit = fit_jointly(*problem, self._memory.links(candidates, scene, self.bins))
-            posterior = fit_posterior(*problem, partial(self._memory.members, scene, self.bins))
+            posterior = fit_posterior(*problem, partial(self._memory.kernels, scene, self.bins))
         self._memory.remember(fit, posterior, scene)
         ratio = cross_evidence(departures, arrivals, fit, self.bins, zones, first, scene.last)
         pace = pace_of(fit, departures, arrivals, zones)

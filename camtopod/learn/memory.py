@@ -29,12 +29,13 @@ def _key(source: ZoneRef, target: ZoneRef) -> PairKey:
 
 
 class Memory:
-    """Hazards of the last links and of the last posterior's members, by zones."""
+    """Hazards of the last links and of the last posterior, by zones."""
 
     def __init__(self) -> None:
         self._linked: Rows = {}
         self._persistence: Persistence = NO_PERSISTENCE
-        self._members: list[tuple[Rows, Rows]] = []
+        self._exit: Rows = {}
+        self._entry: Rows = {}
         self._fresh_at: int | None = None
 
     def fresh_due(self, learned: int, window: int) -> bool:
@@ -49,30 +50,20 @@ class Memory:
         """What the joint fit can go on from for these candidates."""
         return Known(_rows(self._linked, candidates.source, candidates.target, scene, bins), self._persistence)
 
-    def members(self, scene: Scene, bins: LagBins, candidates: Candidates, source: Ints, target: Ints) -> list[Kernels]:
-        """What the posterior's members can go on from: ``source``, ``target`` (Q,) are the zones
-        of the entry kernels.
-        """
-        return [
-            Kernels(
-                _rows(exit_rows, candidates.source, candidates.target, scene, bins),
-                _rows(entry_rows, source, target, scene, bins),
-            )
-            for exit_rows, entry_rows in self._members
-        ]
+    def kernels(self, scene: Scene, bins: LagBins, candidates: Candidates, source: Ints, target: Ints) -> Kernels:
+        """What the posterior can go on from: ``source``, ``target`` (Q,) are the zones of the entry kernels."""
+        return Kernels(
+            _rows(self._exit, candidates.source, candidates.target, scene, bins),
+            _rows(self._entry, source, target, scene, bins),
+        )
 
     def remember(self, linked: Fit, posterior: Posterior, scene: Scene) -> None:
         """Keep what the next fits can go on from."""
         self._linked = _by_zones(linked.hazard, linked.candidates.source, linked.candidates.target, scene)
         self._persistence = linked.persistence
         c = posterior.fit.candidates
-        self._members = [
-            (
-                _by_zones(member.exit, c.source, c.target, scene),
-                _by_zones(member.entry, posterior.entry_source, posterior.entry_target, scene),
-            )
-            for member in posterior.members
-        ]
+        self._exit = _by_zones(posterior.fit.hazard, c.source, c.target, scene)
+        self._entry = _by_zones(posterior.entry_hazard, posterior.entry_source, posterior.entry_target, scene)
 
 
 def _rows(table: Rows, source: Ints, target: Ints, scene: Scene, bins: LagBins) -> Floats:

@@ -24,7 +24,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """Forgetting: events older than this are not learned from. Ways that open or close are found within it."""
     window_events_max: int = 60_000
     """At most this many events are kept for learning, whatever their age."""
-    transit_max_seconds: float = 120.0
+    transit_max_seconds: float = 180.0
     """The longest transit time looked for."""
     overlap_max_seconds: float = 120.0
     """How long before it leaves one view an object may be seen to appear in an overlapping one."""
