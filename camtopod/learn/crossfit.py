@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures
-from camtopod.learn.joint import SPARSITY, Fit, JointFitter
+from camtopod.learn.joint import Fit, JointFitter
 from camtopod.learn.lags import LagBins
 
 Floats = NDArray[np.float64]
@@ -29,6 +29,8 @@ STRETCHES = 32
 STRETCH_SECONDS_MAX = 3600.0
 STRETCH_LAGS_MIN = 4.0
 """... but none shorter than this many times the longest transit, unless the window is too short for that."""
+BET_SPARSITY = 0.5
+"""Transitions that the sparse prior takes off each pair before the bet: fewer than in the fit, as a part has few."""
 SWEEPS = 3
 ROUNDS = 1
 """Rounds of each fit before the last."""
@@ -77,7 +79,7 @@ def _fitted(fitter: JointFitter) -> Floats:
     hazard = fitter.start()
     for _ in range(ROUNDS):
         hazard = fitter.run(hazard).hazard
-    fitter.sparsity = SPARSITY
+    fitter.sparsity = BET_SPARSITY
     return fitter.run(hazard).hazard
 
 
