@@ -335,9 +335,7 @@ def likeliest_before(departures, arrivals, pairs, responsibility, least):
     return result
 
 
-def contexts(
-    departures, arrivals, pairs, responsibility, share, gone, leave, weight, counted, back_off, least
-):  # fmt: skip
+def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, back_off, least):
     """`camtopod.learn.contexts.Contexts.learn`: every candidate and departure is judged by all the others, one by one.
 
     Returns for each level (departures by context, transitions by context and target); the shares; the leaving.
@@ -345,9 +343,8 @@ def contexts(
     n, entry = len(departures.t), entered_at(departures, arrivals)
     sure = {}
     for zone in set(departures.zone.tolist()):
-        own = [(r * w, r) for (d, _), r, w in zip(pairs, responsibility, counted, strict=True)
-               if departures.zone[d] == zone]  # fmt: skip
-        sure[zone] = sum(w * r for w, r in own) / max(sum(w for w, _ in own), 1e-300)
+        own = [r for (d, _), r in zip(pairs, responsibility, strict=True) if departures.zone[d] == zone]
+        sure[zone] = sum(r * r for r in own) / max(sum(own), 1e-300)
     before = likeliest_before(departures, arrivals, pairs, responsibility, least)
     levels = []
     for name in ("entry", "block", "entry+block", "previous"):
@@ -362,9 +359,8 @@ def contexts(
                 first, certain = before[d]
             key.append((int(departures.zone[d]), first, block))
             told.append(certain)
-        mine = [sure[departures.zone[d]] * told[d] * weight[d] for d in range(n)]
-        moved = [sure[departures.zone[d]] * told[d] * w * r
-                 for (d, _), r, w in zip(pairs, responsibility, counted, strict=True)]  # fmt: skip
+        mine = [sure[departures.zone[d]] * told[d] for d in range(n)]
+        moved = [mine[d] * r for (d, _), r in zip(pairs, responsibility, strict=True)]
         new_share = []
         for c, (d, a) in enumerate(pairs):
             above = sum(

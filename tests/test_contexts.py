@@ -11,7 +11,7 @@ from made import Views
 
 from camtopod.learn import contexts as module
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, find_candidates
-from camtopod.learn.contexts import LEVELS, Contexts, Level, mean_levels, multipliers
+from camtopod.learn.contexts import LEVELS, Contexts, Level, multipliers
 from camtopod.learn.lags import LagBins
 
 SHORT = LagBins(-3.0, 8.0)
@@ -43,12 +43,11 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     m = len(found.lag)
     responsibility, share = rng.random(m) ** 3, rng.random(m)
-    gone, leave, weight = rng.random((3, n))
-    counted = rng.exponential(1.0, m)
-    fast = Contexts(departures, arrivals, 4, 3).learn(found, responsibility, share, gone, leave, weight, counted)
+    gone, leave = rng.random((2, n))
+    fast = Contexts(departures, arrivals, 4, 3).learn(found, responsibility, share, gone, leave)
     slow = naive.contexts(
         departures, arrivals, list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True)),
-        responsibility, share, gone, leave, weight, counted,
+        responsibility, share, gone, leave,
         module.BACK_OFF_DEPARTURES, module.PREVIOUS_RESPONSIBILITY_MIN,
     )  # fmt: skip
     assert fast[1] == pytest.approx(slow[1])
@@ -82,9 +81,8 @@ def told(views: Views, true: dict[float, float]) -> tuple[list[Level], Candidate
     left = np.maximum(np.bincount(departures.zone, minlength=zones), 1)
     share = (np.bincount(found.pair, right) / left[found.source])[found.pair]
     leave = (np.bincount(departures.zone, gone, minlength=zones) / left)[departures.zone]
-    ones = np.ones(len(departures.t))
     levels, after, _ = Contexts(departures, arrivals, zones, int(max(views.camera)) + 1).learn(
-        found, right, share, gone, leave, ones, np.ones(len(right))
+        found, right, share, gone, leave
     )
     return levels, found, departures, after
 
@@ -146,13 +144,3 @@ def test_the_camera_before() -> None:
     right = found.target[found.pair] > 2
     assert set(np.round(after[right]).tolist()) <= {0.0, 1.0}
     assert np.mean((after[right] > 0.9) | (after[right] < 0.1)) == 1.0
-
-
-def test_the_mean_of_several_fits() -> None:
-    zone, parts = np.array([0]), np.array([[1, -1]])
-    one = Level(zone, parts, np.array([2.0]), np.array([[1.0, 0.0]]))
-    other = Level(zone, parts, np.array([4.0]), np.array([[1.0, 3.0]]))
-    (mean,) = mean_levels([[one], [other]])
-    assert mean.departures.tolist() == [3.0]
-    assert mean.transitions.tolist() == [[1.0, 1.5]]
-    assert (mean.zone is zone, mean.parts is parts) == (True, True)

@@ -70,7 +70,9 @@ def test_nothing_remembered() -> None:
     known = Memory().links(asked[2], scene_of(asked, ZONES), BINS)
     assert not known.hazard.any()
     assert known.persistence == NO_PERSISTENCE
-    assert Memory().members(scene_of(asked, ZONES), BINS, asked[2], asked[2].source, asked[2].target) == []
+    kernels = Memory().kernels(scene_of(asked, ZONES), BINS, asked[2], asked[2].source, asked[2].target)
+    assert not kernels.exit.any()
+    assert not kernels.entry.any()
 
 
 @pytest.mark.parametrize("renumbered", [False, True])
@@ -89,16 +91,16 @@ def test_what_is_known_is_by_place_not_by_index(renumbered: bool) -> None:
     of_links = table(linked.candidates.source, linked.candidates.target, linked.hazard)
     known = memory.links(c, scene, BINS)
     assert known.persistence == linked.persistence
-    members = memory.members(scene, BINS, c, c.source, c.target)
-    assert len(members) == len(found.members) > 1
+    kernels = memory.kernels(scene, BINS, c, c.source, c.target)
     p = found.fit.candidates
+    of_exits = table(p.source, p.target, found.fit.hazard)
+    of_entries = table(found.entry_source, found.entry_target, found.entry_hazard)
     for k, (u, v) in enumerate(zip(c.source.tolist(), c.target.tolist(), strict=True)):
         assert (known.hazard[k] == expected(of_links, u, v)).all()
-        for member, before in zip(members, found.members, strict=True):
-            assert (member.exit[k] == expected(table(p.source, p.target, before.exit), u, v)).all()
-            of_entries = table(found.entry_source, found.entry_target, before.entry)
-            assert (member.entry[k] == expected(of_entries, u, v)).all()
-    assert any(member.entry.any() for member in members)
+        assert (kernels.exit[k] == expected(of_exits, u, v)).all()
+        assert (kernels.entry[k] == expected(of_entries, u, v)).all()
+    assert kernels.exit.any()
+    assert kernels.entry.any()
 
 
 def shares(found: Posterior) -> np.ndarray:
@@ -113,23 +115,12 @@ def test_going_on_gives_nearly_the_same_as_starting_from_nothing() -> None:
     memory, linked, found = learned(asked)
     again = found
     for _ in range(5):
-        again = fit_posterior(*asked, partial(memory.members, scene_of(asked, ZONES), BINS))
+        again = fit_posterior(*asked, partial(memory.kernels, scene_of(asked, ZONES), BINS))
         memory.remember(linked, again, scene_of(asked, ZONES))
     assert shares(again) == pytest.approx(shares(found), abs=0.06)
     assert again.leave == pytest.approx(found.leave, abs=0.08)
-    assert len(again.members) == len(found.members)
     more = recording(3, 630)
     fresh = fit_posterior(*more)
-    onward = fit_posterior(*more, partial(memory.members, scene_of(more, ZONES), BINS))
+    onward = fit_posterior(*more, partial(memory.kernels, scene_of(more, ZONES), BINS))
     assert shares(onward) == pytest.approx(shares(fresh), abs=0.06)
     assert shares(fresh)[0, 1] > 0.9
-
-
-def test_members_beyond_those_remembered_start_from_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = recording(2, 300)
-    with monkeypatch.context() as limits:
-        limits.setattr("camtopod.learn.posterior.MEMBERS_MAX", 1)
-        memory, _, one = learned(asked)
-    again = fit_posterior(*asked, partial(memory.members, scene_of(asked, ZONES), BINS))
-    assert (len(one.members), len(again.members)) == (1, 4)
-    assert shares(again) == pytest.approx(shares(one), abs=0.15)
