@@ -175,7 +175,7 @@ def exposures(departures, bins, zones, until):
     for t, zone, since in zip(departures.t, departures.zone, departures.since, strict=True):
         for k in range(bins.size):
             if bins.edges[k + 1] <= 0:
-                exposed[zone, k] += t - since >= -bins.centres[k]
+                exposed[zone, k] += min(max(bins.edges[k + 1] + t - since, 0.0) / bins.widths[k], 1.0)
             else:
                 exposed[zone, k] += until - t >= bins.edges[k + 1]
     return exposed
