@@ -10,8 +10,6 @@ within the lateness, nor on how fast or when the program ran.
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from msgspec.structs import replace
 
@@ -286,11 +284,11 @@ class Learner:
         problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
         if self._memory.fresh_due(self._learned, len(self._window)):
             self._memory.started(self._learned)
-            fit, posterior = fit_jointly(*problem), fit_posterior(*problem)
+            fit = fit_jointly(*problem)
         else:
             fit = fit_jointly(*problem, self._memory.links(candidates, scene, self.bins))
-            posterior = fit_posterior(*problem, partial(self._memory.kernels, scene, self.bins))
-        self._memory.remember(fit, posterior, scene)
+        posterior = fit_posterior(*problem)
+        self._memory.remember(fit, scene)
         ratio = cross_evidence(departures, arrivals, fit, self.bins, zones, first, scene.last)
         pace = pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), leaving, self.bins, zones, pace).with_evidence(ratio, zones * zones)

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from camtopod.learn.candidates import Candidates
 from camtopod.learn.joint import Fit, Known
 from camtopod.learn.lags import LagBins
-from camtopod.learn.posterior import Kernels, Posterior
 from camtopod.learn.scene import Scene, ZoneRef
 from camtopod.learn.slowness import NO_PERSISTENCE, Persistence
 
@@ -29,13 +28,11 @@ def _key(source: ZoneRef, target: ZoneRef) -> PairKey:
 
 
 class Memory:
-    """Hazards of the last links and of the last posterior, by zones."""
+    """Hazards of the last links, by zones."""
 
     def __init__(self) -> None:
         self._linked: Rows = {}
         self._persistence: Persistence = NO_PERSISTENCE
-        self._exit: Rows = {}
-        self._entry: Rows = {}
         self._fresh_at: int | None = None
 
     def fresh_due(self, learned: int, window: int) -> bool:
@@ -50,20 +47,10 @@ class Memory:
         """What the joint fit can go on from for these candidates."""
         return Known(_rows(self._linked, candidates.source, candidates.target, scene, bins), self._persistence)
 
-    def kernels(self, scene: Scene, bins: LagBins, candidates: Candidates, source: Ints, target: Ints) -> Kernels:
-        """What the posterior can go on from: ``source``, ``target`` (Q,) are the zones of the entry kernels."""
-        return Kernels(
-            _rows(self._exit, candidates.source, candidates.target, scene, bins),
-            _rows(self._entry, source, target, scene, bins),
-        )
-
-    def remember(self, linked: Fit, posterior: Posterior, scene: Scene) -> None:
-        """Keep what the next fits can go on from."""
+    def remember(self, linked: Fit, scene: Scene) -> None:
+        """Keep what the next fit can go on from."""
         self._linked = _by_zones(linked.hazard, linked.candidates.source, linked.candidates.target, scene)
         self._persistence = linked.persistence
-        c = posterior.fit.candidates
-        self._exit = _by_zones(posterior.fit.hazard, c.source, c.target, scene)
-        self._entry = _by_zones(posterior.entry_hazard, posterior.entry_source, posterior.entry_target, scene)
 
 
 def _rows(table: Rows, source: Ints, target: Ints, scene: Scene, bins: LagBins) -> Floats:

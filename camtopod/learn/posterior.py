@@ -13,7 +13,6 @@ Beside the hazards of the joint fit this one has
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -40,20 +39,13 @@ FIRST_NOISE_SD = 3.0
 POOLING = 1.0
 """What leaves anywhere in a camera's view counts for each of its zones as much as this many departures."""
 FIRST_ROUNDS, FIRST_ITERATIONS = 3, 5
-"""Of a fit from nothing, without contexts; speed is looked at after each."""
+"""Without contexts; speed is looked at after each round."""
 SCOUT_ITERATIONS = 5
 OVERLAP_FALSE = 0.05
 NEGLIGIBLE = 1e-4
 """Candidates with a smaller responsibility after the first few iterations are left out of the others."""
-ROUNDS, ITERATIONS = 2, 4
-"""With contexts; a fit that goes on from an earlier one has one round."""
-
-
-class Kernels(NamedTuple):
-    """Hazards counted from the exit (P, bins) and from the entry (Q, bins)."""
-
-    exit: Floats
-    entry: Floats
+ITERATIONS = 8
+"""With contexts, which are learned in every other one."""
 
 
 class Posterior(NamedTuple):
@@ -75,19 +67,16 @@ class Posterior(NamedTuple):
 
 
 def fit_posterior(
-    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
-    known: Callable[[Candidates, Ints, Ints], Kernels] | None = None,
-) -> Posterior:  # fmt: skip
-    """The posterior of everything that left and came up to ``until`` (seconds). ``known`` gives the kernels to go on
-    from for the pairs of zones of candidates and those of entry kernels, (Q,) each.
+    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float
+) -> Posterior:
+    """The posterior of everything that left and came up to ``until`` (seconds).
+
+    Always from nothing: one that goes on from the last as events come in believes early mistakes ever more.
     """
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
-    scout.look(known and known(candidates, scout.entry_source, scout.entry_target))
+    scout.look()
     fitter = PosteriorFitter(departures, arrivals, scout.worth_following(), bins, zones, until)
-    if known is None:
-        fitter.begin()
-    else:
-        fitter.go_on(known(fitter.candidates, fitter.entry_source, fitter.entry_target))
+    fitter.learn()
     fit = Fit(
         fitter.hazard, fitter.counts, fitter.responsibility, fitter.flatness(fitter.hazard), fitter.outside,
         fitter.candidates, fitter.persistence,
@@ -119,13 +108,10 @@ class PosteriorFitter(JointFitter):
         """(M,)"""
         return self._responsibility
 
-    def look(self, known: Kernels | None) -> None:
+    def look(self) -> None:
         """A few iterations, to see which candidates are worth following."""
-        self.entry_hazard, hazard = self._start_entry(), self.start(FIRST_NOISE_SD)
-        if known is not None:
-            self.entry_hazard = np.maximum(known.entry, START_FLOOR * self.entry_hazard)
-            hazard = np.maximum(known.exit, START_FLOOR * hazard)
-        self._iterate(hazard, SCOUT_ITERATIONS, contexts=False)
+        self.entry_hazard = self._start_entry()
+        self._iterate(self.start(FIRST_NOISE_SD), SCOUT_ITERATIONS, contexts=False)
 
     def worth_following(self) -> Candidates:
         """The candidates that are neither negligible nor impossible."""
@@ -156,22 +142,12 @@ class PosteriorFitter(JointFitter):
         result[ahead] = ~overlapping[pair]
         return result
 
-    def begin(self) -> None:
-        """A fit from nothing."""
+    def learn(self) -> None:
+        """The whole fit."""
         self.entry_hazard, hazard = self._start_entry(), self.start(FIRST_NOISE_SD)
         for _ in range(FIRST_ROUNDS):
             hazard = self._iterate(hazard, FIRST_ITERATIONS, contexts=False)
             hazard = self.use_slowness(self._as_fit(hazard))
-        for _ in range(ROUNDS):
-            hazard = self._iterate(hazard, ITERATIONS, contexts=True)
-
-    def go_on(self, known: Kernels) -> None:
-        """A fit that starts where an earlier one ended; what that did not know starts with a little of chance."""
-        self.entry_hazard = np.maximum(known.entry, START_FLOOR * self._start_entry())
-        hazard = np.maximum(known.exit, START_FLOOR * self.start(FIRST_NOISE_SD))
-        self.settle(hazard)
-        hazard = self._iterate(hazard, 1, contexts=False)
-        hazard = self.use_slowness(self._as_fit(hazard))
         self._iterate(hazard, ITERATIONS, contexts=True)
 
     def _as_fit(self, hazard: Floats) -> Fit:

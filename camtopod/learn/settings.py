@@ -16,7 +16,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """How much out of order events may come; later ones are counted, not learned."""
     version_seconds: float = 60.0
     """Event time between two looks at whether a new version is due."""
-    refit_share: float = 0.1
+    refit_share: float = 0.2
     """A version is due when the events since the last are this share of the window ..."""
     refit_hours: float = 1.0
     """... or when there are any and this much event time has passed."""
