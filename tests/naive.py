@@ -411,3 +411,18 @@ def multiplier(before, after, most):
     if after >= most * before:
         return 1.0 / most if after == 0 else most
     return max(after / before, 1.0 / most)
+
+
+def surroundings(share, leave, steps, back_off, most, leave_floor):
+    """`camtopod.learn.surroundings.Surroundings.multipliers`, target by target.
+
+    ``share``: target -> share; ``steps``: (departures, transitions by target, how sure) of each context, in order.
+    """
+    now, stays_now = dict(share), leave
+    for departures, moved, told in steps:
+        for target in share:
+            here = (moved.get(target, 0.0) + back_off * now[target]) / (departures + back_off)
+            now[target] = told * here + (1 - told) * now[target]
+        stays = max(departures - sum(moved.values()), 0.0)
+        stays_now = told * (stays + back_off * stays_now) / (departures + back_off) + (1 - told) * stays_now
+    return {target: multiplier(share[target], now[target], most) for target in share}, max(stays_now, leave_floor)

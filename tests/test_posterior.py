@@ -145,7 +145,7 @@ def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) ->
     asked = problem(one_way(8, 400, 8000.0, clutter=100))
     found = fit_posterior(*asked)
     scout = PosteriorFitter(*asked)
-    scout.look(None)
+    scout.look()
     kept = scout.worth_following()
     ahead = scout.candidates.lag < 0
     left_out = (

@@ -134,6 +134,14 @@ def test_a_zone_without_shape_is_the_last_choice() -> None:
     assert predictor.predict(replace(EXIT, camera="e")).zone == "e/1"
 
 
+def test_zones_as_narrow_as_a_line() -> None:
+    """Foot points on the lower edge of the image have no spread in y; x still tells the zones apart."""
+    line = [[0.0004, 0.0], [0.0, 0.0]]
+    zones = [replace(z, y=1.0, cov=line, entries=100 + 50 * k) for k, z in enumerate(THREE.zones[:2])]
+    predictor = Predictor(replace(THREE, zones=[*zones, *THREE.zones[2:]]))
+    assert [predictor.predict(replace(EXIT, x=x, y=1.0)).zone for x in (0.1, 0.9)] == ["a/1", "a/2"]
+
+
 def test_numbered_and_missing_tracks() -> None:
     assert Predictor(THREE).predict(replace(EXIT, track=17)).track == "17"
     assert Predictor(THREE).predict(replace(EXIT, track=None)).track is None

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.assemble import STAY_DECILES, histogram, short, zone_id
 from camtopod.learn.change import Change
-from camtopod.learn.contexts import LEVELS, Level
+from camtopod.learn.contexts import LEVELS
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.lags import LagBins
 from camtopod.learn.posterior import Posterior
@@ -44,7 +44,7 @@ def model_of(
     now = _presently(posterior, changes)
     return replace(
         model, onward=_onward(ids, posterior, now, bins), entered=_entered(ids, posterior, bins),
-        contexts=_contexts(ids, cameras, posterior.levels),
+        contexts=_contexts(ids, cameras, posterior, now),
     )  # fmt: skip
 
 
@@ -108,18 +108,21 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
     return sorted(rows, key=lambda row: (row.zone, row.to))
 
 
-def _contexts(ids: list[str], cameras: list[str], levels: list[Level]) -> list[Context]:
+def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Floats) -> list[Context]:
+    factor = np.ones((len(ids), len(ids)))
+    factor[posterior.fit.candidates.source, posterior.fit.candidates.target] = now
     result = []
-    for name, level in zip(LEVELS, levels, strict=True):
+    for name, level in zip(LEVELS, posterior.levels, strict=True):
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
             first, block = (int(part) for part in level.parts[k])
             if (first < 0 and name != "block") or (block < 0 and "block" in name):
                 continue
-            moved = level.transitions[k]
+            moved = level.transitions[k] * factor[level.zone[k]]
+            departures = float(level.departures[k] + (moved - level.transitions[k]).sum())
             to = {ids[v]: short(float(moved[v])) for v in np.flatnonzero(moved > CONTEXT_TRANSITIONS_MIN).tolist()}
             result.append(
                 Context(
-                    ids[level.zone[k]], short(float(level.departures[k])), dict(sorted(to.items())),
+                    ids[level.zone[k]], short(departures), dict(sorted(to.items())),
                     ids[first] if "entry" in name else None, block if "block" in name else None,
                     cameras[first] if name == "previous" else None,
                 )

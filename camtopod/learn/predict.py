@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.hazards import Hazards, Outcomes
 from camtopod.learn.scene import block_of
+from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.surroundings import Surroundings
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
 
@@ -279,11 +280,15 @@ class Predictor:
 
 
 def _log_density(zone: Zone, x: float, y: float) -> float:
-    """Log of the zone's weighted normal density at a point (thesis 2.8) up to a constant; least without a shape."""
+    """Log of the zone's weighted normal density at a point (thesis 2.8) up to a constant; least without a shape.
+
+    A zone may be as narrow as a line, so the spread of a cell is added, as where zones are learned.
+    """
     if zone.cov is None or zone.x is None or zone.y is None:
         return -math.inf
     (a, b), (_, d) = zone.cov
+    a, d = a + 1 / (12 * GRID_COLUMNS**2), d + 1 / (12 * GRID_ROWS**2)
     dx, dy = x - zone.x, y - zone.y
-    det = max(a * d - b * b, 1e-12)
+    det = a * d - b * b
     distance = (d * dx * dx - 2 * b * dx * dy + a * dy * dy) / det
     return math.log(max(zone.entries + zone.exits, 1)) - 0.5 * math.log(det) - 0.5 * distance
