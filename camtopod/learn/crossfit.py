@@ -3,12 +3,13 @@
 A flexible fit finds something in any data; how well it explains the data it was fitted to says little. So the window is
 cut into stretches of time dealt out to eight parts. The links are fitted on the first part alone, from nothing, and
 asked how much better they predict the arrivals of the second with a pair of zones than without; then fitted on the
-first two and asked about the next two; then on four, about four. Where zones have nothing to do with each other, each
-likelihood ratio is 1 at most in the mean, whatever shape the fit could have taken, and so is their product, as each
-bets on what the bets before it have not seen (a test martingale; Shafer, Test Martingales, Bayes Factors and p-Values,
-2011; Wasserman, Ramdas and Balakrishnan 2020). The same is done from the last part backwards. The mean of the two
-products is an e-value: it exceeds ``exp(x)`` with a probability of at most ``exp(-x)``, and false discovery rates may
-be made of such without knowing how they depend on each other (e-BH; Wang and Ramdas 2022).
+first two and asked about the third, and so on. Where zones have nothing to do with each other, each likelihood ratio is
+1 at most in the mean, whatever shape the fit could have taken, and so is their product, as each bets on what the bets
+before it have not seen (a test martingale; Shafer and others, Statistical Science 26(1), 2011; Wasserman, Ramdas and
+Balakrishnan 2020). The same is done from the last part backwards. The mean of the two products is an e-value: it
+exceeds ``exp(x)`` with a probability of at most ``exp(-x)``, and false discovery rates may be made of such without
+knowing how they depend on each other (Wang and Ramdas 2022). All this but for what the likelihood itself approximates,
+the competition for departures, and the rates of chance; on made-up networks without links the bound holds with room.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PARTS = 8
+BETS = ((1, 2), (2, 3), (3, 5), (5, 8))
+"""(fitted on the parts before this one, asked about these up to that one)."""
 STRETCHES = 32
 """The window is cut into about this many stretches, dealt out to the parts in turn ..."""
 STRETCH_SECONDS_MAX = 3600.0
@@ -61,14 +64,12 @@ def _product(
 ) -> Floats:  # fmt: skip
     """Evidence (P,) in nats, the parts of departures and arrivals taken in the order of their numbers."""
     evidence = np.zeros((2, len(fit.candidates.source)))
-    known = 1
-    while known < PARTS:
+    for known, upto in BETS:
         rest = _part(departures, left < known, arrivals, came < known, fit, bins, zones, until)
-        left_now, came_now = ((part >= known) & (part < 2 * known) for part in (left, came))
+        left_now, came_now = ((part >= known) & (part < upto) for part in (left, came))
         judged = _part(departures, left_now, arrivals, came_now, fit, bins, zones, until)
         hazard = _fitted(rest)
         evidence += _evidence(judged, hazard, rest.outside)
-        known *= 2
     result: Floats = evidence.min(axis=0)
     return result
 
