@@ -426,3 +426,127 @@ def surroundings(share, leave, steps, back_off, most, leave_floor):
         stays = max(departures - sum(moved.values()), 0.0)
         stays_now = told * (stays + back_off * stays_now) / (departures + back_off) + (1 - told) * stays_now
     return {target: multiplier(share[target], now[target], most) for target in share}, max(stays_now, leave_floor)
+
+
+def predicted(topology, seen, asked, zone_of, constants):
+    """`camtopod.learn.predict.Predictor`: after the events ``seen`` (all at different times, clocks right), where the
+    object of the exit ``asked`` goes: {zone index: probability}, None for leaving. ``constants``: back-off, largest
+    multiplier, least leaving, prior of a dead camera, least probability, least rate.
+    """
+    back_off, most, leave_floor, dead, least, rate_min = constants
+    model, zones = topology.model, topology.zones
+    index = {zone.id: k for k, zone in enumerate(zones)}
+    scale, step = model.lag_scale, model.lag_step
+
+    def at(lag):
+        inside = model.lag_min <= lag <= model.lag_max
+        return int(np.floor(np.arcsinh(lag / scale) / step)) if inside else None
+
+    def edges(k):
+        return scale * np.sinh(step * k), scale * np.sinh(step * (k + 1))
+
+    def table(histogram):
+        width = {histogram.first + i: edges(histogram.first + i) for i in range(len(histogram.mass))}
+        return {k: mass / (high - low) for (k, (low, high)), mass in zip(width.items(), histogram.mass, strict=True)}
+
+    onward = {index[row.zone]: {index[o.to]: (o.share, table(o.hazard)) for o in row.next_} for row in model.onward}
+    leave = {index[row.zone]: row.leave for row in model.onward}
+    kernels = {(index[row.zone], index[row.to]): table(row.hazard) for row in model.entered}
+    stay = {index[row.zone]: row.stay for row in model.zones}
+    outside = {index[row.zone]: row.arrival_rate + 1e-6 for row in model.zones}
+
+    def rate(u, v, lag):
+        return onward[u].get(v, (0, {}))[1].get(at(lag), 0.0)
+
+    def rate_entered(u, v, elapsed):
+        return kernels.get((u, v), {}).get(at(elapsed), 0.0)
+
+    def begun(zone, k):
+        middle = scale * np.sinh(step * (k + 0.5))
+        share = 1.0 - np.interp(-middle, stay[zone], np.linspace(0, 1, 11)) if stay[zone] else 1.0
+        return min(max(share, 0.02), 1.0) if edges(k)[1] <= 0 and stay[zone] else 1.0
+
+    def rate_ahead(camera, v):
+        own = [k for k in onward if zones[k].camera == camera and v in onward[k]]
+        exits = max(sum(zone.exits for zone in zones if zone.camera == camera), 1)
+        result = 0.0
+        for u in own:
+            row = onward[u][v][1]
+            ahead = sum(h * (edges(k)[1] - edges(k)[0]) * begun(u, k) for k, h in row.items() if edges(k)[1] <= 0)
+            result += zones[u].exits / exits * ahead / max(stay[u][5] if stay[u] else 10.0, 1.0)
+        return result
+
+    def passage_of(n):
+        """Number of the entry that began the passage which the exit number n ends."""
+        event = asked if n == len(seen) else seen[n]
+        for j in range(n - 1, -1, -1):
+            if event.track is not None and (seen[j].camera, seen[j].track) == (event.camera, event.track):
+                return j if seen[j].kind == "entry" else None
+        return None
+
+    def under_way(j, n):
+        """Whether the passage begun by entry number j goes on when event number n comes."""
+        same = [seen[i].camera == seen[j].camera and seen[i].track == seen[j].track for i in range(j + 1, n)]
+        return seen[j].kind == "entry" and seen[j].track is not None and not any(same)
+
+    def causes(n, now):
+        """By camera, the rate at which what is known when event ``now`` comes could have caused arrival number n."""
+        a, v, found = seen[n], zone_of(seen[n]), {}
+        for x in range(now):
+            if seen[x].kind == "exit":
+                lag, p = a.t - seen[x].t, passage_of(x)
+                other = seen[x].camera != a.camera
+                fits = other and lag >= model.lag_min and (p is None or seen[p].t < a.t)
+                if lag > 0 or fits:
+                    found[seen[x].camera] = found.get(seen[x].camera, 0.0) + rate(zone_of(seen[x]), v, lag)
+                if lag < 0 and fits and p is not None:
+                    found[seen[x].camera] -= rate_ahead(seen[x].camera, v)
+        for j in range(n):
+            if under_way(j, n) and seen[j].camera != a.camera:
+                more = rate_ahead(seen[j].camera, v) + rate_entered(zone_of(seen[j]), v, a.t - seen[j].t)
+                found[seen[j].camera] = found.get(seen[j].camera, 0.0) + more
+        return found
+
+    u, p = zone_of(asked), passage_of(len(seen))
+    since = -np.inf if p is None else seen[p].t
+    mass = {}
+    for v, (_, row) in onward[u].items():
+        last = max((n for n, event in enumerate(seen, 1) if event.camera == zones[v].camera), default=0)
+        share = sum(known.share for known in model.cameras if known.camera == zones[v].camera)
+        alive = 1.0 / (1.0 + dead * np.exp(min((len(seen) - last) * share, 50.0)))
+        mass[v] = sum(h * (edges(k)[1] - edges(k)[0]) for k, h in row.items() if edges(k)[1] > 0) * alive
+    for n, a in enumerate(seen):
+        v, lag = zone_of(a), a.t - asked.t
+        if a.kind != "entry" or v not in onward[u] or a.camera == asked.camera:
+            continue
+        if a.t <= since or lag < model.lag_min:
+            continue
+        k, entered, own = at(lag), 0.0, 0.0
+        exposed = begun(u, k)
+        if p is not None:
+            low, high = edges(k)
+            exposed = min(max((high - (since - asked.t)) / (high - low), 0.0), 1.0) if high <= 0 else 1.0
+            entered = rate_entered(zone_of(seen[p]), v, a.t - since)
+            own = entered + rate_ahead(asked.camera, v)
+        here = rate(u, v, lag) * exposed + entered
+        mass[v] += here / max(outside[v] + sum(causes(n, len(seen)).values()) - own, rate_min)
+    steps = []
+    block = None if asked.x is None else int(asked.y * 6) * 6 + int(asked.x * 6)
+    entry, before = (None, {}) if p is None else (zones[zone_of(seen[p])].id, causes(p, p))
+    previous = max(before, key=before.get, default=None)
+    sure = before[previous] / (outside[zone_of(seen[p])] + sum(before.values())) if previous else 0.0
+    known = {(row.zone, row.entry, row.block, row.previous): row for row in model.contexts}
+    both = None if entry is None or block is None else (entry, block, None)
+    asks = [(entry, None, None), (None, block, None), both, (None, None, previous)]
+    for key, told in zip(asks, (1.0, 1.0, 1.0, sure), strict=True):
+        row = known.get((zones[u].id, *key)) if key and any(part is not None for part in key) else None
+        if row is not None:
+            steps.append((row.departures, {index[name]: count for name, count in row.to.items()}, told))
+    shares = {v: share for v, (share, _) in onward[u].items()}
+    likelier, stays = surroundings(shares, leave[u], steps, back_off, most, leave_floor)
+    if not any(row.zone == zones[u].id for row in model.contexts):
+        stays = leave[u]
+    odds = {v: mass[v] * likelier[v] for v in mass}
+    odds = {v: value for v, value in odds.items() if value >= least * (stays + sum(odds.values()))}
+    total = stays + sum(odds.values())
+    return {None: stays / total, **{v: value / total for v, value in odds.items()}}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
+import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,6 +13,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from camtopod.learn import predict as module
+from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
+from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.predict import NEXT_PROBABILITY_MIN, Predictor
@@ -20,10 +23,14 @@ from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
     CameraModel,
+    Context,
+    EntryKernel,
     Event,
     Histogram,
     Link,
     Model,
+    Onward,
+    Outcome,
     Prediction,
     Topology,
     Transit,
@@ -311,6 +318,68 @@ def test_every_prediction_is_sound(links: list[Link], weak: list[Link], stay: li
     for event in sorted(events, key=lambda e: e.t):
         sound(predictor.predict(event))
         predictor.observe(event)
+
+
+# --- the whole of it, against its slow twin ---
+
+CONSTANTS = (BACK_OFF_DEPARTURES, MULTIPLIER_MAX, LEAVE_FLOOR, module.DEAD_PRIOR, NEXT_PROBABILITY_MIN, module.RATE_MIN)
+SMALL = LagBins(-20.0, 60.0)
+
+
+def any_topology(rng: np.random.Generator) -> Topology:
+    """Four zones that lead anywhere, with entry kernels, stays and contexts."""
+
+    def histogram(low: int, high: int, mass: float) -> Histogram:
+        first = int(rng.integers(low, high - 3))
+        return Histogram(first, (mass * rng.dirichlet(np.ones(int(rng.integers(1, high - first))))).tolist())
+
+    names = ["a/1", "a/2", "b/1", "c/1"]
+    zones = [Zone(n, n[0], 50, int(rng.integers(1, 90)), 0.2 if n != "a/2" else 0.8, 0.5, COV) for n in names]
+    onward, entered, contexts = [], [], []
+    for name in names:
+        targets = [n for n in names if rng.random() < 0.7]
+        share = rng.dirichlet(np.ones(len(targets) + 1))
+        if targets:
+            following = [Outcome(n, s, histogram(-24, 34, s)) for n, s in zip(targets, share, strict=False)]
+            onward.append(Onward(name, max(float(share[-1]), 0.02), following))
+        else:
+            onward.append(Onward(name, 1.0, []))
+        entered += [
+            EntryKernel(name, n, histogram(0, 34, 0.5)) for n in names if n[0] != name[0] and rng.random() < 0.5
+        ]
+        for entry, block, previous in (("a/2", None, None), (None, 19, None), ("a/2", 19, None), (None, None, "b")):
+            if rng.random() < 0.5:
+                counts = {n: float(rng.uniform(0, 9)) for n in targets}
+                contexts.append(Context(name, sum(counts.values()) * 1.2, counts, entry, block, previous))
+    stay = [[0.0, *np.sort(rng.uniform(0, 30, 9)).tolist(), 100.0] if rng.random() < 0.7 else [] for _ in names]
+    model = Model(
+        SMALL.scale, SMALL.step, SMALL.lag_min, SMALL.lag_max,
+        [ZoneModel(n, 50, float(rng.uniform(0, 0.05)), s) for n, s in zip(names, stay, strict=True)],
+        [CameraModel(c, float(rng.uniform(0.1, 0.5)), 0.0) for c in "abc"],
+        onward=onward, entered=entered, contexts=contexts,
+    )  # fmt: skip
+    cameras = [Camera(c, [n for n in names if n[0] == c]) for c in "abc"]
+    return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 800, "", cameras, zones, [], [], model=model)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6))
+def test_odds_equal_their_slow_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    topology = any_topology(rng)
+    seen = [
+        Event(str(rng.choice(list("abc"))), "exit" if rng.random() < 0.4 else "entry", float(t),
+              float(rng.choice([0.2, 0.8])), 0.55, str(rng.integers(0, 4)) if rng.random() < 0.8 else None)
+        for t in np.sort(rng.uniform(0, 45, int(rng.integers(0, 30))))
+    ]  # fmt: skip
+    exit_ = Event(str(rng.choice(list("abc"))), "exit", 46.0, 0.2, 0.55, str(rng.integers(0, 4)))
+    predictor = Predictor(topology)
+    for event in seen:
+        predictor.observe(event)
+    fast = predictor.predict(exit_)
+    slow = naive.predicted(topology, seen, exit_, predictor.zone_of, CONSTANTS)
+    assert fast.leave == pytest.approx(slow.pop(None))
+    assert chances(fast) == pytest.approx({topology.zones[v].id: p for v, p in slow.items()})
 
 
 def test_predictions_on_a_made_up_network() -> None:
