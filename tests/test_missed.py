@@ -67,8 +67,8 @@ def test_a_link_of_its_own_beside_a_way_stays() -> None:
 
 
 def test_a_camera_that_misses_little_explains_little() -> None:
-    """60 are few where every camera misses a quarter and many where hardly any misses one."""
-    rows = (*CHAIN, (0, 3, 25.0, 60))
+    """90 are few where every camera misses a quarter and many where hardly any misses one."""
+    rows = (*CHAIN, (0, 3, 25.0, 90))
     assert (0, 3) not in kept(*rows, (2, 5, 25.0, 100), (4, 7, 25.0, 100))
     assert (0, 3) in kept(*rows, (2, 5, 25.0, 2), (4, 7, 25.0, 2))
 
@@ -134,17 +134,23 @@ def test_odds_of_one_camera_and_of_its_neighbours() -> None:
     n = 100
     camera, level = np.where(np.arange(n) < 50, 1, 3), np.ones(n)
     ways = Ways(np.arange(n), camera, 20.0 * level, 9.0 * level, level)
-    seen = np.where(camera == 1, 2.0, 6.0)
+    seen = np.where(camera == 1, 3.0, 6.0)
     odds = Odds(ways, np.arange(n), seen, 0.5)
-    assert [odds.of(k, 0) for k in (1, 3)] == pytest.approx([0.1, 0.3])
-    assert odds.of(2, 0) in (pytest.approx(0.1), pytest.approx(0.3))
-    assert odds.expected(0) == pytest.approx(2.0)
+    assert [odds.of(k, 0) for k in (1, 3)] == pytest.approx([0.15, 0.3])
+    assert odds.of(2, 0) in (pytest.approx(0.15), pytest.approx(0.3))
+    assert odds.expected(0) == pytest.approx(3.0)
     assert Odds(ways, np.arange(n), seen, 0.2).of(3, 0) == pytest.approx(0.25)
     assert Odds(ways._replace(expected=level), np.arange(n), seen, 0.2).of(3, 0) == 0.25
 
 
 def test_a_pair_does_not_tell_of_itself() -> None:
     ways = Ways(np.arange(4), np.array([1, 2, 2, 2]), np.full(4, 30.0), np.ones(4), np.ones(4))
-    odds = Odds(ways, np.arange(4), np.array([30.0, 3.0, 3.0, 3.0]), 0.5)
-    assert odds.of(1, 0) == pytest.approx(0.1)
+    odds = Odds(ways, np.arange(4), np.array([30.0, 6.0, 6.0, 6.0]), 0.5)
+    assert odds.of(1, 0) == pytest.approx(0.2)
     assert odds.of(1, 1) == pytest.approx(1.0)
+
+
+def test_no_camera_sees_everything() -> None:
+    ways = Ways(np.arange(4), np.ones(4, np.intp), np.full(4, 90.0), np.ones(4), np.ones(4))
+    assert Odds(ways, np.arange(4), np.zeros(4), 0.5).of(1, 0) == pytest.approx(1 / 9)
+    assert Odds(ways, np.arange(4), np.zeros(4), 0.0).of(1, 0) == 0.0

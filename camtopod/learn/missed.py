@@ -40,6 +40,10 @@ OTHERS_TRANSITIONS = 150.0
 """For the odds of one camera the pairs of all together count as much as this many transitions over it."""
 ODDS_QUANTILE = 0.75
 """Of the pairs' odds, as the fit leaves nothing for many that have few transitions."""
+MISSED_SHARE_MIN = 0.1
+"""No camera is taken to miss less, if the setting allows as much: few events tell of few ways, and with the least of
+them the fit has nothing left.
+"""
 UNCERTAINTY = 2.0
 """What is expected of missed passages is right to within this factor."""
 OWN_SD = 2.0
@@ -129,6 +133,7 @@ class Odds:
         self._ratio, self._teller, self._seer = ratio[order], self._pair[tells][order], self._camera[tells][order]
         self._weight = np.minimum(self._expected[tells][order], TELLING_TRANSITIONS_MAX)
         self._most = missed_share_max / (1.0 - missed_share_max)
+        self._least = min(MISSED_SHARE_MIN / (1.0 - MISSED_SHARE_MIN), self._most)
 
     def expected(self, pair: int) -> float:
         """Transitions that missed passages make over all the ways of a pair."""
@@ -142,7 +147,7 @@ class Odds:
             return self._most
         reach = np.cumsum(weight * ((self._seer == camera) + OTHERS_TRANSITIONS / weight.sum()))
         ratio = self._ratio[np.searchsorted(reach, ODDS_QUANTILE * reach[-1])]
-        return float(min(ratio, self._most))
+        return float(np.clip(ratio, self._least, self._most))
 
 
 def median(table: LinkTable) -> Floats:
