@@ -250,6 +250,21 @@ def joint_fit(departures, arrivals, pairs, hazard, bins, exposure, zones, outsid
     return responsibility, counts, hazard, outside
 
 
+def pooled(counts, camera, exposure, came, steps):
+    """`JointFitter._pooled`: transitions per exposed departure of each pair of zones if only the cameras counted.
+
+    ``counts``: (u, v) -> (bins,); ``came``: arrivals by zone, at least 1.
+    """
+    size, zones, result = exposure.shape[1], range(len(camera)), {}
+    for u, v in counts:
+        alike = [row for (s, t), row in counts.items() if (camera[s], camera[t]) == (camera[u], camera[v])]
+        total, _ = smoothed([sum(row[k] for row in alike) for k in range(size)], steps)
+        left = [sum(exposure[z, k] for z in zones if camera[z] == camera[u]) for k in range(size)]
+        share = came[v] / sum(came[z] for z in zones if camera[z] == camera[v])
+        result[u, v] = [share * total[k] / max(left[k], 1.0) for k in range(size)]
+    return result
+
+
 def appears_again(zone, hazard, bins, exposure):
     """Probability that an object leaving at the zone is seen again, by adding up all hazards."""
     again = 0.0

@@ -13,7 +13,7 @@ from camtopod.learn import candidates as candidates_module
 from camtopod.learn import joint
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess, find_candidates, newest
 from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.joint import Fit, JointFitter, Known, exposures, fit_jointly, smooth
+from camtopod.learn.joint import Fit, JointFitter, Known, exposures, fit_jointly, smooth, summed
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import (
@@ -150,6 +150,32 @@ def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: 
     assert fit.flat == pytest.approx(
         [even[p] / max(fit.hazard[p, k], 1e-300) for p, k in zip(found.pair, cells, strict=True)]
     )
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_what_cameras_lend_their_zones_equals_its_slow_twin(seed: int) -> None:
+    departures, arrivals = made(seed, 20, 20, zones=4)
+    camera = np.array([0, 0, 1, 3], np.int32)
+    departures = departures._replace(camera=camera[departures.zone])
+    arrivals = arrivals._replace(camera=camera[arrivals.zone])
+    fitter = JointFitter(departures, arrivals, find_candidates(departures, arrivals, SHORT, 4), SHORT, 4, 60.0)
+    counts = np.random.default_rng(seed).random((fitter.pairs, SHORT.size))
+    named = list(zip(fitter.candidates.source.tolist(), fitter.candidates.target.tolist(), strict=True))
+    seen = {*departures.zone.tolist(), *arrivals.zone.tolist()}
+    of = [int(camera[z]) if z in seen else 0 for z in range(4)]
+    came = [max(int((arrivals.zone == z).sum()), 1) for z in range(4)]
+    slow = naive.pooled(
+        dict(zip(named, counts, strict=True)), of, fitter.exposure, came, joint.SMOOTHING_SD_BINS
+    )  # fmt: skip
+    assert fitter._pooled(counts) == pytest.approx(np.array([slow[pair] for pair in named]).reshape(-1, SHORT.size))
+
+
+@given(st.lists(st.integers(0, 4), max_size=12))
+def test_sums_by_group(group: list[int]) -> None:
+    rows = np.arange(3.0 * len(group)).reshape(-1, 3)
+    slow = [[sum(rows[i, k] for i, g in enumerate(group) if g == own) for k in range(3)] for own in range(5)]
+    assert summed(rows, np.array(group, np.int64), 5).tolist() == slow
 
 
 # --- what it finds ---

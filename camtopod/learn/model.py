@@ -115,8 +115,6 @@ def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Flo
     for name, level in zip(LEVELS, posterior.levels, strict=True):
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
             first, block = (int(part) for part in level.parts[k])
-            if (first < 0 and name != "block") or (block < 0 and "block" in name):
-                continue
             moved = level.transitions[k] * factor[level.zone[k]]
             departures = float(level.departures[k] + (moved - level.transitions[k]).sum())
             to = {ids[v]: short(float(moved[v])) for v in np.flatnonzero(moved > CONTEXT_TRANSITIONS_MIN).tolist()}
