@@ -34,7 +34,8 @@ def outcomes(share: list[float], leave: float) -> Outcomes:
 
 
 SHARES = st.just(0.0) | st.floats(1e-4, 0.5)
-COUNTS = st.tuples(st.floats(0, 50), st.floats(0, 50), st.floats(0, 50))
+COUNTS = st.tuples(*[st.just(0.0) | st.floats(1e-4, 50)] * 3)
+SURE = st.just(0.0) | st.floats(1e-4, 1.2)
 KEYS: list[tuple[str | None, int | None, str | None]] = [
     ("a/2", None, None), (None, 5, None), ("a/2", 5, None), (None, None, "c"),
 ]  # fmt: skip
@@ -42,7 +43,7 @@ KEYS: list[tuple[str | None, int | None, str | None]] = [
 
 @given(
     st.lists(st.none() | COUNTS, min_size=4, max_size=4), SHARES, SHARES, SHARES,
-    st.booleans(), st.booleans(), st.floats(0, 1.2) | st.none(),
+    st.booleans(), st.booleans(), SURE | st.none(),
 )  # fmt: skip
 def test_multipliers_equal_their_slow_twin(
     counts: list[tuple[float, float, float] | None], b: float, c: float, leave: float, entered: bool, placed: bool,
