@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from camtopod.learn.candidates import Arrivals, Candidates, Departures
 from camtopod.learn.joint import Fit, JointFitter
 from camtopod.learn.lags import LagBins
+from camtopod.learn.rates import chance_rates
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -49,29 +50,83 @@ def cross_evidence(
     Against two nulls, the stronger counts: the zones have nothing to do with each other; or arrivals at one follow
     departures from the other at no particular lag, as when both follow a rhythm.
     """
-    span = max(until - first, 1.0)
-    stretch = min(max(span / STRETCHES, STRETCH_LAGS_MIN * bins.lag_max), STRETCH_SECONDS_MAX, span / PARTS)
-    left, came = (np.floor((t - first) / stretch).astype(np.int64) % PARTS for t in (departures.t, arrivals.t))
-    forwards = _product(departures, left, arrivals, came, fit, bins, zones, until)
-    backwards = _product(departures, PARTS - 1 - left, arrivals, PARTS - 1 - came, fit, bins, zones, until)
-    mean: Floats = np.logaddexp(forwards, backwards) - np.log(2.0)
+    parts = Parts(departures, arrivals, fit, bins, zones, first, until)
+    numbers = np.arange(PARTS)
+    mean: Floats = np.logaddexp(_product(parts, numbers), _product(parts, numbers[::-1])) - np.log(2.0)
     return mean
 
 
-def _product(
-    departures: Departures, left: Ints, arrivals: Arrivals, came: Ints, fit: Fit, bins: LagBins, zones: int,
-    until: float,
-) -> Floats:  # fmt: skip
-    """Evidence (P,) in nats, the parts of departures and arrivals taken in the order of their numbers."""
-    evidence = np.zeros((2, len(fit.candidates.source)))
+def _product(parts: Parts, order: Ints) -> Floats:
+    """Evidence (P,) in nats, the parts taken in this order."""
+    evidence = np.zeros((2, len(parts.fit.candidates.source)))
     for known, upto in BETS:
-        rest = _part(departures, left < known, arrivals, came < known, fit, bins, zones, until)
-        left_now, came_now = ((part >= known) & (part < upto) for part in (left, came))
-        judged = _part(departures, left_now, arrivals, came_now, fit, bins, zones, until)
+        rest, judged = parts.take(order[:known]), parts.take(order[known:upto])
         hazard = _fitted(rest)
         evidence += _evidence(judged, hazard, rest.outside)
     result: Floats = evidence.min(axis=0)
     return result
+
+
+class Parts:
+    """The window in parts: which has which departures and arrivals, and what could have been seen in it."""
+
+    def __init__(
+        self, departures: Departures, arrivals: Arrivals, fit: Fit, bins: LagBins, zones: int, first: float,
+        until: float,
+    ) -> None:  # fmt: skip
+        self.departures, self.arrivals, self.fit = departures, arrivals, fit
+        self.bins, self.zones, self.first, self.until = bins, zones, first, until
+        span = max(until - first, 1.0)
+        self.stretch = min(max(span / STRETCHES, STRETCH_LAGS_MIN * bins.lag_max), STRETCH_SECONDS_MAX, span / PARTS)
+        self._left, self._came = self._of(departures.t), self._of(arrivals.t)
+        self._exposure = self._exposures()
+
+    def take(self, numbers: Ints) -> PartFitter:
+        """A fit of what came in these parts, pairs numbered as in the fit."""
+        left, came = np.isin(self._left, numbers), np.isin(self._came, numbers)
+        c = self.fit.candidates
+        kept, arrival = np.flatnonzero(came[c.arrival]), np.cumsum(came, dtype=np.int32) - 1
+        candidates = Candidates(
+            c.departure[kept], arrival[c.arrival[kept]], c.pair[kept], c.lag[kept], c.source, c.target
+        )
+        fitter = PartFitter(self.departures, self.arrivals.take(came), candidates, self.bins, self.zones, self.until)
+        fitter.exposure = self._exposure[numbers].sum(axis=0)
+        fitter.near = left if left.any() else ~left
+        fitter.use(self.fit.persistence)
+        return fitter
+
+    def _of(self, t: Floats) -> Ints:
+        """Part of each time."""
+        part: Ints = np.floor((t - self.first) / self.stretch).astype(np.int64) % PARTS
+        return part
+
+    def _exposures(self) -> Floats:
+        """Departures of each zone whose lag bin lies in the part and could have been seen: (PARTS, zones, bins).
+
+        Without this, a long lag would be seen less often than a short one, which often ends in the stretch it began in,
+        and short lags would look like links.
+        """
+        d, bins = self.departures, self.bins
+        result = np.zeros((PARTS, self.zones, bins.size))
+        for k, centre in enumerate(bins.centres):
+            if bins.edges[k + 1] <= 0:
+                seen = np.clip((bins.edges[k + 1] + d.t - d.since) / bins.widths[k], 0.0, 1.0)
+            else:
+                seen = (self.until - d.t >= bins.edges[k + 1]).astype(float)
+            cell = self._of(d.t + centre) * self.zones + d.zone
+            result[:, :, k] = np.bincount(cell, seen, minlength=PARTS * self.zones).reshape(PARTS, self.zones)
+        return result
+
+
+class PartFitter(JointFitter):
+    """A fit of the arrivals of some parts to all departures."""
+
+    near: NDArray[np.bool_]
+    """(n,) departures in the same parts, for the rates of chance; all if there are none."""
+
+    def _chance(self) -> Floats:
+        left, came = self.departures, self.arrivals
+        return chance_rates(left.t[self.near], left.zone[self.near], came.t, came.zone, self.zones)
 
 
 def _fitted(fitter: JointFitter) -> Floats:
@@ -82,22 +137,6 @@ def _fitted(fitter: JointFitter) -> Floats:
         hazard = fitter.run(hazard).hazard
     fitter.sparsity = BET_SPARSITY
     return fitter.run(hazard).hazard
-
-
-def _part(
-    departures: Departures, left: NDArray[np.bool_], arrivals: Arrivals, came: NDArray[np.bool_], fit: Fit,
-    bins: LagBins, zones: int, until: float,
-) -> JointFitter:  # fmt: skip
-    """The fit's candidates with both ends in one part of the time, pairs numbered as in the fit."""
-    c = fit.candidates
-    kept = np.flatnonzero(left[c.departure] & came[c.arrival])
-    departure, arrival = (np.cumsum(mask, dtype=np.int32) - 1 for mask in (left, came))
-    candidates = Candidates(
-        departure[c.departure[kept]], arrival[c.arrival[kept]], c.pair[kept], c.lag[kept], c.source, c.target
-    )
-    fitter = JointFitter(departures.take(left, came), arrivals.take(came), candidates, bins, zones, until)
-    fitter.use(fit.persistence)
-    return fitter
 
 
 def _evidence(fitter: JointFitter, hazard: Floats, outside: Floats) -> tuple[Floats, Floats]:

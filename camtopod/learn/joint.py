@@ -143,11 +143,14 @@ class JointFitter:
             return np.zeros((self.pairs, self.bins.size))
         seen = self._count(np.ones(len(self.candidates.lag)))
         exposed = self.exposure[self.candidates.source] * self.bins.widths
-        left, came = self.departures, self.arrivals
-        rates = chance_rates(left.t, left.zone, came.t, came.zone, self.zones)
-        chance = rates[self.candidates.source, self.candidates.target][:, None] * exposed
+        chance = self._chance()[self.candidates.source, self.candidates.target][:, None] * exposed
         above = np.maximum(excess(seen, chance, self.bins, noise_sd), START_FLOOR * seen)
         return above / np.maximum(exposed, self.bins.widths)
+
+    def _chance(self) -> Floats:
+        """Arrivals per second (zones, zones) around a departure if they have nothing to do with each other."""
+        left, came = self.departures, self.arrivals
+        return chance_rates(left.t, left.zone, came.t, came.zone, self.zones)
 
     def run(self, hazard: Floats) -> Fit:
         """One round of EM from the given hazards (P, bins)."""
