@@ -1,0 +1,57 @@
+"""Evidence from bets: what the parts could have seen, and how rarely chance wins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from camtopod.learn.candidates import Arrivals, Departures, find_candidates
+from camtopod.learn.crossfit import BETS, PARTS, Parts, cross_evidence
+from camtopod.learn.joint import exposures, fit_jointly
+from camtopod.learn.lags import LagBins
+
+BINS = LagBins(-60.0, 90.0)
+
+
+def crowd(seed: int, zones: int, each: int, seconds: float) -> tuple[Departures, Arrivals]:
+    """Every zone a camera of its own, where people leave and come by chance, after stays of five seconds or so."""
+    rng = np.random.default_rng(seed)
+    n = zones * each
+    left, came = np.sort(rng.uniform(0, seconds, (2, n)))
+    zone, other = rng.integers(0, zones, (2, n)).astype(np.int32)
+    unknown = np.full(n, np.nan)
+    departures = Departures.untold(left, zone, zone, left - rng.exponential(5.0, n), unknown)
+    return departures, Arrivals(came, other, other, np.full(n, each / seconds), unknown)
+
+
+def test_every_part_but_the_first_is_bet_on_once() -> None:
+    assert [part for known, upto in BETS for part in range(known, upto)] == list(range(1, PARTS))
+
+
+@pytest.mark.parametrize("seconds", [300.0, 20_000.0])
+def test_parts_together_see_what_the_whole_sees(seconds: float) -> None:
+    """But for arrivals before the first departure."""
+    departures, arrivals = crowd(1, 4, 50, seconds)
+    found = find_candidates(departures, arrivals, BINS, 4)
+    fit = fit_jointly(departures, arrivals, found, BINS, 4, seconds)
+    parts = Parts(departures, arrivals, fit, BINS, 4, 0.0, seconds)
+    taken = [parts.take(np.array([k])) for k in range(PARTS)]
+    assert sum(part.exposure for part in taken) == pytest.approx(exposures(departures, BINS, 4, seconds))
+    assert sum(len(part.candidates.lag) for part in taken) == len(fit.candidates.lag)
+    assert sum(len(part.arrivals.t) for part in taken) == len(arrivals.t)
+
+
+def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:
+    """Stretches of time hardly longer than the lags: what is cut off at their ends must not make short lags stand out.
+
+    The bound allows one pair in exp(4) an evidence of four nats.
+    """
+    won, pairs = 0, 0
+    for seed in range(4):
+        departures, arrivals = crowd(seed, 8, 80, 1500.0)
+        found = find_candidates(departures, arrivals, BINS, 8)
+        fit = fit_jointly(departures, arrivals, found, BINS, 8, 1500.0)
+        ratio = cross_evidence(departures, arrivals, fit, BINS, 8, 0.0, 1500.0)
+        won, pairs = won + int((ratio > 4.0).sum()), pairs + 64
+        assert ratio.max(initial=0.0) < 9.0
+    assert won <= pairs * np.exp(-4.0)
