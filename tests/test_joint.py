@@ -13,7 +13,7 @@ from camtopod.learn import candidates as candidates_module
 from camtopod.learn import joint
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess, find_candidates, newest
 from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.joint import Fit, JointFitter, Known, exposures, fit_jointly, smooth, summed
+from camtopod.learn.joint import Fit, JointFitter, exposures, fit_jointly, smooth, summed
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import (
@@ -259,40 +259,6 @@ def test_overlapped_views_have_negative_lags() -> None:
     (row,) = np.flatnonzero((fit.candidates.source == 0) & (fit.candidates.target == 1))
     assert share(fit, departures, 0, 1) == pytest.approx(0.7, abs=0.07)
     assert fit.counts[row][BINS.edges[1:] <= 0].sum() > 0.95 * fit.counts[row].sum()
-
-
-def test_going_on_from_what_is_known() -> None:
-    """A fit that goes on from an earlier one over the same ends where that one did, nearly."""
-    walks = Walks(5).go(400, 8000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 0.6)).go(300, 8000.0, (2, 0, 0, 1))
-    departures, arrivals = walks.columns(3)
-    found = find_candidates(departures, arrivals, BINS, 3)
-    linked = fit_jointly(departures, arrivals, found, BINS, 3, 8000.0)
-    kept = {(u, v): row for u, v, row in zip(*linked.candidates[4:], linked.hazard, strict=True)}
-    known = np.array([kept.get(pair, np.zeros(BINS.size)) for pair in zip(found.source, found.target, strict=True)])
-    again = fit_jointly(departures, arrivals, found, BINS, 3, 8000.0, Known(known, linked.persistence))
-    assert share(again, departures, 0, 1) == pytest.approx(share(linked, departures, 0, 1), abs=0.02)
-    assert share(again, departures, 2, 1) < 0.05
-
-
-def test_going_on_again_and_again_breeds_nothing() -> None:
-    """What is doubtful does not grow because it was once thought possible."""
-    departures, arrivals = Walks(8).go(500, 8000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 0.9)).columns(2)
-    found = find_candidates(departures, arrivals, BINS, 2)
-    fit = fit_jointly(departures, arrivals, found, BINS, 2, 8000.0)
-    known = np.zeros((len(found.source), BINS.size))
-    known[(found.source == 1) & (found.target == 0)] = 0.1 / 120.0  # one in ten goes back some time, it is thought
-    known[(found.source == 0) & (found.target == 1)] = fit.hazard[
-        (fit.candidates.source == 0) & (fit.candidates.target == 1)
-    ]
-    for _ in range(6):
-        fit = fit_jointly(departures, arrivals, found, BINS, 2, 8000.0, Known(known, fit.persistence))
-        rows = {pair: k for k, pair in enumerate(zip(fit.candidates.source, fit.candidates.target, strict=True))}
-        known = np.array([
-            fit.hazard[rows[pair]] if pair in rows else np.zeros(BINS.size)
-            for pair in zip(found.source, found.target, strict=True)
-        ])  # fmt: skip
-    assert share(fit, departures, 1, 0) < 0.1
-    assert share(fit, departures, 0, 1) == pytest.approx(0.9, abs=0.05)
 
 
 @pytest.mark.parametrize("gap", [500.0, -500.0])

@@ -8,7 +8,7 @@ In the order in which data flows:
   `zones`: all of it, with numbers that stay with their place
 * `coarse`, `twoway`, `clocks`: whose clock is wrong, and by how much
 * `scene`: who left, who came, who passed through; `rates`: how often anyway; `slowness`: how fast
-* `candidates`, `lags`, `joint`, `memory`: which arrival belongs to which departure; `passages`: also in one view
+* `candidates`, `lags`, `joint`: which arrival belongs to which departure; `passages`: also in one view
 * `crossfit`, `significance`, `missed`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its
   figures; `links`
 * `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them

@@ -104,10 +104,13 @@ def find_changes(
             weight[(t >= begin) & (t < end)] = 0.0
         counts = moved <= over
         change = latest_change(Trials(t, weight, moved[counts], share[counts]), threshold)
-        if change is not None:
-            since, _, after, _ = change
-            factor = after * weight.sum() / share[counts].sum()
-            found.append(Change(source, target, *change, linked=_linked(fit, departures, pair, since, factor)))
+        if change is None:
+            continue
+        since, before, after, _ = change
+        linked = _linked(fit, departures, pair, since, after * weight.sum() / share[counts].sum())
+        # More arrivals than before are a way that opened only if they come at a certain time after the departures.
+        if after < before or linked >= threshold:
+            found.append(Change(source, target, *change, linked=linked))
     return found
 
 

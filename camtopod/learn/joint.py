@@ -46,8 +46,6 @@ STRIDE = 1.8
 STRIDE_RATIO_MAX = 4.0
 SETTLING_ITERATIONS = 3
 """The last iterations of a round take EM's own steps."""
-SETTLING_SWEEPS = 2
-"""A fit that goes on from an earlier one first takes so many E steps alone."""
 SPARSITY = 1.0
 """Most pairs of zones are not linked: their totals have a sparse prior (a Gamma with shape 0), which takes one
 transition off each. Left out, thousands of pairs share the arrivals that come from outside among them.
@@ -76,28 +74,18 @@ class Fit(NamedTuple):
     persistence: Persistence
 
 
-class Known(NamedTuple):
-    """Hazards (P, bins; rows of zeros where unknown) of an earlier fit, and what speed told."""
-
-    hazard: Floats
-    persistence: Persistence
-
-
 def fit_jointly(
-    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
-    known: Known | None = None,
-) -> Fit:  # fmt: skip
+    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float
+) -> Fit:
     """The joint fit of everything that left and came up to ``until`` (seconds), for what is linked: with a sparse prior
-    and without what has next to nothing. ``known``: what an earlier fit found, to go on from.
+    and without what has next to nothing.
+
+    Always from nothing: one that goes on from the last as events come in believes early mistakes ever more, and sees
+    too late what has opened.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
-    if known is None:
-        first = fitter.run(fitter.start())
-        hazard = fitter.run(fitter.use_slowness(first)).hazard
-    else:
-        fitter.use(known.persistence)
-        hazard = np.maximum(known.hazard, START_FLOOR * fitter.start())
-        fitter.settle(hazard)
+    first = fitter.run(fitter.start())
+    hazard = fitter.run(fitter.use_slowness(first)).hazard
     fitter.sparsity = SPARSITY
     fit = fitter.prune(fitter.run(hazard))
     for _ in range(SPARSE_ROUNDS_MAX - 1):
@@ -164,15 +152,6 @@ class JointFitter:
             hazard = fresh * ratio ** (stride - 1.0)
         flat = self.flatness(hazard)
         return Fit(hazard, counts, responsibility, flat, self.outside, self.candidates, self.persistence)
-
-    def settle(self, hazard: Floats) -> None:
-        """Messages and what comes from outside under hazards (P, bins) learned before.
-
-        Going on without, from half of the arrivals coming from outside, all that is doubtful would grow every time.
-        """
-        for _ in range(SETTLING_SWEEPS):
-            self._expect(hazard)
-            self._look_outside()
 
     def use_slowness(self, fit: Fit) -> Floats:
         """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins).

@@ -32,7 +32,6 @@ from camtopod.learn.links import (
     tabulate,
     transitions_of,
 )
-from camtopod.learn.memory import Memory
 from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
@@ -69,7 +68,6 @@ class Learner:
         self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
         self._intake = Intake(self.settings.lateness_seconds, self.settings.cameras_max)
         self._window = Window(self.settings.window_events_max)
-        self._memory = Memory()
         self._keeper = ClockKeeper()
         self._alarms = AlarmLog()
         self._scorer = Scorer()
@@ -259,8 +257,7 @@ class Learner:
 
     def _in_right_time(self, scene: Scene) -> Scene:
         """The scene by the cameras' own clocks as right ones would have shown it, as far as is known."""
-        if self._keeper.look(scene, len(self._window.cameras), self._learned):
-            self._memory = Memory()
+        self._keeper.look(scene, len(self._window.cameras), self._learned)
         ahead = self._keeper.clocks.offset
         return see(self._window, self._maps, ahead) if ahead.any() else scene
 
@@ -282,13 +279,7 @@ class Learner:
         first = float(min(departures.t[0], arrivals.t[0]))
         candidates = find_candidates(departures, arrivals, self.bins, zones)
         problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
-        if self._memory.fresh_due(self._learned, len(self._window)):
-            self._memory.started(self._learned)
-            fit = fit_jointly(*problem)
-        else:
-            fit = fit_jointly(*problem, self._memory.links(candidates, scene, self.bins))
-        posterior = fit_posterior(*problem)
-        self._memory.remember(fit, scene)
+        fit, posterior = fit_jointly(*problem), fit_posterior(*problem)
         ratio = cross_evidence(departures, arrivals, fit, self.bins, zones, first, scene.last)
         pace = pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), leaving, self.bins, zones, pace).with_evidence(ratio, zones * zones)
