@@ -181,6 +181,26 @@ class Context(Struct, frozen=True, omit_defaults=True):
     previous: str | None = None
 
 
+class Way(Struct, frozen=True):
+    """A way through one view: passages from ``entry`` to ``exit`` take ``stay`` seconds (median)."""
+
+    entry: str
+    exit: str
+    stay: float
+
+
+class Pace(Struct, frozen=True):
+    """How slowness (log of a passage's duration over its way's median) persists: transit times scale with it to the
+    power ``scaling``, two views of one object correlate by ``correlation``, ``sd`` is its standard deviation. Hazards
+    are of objects of usual pace.
+    """
+
+    scaling: float
+    correlation: float
+    sd: float
+    ways: list[Way]
+
+
 class Model(Struct, frozen=True):
     """What `predict` needs beyond the links. Lag bin ``k`` starts at ``lag_scale * sinh(lag_step * k)`` seconds."""
 
@@ -196,6 +216,7 @@ class Model(Struct, frozen=True):
     """The posterior, weak evidence included; without it prediction reads the links."""
     entered: list[EntryKernel] | None = None
     contexts: list[Context] | None = None
+    pace: Pace | None = None
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):

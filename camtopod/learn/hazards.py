@@ -51,7 +51,10 @@ class Hazards:
         """(zones,) arrivals per second from outside."""
         self.stay: list[list[float]] = [[] for _ in index]
         """(zones,) deciles of the seconds that passages leaving there have lasted; empty where unknown."""
+        self.departures = [0] * len(index)
+        """(zones,) exits in the window the hazards were learned from."""
         for known in model.zones if model else []:
+            self.departures[index[known.zone]] = known.departures
             self.arrival_rate[index[known.zone]] += known.arrival_rate
             self.stay[index[known.zone]] = known.stay
         if model is None or model.onward is None:

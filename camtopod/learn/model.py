@@ -13,8 +13,9 @@ from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.lags import LagBins
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.scene import Scene
+from camtopod.learn.slowness import Persistence, usual_stays
 from camtopod.learn.window import Window
-from camtopod.records import CameraModel, Context, EntryKernel, Model, Onward, Outcome, ZoneModel
+from camtopod.records import CameraModel, Context, EntryKernel, Model, Onward, Outcome, Pace, Way, ZoneModel
 
 Floats = NDArray[np.float64]
 
@@ -44,8 +45,19 @@ def model_of(
     now = _presently(posterior, changes)
     return replace(
         model, onward=_onward(ids, posterior, now, bins), entered=_entered(ids, posterior, bins),
-        contexts=_contexts(ids, cameras, posterior, now),
+        contexts=_contexts(ids, cameras, posterior, now), pace=_pace(ids, scene, posterior.fit.persistence),
     )  # fmt: skip
+
+
+def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None:
+    """How fast somebody was says how long it will take; None where it does not."""
+    if persistence.scaling <= 0.0:
+        return None
+    p = scene.passages
+    stays = usual_stays(p.source, p.target, p.left - p.entered)
+    ways = [Way(ids[entry], ids[left], short(stay)) for (entry, left), stay in stays.items()]
+    scaling, correlation, sd = (short(value) for value in persistence)
+    return Pace(scaling, correlation, sd, sorted(ways, key=lambda way: (way.entry, way.exit)))
 
 
 def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> list[ZoneModel]:

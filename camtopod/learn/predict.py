@@ -1,12 +1,13 @@
 """Where an object that has just left will appear next: competing outcomes, weighed by what has been seen since.
 
 For an exit at zone u the outcomes are: appearing at each zone v with a lag, or not being seen again. Their prior odds
-are the learned hazards, all of them, weak evidence included. Four things are then known at the time of the exit:
+are the learned hazards, all of them, weak evidence included. Five things are then known at the time of the exit:
 
 * *context*: where the object came in, where exactly it left, from which camera it probably came before;
 * *exposure*: a lag of -L is only possible if this passage has lasted L;
 * *seen*: where views overlap the object may already have appeared; each recent arrival counts for its hazard over the
   rate of everything else that could have caused it, and an overlapped view without an arrival loses its share;
+* *pace*: who was slow in this view takes longer to the next;
 * *alive*: a camera silent for far longer than its traffic allows is not where objects will be seen.
 
 Events come with their cameras' own clocks; inside, times are right ones, as far as the topology knows the clocks.
@@ -23,6 +24,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.learn.hazards import Hazards, Outcomes
+from camtopod.learn.pace import Paces
 from camtopod.learn.scene import block_of
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.surroundings import Surroundings
@@ -91,6 +93,7 @@ class Predictor:
         self.zones = topology.zones
         self._hazards = Hazards(topology)
         self._surroundings = Surroundings(topology)
+        self._paces = Paces(topology)
         self._of_camera: dict[str, list[int]] = {}
         for k, zone in enumerate(self.zones):
             self._of_camera.setdefault(zone.camera, []).append(k)
@@ -191,10 +194,13 @@ class Predictor:
         order = [int(k) for k in np.argsort(-odds, kind="stable") if odds[k] >= NEXT_PROBABILITY_MIN * total]
         kept = leave + float(odds[order].sum())
         following = []
+        stay = None if passage is None else t - self._ahead[here.camera] - passage.t
+        entry, departures = None if passage is None else passage.entry, self._hazards.departures[zone]
         for k in order:
             target = self.zones[outcomes.targets[k]]
             reached = np.concatenate(([0.0], np.cumsum(mass[k])))
-            q10, q50, q90 = np.interp(np.array((0.1, 0.5, 0.9)) * reached[-1], reached, self._hazards.bins.edges)
+            usual = np.interp(np.array((0.1, 0.5, 0.9)) * reached[-1], reached, self._hazards.bins.edges)
+            q10, q50, q90 = self._paces.window(entry, zone, stay, outcomes.share[k] * departures, *usual.tolist())
             shift = 0.0 if self._corrected else self._later(here.camera, outcomes.targets[k])
             times = (round(float(q) + shift, 3) for q in (q10, q50, q90))
             following.append(NextCamera(target.camera, target.id, float(odds[k]) / kept, *times))

@@ -41,6 +41,16 @@ class Persistence(NamedTuple):
 NO_PERSISTENCE = Persistence(0.0, 0.0, 1.0)
 
 
+def usual_stays(source: NDArray[np.int32], target: NDArray[np.int32], stay: Floats) -> dict[tuple[int, int], float]:
+    """Median duration in seconds of the ways (zone of entry, zone of exit) that at least `WAY_PASSAGES_MIN` took."""
+    stays: dict[tuple[int, int], list[float]] = {}
+    for way, seconds in zip(zip(source.tolist(), target.tolist(), strict=True), stay.tolist(), strict=True):
+        stays.setdefault(way, []).append(max(seconds, STAY_SECONDS_MIN))
+    return {
+        way: math.exp(float(np.median(np.log(each)))) for way, each in stays.items() if len(each) >= WAY_PASSAGES_MIN
+    }
+
+
 def slowness(source: NDArray[np.int32], target: NDArray[np.int32], stay: Floats, zones: int) -> Floats:
     """Log slowness (n,) of passages by their zones of entry and exit and their durations in seconds."""
     if len(stay) == 0:
