@@ -5,7 +5,7 @@ In the order in which data flows:
 * `learner`: the whole; `settings`: its limits
 * `intake`: any order in, by time out; `window`: the events that count, as sums that can be undone
 * `daspec` and `clutter`, `partition`, `evidence`, `valley`: entry and exit zones; `mixture`: which cell is which zone;
-  `zones`: all of it, with numbers that stay with their place
+  `zones`: all of it, with numbers that stay with their place; `moved`: a camera that was turned
 * `coarse`, `twoway`, `clocks`: whose clock is wrong, and by how much
 * `scene`: who left, who came, who passed through; `rates`: how often anyway; `slowness`: how fast
 * `candidates`, `lags`, `joint`: which arrival belongs to which departure; `passages`: also in one view
@@ -13,5 +13,7 @@ In the order in which data flows:
   figures; `links`
 * `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
 * `change`, `silence`, `alarms`: what opened, closed, moved or fell silent; `scoring`: how good its own predictions were
-* `assemble`, `topology`: versions with digests and deltas; `hazards`, `predict`: where to look next
+* `posterior`, `contexts`: where objects go, all weak evidence included; `model`: what of it a version carries
+* `assemble`, `topology`: versions with digests and deltas
+* `hazards`, `surroundings`, `pace`, `predict`: where to look next, and when
 """
