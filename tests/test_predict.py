@@ -81,7 +81,7 @@ def sound(prediction: Prediction) -> None:
     assert 0 < prediction.leave <= 1
     assert probabilities == sorted(probabilities, reverse=True)
     assert all(p > 0 for p in probabilities)
-    assert all(-133 <= n.q10 <= n.q50 <= n.q90 <= 200 for n in prediction.next_)
+    assert all(-133 <= n.q10 <= n.q50 <= n.q90 <= 200 * math.exp(1.5) for n in prediction.next_)
     assert len({found.zone for found in prediction.next_}) == len(probabilities)
 
 
