@@ -61,8 +61,9 @@ def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
 
 
 def link_records(
-    cameras: list[str], scene: Scene, table: LinkTable, bins: LagBins, relation: Relation | None = None
-) -> list[Link]:
+    cameras: list[str], scene: Scene, table: LinkTable, bins: LagBins, relation: Relation | None = None,
+    histograms: bool = True,
+) -> list[Link]:  # fmt: skip
     """Rows of the table as links, by key; ``relation`` None: overlapped or unseen, from where the lags lie."""
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     t = table.transit
@@ -74,7 +75,7 @@ def link_records(
                 *(short(value) for value in (t.mode[k], t.mean[k], t.sd[k], *t.quantiles[k])),
                 *(short(value) for value in (t.mean_error[k], t.median_error[k])),
             ),
-            short(table.q[k]), short(table.variance[k]), histogram(table.counts[k], bins),
+            short(table.q[k]), short(table.variance[k]), histogram(table.counts[k], bins) if histograms else None,
         )
         for k in range(len(table.source))
     ]  # fmt: skip

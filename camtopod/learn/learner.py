@@ -197,7 +197,9 @@ class Learner:
             self._keeper.clocks,
             links=link_records(cameras, scene, published, self.bins)
             + link_records(cameras, scene, visible, self.stay_bins, "visible"),
-            weak_links=link_records(cameras, scene, beside(likely, published, len(scene.zones)), self.bins),
+            weak_links=link_records(
+                cameras, scene, beside(likely, published, len(scene.zones)), self.bins, histograms=False
+            ),
         )  # fmt: skip
         version, now = 1 if self.topology is None else self.topology.version + 1, tick_us / MICROSECONDS
         joined = set(zip(published.source.tolist(), published.target.tolist(), strict=True))
