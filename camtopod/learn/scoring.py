@@ -145,7 +145,10 @@ def _row_of(guess: Guess, departures: Departures, cameras: list[str], ahead: Flo
 
 
 def _outcomes(fit: Fit, arrivals: Arrivals, rows: list[int], cameras: int) -> Floats:
-    """Probability (rows, cameras) that each of the departures ``rows`` appears next at each camera."""
+    """Probability (rows, cameras) that each of the departures ``rows`` appears next at each camera.
+
+    Of each candidate what its pair of zones would have at any lag is left out: that says as much of chance as of it.
+    """
     result = np.zeros((len(rows), cameras))
     c = fit.candidates
     of = np.full(int(c.departure.max(initial=-1)) + 1, -1)
@@ -153,7 +156,8 @@ def _outcomes(fit: Fit, arrivals: Arrivals, rows: list[int], cameras: int) -> Fl
         if row < len(of):
             of[row] = number
     asked = np.flatnonzero(of[c.departure] >= 0)
-    np.add.at(result, (of[c.departure[asked]], arrivals.camera[c.arrival[asked]]), fit.responsibility[asked])
+    timed = fit.responsibility[asked] * np.maximum(1.0 - fit.flat[asked], 0.0)
+    np.add.at(result, (of[c.departure[asked]], arrivals.camera[c.arrival[asked]]), timed)
     total = result.sum(axis=1, keepdims=True)
     shares: Floats = result / np.maximum(total, 1.0)
     return shares
