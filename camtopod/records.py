@@ -141,12 +141,14 @@ class CameraModel(Struct, frozen=True):
 
 class Outcome(Struct, frozen=True):
     """One zone where objects may appear next. ``share`` of the departures are expected there; ``hazard`` has, per lag
-    bin, the probability of appearing in it for a departure that is exposed to it.
+    bin, the probability of appearing in it for a departure that is exposed to it. ``doubt``: the share of this that may
+    as well be chance, in which case they were not seen again.
     """
 
     to: str
     share: float
     hazard: Histogram
+    doubt: float = 0.0
 
 
 class Onward(Struct, frozen=True):

@@ -34,6 +34,8 @@ class Outcomes(NamedTuple):
     """(targets, bins) per second and exposed departure."""
     exposure: Floats
     """(bins,) share of the departures here that are exposed."""
+    doubt: Floats
+    """(targets,) share of those seen there that may as well be chance."""
 
 
 class Hazards:
@@ -116,7 +118,8 @@ class Hazards:
                 hazard = np.stack([_on_bins(outcome.hazard, self.bins) for outcome in row.next_]) / self.bins.widths
                 share = np.array([outcome.share for outcome in row.next_])
                 zone, targets = index[row.zone], [index[outcome.to] for outcome in row.next_]
-                outcomes[zone] = Outcomes(targets, share, row.leave, hazard, self._exposure(zone))
+                doubt = np.array([outcome.doubt for outcome in row.next_])
+                outcomes[zone] = Outcomes(targets, share, row.leave, hazard, self._exposure(zone), doubt)
         return outcomes
 
     def _from_links(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
@@ -132,7 +135,8 @@ class Hazards:
             probability = np.array([link.probability for link in out])[:, None]
             hazard = probability * share / (self.bins.widths * exposure)
             leave = max(1.0 - float(probability.sum()), LEAVE_FLOOR)
-            outcomes[zone] = Outcomes([index[link.to] for link in out], probability[:, 0], leave, hazard, exposure)
+            targets = [index[link.to] for link in out]
+            outcomes[zone] = Outcomes(targets, probability[:, 0], leave, hazard, exposure, np.zeros(len(out)))
         return outcomes
 
     def _exposure(self, zone: int) -> Floats:

@@ -103,7 +103,12 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
     for zone in range(len(ids)):
         pairs = np.flatnonzero((c.source == zone) & (share > SHARE_MIN))
         pairs = pairs[np.argsort(-share[pairs], kind="stable")][:OUTCOMES_PER_ZONE_MAX]
-        outcomes = [Outcome(ids[c.target[k]], short(float(share[k])), histogram(mass[k], bins)) for k in pairs.tolist()]
+        outcomes = [
+            Outcome(
+                ids[c.target[k]], short(float(share[k])), histogram(mass[k], bins), short(float(posterior.doubt[k]))
+            )
+            for k in pairs.tolist()
+        ]
         rows.append(Onward(ids[zone], short(float(posterior.leave[zone])), outcomes))
     return sorted(rows, key=lambda row: row.zone)
 

@@ -57,6 +57,8 @@ class Posterior(NamedTuple):
     """(P,) of the departures at the source, those that appear next at the target."""
     leave: Floats
     """(zones,) of the departures, those not seen again."""
+    doubt: Floats
+    """(P,) share of what appears at the target that may as well be chance: it comes at any lag."""
     entry_source: Ints
     """(Q,) zone of entry ..."""
     entry_target: Ints
@@ -82,7 +84,14 @@ def fit_posterior(
         fitter.candidates, fitter.persistence,
     )  # fmt: skip
     return Posterior(
-        fit, fitter.share, fitter.leave, fitter.entry_source, fitter.entry_target, fitter.entry_hazard, fitter.levels
+        fit,
+        fitter.share,
+        fitter.leave,
+        fitter.doubt(fit.flat),
+        fitter.entry_source,
+        fitter.entry_target,
+        fitter.entry_hazard,
+        fitter.levels,
     )
 
 
@@ -193,6 +202,18 @@ class PosteriorFitter(JointFitter):
         self.levels, share, leaving = self.contexts.learn(c, r, before, gone, self.leave[zone])
         self._multiplier = multipliers(before, share)
         self._leaving = np.maximum(leaving, LEAVE_FLOOR)
+
+    def doubt(self, flat: Floats) -> Floats:
+        """Share (P,) of each pair's transitions that may as well be chance: what it would have without a transit time
+        (``flat``). Half of it is the pair's own, half that of all that leaves there, as a pair has few to tell by.
+        """
+        c = self.candidates
+        untimed = self._at_exit * np.minimum(flat, 1.0)
+        of_all, of_untimed = (np.bincount(c.pair, r, minlength=self.pairs) for r in (self._responsibility, untimed))
+        zone_all, zone_untimed = (np.bincount(c.source, r, minlength=self.zones) for r in (of_all, of_untimed))
+        here = zone_untimed / np.maximum(zone_all, 1e-300)
+        share: Floats = 0.5 * of_untimed / np.maximum(of_all, 1e-300) + 0.5 * here[c.source]
+        return share
 
     def _find_early(self) -> None:
         """The candidates that appear before the exit of a passage whose entry is known, and their place in the tables

@@ -190,6 +190,8 @@ class Predictor:
         likelier, leave = self._surroundings.multipliers(zone, outcomes, block, *known)
         mass *= likelier[:, None]
         odds = mass.sum(axis=1)
+        leave += float((outcomes.doubt * odds).sum())
+        odds *= 1.0 - outcomes.doubt
         total = leave + float(odds.sum())
         order = [int(k) for k in np.argsort(-odds, kind="stable") if odds[k] >= NEXT_PROBABILITY_MIN * total]
         kept = leave + float(odds[order].sum())
