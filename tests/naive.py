@@ -561,7 +561,9 @@ def predicted(topology, seen, asked, zone_of, constants):
     likelier, stays = surroundings(shares, leave[u], steps, back_off, most, leave_floor)
     if not any(row.zone == zones[u].id for row in model.contexts):
         stays = leave[u]
-    odds = {v: mass[v] * likelier[v] for v in mass}
+    doubt = {(index[row.zone], index[o.to]): o.doubt for row in model.onward for o in row.next_}
+    stays += sum(mass[v] * likelier[v] * doubt[u, v] for v in mass)
+    odds = {v: mass[v] * likelier[v] * (1.0 - doubt[u, v]) for v in mass}
     odds = {v: value for v, value in odds.items() if value >= least * (stays + sum(odds.values()))}
     total = stays + sum(odds.values())
     return {None: stays / total, **{v: value / total for v, value in odds.items()}}

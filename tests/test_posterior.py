@@ -71,6 +71,15 @@ def test_few_events_leave_much_open() -> None:
     assert false[0] > 2 * false[1]
 
 
+def test_what_comes_at_any_lag_is_doubted() -> None:
+    found = fit_posterior(*problem(one_way(1, 400, 2000.0, clutter=300)))
+    c = found.fit.candidates
+    doubt = dict(zip(zip(c.source.tolist(), c.target.tolist(), strict=True), found.doubt.tolist(), strict=True))
+    assert doubt[0, 1] < 0.25
+    assert min(doubt[pair] for pair in UNRELATED if pair in doubt) > 2 * doubt[0, 1]
+    assert all(0 <= share <= 1 for share in doubt.values())
+
+
 def test_what_becomes_of_the_departures_adds_up() -> None:
     departures, arrivals, *rest = problem(one_way(2, 200, 1500.0, clutter=100))
     found = fit_posterior(departures, arrivals, *rest)

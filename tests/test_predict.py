@@ -340,7 +340,9 @@ def any_topology(rng: np.random.Generator) -> Topology:
         targets = [n for n in names if rng.random() < 0.7]
         share = rng.dirichlet(np.ones(len(targets) + 1))
         if targets:
-            following = [Outcome(n, s, histogram(-24, 34, s)) for n, s in zip(targets, share, strict=False)]
+            following = [
+                Outcome(n, s, histogram(-24, 34, s), rng.random()) for n, s in zip(targets, share, strict=False)
+            ]
             onward.append(Onward(name, max(float(share[-1]), 0.02), following))
         else:
             onward.append(Onward(name, 1.0, []))
