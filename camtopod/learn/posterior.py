@@ -20,13 +20,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess
 from camtopod.learn.contexts import Contexts, Level, multipliers
-from camtopod.learn.joint import (
-    LEAVE_FLOOR,
-    START_FLOOR,
-    Fit,
-    JointFitter,
-    smooth,
-)
+from camtopod.learn.joint import LEAVE_FLOOR, START_FLOOR, Fit, JointFitter, smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import chance_rates
 from camtopod.learn.significance import RESPONSIBILITY_MAX
@@ -41,7 +35,9 @@ POOLING = 1.0
 FIRST_ROUNDS, FIRST_ITERATIONS = 3, 5
 """Without contexts; speed is looked at after each round."""
 SCOUT_ITERATIONS = 5
+"""After so many it is asked which candidates are worth following."""
 OVERLAP_FALSE = 0.05
+"""Probability that any two of the cameras that do not overlap seem to."""
 NEGLIGIBLE = 1e-4
 """Candidates with a smaller responsibility after the first few iterations are left out of the others."""
 ITERATIONS = 8
@@ -84,15 +80,9 @@ def fit_posterior(
         fitter.candidates, fitter.persistence,
     )  # fmt: skip
     return Posterior(
-        fit,
-        fitter.share,
-        fitter.leave,
-        fitter.doubt(fit.flat),
-        fitter.entry_source,
-        fitter.entry_target,
-        fitter.entry_hazard,
-        fitter.levels,
-    )
+        fit, fitter.share, fitter.leave, fitter.doubt(fit.flat), fitter.entry_source, fitter.entry_target,
+        fitter.entry_hazard, fitter.levels,
+    )  # fmt: skip
 
 
 class PosteriorFitter(JointFitter):
