@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from camtopod.learn import mahalanobis, montecarlo
 from camtopod.learn.lags import LagBins
-from camtopod.learn.transit import peak, transit_figures, weighted_quantiles
+from camtopod.learn.transit import WEIGHT_MIN, peak, transit_figures, weighted_quantiles
 
 BINS = LagBins(-20.0, 120.0)
 
@@ -30,6 +30,7 @@ def lags(seed: int, n: int, pairs: int) -> tuple[np.ndarray, np.ndarray, np.ndar
 def test_quantiles_equal_those_of_one_pair_at_a_time(seed: int, n: int, pairs: int) -> None:
     pair, lag, weight = lags(seed, n, pairs)
     found = weighted_quantiles(pair, lag, weight, pairs)
+    weight = np.where(weight > WEIGHT_MIN, weight, 0.0)  # what is less likely does not count
     for p in range(pairs):
         slow = [naive.weighted_quantile(lag[pair == p], weight[pair == p], q) for q in (0.1, 0.5, 0.9)]
         assert found[p] == pytest.approx(slow, nan_ok=True)
