@@ -12,6 +12,9 @@ from camtopod.records import Delta, Event, Prediction, Topology
 EVENT_ENCODING = "application/msgpack;schema=camtopod.event.1"
 EVENT_BYTES_MAX = 4096
 """An event larger than this is refused before it is decoded, bytes."""
+T_MIN, T_MAX = -86_400.0, 32_503_680_000.0
+"""The times an event may have: to the year 3000; from 1970, as a file's count from 0, and its clock may be behind."""
+TRACK_CHARACTERS_MAX = 128
 
 _json_event = msgspec.json.Decoder(Event)
 _pack_event = msgspec.msgpack.Decoder(Event)
@@ -44,8 +47,8 @@ def _event(decoder: Any, raw: bytes) -> Event:
     if len(raw) > EVENT_BYTES_MAX:
         raise Rejected("too-long", f"{len(raw)} bytes, at most {EVENT_BYTES_MAX}")
     event: Event = _decode(decoder, raw)
-    if not math.isfinite(event.t):
-        raise Rejected("bad-value", "t is not a finite number - at `$.t`")
+    if not T_MIN <= event.t < T_MAX:  # not-a-number is neither
+        raise Rejected("bad-value", "t is not a time between 1970 and 3000 - at `$.t`")
     if (event.x is None) != (event.y is None):
         raise Rejected("half-position", "x and y go together: send both or neither")
     for name in ("x", "y", "clock_sd"):
@@ -55,7 +58,9 @@ def _event(decoder: Any, raw: bytes) -> Event:
     if (event.boot is None) != (event.seq is None):
         raise Rejected("half-sequence", "boot and seq go together: send both or neither")
     if isinstance(event.track, int):
-        return msgspec.structs.replace(event, track=str(event.track))
+        event = msgspec.structs.replace(event, track=str(event.track))
+    if event.track is not None and len(str(event.track)) > TRACK_CHARACTERS_MAX:  # JSON has whole numbers of any length
+        raise Rejected("bad-value", f"track is longer than {TRACK_CHARACTERS_MAX} characters - at `$.track`")
     return event
 
 
