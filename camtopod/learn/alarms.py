@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from msgspec import Struct
 
 from camtopod.learn.change import Change, Trials, latest_change, threshold_nats
 from camtopod.learn.scene import Scene
@@ -34,6 +35,16 @@ GONE_RATIO = 0.05
 ZONE_SHARE_MAX = 0.99
 
 
+class AlarmState(Struct):
+    """What an `AlarmLog` knows."""
+
+    newest: list[Alarm]
+    said: dict[str, float]
+    joined: list[str]
+    silent: list[str]
+    clock: dict[str, tuple[float, float]]
+
+
 class AlarmLog:
     """What has been reported, so that nothing is reported twice."""
 
@@ -44,6 +55,15 @@ class AlarmLog:
         self._joined: set[str] = set()  # links that have been published and not been said to have closed
         self._silent: set[str] = set()
         self._clock: dict[str, tuple[float, float]] = {}  # offset in seconds and its sd that changes are held against
+
+    def save(self) -> AlarmState:
+        """Everything `load` needs to go on from here."""
+        return AlarmState(self.newest, self._said, sorted(self._joined), sorted(self._silent), self._clock)
+
+    def load(self, state: AlarmState) -> None:
+        """Go on from there."""
+        self.newest, self._said, self._clock = state.newest, state.said, state.clock
+        self._joined, self._silent = set(state.joined), set(state.silent)
 
     def add(self, version: int, t: float, kind: str, subject: str, detail: str) -> None:
         """Report something found outside this module."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import coo_array
@@ -91,6 +92,15 @@ class Difference(NamedTuple):
     transit: float
 
 
+class ClockState(Struct):
+    """What a `ClockKeeper` knows."""
+
+    offset: Floats
+    sd: Floats
+    identified: Bools
+    looked: int
+
+
 def right_clocks(cameras: int) -> Clocks:
     """Nothing is known."""
     return Clocks(np.zeros(cameras), np.full(cameras, np.inf), np.zeros(cameras, bool))
@@ -102,6 +112,14 @@ class ClockKeeper:
     def __init__(self) -> None:
         self.clocks = right_clocks(0)
         self._looked = 0
+
+    def save(self) -> ClockState:
+        """Everything `load` needs to go on from here."""
+        return ClockState(*self.clocks, self._looked)
+
+    def load(self, state: ClockState) -> None:
+        """Go on from there."""
+        self.clocks, self._looked = Clocks(state.offset, state.sd, state.identified), state.looked
 
     def look(self, scene: Scene, cameras: int, learned: int) -> bool:
         """Look again if there is enough new: ``scene`` by the cameras' own clocks, ``learned`` events up to now.

@@ -12,6 +12,8 @@ from __future__ import annotations
 from bisect import bisect_right
 from operator import itemgetter
 
+from msgspec import Struct
+
 from camtopod.records import Event
 
 BOOTS_PER_CAMERA_MAX = 16
@@ -27,6 +29,16 @@ _order = itemgetter(0)
 def microseconds(t: float) -> int:
     """Event time as an integer, so that equal times are equal and sums can be undone."""
     return round(t * MICROSECONDS)
+
+
+class IntakeState(Struct):
+    """What an `Intake` knows. ``seen``: (camera, boot, starts, ends) of every `Sequence`."""
+
+    newest_us: int | None
+    counts: dict[str, int]
+    held: list[Event]
+    cameras: list[str]
+    seen: list[tuple[str, str, list[int], list[int]]]
 
 
 class Sequence:
@@ -70,6 +82,25 @@ class Intake:
         self.counts = {"accepted": 0, "duplicate": 0, "late": 0, "refused": 0}
         self._held: list[tuple[_Key, Event]] = []
         self._seen: dict[str, dict[str, Sequence]] = {}
+
+    def save(self) -> IntakeState:
+        """Everything `load` needs to go on from here."""
+        seen = [
+            (camera, boot, sequence.starts, sequence.ends)
+            for camera, boots in self._seen.items()
+            for boot, sequence in boots.items()
+        ]
+        held = [event for _, event in self._held]
+        return IntakeState(self.newest_us, self.counts, held, list(self._seen), seen)
+
+    def load(self, state: IntakeState) -> None:
+        """Go on from there."""
+        self.newest_us, self.counts = state.newest_us, state.counts
+        self._held = [(_key(microseconds(event.t), event), event) for event in state.held]
+        self._seen = {camera: {} for camera in state.cameras}
+        for camera, boot, starts, ends in state.seen:
+            sequence = self._seen[camera][boot] = Sequence()
+            sequence.starts, sequence.ends = starts, ends
 
     @property
     def watermark_us(self) -> int | None:

@@ -42,6 +42,7 @@ from camtopod.learn.scene import Scene, see
 from camtopod.learn.scoring import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
+from camtopod.learn.snapshot import CameraState, LearnerState
 from camtopod.learn.topology import stamp
 from camtopod.learn.window import Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
@@ -108,6 +109,37 @@ class Learner:
         """Versions made since the last call, oldest first."""
         made, self._updates = self._updates, []
         return made
+
+    def save(self) -> LearnerState:
+        """Everything `load` needs to go on from here. Updates that have not been asked for are not in it."""
+        places = zip(self._maps, self._zoned, self._gone, self._looked, strict=True)
+        return LearnerState(
+            self.settings, self.site, self.epoch, self.topology, self._intake.save(), self._window.save(),
+            self._keeper.save(), self._alarms.save(), self._scorer.save(), [CameraState(*place) for place in places],
+            self._moved, self._done_us, self._fitted_us, self._learned, self._since_fit,
+        )  # fmt: skip
+
+    def load(self, state: LearnerState) -> None:
+        """Go on from there; this learner must be new. With the same settings, site and epoch the versions to come are
+        those that the saved one would have made.
+        """
+        self.topology = state.topology
+        self._intake.load(state.intake)
+        self._window.load(state.window)
+        self._keeper.load(state.clocks)
+        self._alarms.load(state.alarms)
+        self._scorer.load(state.scorer, state.topology)
+        self._maps = [camera.zones for camera in state.cameras]
+        self._zoned = [camera.zoned for camera in state.cameras]
+        self._gone = [camera.gone for camera in state.cameras]
+        self._looked = [camera.looked for camera in state.cameras]
+        self._moved, self._done_us, self._fitted_us = state.moved, state.done_us, state.fitted_us
+        self._learned, self._since_fit = state.learned, state.since_fit
+
+    def begin_epoch(self, epoch: str) -> None:
+        """What is known stays; versions count from 1 again, the first as soon as there is a new event."""
+        self.epoch, self.topology, self._fitted_us = epoch, None, None
+        self._alarms.newest = []
 
     def next_deadline(self) -> float | None:
         """Event time (seconds) to which `advance` would have to go for something to happen; None: nothing waits."""

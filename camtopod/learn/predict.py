@@ -59,6 +59,13 @@ class _Exits:
         self.zone = np.zeros(2 * RECENT_MAX, np.int32)
         self._stop = 0
 
+    def save(self) -> tuple[Floats, NDArray[np.int32]]:
+        return self.t[: self._stop].copy(), self.zone[: self._stop].copy()
+
+    def load(self, t: Floats, zone: NDArray[np.int32]) -> None:
+        self._stop = len(t)
+        self.t[: self._stop], self.zone[: self._stop] = t, zone
+
     def append(self, t: float, zone: int) -> None:
         if self._stop == len(self.t):
             self._stop = RECENT_MAX
@@ -80,6 +87,17 @@ class _Passage(Struct):
     previous: str | None = None
     """Camera it most probably came from, and the probability of that."""
     sure: float = 0.0
+
+
+class PredictorState(Struct):
+    """What a `Predictor` has observed; what it knows beside that is its topology."""
+
+    arrivals: list[_Arrival]
+    exit_times: Floats
+    exit_zones: NDArray[np.int32]
+    under_way: list[tuple[str, str, _Passage]]
+    events: int
+    last_event: dict[str, int]
 
 
 class Predictor:
@@ -131,6 +149,19 @@ class Predictor:
         newer._events = self._events
         newer._last_event = {camera: self._last_event.get(camera, self._events) for camera in newer._of_camera}
         return newer
+
+    def save(self) -> PredictorState:
+        """Everything `load` needs, beside the topology, to go on from here."""
+        under_way = [(camera, track, passage) for (camera, track), passage in self._under_way.items()]
+        exits = self._exits.save()
+        return PredictorState(list(self._arrivals), *exits, under_way, self._events, self._last_event)
+
+    def load(self, state: PredictorState) -> None:
+        """Go on from there, over the same topology."""
+        self._arrivals.extend(state.arrivals)
+        self._exits.load(state.exit_times, state.exit_zones)
+        self._under_way = {(camera, track): passage for camera, track, passage in state.under_way}
+        self._events, self._last_event = state.events, state.last_event
 
     def observe(self, event: Event) -> None:
         """Take note of an event; they must come by time as far as that is possible."""

@@ -14,12 +14,13 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.joint import Fit
-from camtopod.learn.predict import Predictor
+from camtopod.learn.predict import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
 
 Floats = NDArray[np.float64]
@@ -56,6 +57,17 @@ class Marks(NamedTuple):
     baseline_loss: float
 
 
+class ScorerState(Struct):
+    """What a `Scorer` knows beside the topology."""
+
+    predictor: PredictorState | None
+    baseline: dict[str, dict[str, float]]
+    stride: int
+    exits: int
+    guesses: list[Guess]
+    marks: list[Marks]
+
+
 class Scorer:
     """Predicts a sample of the exits as the events come and marks them when a later fit knows better."""
 
@@ -66,6 +78,22 @@ class Scorer:
         self._exits = 0
         self._guesses: deque[Guess] = deque(maxlen=PENDING_MAX)
         self._marks: deque[Marks] = deque(maxlen=SCORED_MAX)
+
+    def save(self) -> ScorerState:
+        """Everything `load` needs, beside the topology, to go on from here."""
+        predictor = None if self._predictor is None else self._predictor.save()
+        return ScorerState(
+            predictor, self._baseline, self._stride, self._exits, list(self._guesses), list(self._marks)
+        )  # fmt: skip
+
+    def load(self, state: ScorerState, topology: Topology | None) -> None:
+        """Go on from there; ``topology`` is the version it predicts with."""
+        if state.predictor is not None and topology is not None:
+            self._predictor = Predictor(topology)
+            self._predictor.load(state.predictor)
+        self._baseline, self._stride, self._exits = state.baseline, state.stride, state.exits
+        self._guesses.extend(state.guesses)
+        self._marks.extend(state.marks)
 
     def watch(self, batch: Iterable[tuple[int, Event]]) -> None:
         """Events by time, each with its time in microseconds: predict some of the exits."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
@@ -23,6 +24,16 @@ NO_MATE = -1
 PLANES = ("count", "sx", "sy", "sxx", "sxy", "syy", "entries")
 
 _COLUMNS = {"t": np.int64, "camera": np.int32, "entry": np.bool_, "px": np.int32, "py": np.int32, "mate": np.int64}
+
+
+class WindowState(Struct):
+    """What a `Window` knows; its sums follow from the rows. ``open``: (camera, track, row) of passages under way."""
+
+    base: int
+    cameras: list[str]
+    seen: list[int]
+    open: list[tuple[int, str, int]]
+    columns: dict[str, NDArray[Any]]
 
 
 class Window:
@@ -44,6 +55,23 @@ class Window:
 
     def __len__(self) -> int:
         return self._stop - self._start
+
+    def save(self) -> WindowState:
+        """Everything `load` needs to go on from here."""
+        passages = [(camera, track, row) for (camera, track), row in self._open.items()]
+        columns = {name: self.column(name).copy() for name in _COLUMNS}
+        return WindowState(self.base, list(self.cameras), list(self.seen), passages, columns)
+
+    def load(self, state: WindowState) -> None:
+        """Go on from there; this window must be new."""
+        for name in state.cameras:
+            self._camera(name)
+        self.base = state.base
+        self._open = {(camera, track): row for camera, track, row in state.open}
+        self._columns = dict(state.columns)
+        self._start, self._stop = 0, len(state.columns["t"])
+        self._count(slice(0, self._stop), 1)
+        self.seen = list(state.seen)
 
     def column(self, name: str) -> NDArray[Any]:
         """One column, oldest row first; a view, not to be written to."""

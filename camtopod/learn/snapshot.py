@@ -1,0 +1,111 @@
+"""The whole state of a learner as bytes, and back: one that is restored makes the same versions as one that never
+stopped.
+
+What follows from the rest is left out (the sums of the window, keys, indices); what decides anything later is in,
+events that wait for the watermark and predictions that wait for their outcome included. Floats and integers go
+through exactly.
+"""
+
+from __future__ import annotations
+
+import zlib
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from camtopod.learn.alarms import AlarmState
+from camtopod.learn.clocks import ClockState
+from camtopod.learn.intake import IntakeState
+from camtopod.learn.moved import Move
+from camtopod.learn.scoring import ScorerState
+from camtopod.learn.settings import Settings
+from camtopod.learn.window import WindowState
+from camtopod.learn.zones import ZoneMap, ZoneShape
+from camtopod.records import Topology
+
+FORMAT = 1
+"""Of the snapshot: one with a higher number is refused, a lower one is migrated."""
+BYTES_MAX = 1 << 30
+"""A snapshot that unpacks to more is damaged."""
+_COMPRESSION = 1
+
+
+class SnapshotError(ValueError):
+    """The bytes are no snapshot that this program can read; ``str()`` says why."""
+
+
+class CameraState(Struct):
+    """What is known of the places of one camera, see `Learner`."""
+
+    zones: ZoneMap
+    zoned: int
+    gone: tuple[ZoneShape, ...]
+    looked: int
+
+
+class LearnerState(Struct):
+    """Everything a `Learner` knows."""
+
+    settings: Settings
+    site: str
+    epoch: str
+    topology: Topology | None
+    intake: IntakeState
+    window: WindowState
+    clocks: ClockState
+    alarms: AlarmState
+    scorer: ScorerState
+    cameras: list[CameraState]
+    moved: list[tuple[int, float, Move]]
+    done_us: int | None
+    fitted_us: int | None
+    learned: int
+    since_fit: int
+
+
+class _Snapshot(Struct):
+    format: int
+    state: msgspec.Raw
+
+
+def pack(state: LearnerState) -> bytes:
+    """The state as bytes, compressed."""
+    raw = msgspec.Raw(_encoder.encode(state))
+    return zlib.compress(_encoder.encode(_Snapshot(FORMAT, raw)), _COMPRESSION)
+
+
+def unpack(blob: bytes) -> LearnerState:
+    """The state from bytes; raises `SnapshotError`."""
+    try:
+        inflater = zlib.decompressobj()
+        plain = inflater.decompress(blob, BYTES_MAX)
+        if not inflater.eof:
+            raise SnapshotError("the snapshot is cut short or too large")
+        outer = msgspec.msgpack.decode(plain, type=_Snapshot)
+        if outer.format != FORMAT:
+            raise SnapshotError(f"the snapshot has format {outer.format}, this program {FORMAT}")
+        state: LearnerState = _decoder.decode(outer.state)
+    except (zlib.error, msgspec.MsgspecError, ValueError, RecursionError) as error:
+        raise error if isinstance(error, SnapshotError) else SnapshotError(str(error)) from None
+    return state
+
+
+def _encode_array(array: object) -> tuple[str, tuple[int, ...], bytes]:
+    if not isinstance(array, np.ndarray):
+        raise NotImplementedError(f"{type(array)} has no place in a snapshot")
+    return array.dtype.str, array.shape, array.tobytes()
+
+
+def _decode_array(kind: type, packed: Any) -> np.ndarray[Any, Any]:
+    """Every field that is not one of msgspec's own kinds is an array."""
+    dtype, shape, data = msgspec.convert(packed, tuple[str, tuple[int, ...], bytes])
+    try:
+        return np.frombuffer(data, np.dtype(dtype)).reshape(shape).copy()
+    except TypeError as error:
+        raise SnapshotError(str(error)) from None
+
+
+_encoder = msgspec.msgpack.Encoder(enc_hook=_encode_array)
+_decoder = msgspec.msgpack.Decoder(LearnerState, dec_hook=_decode_array)
