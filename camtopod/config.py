@@ -111,6 +111,23 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """Digests of published versions kept to check a replay against."""
 
 
+class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """``[health]``: when a program that still runs counts as dead, and who is told."""
+
+    listen: Annotated[str, Meta(pattern=r"^$|^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$")] = ""
+    """Where the daemon answers GET /healthz and /readyz, e.g. "127.0.0.1:8787"; empty: nowhere."""
+    stall_seconds: Positive = 30.0
+    """A loop of the daemon that has not got on for this long makes it unhealthy: systemd starts it again."""
+    learn_seconds: Positive = 900.0
+    """The same for a step of the learner (fitting anew takes long on a small machine) and for the start."""
+    hung_seconds: Positive = 30.0
+    """A camera's process that has not got on for this long is killed and started again."""
+    restart_seconds_min: Positive = 1.0
+    """First wait before a camera's process is started again; doubles up to the largest."""
+    restart_seconds_max: Positive = 60.0
+    """Largest wait before a camera's process is started again; it starts anew after running for this long."""
+
+
 class Config(Struct, frozen=True):
     """A whole configuration; what the file does not say has its default."""
 
@@ -121,6 +138,7 @@ class Config(Struct, frozen=True):
     learn: Settings = Settings()
     vision: VisionSettings = VisionSettings()
     limits: Limits = Limits()
+    health: HealthSettings = HealthSettings()
 
     @property
     def state_directory(self) -> Path:
@@ -150,6 +168,7 @@ TABLES: dict[str, type[Struct]] = {
     "learn": Settings,
     "vision": VisionSettings,
     "limits": Limits,
+    "health": HealthSettings,
 }
 """The tables with fixed keys; ``[cameras.ID]`` is the other one."""
 

@@ -33,7 +33,7 @@ def example() -> str:
     parts = [_HEAD, _table("site", TABLES["site"], {"name": "hq"})]
     parts += [_table(name, TABLES[name], {}) for name in ("bus", "state")]
     parts += [_CAMERAS + "\n".join(_settings(CameraSettings, {}))]
-    parts += [_table(name, TABLES[name], {}) for name in ("vision", "learn", "limits")]
+    parts += [_table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health")]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
 

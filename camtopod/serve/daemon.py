@@ -27,6 +27,7 @@ from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
 from camtopod.serve.learning import Learning, MakeLearner, ReplayMismatch, replay
 from camtopod.serve.live import Live
+from camtopod.serve.progress import Mark, Progress
 from camtopod.serve.puller import Puller
 from camtopod.serve.receiver import Received, Receiver, Version
 
@@ -60,6 +61,9 @@ class Daemon:
         self._stopping = threading.Event()
         self._failed = threading.Event()
         self._threads: list[threading.Thread] = []
+        self._started = False
+        self.progress = Progress()
+        """Of the daemon's loops and, before they run, of the replay."""
         self.topology: Topology | None = None
         """The newest version, as published."""
         self.epoch = ""
@@ -73,6 +77,7 @@ class Daemon:
     def start(self, cancel: threading.Event | None = None) -> bool:
         """Replay the journal, join the bus and begin; False if ``cancel`` was set before that was done."""
         cancelled = cancel or self._stopping
+        self._starting = self.progress.watch("start", self._config.health.learn_seconds)
         self._journal = Journal(self._config.state_directory, self._config.limits.versions_kept)
         try:
             learner, new, recent = self._replay(cancelled)
@@ -94,11 +99,18 @@ class Daemon:
             self._receiver.on_version(Version(topology, None))
         if self.topology is not None and not new:
             self._bus.put("topology", self.topology, "topology")
-        self._run("receive", self._receive)
-        self._run("learn", lambda: self._learning.work(self._stopping))
-        self._run("predict", lambda: self._live.work(self._stopping))
-        self._run("pull", lambda: self._puller.work(self._stopping))
-        self._run("status", self._tell_status)
+        stall = self._config.health.stall_seconds
+        self._run("receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall)
+        self._run(
+            "learn", lambda mark: self._learning.work(self._stopping, mark.beat), self._config.health.learn_seconds
+        )
+        self._run("predict", lambda mark: self._live.work(self._stopping, mark.beat), stall)
+        self._run(
+            "pull", lambda mark: self._puller.work(self._stopping, mark), self._config.limits.pull_seconds + stall
+        )
+        self._run("status", self._tell_status, self._config.limits.status_seconds + stall)
+        self.progress.forget("start")
+        self._started = True
         log.info("site %s, epoch %s: ready at %s", self._config.site.name, self.epoch, self._bus.endpoint)
         return True
 
@@ -119,10 +131,25 @@ class Daemon:
         if not any(thread.name == "receive" and thread.is_alive() for thread in self._threads):
             self._journal.close()
 
+    def failing(self) -> list[str]:
+        """Why it should be started again; empty if all loops get on."""
+        return (["a part of the daemon has failed"] if self._failed.is_set() else []) + self.progress.stuck()
+
+    def unready(self) -> list[str]:
+        """Why nobody should rely on it at the moment, which starting again might not change; empty if ready."""
+        if self._stopping.is_set():
+            return ["the daemon is stopping"]
+        if not self._started or self._bus is None:
+            return ["the journal is being replayed"]
+        reasons = [self._receiver.reason] if self._receiver.reason else []
+        if not self._config.listens and not self._bus.connected:
+            reasons.append(f"the bus at {self._bus.endpoint} is not reached")
+        return [redact(reason) for reason in reasons] + self.failing()
+
     def status(self) -> dict[str, Any]:
         """What ``status/daemon`` says: state, reason, counters."""
         receiver, learning = self._receiver, self._learning
-        reason = receiver.reason or ("a part of the daemon has failed" if self._failed.is_set() else "")
+        reason = receiver.reason or "; ".join(self.failing())
         return {
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
@@ -166,6 +193,7 @@ class Daemon:
 
         def remember(event: Event) -> None:
             recent.append(event)
+            self._starting.beat()
             if len(recent) >= 2 * REPLAY_EVENTS_KEPT:
                 del recent[:-REPLAY_EVENTS_KEPT]
 
@@ -253,19 +281,20 @@ class Daemon:
         assert self._bus is not None
         self._bus.put(f"prediction/{prediction.camera}", prediction, "prediction")
 
-    def _receive(self) -> None:
-        self._receiver.work(self._stopping)
-
-    def _tell_status(self) -> None:
+    def _tell_status(self, mark: Mark) -> None:
         assert self._bus is not None
         while not self._stopping.wait(self._config.limits.status_seconds):
             self._bus.put("status/daemon", self.status(), "status")
+            mark.beat()
 
-    def _run(self, name: str, work: Callable[[], None]) -> None:
+    def _run(self, name: str, work: Callable[[Mark], None], seconds_max: float) -> None:
+        """Run a loop in a thread; it has to mark that it gets on at least every ``seconds_max``."""
+        mark = self.progress.watch(name, seconds_max)
+
         def guarded() -> None:
             done = False
             try:
-                work()
+                work(mark)
                 done = True
             finally:
                 if not done:  # the traceback goes to standard error by itself

@@ -13,6 +13,7 @@ from camtopod.learn.settings import Settings
 from camtopod.learn.topology import make_delta
 from camtopod.records import Event, Topology
 from camtopod.serve.journal import Entry, Journal
+from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.receiver import Received, Version, decode
 
 log = logging.getLogger(__name__)
@@ -78,16 +79,18 @@ class Learning:
         """Events fed and not learned yet."""
         return self._waiting
 
-    def work(self, stopping: threading.Event) -> None:
+    def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Learn until ``stopping``; what is not learned by then is in the journal."""
         while not stopping.is_set():
             try:
                 batch = self._queue.get(timeout=_TICK_SECONDS)
             except queue.Empty:
+                beat()
                 continue
             for received in batch:
                 feed_one(self._learner, received)
                 self._hand_out()
+                beat()
                 if stopping.is_set():
                     return
             with self._mutex:

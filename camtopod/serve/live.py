@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from camtopod.learn.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
+from camtopod.serve.progress import Beat, no_beat
 
 log = logging.getLogger(__name__)
 
@@ -45,9 +46,10 @@ class Live:
         """Predict from this version on, remembering what was observed. Never blocks."""
         self._topology = topology
 
-    def work(self, stopping: threading.Event) -> None:
+    def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Predict until ``stopping``."""
         while not stopping.is_set():
+            beat()
             try:
                 event = self._queue.get(timeout=_TICK_SECONDS)
             except queue.Empty:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import concurrent.futures
 import logging
+import math
 import threading
+import time
 from collections.abc import Callable
 
 from camtopod import codec
 from camtopod.config import Limits
 from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.progress import Mark
 from camtopod.serve.receiver import Pulled
 from camtopod.serve.spool import SpoolBatch
 
@@ -36,7 +39,7 @@ class Puller:
         self._wanted, self._deliver = wanted, deliver
         self._poke = poke
         self._mutex = threading.Lock()
-        self._asking: set[str] = set()
+        self._asking: dict[str, float] = {}  # camera -> when its last question was put; infinity: not yet
         self.alive: set[str] = set()
         """Cameras whose publisher is there."""
         self.pulls = 0
@@ -48,13 +51,16 @@ class Puller:
         if alive:
             self._poke.set()
 
-    def work(self, stopping: threading.Event) -> None:
-        """Pull until ``stopping``."""
+    def work(self, stopping: threading.Event, mark: Mark | None = None) -> None:
+        """Pull until ``stopping``. A question that never ends shows in ``mark``."""
         with concurrent.futures.ThreadPoolExecutor(_ASKING_AT_ONCE, "pull") as pool:
             while not stopping.is_set():
                 with self._mutex:
-                    cameras = self.alive - self._asking
-                    self._asking |= cameras
+                    cameras = self.alive - self._asking.keys()
+                    self._asking |= dict.fromkeys(cameras, math.inf)
+                    oldest = min(self._asking.values(), default=math.inf)
+                if mark is not None:
+                    mark.beat_as_of(oldest)
                 for camera in sorted(cameras):
                     pool.submit(self._pull, camera, stopping).add_done_callback(_complain)
                 self._poke.wait(self._limits.pull_seconds)
@@ -72,10 +78,12 @@ class Puller:
                 question = following
         finally:
             with self._mutex:
-                self._asking.discard(camera)
+                self._asking.pop(camera, None)
 
     def _ask(self, camera: str, boot: str, start: int) -> tuple[str, int] | None:
         """Ask once; returns what to ask next at once, or None."""
+        with self._mutex:
+            self._asking[camera] = time.monotonic()
         given: dict[str, object] = {"from": start, "max": self._limits.pull_events_max}
         try:
             answers = self._bus.ask(f"spool/{camera}", given | ({"boot": boot} if boot else {}))

@@ -21,6 +21,7 @@ from camtopod.records import Ack, Delta, Event, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.clock import Clock
 from camtopod.serve.journal import Entry, Journal
+from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.rejects import Rejects
 from camtopod.serve.spool import SpoolBatch
 from camtopod.serve.streams import Streams
@@ -101,6 +102,7 @@ class Receiver:
         self.cameras: dict[str, dict[str, float]] = {}
         self.gap = threading.Event()
         """Set when a gap appears: time to pull."""
+        self._beat: Beat = no_beat
 
     def on_event(self, key: str, payload: bytes) -> None:
         """A publication on ``event/{camera}``. Never blocks: what does not fit is left to the spool."""
@@ -128,10 +130,12 @@ class Receiver:
         """Event time at which the learner wants to be told that time went on."""
         self._deadline = deadline
 
-    def work(self, stopping: threading.Event) -> None:
+    def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Store until ``stopping``, then what is in the inbox already."""
+        self._beat = beat
         while not stopping.is_set():
             self._round(self._take(), stopping)
+            beat()
         self._round(self._take(), stopping)
         self._ack(now=float("inf"))
 
@@ -250,6 +254,7 @@ class Receiver:
                 if not self.reason:
                     log.error("cannot write the journal, so nothing is acknowledged: %s", error)
                 self.reason = f"cannot write the journal: {error}"
+                self._beat()  # starting again would not help
                 if stopping.wait(_RETRY_SECONDS):
                     return
         if self.reason:
@@ -284,4 +289,5 @@ class Receiver:
         self._next_ack = now + self._limits.ack_seconds
         for camera, boot in self._dirty:
             self._bus.put(f"ack/{camera}", Ack(camera, boot, self._stored[camera, boot]), "ack")
+            self._beat()  # a put onto a dead link blocks for seconds
         self._dirty.clear()
