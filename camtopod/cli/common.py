@@ -6,11 +6,13 @@ import argparse
 import contextlib
 import json
 import logging
+import os
 import re
 import signal
 import threading
 import time
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import msgspec
 
@@ -19,6 +21,10 @@ from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
+
+log = logging.getLogger(__name__)
+
+_PARENT_LOOK_SECONDS = 0.5
 
 
 def configuration(args: argparse.Namespace) -> config.Config:
@@ -76,13 +82,72 @@ def start_logging(args: argparse.Namespace) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
 
 
+class Told(NamedTuple):
+    """What signals have asked for."""
+
+    stop: threading.Event
+    """SIGTERM or SIGINT has come, or the terminal has gone."""
+    reload: threading.Event
+    """SIGHUP has come; whoever obeys clears it first."""
+
+
+@contextlib.contextmanager
+def signals(reloads: bool = True) -> Iterator[Told]:
+    """What SIGTERM, SIGINT and, for a program that ``reloads``, SIGHUP ask for while the block runs.
+
+    A thread of its own sets the events, told by the C side of the interpreter: setting an event in a handler can
+    deadlock with the wait it interrupts, and no handler runs while the main thread is inside a library.
+    """
+    told = Told(threading.Event(), threading.Event())
+    numbers = [signal.SIGTERM, signal.SIGINT] + ([signal.SIGHUP] if reloads else [])
+    at_a_terminal = os.isatty(0)
+    heard, written = os.pipe()
+    os.set_blocking(written, False)
+
+    def obey() -> None:
+        while came := os.read(heard, 1):
+            if came[0] == signal.SIGHUP and not (at_a_terminal and not os.isatty(0)):
+                told.reload.set()
+            else:
+                told.stop.set()
+
+    with contextlib.ExitStack() as stack:
+        stack.callback(os.close, heard)
+        thread = threading.Thread(target=obey, name="signals", daemon=True)
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(os.close, written)
+        stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(written, warn_on_full_buffer=False))
+        for number in numbers:
+            stack.callback(signal.signal, number, signal.signal(number, lambda *_: None))
+        yield told
+
+
 @contextlib.contextmanager
 def until_signal() -> Iterator[threading.Event]:
     """An event that is set by SIGTERM or SIGINT while the block runs."""
-    stop = threading.Event()
-    previous = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGTERM, signal.SIGINT)}
+    with signals(reloads=False) as told:
+        yield told.stop
+
+
+@contextlib.contextmanager
+def leaving(stop: threading.Event, seconds: float, parent: int | None = None) -> Iterator[None]:
+    """Once told to stop the block has ``seconds`` to end, or the process ends as it stands: what must not be lost is
+    on disk by then. It is told to stop, too, when the process ``parent`` is no longer the one above.
+    """
+    done = threading.Event()
+
+    def watch() -> None:
+        while not stop.wait(_PARENT_LOOK_SECONDS):
+            if parent is not None and os.getppid() != parent:
+                stop.set()
+        if not done.wait(seconds):
+            log.warning("something did not end within %g s and is left as it is", seconds)
+            os._exit(exits.DONE)
+
+    threading.Thread(target=watch, name="leaving", daemon=True).start()
     try:
-        yield stop
+        yield
     finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        done.set()
+        stop.set()

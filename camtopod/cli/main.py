@@ -13,6 +13,7 @@ import argparse
 import importlib
 import json
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,6 +40,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 LOG_FORMATS = ("text", "logfmt", "json")
 _LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Set to 1 before numpy is loaded: with another number of threads the same events give other last bits."""
+_KEEP_ON = ("run", "grab")
+"""They read their configuration anew when told so by SIGHUP, and never end by it."""
 _WITH_VALUE = ("--config", "--site", "--connect", "--log-format")
 
 
@@ -48,6 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in _LINEAR_ALGEBRA_THREADS:
         os.environ.setdefault(name, "1")
     form = "text"
+    if _command_in(arguments) in _KEEP_ON:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)  # until they listen to it: there is nothing yet to read anew
     try:
         try:
             args, run = _parse(arguments)

@@ -7,14 +7,18 @@ import logging
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, start_logging, until_signal
-from camtopod.cli.exits import CommandError
+from camtopod.cli.common import Told, configuration, leaving, signals, start_logging
+from camtopod.cli.exits import CommandError, InputError
+from camtopod.config import Config
+from camtopod.serve import health, systemd
 from camtopod.serve.bus import BusError
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.database import StateError
 
 log = logging.getLogger(__name__)
 
+LEAVE_SECONDS = 8.0
+"""After a signal, how long a part that blocks may hold up the end; systemd kills after TimeoutStopSec=10."""
 _LOOK_SECONDS = 0.2
 
 
@@ -24,7 +28,8 @@ def add_parser(subparsers: Any) -> None:
         "run",
         help="the daemon",
         description="Learns the topology from the events on the bus, publishes it and predicts. "
-        "With no endpoint configured it is the meeting point for all other programs of this machine.",
+        "With no endpoint configured it is the meeting point for all other programs of this machine. "
+        "SIGHUP reads the configuration anew.",
     )
     parser.add_argument("--state", metavar="DIRECTORY", help="where the journal is kept (default: [state] directory)")
 
@@ -32,20 +37,56 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM or SIGINT."""
     start_logging(args)
-    daemon = Daemon(configuration(args))
-    with until_signal() as stop:
+    with signals() as told, leaving(told.stop, LEAVE_SECONDS):
+        config = configuration(args)
+        daemon = Daemon(config)
         try:
-            if not daemon.start(stop):
-                return exits.DONE
+            with (
+                health.serving(config.health.listen, daemon.failing, daemon.unready) as listening,
+                systemd.watchdog(daemon.failing, lambda: not daemon.started),
+            ):
+                if listening:
+                    log.info("health at http://%s/healthz and /readyz", listening)
+                systemd.notify(systemd.status("starting"))
+                _run(daemon, args, config, told)
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
-        try:
-            while not stop.wait(_LOOK_SECONDS):
-                if daemon.wait(0):
-                    raise CommandError("a part of the daemon has failed, see above; start it again")
-        finally:
-            daemon.stop()
+        except health.ListenError as error:
+            raise CommandError(str(error)) from None
     log.info("ended cleanly")
     return exits.DONE
+
+
+def _run(daemon: Daemon, args: argparse.Namespace, config: Config, told: Told) -> None:
+    if not daemon.start(told.stop):
+        return
+    try:
+        systemd.notify("READY=1", systemd.status(f"running at {daemon.endpoint}"))
+        while not told.stop.wait(_LOOK_SECONDS):
+            if daemon.wait(0):
+                raise CommandError("a part of the daemon has failed, see above; start it again")
+            if told.reload.is_set():
+                told.reload.clear()
+                systemd.reloading()
+                config = _reloaded(daemon, args, config)
+                systemd.notify("READY=1")
+    finally:
+        systemd.notify("STOPPING=1")
+        daemon.stop()
+
+
+def _reloaded(daemon: Daemon, args: argparse.Namespace, config: Config) -> Config:
+    """The configuration from now on; a wrong one is reported and changes nothing."""
+    try:
+        new = configuration(args)
+    except (CommandError, InputError) as error:
+        log.error("the old configuration stays: %s", error)
+        return config
+    waiting = daemon.reconfigure(new)
+    if waiting:
+        log.warning("the configuration is read anew; these need a restart: %s", ", ".join(waiting))
+    else:
+        log.info("the configuration is read anew")
+    return new

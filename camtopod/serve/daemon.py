@@ -17,12 +17,15 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
+
 from camtopod.config import Config
 from camtopod.learn.learner import Learner
 from camtopod.records import CAMERA_PATTERN, Event, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
 from camtopod.serve.bus import Bus, QueryError, meet
+from camtopod.serve.changes import changes
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
 from camtopod.serve.learning import Learning, MakeLearner, ReplayMismatch, replay
@@ -61,7 +64,8 @@ class Daemon:
         self._stopping = threading.Event()
         self._failed = threading.Event()
         self._threads: list[threading.Thread] = []
-        self._started = False
+        self.started = False
+        """Whether `start` has done its work."""
         self.progress = Progress()
         """Of the daemon's loops and, before they run, of the replay."""
         self.topology: Topology | None = None
@@ -110,7 +114,7 @@ class Daemon:
         )
         self._run("status", self._tell_status, self._config.limits.status_seconds + stall)
         self.progress.forget("start")
-        self._started = True
+        self.started = True
         log.info("site %s, epoch %s: ready at %s", self._config.site.name, self.epoch, self._bus.endpoint)
         return True
 
@@ -139,12 +143,23 @@ class Daemon:
         """Why nobody should rely on it at the moment, which starting again might not change; empty if ready."""
         if self._stopping.is_set():
             return ["the daemon is stopping"]
-        if not self._started or self._bus is None:
+        if not self.started or self._bus is None:
             return ["the journal is being replayed"]
         reasons = [self._receiver.reason] if self._receiver.reason else []
         if not self._config.listens and not self._bus.connected:
             reasons.append(f"the bus at {self._bus.endpoint} is not reached")
         return [redact(reason) for reason in reasons] + self.failing()
+
+    def reconfigure(self, config: Config) -> list[str]:
+        """Obey what can be changed while it runs; returns the names of the changes that need a restart."""
+        limits, waiting = changes(self._config, config)
+        self._config = msgspec.structs.replace(self._config, limits=limits)
+        stall = self._config.health.stall_seconds
+        self.progress.allow("pull", limits.pull_seconds + stall)
+        self.progress.allow("status", limits.status_seconds + stall)
+        self._receiver.use(limits)
+        self._puller.use(limits)
+        return waiting
 
     def status(self) -> dict[str, Any]:
         """What ``status/daemon`` says: state, reason, counters."""

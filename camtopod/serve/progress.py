@@ -56,6 +56,11 @@ class Progress:
             self._marks[name] = mark
         return mark
 
+    def allow(self, name: str, seconds_max: float) -> None:
+        """Another limit for what is watched already."""
+        with self._mutex:
+            self._marks[name].seconds_max = seconds_max
+
     def forget(self, name: str) -> None:
         """It has ended, as it should; may be said twice."""
         with self._mutex:

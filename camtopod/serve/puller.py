@@ -51,6 +51,10 @@ class Puller:
         if alive:
             self._poke.set()
 
+    def use(self, limits: Limits) -> None:
+        """Obey other limits from now on. Any thread."""
+        self._limits = limits
+
     def work(self, stopping: threading.Event, mark: Mark | None = None) -> None:
         """Pull until ``stopping``. A question that never ends shows in ``mark``."""
         with concurrent.futures.ThreadPoolExecutor(_ASKING_AT_ONCE, "pull") as pool:

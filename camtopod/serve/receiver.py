@@ -130,6 +130,10 @@ class Receiver:
         """Event time at which the learner wants to be told that time went on."""
         self._deadline = deadline
 
+    def use(self, limits: Limits) -> None:
+        """Obey other limits from now on, as far as they are not the sizes of what exists. Any thread."""
+        self._limits = limits
+
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Store until ``stopping``, then what is in the inbox already."""
         self._beat = beat

@@ -1,0 +1,36 @@
+"""What another configuration means for a daemon that runs."""
+
+from __future__ import annotations
+
+import msgspec
+
+from camtopod.config import TABLES, Config, Limits
+
+WHILE_RUNNING = (
+    "future_seconds_max",
+    "commit_events_max",
+    "commit_seconds",
+    "gap_seconds",
+    "pull_seconds",
+    "pull_events_max",
+    "ack_seconds",
+    "status_seconds",
+    "settle_seconds",
+)
+"""The settings of [limits] that are looked up at every use."""
+_OF_OTHERS = ("vision",)
+"""Tables the daemon does not read; [cameras] is another."""
+
+
+def changes(old: Config, new: Config) -> tuple[Limits, list[str]]:
+    """(the limits from now on, the names of the changed settings that need a restart)."""
+    obeyed = {name: getattr(new.limits, name) for name in WHILE_RUNNING}
+    waiting = []
+    for table in TABLES:
+        before, after = getattr(old, table), getattr(new, table)
+        for name in after.__struct_fields__:
+            if getattr(before, name) == getattr(after, name) or table in _OF_OTHERS:
+                continue
+            if table != "limits" or name not in obeyed:
+                waiting.append(f"{table}.{name}")
+    return msgspec.structs.replace(old.limits, **obeyed), waiting
