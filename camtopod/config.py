@@ -61,6 +61,21 @@ class StateSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Where journal and spools live; empty: $STATE_DIRECTORY, else ~/.local/state/camtopod (XDG)."""
 
 
+class KeepSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """``[keep]``: how much of the past the daemon keeps on disk."""
+
+    journal_days: Positive = 30.0
+    """Received events, for recovery and for the record; older ones are forgotten ..."""
+    journal_bytes_max: Count = 2 * 1024**3
+    """... and the oldest ones when the database is larger than this."""
+    history_days: Positive = 90.0
+    """Old versions of the topology, which can be asked for ..."""
+    history_bytes_max: Count = 256 * 1024**2
+    """... compressed; the oldest are forgotten beyond this."""
+    snapshot_events: Count = 20_000
+    """The learner's state is saved after this many events, and after every version."""
+
+
 class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """``[cameras.ID]``: one camera of this box."""
 
@@ -78,9 +93,15 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """``[limits]``: bounds of everything that waits, is kept, or is repeated."""
 
     future_seconds_max: Positive = 60.0
-    """Events stamped further ahead of this machine's clock are set aside, not learned."""
+    """Events stamped further ahead of this machine's clock are set aside, not learned; those less far ahead wait."""
     inbox_events_max: Count = 50_000
     """Received and not yet stored; beyond it events are dropped here and pulled from the spool later."""
+    inbox_camera_events_max: Count = 5_000
+    """The same of one camera, so that one that floods leaves room for the others."""
+    camera_events_per_second_max: Count = 200
+    """Events of one camera within a second of event time; what is more is counted and not learned."""
+    cameras_max: Count = 1_000
+    """Events of further cameras are refused, until one has been silent for an hour."""
     commit_events_max: Count = 2_000
     """Events a transaction of the journal."""
     commit_seconds: float = 0.0
@@ -90,7 +111,7 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     held_events_max: Count = 5_000
     """Events of one camera held back behind a gap; beyond it they are dropped and pulled later."""
     streams_max: Count = 20_000
-    """(camera, boot) pairs followed at a time; events of further ones are refused."""
+    """(camera, boot) pairs followed at a time, at most 16 of a camera; events of further ones are refused."""
     gap_seconds: Positive = 5.0
     """A gap that no spool can fill is given up after this long."""
     pull_seconds: Positive = 1.0
@@ -105,10 +126,12 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """When no event has come for this long, event time follows the clock at this distance."""
     spool_events_max: Count = 1_000_000
     """Events a grabber keeps for a daemon that is away; beyond it the oldest are dropped and counted."""
+    spool_bytes_max: Count = 256 * 1024 * 1024
+    """The same in bytes of its file; a transaction more, and 1 MiB of log, may be on the disk."""
+    spool_kept_events: Annotated[int, Meta(ge=0)] = 10_000
+    """Acknowledged events that a grabber keeps, for a daemon whose journal was damaged."""
     spool_batch_events: Count = 500
     """Events a transaction of a spool when many come at once."""
-    versions_kept: Count = 1_000
-    """Digests of published versions kept to check a replay against."""
 
 
 class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -137,6 +160,7 @@ class Config(Struct, frozen=True):
     cameras: dict[str, CameraSettings] = {}
     learn: Settings = Settings()
     vision: VisionSettings = VisionSettings()
+    keep: KeepSettings = KeepSettings()
     limits: Limits = Limits()
     health: HealthSettings = HealthSettings()
 
@@ -167,6 +191,7 @@ TABLES: dict[str, type[Struct]] = {
     "state": StateSettings,
     "learn": Settings,
     "vision": VisionSettings,
+    "keep": KeepSettings,
     "limits": Limits,
     "health": HealthSettings,
 }

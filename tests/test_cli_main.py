@@ -290,7 +290,7 @@ def test_run_says_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "cannot write the state directory" in capsys.readouterr().err
 
     damaged = tmp_path / "damaged"
-    Journal(damaged, 10).close()
+    Journal(damaged).close()
     content = bytearray((damaged / "journal.db").read_bytes())
     content[4096:] = b"\xaa" * (len(content) - 4096)
     (damaged / "journal.db").write_bytes(content)

@@ -89,7 +89,7 @@ def learned(events: list[Event]) -> Topology:
 
 
 def journal_of(site: Site) -> list[tuple[str, str, str | None, int | None]]:
-    journal = Journal(site.directory / "state", 10)
+    journal = Journal(site.directory / "state")
     rows = [(e.kind, e.camera, e.boot, e.seq) for _, e in journal.entries() if e is not None]
     journal.close()
     return rows

@@ -86,7 +86,7 @@ class Installation:
         return msgspec.msgpack.decode(answers[0][1]) if answers else {"events": {"stored": -1}, "version": -1}
 
     def rows(self) -> list[tuple[str, str | None, int | None]]:
-        journal = Journal(self.directory / "state", 10)
+        journal = Journal(self.directory / "state")
         rows = [(e.camera, e.boot, e.seq) for _, e in journal.entries() if e is not None and e.kind == "event"]
         journal.close()
         return rows

@@ -25,7 +25,7 @@ def event(number: int, camera: str = "lobby") -> Event:
 
 @pytest.fixture
 def journal(tmp_path: Path) -> Iterator[Journal]:
-    one = Journal(tmp_path, versions_kept=3)
+    one = Journal(tmp_path)
     yield one
     one.close()
 
@@ -46,7 +46,7 @@ def test_the_journal_gives_back_what_was_committed_in_order(journal: Journal, tm
     expected = [entry(1), entry(2), entry(3), Entry("advance", "", None, None, b"12.5")]
     assert [one for _, one in journal.entries()] == expected
     journal.close()
-    again = Journal(tmp_path, versions_kept=3)
+    again = Journal(tmp_path)
     assert [one for _, one in again.entries()] == expected
     assert again.streams() == {("lobby", "b1"): 3}
     assert again.versions() == {1: "sha256:a"}
@@ -62,15 +62,15 @@ def test_the_journal_writes_safely(journal: Journal, tmp_path: Path) -> None:
 
 def test_a_directory_has_one_daemon(journal: Journal, tmp_path: Path) -> None:
     with pytest.raises(StateError, match="held by another camtopod process"):
-        Journal(tmp_path, versions_kept=3)
+        Journal(tmp_path)
     journal.close()
-    Journal(tmp_path, versions_kept=3).close()
+    Journal(tmp_path).close()
 
 
 def test_a_directory_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StateError, match="cannot write the state directory"):
-        Journal(tmp_path / "file" / "state", versions_kept=3)
+        Journal(tmp_path / "file" / "state")
 
 
 def test_a_damaged_entry_is_noticed_and_left_where_it_is(journal: Journal) -> None:
@@ -83,7 +83,7 @@ def test_a_damaged_entry_is_noticed_and_left_where_it_is(journal: Journal) -> No
 def test_a_file_that_is_no_database_is_refused_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "journal.db").write_bytes(b"something else" * 100)
     with pytest.raises(StateError, match="it is left as it is"):
-        Journal(tmp_path, versions_kept=3)
+        Journal(tmp_path)
     assert (tmp_path / "journal.db").read_bytes() == b"something else" * 100
 
 
@@ -91,7 +91,7 @@ def test_another_format_is_refused(journal: Journal, tmp_path: Path) -> None:
     journal.set_meta("format", "99")
     journal.close()
     with pytest.raises(StateError, match="has format 99"):
-        Journal(tmp_path, versions_kept=3)
+        Journal(tmp_path)
 
 
 class Failing:

@@ -19,20 +19,21 @@ from typing import Any
 
 import msgspec
 
+from camtopod import codec
 from camtopod.config import Config
-from camtopod.learn.learner import Learner
-from camtopod.records import CAMERA_PATTERN, Event, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
 from camtopod.serve.bus import Bus, QueryError, meet
 from camtopod.serve.changes import changes
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
-from camtopod.serve.learning import Learning, MakeLearner, ReplayMismatch, replay
+from camtopod.serve.learning import Learning
 from camtopod.serve.live import Live
 from camtopod.serve.progress import Mark, Progress
 from camtopod.serve.puller import Puller
 from camtopod.serve.receiver import Received, Receiver, Version
+from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover
 
 log = logging.getLogger(__name__)
 
@@ -40,8 +41,6 @@ STOP_SECONDS = 4.0
 """How long `stop` waits for the threads; what they had not done is in the journal."""
 STATUS_ALARMS = 10
 """The newest alarms that ``status/daemon`` repeats; the topology lists more."""
-REPLAY_EVENTS_KEPT = 4000
-"""The newest replayed events, which predictions remember after a restart."""
 
 
 class Daemon:
@@ -56,9 +55,8 @@ class Daemon:
         config: Config,
         bus: Bus | None = None,
         clock: clocks.Clock = clocks.wall,
-        make_learner: MakeLearner = Learner,
     ) -> None:
-        self._config, self._clock, self._make_learner = config, clock, make_learner
+        self._config, self._clock = config, clock
         self._given_bus = bus
         self._bus: Bus | None = bus
         self._stopping = threading.Event()
@@ -67,10 +65,9 @@ class Daemon:
         self.started = False
         """Whether `start` has done its work."""
         self.progress = Progress()
-        """Of the daemon's loops and, before they run, of the replay."""
+        """Of the daemon's loops and, before they run, of the start."""
         self.topology: Topology | None = None
         """The newest version, as published."""
-        self.epoch = ""
 
     @property
     def endpoint(self) -> str:
@@ -78,19 +75,24 @@ class Daemon:
         assert self._bus is not None, "the daemon has not been started"
         return self._bus.endpoint
 
+    @property
+    def epoch(self) -> str:
+        """The epoch of the versions to come; valid after `start`."""
+        return self._learning.epoch
+
     def start(self, cancel: threading.Event | None = None) -> bool:
-        """Replay the journal, join the bus and begin; False if ``cancel`` was set before that was done."""
+        """Read the journal, join the bus and begin; False if ``cancel`` was set before that was done."""
         cancelled = cancel or self._stopping
-        self._starting = self.progress.watch("start", self._config.health.learn_seconds)
-        self._journal = Journal(self._config.state_directory, self._config.limits.versions_kept)
+        self.progress.watch("start", self._config.health.learn_seconds)
+        self._journal = Journal(self._config.state_directory, self._config.keep)
         try:
-            learner, new, recent = self._replay(cancelled)
+            recovered = recover(self._journal, self._config.learn, self._config.site.name, self._new_epoch)
             if cancelled.is_set():
                 self._journal.close()
                 return False
             if self._bus is None:
                 self._bus = meet(self._config)
-            self._build(self._bus, learner, recent)
+            self._build(self._bus, recovered)
             self._serve(self._bus)
         except sqlite3.Error as error:
             self._undo()
@@ -99,9 +101,7 @@ class Daemon:
         except BaseException:
             self._undo()
             raise
-        for topology in new:  # made, but not published before the last stop
-            self._receiver.on_version(Version(topology, None))
-        if self.topology is not None and not new:
+        if self.topology is not None:
             self._bus.put("topology", self.topology, "topology")
         stall = self._config.health.stall_seconds
         self._run("receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall)
@@ -132,7 +132,10 @@ class Daemon:
             thread.join(max(0.0, deadline - time.monotonic()))
         if self._bus is not None and self._given_bus is None:
             self._bus.close()
-        if not any(thread.name == "receive" and thread.is_alive() for thread in self._threads):
+        running = {thread.name for thread in self._threads if thread.is_alive()}
+        if "receive" not in running:
+            if self.started and "learn" not in running:
+                self._receiver.last_words(None if self._failed.is_set() else self._learning.snapshot())
             self._journal.close()
 
     def failing(self) -> list[str]:
@@ -144,7 +147,7 @@ class Daemon:
         if self._stopping.is_set():
             return ["the daemon is stopping"]
         if not self.started or self._bus is None:
-            return ["the journal is being replayed"]
+            return ["the daemon is starting"]
         reasons = [self._receiver.reason] if self._receiver.reason else []
         if not self._config.listens and not self._bus.connected:
             reasons.append(f"the bus at {self._bus.endpoint} is not reached")
@@ -179,7 +182,12 @@ class Daemon:
             "score": None if self.topology is None else self.topology.score,
             "alarms": [] if self.topology is None else (self.topology.alarms or [])[-STATUS_ALARMS:],
             "pulls": self._puller.pulls,
-            "journal": len(self._journal),
+            "journal": {
+                "entries": len(self._journal),
+                "bytes": self._journal.size(),
+                "damaged": self._learning.damaged,
+                "set_aside": None if self._journal.set_aside is None else self._journal.set_aside.name,
+            },
             "cameras": {
                 camera: {**counters, "alive": camera in self._puller.alive}
                 for camera, counters in sorted(receiver.cameras.copy().items())
@@ -199,55 +207,30 @@ class Daemon:
             self._bus.close()
         self._journal.close()
 
-    def _replay(self, cancelled: threading.Event) -> tuple[Any, list[Topology], list[Event]]:
-        """A learner that has learned the journal, its versions never published, and the newest events."""
-        epoch = self._journal.meta("epoch")
-        if epoch is None:
-            epoch = self._new_epoch()
-        recent: list[Event] = []
-
-        def remember(event: Event) -> None:
-            recent.append(event)
-            self._starting.beat()
-            if len(recent) >= 2 * REPLAY_EVENTS_KEPT:
-                del recent[:-REPLAY_EVENTS_KEPT]
-
-        learner = self._make_learner(self._config.learn, self._config.site.name, epoch)
-        try:
-            new = replay(self._journal, learner, remember, cancelled)
-        except ReplayMismatch as error:
-            log.warning("%s (other settings, program or processor?): a new epoch begins", error)
-            epoch = self._new_epoch()
-            recent.clear()
-            learner = self._make_learner(self._config.learn, self._config.site.name, epoch)
-            new = replay(self._journal, learner, remember, cancelled)
-        self.epoch = epoch
-        self.topology = learner.topology
-        return learner, new, recent
-
     def _new_epoch(self) -> str:
         epoch = clocks.ulid(self._clock(), after=self._journal.meta("epoch") or "")
-        self._journal.forget_versions()
         self._journal.set_meta("epoch", epoch)
         return epoch
 
-    def _build(self, bus: Bus, learner: Any, recent: list[Event]) -> None:
+    def _build(self, bus: Bus, recovered: Recovered) -> None:
         limits = self._config.limits
+        self.topology = newest_topology(self._journal, recovered.learner)
         self._live = Live(limits.learn_events_max, self._publish_prediction)
-        if learner.topology is not None:
-            self._live.use(learner.topology)
-        self._live.remember(recent)
+        if self.topology is not None:
+            self._live.use(self.topology)
+        self._live.remember(recent_events(self._journal))
         self._receiver = Receiver(
             self._journal, bus, limits, self._clock,
             learn=self._learn, room=lambda: self._learning.room(), publish=self._publish,
         )  # fmt: skip
         self._learning = Learning(
-            learner, limits.learn_events_max, self._receiver.on_version, self._receiver.on_deadline
-        )
+            recovered, self._journal, limits.learn_events_max, self._config.keep.snapshot_events,
+            self._receiver.on_version, self._receiver.on_snapshot, self._receiver.on_deadline, self._new_epoch,
+        )  # fmt: skip
         self._puller = Puller(bus, limits, self._receiver.streams.wanted, self._receiver.on_pulled, self._receiver.gap)
 
     def _serve(self, bus: Bus) -> None:
-        bus.answer("topology", lambda key, parameters: self._newest(), "topology")
+        bus.answer("topology", lambda key, parameters: self._version(parameters), "topology")
         bus.answer("predict/*", self._live.answer, "prediction")
         bus.answer("status/daemon", lambda key, parameters: self.status(), "status")
         bus.subscribe("event/*", self._receiver.on_event)
@@ -264,10 +247,18 @@ class Daemon:
             known.add(camera)
         self._puller.on_alive(camera, alive)
 
-    def _newest(self) -> Topology:
+    def _version(self, parameters: dict[str, str]) -> Topology:
+        """The newest version, or an older one of the epoch (``version``) as far as it is kept. Raises `QueryError`."""
         if self.topology is None:
             raise QueryError("nothing has been learned yet")
-        return self.topology
+        wanted = parameters.get("version", str(self.topology.version))
+        epoch = parameters.get("epoch", self.topology.epoch)
+        if (epoch, wanted) == (self.topology.epoch, str(self.topology.version)):
+            return self.topology
+        content = self._journal.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
+        if content is None:
+            raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
+        return codec.read(Topology, content)
 
     def _learn(self, batch: list[Received]) -> None:
         for received in batch:

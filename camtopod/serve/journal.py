@@ -1,31 +1,39 @@
-"""The daemon's journal: what was received, in the order it was learned, and the versions it led to.
+"""The daemon's journal: what was received, in the order it was learned, the versions it led to, and snapshots of
+the learner.
 
-One SQLite database, one connection, one thread. An entry is the bytes as received and their CRC; replaying
-the entries in order through the learner gives the same versions with the same digests. An event is
-acknowledged only after its transaction is committed; a version is published only after its digest is stored.
+One SQLite database, so that no two ledgers can disagree. An entry is the bytes as received; a snapshot and the entries
+after its position, in order through the learner, give the same versions with the same digests as an uninterrupted
+run. An event is acknowledged only after its transaction is committed; a version is published only after it is stored.
+What is older than the retention and than both snapshots is forgotten.
 """
 
 from __future__ import annotations
 
+import logging
 import sqlite3
+import threading
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from camtopod.config import KeepSettings
 from camtopod.serve import database
+from camtopod.serve.database import crc
+from camtopod.serve.journal_format import FORMAT, SCHEMA, meta_row, prepare
 
-FORMAT = 1
-"""Of the database's tables; another one is refused, never thrown away."""
+log = logging.getLogger(__name__)
 
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS entry (
-    id INTEGER PRIMARY KEY, kind TEXT NOT NULL, camera TEXT NOT NULL, boot TEXT, seq INTEGER,
-    raw BLOB NOT NULL, crc INTEGER NOT NULL);
-CREATE INDEX IF NOT EXISTS entry_stream ON entry (camera, boot, seq) WHERE boot IS NOT NULL;
-CREATE TABLE IF NOT EXISTS version (version INTEGER PRIMARY KEY, digest TEXT NOT NULL);
-"""
+SNAPSHOTS_KEPT = 2
+"""Should the newest be damaged there is another."""
+BOOTS_KEPT_MAX = 16
+"""Of each camera; of the publisher's older incarnations nothing is expected any more."""
+PRUNED_ROWS_MAX = 5_000
+"""At most this many entries are forgotten at a time, so that a transaction stays short."""
+CHUNK_ENTRIES = 1_000
+"""Read at a time; a read that went on for long would keep the log from being folded in."""
+DAY_SECONDS = 86_400
+_COMPRESSION = 3
 
 EntryKind = Literal["event", "future", "refused", "advance"]
 """``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
@@ -42,22 +50,37 @@ class Entry(NamedTuple):
     raw: bytes
 
 
-class Journal:
-    """All calls from one thread at a time. Raises `database.StateError` if the directory cannot be used."""
+class StoredVersion(NamedTuple):
+    """A version of the topology; ``content`` as JSON, empty if only the digest is known."""
 
-    def __init__(self, directory: Path, versions_kept: int) -> None:
+    epoch: str
+    version: int
+    digest: str
+    content: bytes
+
+
+class Snapshot(NamedTuple):
+    """The learner's packed state after the entry ``position``."""
+
+    position: int
+    epoch: str
+    state: bytes
+
+
+class Journal:
+    """Any thread may call; one at a time is served. Raises `database.StateError` if the directory cannot be used."""
+
+    def __init__(self, directory: Path, keep: KeepSettings | None = None) -> None:
+        self._keep = keep or KeepSettings()
+        self._mutex = threading.Lock()
         self._lock = database.Lock(directory / "journal.lock")
         self._path = directory / "journal.db"
-        self._versions_kept = versions_kept
+        self.set_aside: Path | None = None
+        """Where a journal that was damaged is now; this one has begun anew."""
         try:
-            self._db = database.connect(self._path, _SCHEMA)
-            found = self.meta("format")
-            if found is None:
+            self._db, self.set_aside = database.connect_or_begin_anew(self._path, SCHEMA, prepare)
+            if self.meta("format") is None:
                 self.set_meta("format", str(FORMAT))
-            elif found != str(FORMAT):
-                raise database.StateError(
-                    f"{self._path} has format {found}, this program {FORMAT}: use the one that wrote it"
-                )
             self._last = self._stored_last()
         except sqlite3.Error as error:
             self._lock.close()
@@ -67,58 +90,200 @@ class Journal:
             raise
 
     def meta(self, key: str) -> str | None:
-        """A value kept by `set_meta`."""
-        row = self._db.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
-        return None if row is None else str(row[0])
+        """A value kept by `set_meta`; None also if it is damaged."""
+        with self._mutex:
+            row = self._db.execute("SELECT key, value, crc FROM meta WHERE key = ?", (key,)).fetchone()
+            if row is not None and row != meta_row(*row[:2]):
+                log.error("the journal's %s is damaged and not used", key)
+                return None
+            return None if row is None else str(row[1])
 
     def set_meta(self, key: str, value: str) -> None:
-        """Keep a value."""
-        self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
+        """Keep a value. Raises `sqlite3.Error`."""
+        with self._mutex:
+            self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", meta_row(key, value))
 
-    def commit(self, entries: Sequence[Entry], versions: Sequence[tuple[int, str]] = ()) -> None:
-        """Store all of it in one transaction, or none. Raises `sqlite3.Error`; the same call may be repeated.
+    def commit(
+        self,
+        entries: Sequence[Entry],
+        versions: Sequence[StoredVersion] = (),
+        snapshot: Snapshot | None = None,
+        now: float = 0.0,
+    ) -> None:
+        """Store all of it in one transaction, or none; ``now``: Unix seconds. Raises `sqlite3.Error`; the same call may
+        be repeated.
 
         A commit can fail although its rows are durable; so a repetition first asks the file.
         """
-        if entries and self._stored_last() == self._last + len(entries):
+        with self._mutex:
+            if entries and self._stored_last() == self._last + len(entries):
+                self._last += len(entries)
+                entries = ()
+            if not entries and not versions and snapshot is None:
+                return
+            with database.transaction(self._db):
+                self._add_entries(entries, int(now))
+                for version in versions:
+                    self._add_version(version, int(now))
+                if snapshot is not None:
+                    self._add_snapshot(snapshot, int(now))
             self._last += len(entries)
-            entries = ()
-        if not entries and not versions:
-            return
-        rows = [(self._last + number, *entry, zlib.crc32(entry.raw)) for number, entry in enumerate(entries, start=1)]
-        with database.transaction(self._db):
-            self._db.executemany("INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
-            self._db.executemany("INSERT OR REPLACE INTO version VALUES (?, ?)", versions)
-            for version, _ in versions[-1:]:
-                self._db.execute("DELETE FROM version WHERE version <= ?", (version - self._versions_kept,))
-        self._last += len(entries)
 
-    def entries(self) -> Iterator[tuple[int, Entry | None]]:
-        """All entries in order as (id, entry); None in place of a damaged one, which is left where it is."""
-        for id_, kind, camera, boot, seq, raw, crc in self._db.execute("SELECT * FROM entry ORDER BY id"):
-            good = isinstance(raw, bytes) and zlib.crc32(raw) == crc
-            yield id_, Entry(kind, camera, boot, seq, raw) if good else None
+    def prune(self, now: float) -> None:
+        """Forget some of what is older than is to be kept (``now``: Unix seconds); to be called now and then."""
+        with self._mutex:
+            keep, oldest = self._keep, self._oldest_snapshot()
+            size, free, pages = (self._pragma(name) for name in ("page_size", "freelist_count", "page_count"))
+            too_large = (pages - free) * size > keep.journal_bytes_max
+            first = self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0]
+            until = min(first + PRUNED_ROWS_MAX, oldest + 1)
+            kept_from = now if too_large else now - keep.journal_days * DAY_SECONDS
+            with database.transaction(self._db):
+                self._db.execute("DELETE FROM entry WHERE id < ? AND stored < ?", (until, kept_from))
+                self._db.execute(
+                    "DELETE FROM version WHERE stored < ? AND id < (SELECT MAX(id) FROM version)",
+                    (now - keep.history_days * DAY_SECONDS,),
+                )
+                while self._history_bytes() > keep.history_bytes_max and self._forget_oldest_version():
+                    pass
+
+    def entries(self, after: int = 0, up_to: int | None = None) -> Iterator[tuple[int, Entry | None]]:
+        """The entries behind ``after`` in order as (id, entry); None in place of a damaged one, which is left where it
+        is. Read in chunks, so that more may be stored meanwhile.
+        """
+        last = len(self) if up_to is None else up_to
+        while after < last:
+            with self._mutex:
+                rows = self._db.execute(
+                    "SELECT * FROM entry WHERE id > ? AND id <= ? ORDER BY id LIMIT ?", (after, last, CHUNK_ENTRIES)
+                ).fetchall()
+            if not rows:
+                return
+            for row in rows:
+                yield row[0], Entry(*row[2:7]) if crc(*row[:7]) == row[7] else None
+            after = rows[-1][0]
 
     def streams(self) -> dict[tuple[str, str], int]:
-        """The highest stored seq of each (camera, boot)."""
-        rows = self._db.execute("SELECT camera, boot, MAX(seq) FROM entry WHERE boot IS NOT NULL GROUP BY camera, boot")
-        return {(camera, boot): seq for camera, boot, seq in rows}
+        """The highest stored seq of each (camera, boot), those that stored last at the end.
 
-    def versions(self) -> dict[int, str]:
-        """Version -> digest of the newest versions that may have been published."""
-        return dict(self._db.execute("SELECT version, digest FROM version"))
+        A damaged row is left out: its publisher's events come again, as far as it has them, and count once.
+        """
+        with self._mutex:
+            rows = self._db.execute("SELECT camera, boot, seq, entry, crc FROM stream ORDER BY entry").fetchall()
+        damaged = sum(crc(*row[:4]) != row[4] for row in rows)
+        if damaged:
+            log.error("%d damaged rows say how far publishers have come; they are not used", damaged)
+        return {(row[0], row[1]): row[2] for row in rows if crc(*row[:4]) == row[4]}
 
-    def forget_versions(self) -> None:
-        """A new epoch begins."""
-        self._db.execute("DELETE FROM version")
+    def versions(self, epoch: str) -> dict[int, str]:
+        """Version -> digest of the newest versions of an epoch that may have been published."""
+        with self._mutex:
+            return dict(
+                self._db.execute("SELECT version, digest FROM version WHERE epoch = ? ORDER BY version", (epoch,))
+            )
+
+    def version(self, epoch: str, version: int | None = None) -> bytes | None:
+        """The topology of a version, or of the newest, as JSON; None if it is not kept or damaged."""
+        with self._mutex:
+            row = self._db.execute(
+                "SELECT * FROM version WHERE epoch = ? AND version = COALESCE(?, "
+                "(SELECT MAX(version) FROM version WHERE epoch = ?)) AND size > 0",
+                (epoch, version, epoch),
+            ).fetchone()
+        if row is None:
+            return None
+        if crc(*row[:7]) != row[7]:
+            log.error("version %d of the journal is damaged and left out; it is still in the file", row[2])
+            return None
+        return zlib.decompress(row[6])
+
+    def newest_version(self) -> bytes | None:
+        """The topology stored last, of whatever epoch, as JSON; None if there is none."""
+        with self._mutex:
+            row = self._db.execute("SELECT epoch, version FROM version WHERE size > 0 ORDER BY id DESC").fetchone()
+        return None if row is None else self.version(*row)
+
+    def snapshots(self) -> list[Snapshot]:
+        """Newest first; damaged ones are left out and reported."""
+        with self._mutex:
+            rows = self._db.execute("SELECT * FROM snapshot ORDER BY position DESC").fetchall()
+        for row in rows:
+            if crc(*row[:4]) != row[4]:
+                log.error("the snapshot at entry %d is damaged and not used; it is still in the file", row[0])
+        return [Snapshot(row[0], row[1], row[3]) for row in rows if crc(*row[:4]) == row[4]]
+
+    def first(self) -> int:
+        """The oldest entry that is kept; 0 if there is none."""
+        with self._mutex:
+            return int(self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0])
 
     def __len__(self) -> int:
+        """The number of the newest entry: how many there have ever been."""
         return self._last
+
+    def size(self) -> int:
+        """Bytes in use in the database."""
+        with self._mutex:
+            return self._pragma("page_size") * (self._pragma("page_count") - self._pragma("freelist_count"))
 
     def close(self) -> None:
         """Close and let go of the directory; may be called twice."""
-        self._db.close()
-        self._lock.close()
+        with self._mutex:
+            self._db.close()
+            self._lock.close()
+
+    def _add_entries(self, entries: Sequence[Entry], stored: int) -> None:
+        rows = [(self._last + number, stored, *entry) for number, entry in enumerate(entries, start=1)]
+        self._db.executemany("INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in rows])
+        newest = {(row[3], row[4]): (row[3], row[4], row[5], row[0]) for row in rows if row[4] is not None}
+        self._db.executemany(
+            "INSERT OR REPLACE INTO stream VALUES (?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in newest.values()]
+        )
+        for camera in {camera for camera, _ in newest}:
+            self._db.execute(
+                "DELETE FROM stream WHERE camera = ? AND boot NOT IN "
+                "(SELECT boot FROM stream WHERE camera = ? ORDER BY entry DESC LIMIT ?)",
+                (camera, camera, BOOTS_KEPT_MAX),
+            )
+
+    def _add_version(self, version: StoredVersion, stored: int) -> None:
+        number = self._db.execute("SELECT COALESCE(MAX(id), 0) + 1 FROM version").fetchone()[0]
+        content = zlib.compress(version.content, _COMPRESSION) if version.content else b""
+        row = (number, version.epoch, version.version, stored, version.digest, len(content), content)
+        self._db.execute("INSERT OR IGNORE INTO version VALUES (?, ?, ?, ?, ?, ?, ?, ?)", (*row, crc(*row)))
+
+    def _add_snapshot(self, snapshot: Snapshot, stored: int) -> None:
+        row = (snapshot.position, snapshot.epoch, stored, snapshot.state)
+        self._db.execute("INSERT OR REPLACE INTO snapshot VALUES (?, ?, ?, ?, ?)", (*row, crc(*row)))
+        self._db.execute(
+            "DELETE FROM snapshot WHERE position NOT IN (SELECT position FROM snapshot ORDER BY position DESC LIMIT ?)",
+            (SNAPSHOTS_KEPT,),
+        )
+
+    def _oldest_snapshot(self) -> int:
+        """Position of the older of two snapshots; 0 with fewer, as then all entries are needed."""
+        found = self._db.execute("SELECT position FROM snapshot ORDER BY position DESC").fetchall()
+        return int(found[SNAPSHOTS_KEPT - 1][0]) if len(found) >= SNAPSHOTS_KEPT else 0
+
+    def _history_bytes(self) -> int:
+        return int(self._db.execute("SELECT COALESCE(SUM(size), 0) FROM version").fetchone()[0])
+
+    def _forget_oldest_version(self) -> bool:
+        """False if there is only the newest left."""
+        return bool(
+            self._db.execute(
+                "DELETE FROM version WHERE id = (SELECT MIN(id) FROM version) AND id < (SELECT MAX(id) FROM version)"
+            ).rowcount
+        )
+
+    def _pragma(self, name: str) -> int:
+        return int(self._db.execute(f"PRAGMA {name}").fetchone()[0])
 
     def _stored_last(self) -> int:
-        return int(self._db.execute("SELECT COALESCE(MAX(id), 0) FROM entry").fetchone()[0])
+        """Entries may all be forgotten, but never those behind the newest snapshot."""
+        return int(
+            self._db.execute(
+                "SELECT MAX((SELECT COALESCE(MAX(id), 0) FROM entry), "
+                "(SELECT COALESCE(MAX(position), 0) FROM snapshot))"
+            ).fetchone()[0]
+        )

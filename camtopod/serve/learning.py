@@ -1,4 +1,6 @@
-"""The learner in a thread of its own, so that a refit holds nothing up; and its replay from the journal."""
+"""The learner in a thread of its own, so that a refit holds nothing up: first what the journal has beyond the
+snapshot, then what comes.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +8,15 @@ import logging
 import queue
 import threading
 from collections.abc import Callable
-from typing import Protocol
 
 from camtopod import codec
-from camtopod.learn.settings import Settings
+from camtopod.learn.snapshot import pack
 from camtopod.learn.topology import make_delta
-from camtopod.records import Event, Topology
-from camtopod.serve.journal import Entry, Journal
+from camtopod.records import Topology
+from camtopod.serve.journal import Entry, Journal, Snapshot
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.receiver import Received, Version, decode
+from camtopod.serve.recovery import Recovered, note_failure
 
 log = logging.getLogger(__name__)
 
@@ -22,47 +24,40 @@ _TICK_SECONDS = 0.2
 _PROGRESS_ENTRIES = 200_000
 
 
-class Learns(Protocol):
-    """What the daemon needs of `camtopod.learn.learner.Learner`."""
-
-    @property
-    def topology(self) -> Topology | None: ...
-    def receive(self, event: Event) -> str: ...
-    def advance(self, now: float) -> None: ...
-    def updates(self) -> list[Topology]: ...
-    def next_deadline(self) -> float | None: ...
-    def statistics(self) -> dict[str, int | float]: ...
-
-
-MakeLearner = Callable[[Settings, str, str], Learns]
-"""(settings, site, epoch) -> learner."""
-
-
-class ReplayMismatch(Exception):
-    """The journal did not lead to the versions that were published from it."""
-
-
 class Learning:
-    """Feeds a learner. Its thread gives each version to ``on_version``, the deadline to ``on_deadline``."""
+    """Feeds a learner. Its thread gives each new version to ``on_version``, snapshots to ``on_snapshot`` (each after
+    the versions it has in it), and the deadline to ``on_deadline``; ``new_epoch`` begins and stores an epoch.
+    """
 
     def __init__(
         self,
-        learner: Learns,
+        recovered: Recovered,
+        journal: Journal,
         events_max: int,
+        snapshot_events: int,
         on_version: Callable[[Version], None],
+        on_snapshot: Callable[[Snapshot], None],
         on_deadline: Callable[[float | None], None],
+        new_epoch: Callable[[], str],
     ) -> None:
-        self._learner = learner
-        self._events_max = events_max
-        self._on_version = on_version
-        self._on_deadline = on_deadline
+        self._learner, self.position, self.epoch = recovered
+        self._journal = journal
+        self._events_max, self._snapshot_events = events_max, snapshot_events
+        self._on_version, self._on_snapshot, self._on_deadline = on_version, on_snapshot, on_deadline
+        self._new_epoch = new_epoch
+        self._stored = journal.versions(self.epoch)
+        self._replay_until = len(journal)
+        self._saved = self.position
+        self._due = False
         self._queue: queue.SimpleQueue[list[Received]] = queue.SimpleQueue()
         self._waiting = 0
         self._mutex = threading.Lock()
-        self._topology = learner.topology
-        self.statistics = learner.statistics()
+        self._topology = self._learner.topology
+        self.damaged = 0
+        """Damaged entries of the journal that were left out."""
+        self.statistics = self._learner.statistics()
         """The learner's, as of its last step."""
-        on_deadline(learner.next_deadline())
+        on_deadline(self._learner.next_deadline())
 
     def feed(self, batch: list[Received]) -> None:
         """Learn these, in this order, soon. Any thread."""
@@ -76,11 +71,48 @@ class Learning:
 
     @property
     def waiting(self) -> int:
-        """Events fed and not learned yet."""
-        return self._waiting
+        """Events stored and not learned yet."""
+        return self._waiting + max(0, self._replay_until - self.position)
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Learn until ``stopping``; what is not learned by then is in the journal."""
+        done = False
+        try:
+            self._catch_up(stopping, beat)
+            self._go_on(stopping, beat)
+            done = True
+        finally:
+            if not done:
+                note_failure(self._journal, self.position + 1)
+
+    def snapshot(self) -> Snapshot | None:
+        """The learner as it is, for the next start; None if nothing has been learned since the last. Only while `work`
+        does not run.
+        """
+        if self.position == self._saved:
+            return None
+        return Snapshot(self.position, self.epoch, pack(self._learner.save()))
+
+    def _catch_up(self, stopping: threading.Event, beat: Beat) -> None:
+        begun = self.position
+        for number, entry in self._journal.entries(after=begun, up_to=self._replay_until):
+            if stopping.is_set():
+                return
+            self.position = number - 1
+            if entry is None:
+                self.damaged += 1
+            else:
+                self._learn(_received(entry))
+            self.position = number
+            beat()
+            if (number - begun) % _PROGRESS_ENTRIES == 0:
+                log.info("replayed %d of %d journal entries", number - begun, self._replay_until - begun)
+        self.position = max(self.position, self._replay_until)
+        if self.damaged:
+            log.error("%d damaged entries of the journal are left out; they are still in the file", self.damaged)
+        self._tell()
+
+    def _go_on(self, stopping: threading.Event, beat: Beat) -> None:
         while not stopping.is_set():
             try:
                 batch = self._queue.get(timeout=_TICK_SECONDS)
@@ -88,75 +120,58 @@ class Learning:
                 beat()
                 continue
             for received in batch:
-                feed_one(self._learner, received)
-                self._hand_out()
+                self._learn(received)
+                self.position += 1
                 beat()
                 if stopping.is_set():
                     return
             with self._mutex:
                 self._waiting -= len(batch)
-            self.statistics = self._learner.statistics()
-            self._on_deadline(self._learner.next_deadline())
+            self._tell()
 
-    def _hand_out(self) -> None:
+    def _learn(self, received: Received) -> None:
+        """One committed entry into the learner, new versions out."""
+        if received.event is not None:
+            self._learner.receive(received.event)
+        elif received.advance is not None:
+            self._learner.advance(received.advance)
         for topology in self._learner.updates():
-            delta = None if self._topology is None else make_delta(self._topology, topology)
-            self._topology = topology
+            self._hand_out(topology)
+
+    def _hand_out(self, topology: Topology) -> None:
+        """A version that is stored already must come out as it was; a new one is handed on."""
+        stored = self._stored.pop(topology.version, None)
+        if stored is not None and stored != topology.digest:
+            self.epoch, self._stored, self._topology = self._new_epoch(), {}, None
+            log.warning(
+                "version %d comes out otherwise than it was (another program or processor?): epoch %s begins",
+                topology.version, self.epoch,
+            )  # fmt: skip
+            self._learner.begin_epoch(self.epoch)
+            return
+        delta = None if self._topology is None else make_delta(self._topology, topology)
+        self._topology = topology
+        if stored is None:
+            self._due = True
             self._on_version(Version(topology, delta))
 
-
-def feed_one(learner: Learns, received: Received) -> None:
-    """One committed entry into the learner."""
-    if received.event is not None:
-        learner.receive(received.event)
-    elif received.advance is not None:
-        learner.advance(received.advance)
-
-
-def replay(
-    journal: Journal, learner: Learns, on_event: Callable[[Event], None], cancelled: threading.Event
-) -> list[Topology]:
-    """Feed a fresh learner all of the journal; returns the versions that had not been stored yet.
-
-    Raises `ReplayMismatch` when the versions that were stored do not come out again. ``on_event`` sees the
-    events too. Ends early once ``cancelled`` is set.
-    """
-    published = journal.versions()
-    last = max(published, default=0)
-    new: list[Topology] = []
-    damaged = 0
-    for number, (_, entry) in enumerate(journal.entries(), start=1):
-        if cancelled.is_set():
-            return []
-        if entry is None:
-            damaged += 1
-            continue
-        received = _received(entry.kind, entry.raw)
-        feed_one(learner, received)
-        if received.event is not None:
-            on_event(received.event)
-        for topology in learner.updates():
-            stored = published.pop(topology.version, None)
-            if topology.version > last:
-                new.append(topology)
-            elif stored is not None and stored != topology.digest:
-                raise ReplayMismatch(f"version {topology.version} has another digest than it had")
-        if number % _PROGRESS_ENTRIES == 0:
-            log.info("replayed %d of %d journal entries", number, len(journal))
-    if damaged:
-        log.error("%d damaged entries of the journal are left out; they are still in the file", damaged)
-    if published:
-        raise ReplayMismatch(f"version {max(published)} does not come out any more")
-    return new
+    def _tell(self) -> None:
+        """Between batches: a snapshot if one is due, and how things are."""
+        if self._due or self.position - self._saved >= self._snapshot_events:
+            snapshot = self.snapshot()
+            if snapshot is not None:
+                self._on_snapshot(snapshot)
+                self._saved, self._due = self.position, False
+        self.statistics = self._learner.statistics()
+        self._on_deadline(self._learner.next_deadline())
 
 
-def _received(kind: str, raw: bytes) -> Received:
-    entry = Entry("event", "", None, None, raw)
-    if kind == "event":
+def _received(entry: Entry) -> Received:
+    if entry.kind == "event":
         try:
-            return Received(entry, decode(raw))
+            return Received(entry, decode(entry.raw))
         except codec.Rejected as error:  # a newer program accepted it
             log.error("an entry of the journal cannot be read any more: %s", error)
-    elif kind == "advance":
-        return Received(entry, advance=float(raw))
+    elif entry.kind == "advance":
+        return Received(entry, advance=float(entry.raw))
     return Received(entry)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import collections
 import logging
-import queue
 import sqlite3
 import threading
 import time
@@ -19,8 +18,11 @@ from camtopod import codec
 from camtopod.config import Limits
 from camtopod.records import Ack, Delta, Event, Topology
 from camtopod.serve.bus import Bus
-from camtopod.serve.clock import Clock
-from camtopod.serve.journal import Entry, Journal
+from camtopod.serve.cameras import Cameras
+from camtopod.serve.cameras import Received as Received
+from camtopod.serve.clock import Clock, steady_beside
+from camtopod.serve.inbox import Inbox, Message
+from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.rejects import Rejects
 from camtopod.serve.spool import SpoolBatch
@@ -31,17 +33,15 @@ log = logging.getLogger(__name__)
 _TICK_SECONDS = 0.05
 _RETRY_SECONDS = 0.5
 _PULLED_MAX = 16
-"""Answers of spools that wait in the inbox at a time."""
+"""Answers of spools that wait at a time ..."""
+_PULLED_CAMERA_MAX = 2
+"""... and of one camera's, so that there is room for the others'."""
+_QUANTUM_EVENTS = 100
+"""Events a camera stores in its turn."""
+BOOTS_MAX = 16
+"""Incarnations of one camera's publisher that are followed; the one not heard for longest is forgotten."""
 _JSON_STARTS = b"{ \t\r\n"
 """An event that begins with one of these is JSON: a MessagePack map begins above 0x7f."""
-
-
-class Received(NamedTuple):
-    """On its way into the journal: an event (none if it is not to be learned) or an advance of event time."""
-
-    entry: Entry
-    event: Event | None = None
-    advance: float | None = None
 
 
 class Version(NamedTuple):
@@ -81,50 +81,61 @@ class Receiver:
         learn: Callable[[list[Received]], None],
         room: Callable[[], int],
         publish: Callable[[Version], None],
+        steady: Clock | None = None,
     ) -> None:
         self._journal, self._bus, self._limits, self._clock = journal, bus, limits, clock
         self._learn, self._room, self._publish = learn, room, publish
-        self._inbox: queue.Queue[tuple[str, bytes] | Pulled] = queue.Queue(limits.inbox_events_max)
-        self._pulled_waiting = 0
+        self._steady = steady or steady_beside(clock)
+        self.cameras = Cameras(limits)
+        self._inbox = Inbox(
+            limits.inbox_events_max,
+            limits.inbox_camera_events_max,
+            _QUANTUM_EVENTS,
+            known=lambda camera: camera in self.cameras or camera in self.with_spool,
+        )
+        self._answers: collections.deque[Pulled] = collections.deque()
         self._versions: collections.deque[Version] = collections.deque()
+        self._snapshot: Snapshot | None = None
         self._stored = journal.streams()
         self._dirty: set[tuple[str, str]] = set(self._stored)
         self._next_ack = 0.0
-        self._live: tuple[float, float] | None = None  # (newest event time, wall clock then) of events in step
-        self.streams: Streams[Received] = Streams(dict(self._stored), limits.held_events_max, limits.streams_max)
+        self._live: tuple[float, float, float] | None = None  # newest event time in step; wall and steady clock then
+        self.streams: Streams[Received] = Streams(
+            self._stored, limits.held_events_max, limits.streams_max, BOOTS_MAX
+        )
+        for camera, _ in self._stored:
+            self.cameras.admit(camera, self._steady())
         self.with_spool: set[str] = set()
         """Cameras whose publisher has been seen alive, so that it has a spool."""
         self._deadline: float | None = None
         self.rejects = Rejects()
         self.reason = ""
         """Why nothing is stored at the moment; "" if all is well."""
-        self.counts = dict.fromkeys(("received", "stored", "duplicate", "future", "inbox_full", "held_full"), 0)
-        self.cameras: dict[str, dict[str, float]] = {}
+        self.counts = dict.fromkeys(("received", "stored", "duplicate", "future", "flood", "held_full", "refilled"), 0)
         self.gap = threading.Event()
         """Set when a gap appears: time to pull."""
         self._beat: Beat = no_beat
 
     def on_event(self, key: str, payload: bytes) -> None:
         """A publication on ``event/{camera}``. Never blocks: what does not fit is left to the spool."""
-        try:
-            self._inbox.put_nowait((key.removeprefix("event/"), payload))
-        except queue.Full:
-            self.counts["inbox_full"] += 1
+        self._inbox.put(Message(key.removeprefix("event/"), payload))
 
     def on_pulled(self, pulled: Pulled) -> bool:
         """The answer of a spool; False if there is no room for it now."""
-        if self._pulled_waiting >= _PULLED_MAX:
+        mine = sum(other.batch.camera == pulled.batch.camera for other in self._answers.copy())
+        if len(self._answers) >= _PULLED_MAX or mine >= _PULLED_CAMERA_MAX:
             return False
-        try:
-            self._inbox.put_nowait(pulled)
-        except queue.Full:
-            return False
-        self._pulled_waiting += 1
+        self._answers.append(pulled)
+        self._inbox.poke()
         return True
 
     def on_version(self, version: Version) -> None:
         """A version from the learner, to be stored and then published. Never blocks."""
         self._versions.append(version)
+
+    def on_snapshot(self, snapshot: Snapshot) -> None:
+        """The learner's state, to be stored no earlier than the versions handed over before. Never blocks."""
+        self._snapshot = snapshot
 
     def on_deadline(self, deadline: float | None) -> None:
         """Event time at which the learner wants to be told that time went on."""
@@ -132,7 +143,12 @@ class Receiver:
 
     def use(self, limits: Limits) -> None:
         """Obey other limits from now on, as far as they are not the sizes of what exists. Any thread."""
-        self._limits = limits
+        self._limits = self.cameras.limits = limits
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Publications there was no room for, by camera ("": all that were unknown); a spool still has them."""
+        return dict(self._inbox.dropped)
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Store until ``stopping``, then what is in the inbox already."""
@@ -143,46 +159,41 @@ class Receiver:
         self._round(self._take(), stopping)
         self._ack(now=float("inf"))
 
-    def _round(self, messages: list[tuple[str, bytes] | Pulled], stopping: threading.Event) -> None:
-        now = time.monotonic()
+    def _round(self, messages: list[Message | Pulled], stopping: threading.Event) -> None:
+        now, wall = self._steady(), self._clock()
         ready: list[Received] = []
         for message in messages:
             if isinstance(message, Pulled):
-                ready += self._pulled(message, now)
+                ready += self._pulled(message, wall, now)
             else:
-                ready += self._published(*message, now)
+                ready += self._published(message, wall, now)
         ready += self.streams.give_up(now, self._limits.gap_seconds, self.with_spool)
-        ready += self._time_went_on()
+        ready = self._without_floods(self.cameras.in_time(ready, wall, now))
+        ready += self._time_went_on(now)
         self._store(ready, stopping)
-        self._ack(now)
+        self._ack(time.monotonic())
         if self.streams.gaps:
             self.gap.set()
 
-    def _take(self) -> list[tuple[str, bytes] | Pulled]:
+    def _take(self) -> list[Message | Pulled]:
         """What came in, at most a transaction's worth and no more than the learner has room for."""
         room = min(self._limits.commit_events_max, self._room())
         if room <= 0:
             time.sleep(_TICK_SECONDS)
-        messages: list[tuple[str, bytes] | Pulled] = []
-        deadline = time.monotonic() + _TICK_SECONDS
-        while room > 0:
-            try:
-                wait = max(0.0, deadline - time.monotonic())
-                message = self._inbox.get(block=wait > 0, timeout=wait or None)
-            except queue.Empty:
-                break
-            if not messages:
-                deadline = min(deadline, time.monotonic() + self._limits.commit_seconds)
-            if isinstance(message, Pulled):
-                self._pulled_waiting -= 1
-                room -= len(message.batch.events)
-            else:
-                room -= 1
-            messages.append(message)
-        return messages
+            return []
+        if not self._answers:
+            self._inbox.wait(_TICK_SECONDS)
+        if self._limits.commit_seconds and len(self._inbox):
+            time.sleep(self._limits.commit_seconds)
+        messages: list[Message | Pulled] = []
+        while self._answers and room > 0:
+            messages.append(self._answers.popleft())
+            room -= len(messages[-1].batch.events)
+        return messages + self._inbox.take(max(room, _QUANTUM_EVENTS))
 
-    def _published(self, camera: str, raw: bytes, now: float) -> list[Received]:
+    def _published(self, message: Message, wall: float, now: float) -> list[Received]:
         self.counts["received"] += 1
+        camera, raw = message
         try:
             event = decode(raw)
         except codec.Rejected as error:
@@ -191,39 +202,63 @@ class Receiver:
         if event.camera != camera:
             self.rejects.add("wrong-camera", f"event/{camera}", f"says camera {event.camera!r}", raw)
             return []
-        received = self._judge(event, raw)
+        if not self._admitted(camera, now, raw):
+            return []
+        received = self._judge(event, raw, wall, now, fresh=True)
         if event.boot is None or event.seq is None:
             return [received]
         return self._order(camera, event.boot, event.seq, received, now)
 
-    def _pulled(self, pulled: Pulled, now: float) -> list[Received]:
+    def _pulled(self, pulled: Pulled, wall: float, now: float) -> list[Received]:
         batch = pulled.batch
         key = (batch.camera, batch.boot)
+        if not self._admitted(batch.camera, now, b""):
+            return []
+        self._notice_loss(batch)
         ready = self.streams.begins_at(key, batch.first, now)
         for seq, raw in batch.events:
             received = Received(Entry("refused", batch.camera, batch.boot, seq, raw[: codec.EVENT_BYTES_MAX]))
             try:
                 event = decode(raw)
                 if (event.camera, event.boot, event.seq) == (batch.camera, batch.boot, seq):
-                    received = self._judge(event, raw)
+                    received = self._judge(event, raw, wall, now, fresh=False)
                 else:
                     self.rejects.add("wrong-camera", f"spool/{batch.camera}", "says another stream", raw)
             except codec.Rejected as error:
                 self.rejects.add(error.reason, f"spool/{batch.camera}", str(error), raw)
             ready += self._order(batch.camera, batch.boot, seq, received, now)
-        self.streams.answered(key, pulled.asked_from)
-        if key in self._stored and batch.first <= self._stored[key]:
+        seqs = [seq for seq, _ in batch.events]
+        self.streams.answered(key, pulled.asked_from, seqs, batch.more, knows=batch.first > 0)
+        if key in self._stored and batch.first <= self._stored[key] != batch.acked:
             self._dirty.add(key)  # it has what is stored here already: the ack got lost
         return ready
 
-    def _judge(self, event: Event, raw: bytes) -> Received:
-        if event.t > self._clock() + self._limits.future_seconds_max:
+    def _notice_loss(self, batch: SpoolBatch) -> None:
+        """Say it when a publisher has been told that more is stored than is: it is being filled in again."""
+        stored = self._stored.get((batch.camera, batch.boot), -1)
+        missing = sum(stored < seq <= (batch.acked or 0) for seq, _ in batch.events)
+        if missing:
+            self.counts["refilled"] += missing
+            what = f"events after {stored} of {batch.boot} were acknowledged and are not in the journal; pulled again"
+            self.rejects.add("journal-shorter", f"spool/{batch.camera}", what)
+
+    def _admitted(self, camera: str, now: float, raw: bytes) -> bool:
+        admitted = self.cameras.admit(camera, now)
+        if not admitted:
+            self.rejects.add("too-many-cameras", f"event/{camera}", "limits.cameras_max is reached", raw)
+        return admitted
+
+    def _judge(self, event: Event, raw: bytes, wall: float, now: float, fresh: bool) -> Received:
+        if self.cameras.is_future(event, wall, now, fresh):
             self.counts["future"] += 1
             self.rejects.add("future", f"event/{event.camera}", "t is ahead of this machine's clock", raw)
             return Received(Entry("future", event.camera, event.boot, event.seq, raw))
         return Received(Entry("event", event.camera, event.boot, event.seq, raw), event)
 
     def _order(self, camera: str, boot: str, seq: int, received: Received, now: float) -> list[Received]:
+        if self.cameras.full(camera):
+            self.counts["held_full"] += 1
+            return []
         verdict, ready = self.streams.offer((camera, boot), seq, received, now)
         if verdict == "duplicate":
             self.counts["duplicate"] += 1
@@ -231,28 +266,50 @@ class Receiver:
             self.counts["held_full"] += 1
         elif verdict == "refused":
             self.rejects.add("too-many-streams", f"event/{camera}", "limits.streams_max is reached", received.entry.raw)
+        elif verdict == "jump":
+            self.rejects.add("seq-jump", f"event/{camera}", f"seq {seq} is too far ahead", received.entry.raw)
         return ready
 
-    def _time_went_on(self) -> list[Received]:
-        """An advance, when events in step with the clock have stopped and the learner waits for time."""
+    def _without_floods(self, ready: list[Received]) -> list[Received]:
+        """What a camera sends beyond what a view can show is not learned; of it only the count is stored."""
+        kept = []
+        for received in ready:
+            if received.event is not None and self.cameras.is_flood(received.event):
+                self.counts["flood"] += 1
+                entry = received.entry
+                if entry.seq is None:
+                    continue
+                received = Received(entry._replace(kind="refused", raw=b""))
+            kept.append(received)
+        return kept
+
+    def _time_went_on(self, now: float) -> list[Received]:
+        """An advance, when events in step with the clock have stopped and the learner waits for time.
+
+        By the clock that does not step: when somebody sets this machine's clock, event time stays.
+        """
         if self._live is None or self._deadline is None:
             return []
-        newest, since = self._live
-        wall = self._clock()
-        now = wall - self._limits.settle_seconds
-        if now < self._deadline or now <= newest or wall - since < self._limits.settle_seconds:
+        newest, wall_then, then = self._live
+        quiet = now - then
+        advanced = wall_then + quiet - self._limits.settle_seconds
+        if advanced < self._deadline or advanced <= newest or quiet < self._limits.settle_seconds:
             return []
-        self._live = (now, since)
-        entry = Entry("advance", "", None, None, repr(now).encode())
-        return [Received(entry, advance=now)]
+        self._live = (advanced, wall_then, then)
+        entry = Entry("advance", "", None, None, repr(advanced).encode())
+        return [Received(entry, advance=advanced)]
 
     def _store(self, ready: list[Received], stopping: threading.Event) -> None:
         """Commit, however often it takes; then hand on. Gives up only when the daemon stops."""
+        snapshot, self._snapshot = self._snapshot, None  # before the versions: it must not get ahead of them
         versions = [self._versions.popleft() for _ in range(len(self._versions))]
-        digests = [(version.topology.version, version.topology.digest) for version in versions]
+        stored = [
+            StoredVersion(topology.epoch, topology.version, topology.digest, codec.to_json(topology))
+            for topology, _ in versions
+        ]
         while True:
             try:
-                self._journal.commit([received.entry for received in ready], digests)
+                self._journal.commit([received.entry for received in ready], stored, snapshot, self._clock())
                 break
             except sqlite3.Error as error:
                 if not self.reason:
@@ -264,28 +321,39 @@ class Receiver:
         if self.reason:
             log.info("the journal can be written again")
             self.reason = ""
-        wall = self._clock()
+        wall, now = self._clock() + self.cameras.clock_behind, self._steady()
         for entry, event, _ in ready:
             if entry.boot is not None and entry.seq is not None:
                 self._stored[entry.camera, entry.boot] = entry.seq
                 self._dirty.add((entry.camera, entry.boot))
             if event is not None:
-                self._note(event, wall)
+                self._note(event, wall, now)
         if ready:
             self._learn(ready)
         for version in versions:
             self._publish(version)
+        if snapshot is not None:
+            self._forget_old()
 
-    def _note(self, event: Event, wall: float) -> None:
+    def _forget_old(self) -> None:
+        try:
+            self._journal.prune(self._clock())
+        except sqlite3.Error as error:
+            log.warning("cannot forget what is old in the journal: %s", error)
+
+    def last_words(self, snapshot: Snapshot | None) -> None:
+        """Store what the learner has handed over to the end. Only after `work` and the learner have ended."""
+        self._snapshot = snapshot
+        ended = threading.Event()
+        ended.set()
+        self._store([], ended)
+
+    def _note(self, event: Event, wall: float, now: float) -> None:
         self.counts["stored"] += 1
-        if event.camera not in self.cameras and len(self.cameras) >= self._limits.streams_max:
-            return
-        camera = self.cameras.setdefault(event.camera, {"events": 0, "newest": event.t})
-        camera["events"] += 1
-        camera["newest"] = max(camera["newest"], event.t)
+        self.cameras.note(event)
         if abs(event.t - wall) <= self._limits.future_seconds_max:
             newest = event.t if self._live is None else max(event.t, self._live[0])
-            self._live = (newest, wall)
+            self._live = (newest, wall, now)
 
     def _ack(self, now: float) -> None:
         if now < self._next_ack:
@@ -295,3 +363,5 @@ class Receiver:
             self._bus.put(f"ack/{camera}", Ack(camera, boot, self._stored[camera, boot]), "ack")
             self._beat()  # a put onto a dead link blocks for seconds
         self._dirty.clear()
+        for key in self.streams.forgotten():
+            self._stored.pop(key, None)

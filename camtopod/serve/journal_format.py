@@ -1,0 +1,83 @@
+"""The tables of the journal, and how those of an older program become them.
+
+Every row ends with a checksum of its other columns, as SQLite does not notice a flipped bit in a value.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import zlib
+
+from camtopod.serve.database import StateError, crc
+
+FORMAT = 2
+"""Of the tables; an older one is migrated, a newer one refused."""
+
+DAMAGED = -1
+"""No row's checksum: given to rows that were damaged already."""
+
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS entry (
+    id INTEGER PRIMARY KEY, stored INTEGER NOT NULL, kind TEXT NOT NULL, camera TEXT NOT NULL, boot TEXT, seq INTEGER,
+    raw BLOB NOT NULL, crc INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS stream (
+    camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL, entry INTEGER NOT NULL, crc INTEGER NOT NULL,
+    PRIMARY KEY (camera, boot)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS version (
+    id INTEGER PRIMARY KEY, epoch TEXT NOT NULL, version INTEGER NOT NULL, stored INTEGER NOT NULL,
+    digest TEXT NOT NULL, size INTEGER NOT NULL, content BLOB NOT NULL, crc INTEGER NOT NULL);
+CREATE UNIQUE INDEX IF NOT EXISTS version_of_epoch ON version (epoch, version);
+CREATE TABLE IF NOT EXISTS snapshot (
+    position INTEGER PRIMARY KEY, epoch TEXT NOT NULL, stored INTEGER NOT NULL, state BLOB NOT NULL,
+    crc INTEGER NOT NULL)
+"""
+"""``stored``: when, Unix seconds. ``stream``: the highest seq of each (camera, boot) and the entry it is in.
+``content``: the topology, packed; empty if only its digest is known. ``position``: the last entry that the state of
+the learner has in it."""
+
+
+def prepare(database: sqlite3.Connection) -> None:
+    """Bring the tables of an older program up to date. Raises `StateError` for those of a newer one."""
+    tables = {name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+    if "meta" not in tables:
+        return
+    row = database.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
+    found = None if row is None else str(row[0])
+    if found == "1":
+        _from_1(database)
+    elif found != str(FORMAT):
+        raise StateError(f"the journal has format {found}, this program {FORMAT}: use the one that wrote it")
+
+
+def meta_row(key: str, value: str) -> tuple[str, str, int]:
+    """A row of ``meta``."""
+    return key, value, crc(key, value)
+
+
+def _from_1(database: sqlite3.Connection) -> None:
+    """Format 1 had no times, kept every entry, and of versions the digests of the current epoch."""
+    for table in ("meta", "entry", "version"):
+        database.execute(f"ALTER TABLE {table} RENAME TO old_{table}")
+    database.execute("DROP INDEX entry_stream")
+    for statement in SCHEMA.split(";"):
+        database.execute(statement)
+    meta = dict(database.execute("SELECT key, value FROM old_meta")) | {"format": str(FORMAT)}
+    database.executemany("INSERT INTO meta VALUES (?, ?, ?)", [meta_row(*item) for item in meta.items()])
+    entries = database.execute("SELECT * FROM old_entry ORDER BY id")
+    database.executemany(
+        "INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        (
+            (*row[:1], 0, *row[1:6], crc(row[0], 0, *row[1:6]) if zlib.crc32(row[5]) == row[6] else DAMAGED)
+            for row in entries
+        ),
+    )
+    newest = database.execute(
+        "SELECT camera, boot, MAX(seq), MAX(id) FROM entry WHERE boot IS NOT NULL GROUP BY camera, boot"
+    ).fetchall()
+    database.executemany("INSERT INTO stream VALUES (?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in newest])
+    digests = database.execute("SELECT version, digest FROM old_version ORDER BY version").fetchall()
+    rows = [(n, meta.get("epoch", ""), version, 0, digest, 0, b"") for n, (version, digest) in enumerate(digests, 1)]
+    database.executemany("INSERT INTO version VALUES (?, ?, ?, ?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in rows])
+    for table in ("meta", "entry", "version"):
+        database.execute(f"DROP TABLE old_{table}")
