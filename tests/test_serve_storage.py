@@ -1,4 +1,4 @@
-"""The journal and the spool: what is committed stays, once, in order, and damage is noticed."""
+"""The spool: what is committed stays, once, in order, and damage is noticed."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from serving import Failing
 
 from camtopod import codec
 from camtopod.records import Event
 from camtopod.serve.database import StateError
-from camtopod.serve.journal import Entry, Journal
+from camtopod.serve.journal import Entry, Journal, StoredVersion
 from camtopod.serve.spool import Spool
-
-
-def entry(number: int) -> Entry:
-    return Entry("event", "lobby", "b1", number, f"raw {number}".encode())
 
 
 def event(number: int, camera: str = "lobby") -> Event:
@@ -24,112 +21,10 @@ def event(number: int, camera: str = "lobby") -> Event:
 
 
 @pytest.fixture
-def journal(tmp_path: Path) -> Iterator[Journal]:
-    one = Journal(tmp_path)
-    yield one
-    one.close()
-
-
-@pytest.fixture
 def spool(tmp_path: Path) -> Iterator[Spool]:
     one = Spool(tmp_path / "spool.db", "boot-1", events_max=1000)
     yield one
     one.close()
-
-
-# --- journal --------------------------------------------------------------------------------------
-
-
-def test_the_journal_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: Path) -> None:
-    journal.commit([entry(1), entry(2)])
-    journal.commit([entry(3), Entry("advance", "", None, None, b"12.5")], [(1, "sha256:a")])
-    expected = [entry(1), entry(2), entry(3), Entry("advance", "", None, None, b"12.5")]
-    assert [one for _, one in journal.entries()] == expected
-    journal.close()
-    again = Journal(tmp_path)
-    assert [one for _, one in again.entries()] == expected
-    assert again.streams() == {("lobby", "b1"): 3}
-    assert again.versions() == {1: "sha256:a"}
-    assert len(again) == 4
-    again.close()
-
-
-def test_the_journal_writes_safely(journal: Journal, tmp_path: Path) -> None:
-    assert journal._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
-    assert journal._db.execute("PRAGMA synchronous").fetchone() == (2,)
-    assert journal._db.execute("PRAGMA wal_autocheckpoint").fetchone() == (200,)
-
-
-def test_a_directory_has_one_daemon(journal: Journal, tmp_path: Path) -> None:
-    with pytest.raises(StateError, match="held by another camtopod process"):
-        Journal(tmp_path)
-    journal.close()
-    Journal(tmp_path).close()
-
-
-def test_a_directory_that_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StateError, match="cannot write the state directory"):
-        Journal(tmp_path / "file" / "state")
-
-
-def test_a_damaged_entry_is_noticed_and_left_where_it_is(journal: Journal) -> None:
-    journal.commit([entry(1), entry(2), entry(3)])
-    journal._db.execute("UPDATE entry SET raw = x'00' WHERE id = 2")
-    assert [one for _, one in journal.entries()] == [entry(1), None, entry(3)]
-    assert len(list(journal.entries())) == 3
-
-
-def test_a_file_that_is_no_database_is_refused_not_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "journal.db").write_bytes(b"something else" * 100)
-    with pytest.raises(StateError, match="it is left as it is"):
-        Journal(tmp_path)
-    assert (tmp_path / "journal.db").read_bytes() == b"something else" * 100
-
-
-def test_another_format_is_refused(journal: Journal, tmp_path: Path) -> None:
-    journal.set_meta("format", "99")
-    journal.close()
-    with pytest.raises(StateError, match="has format 99"):
-        Journal(tmp_path)
-
-
-class Failing:
-    """A connection whose COMMIT raises once, before or after it took effect."""
-
-    def __init__(self, database: sqlite3.Connection, durable: bool) -> None:
-        self._database, self._durable, self._failed = database, durable, False
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._database, name)
-
-    def execute(self, statement: str, *parameters: object) -> object:
-        if statement == "COMMIT" and not self._failed:
-            self._failed = True
-            if self._durable:
-                self._database.execute(statement)
-            raise sqlite3.OperationalError("disk I/O error")
-        return self._database.execute(statement, *parameters)
-
-
-@pytest.mark.parametrize("durable", [False, True])
-def test_a_commit_that_raises_may_be_repeated(journal: Journal, durable: bool) -> None:
-    journal.commit([entry(1)])
-    journal._db = Failing(journal._db, durable)  # type: ignore[assignment]
-    with pytest.raises(sqlite3.OperationalError):
-        journal.commit([entry(2), entry(3)], [(1, "a")])
-    journal.commit([entry(2), entry(3)], [(1, "a")])
-    journal.commit([entry(4)])
-    assert [one for _, one in journal.entries()] == [entry(n) for n in (1, 2, 3, 4)]
-    assert journal.versions() == {1: "a"}
-
-
-def test_old_digests_are_forgotten(journal: Journal) -> None:
-    for version in range(1, 8):
-        journal.commit([], [(version, f"d{version}")])
-    assert journal.versions() == {5: "d5", 6: "d6", 7: "d7"}
-    journal.forget_versions()
-    assert journal.versions() == {}
 
 
 # --- spool ----------------------------------------------------------------------------------------
@@ -151,16 +46,17 @@ def test_what_is_acknowledged_is_gone_and_the_count_goes_on(spool: Spool, tmp_pa
     spool.append([event(n) for n in range(5)])
     spool.ack("lobby", "boot-1", 3)
     assert len(spool) == 2
-    assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [4, 5]
+    assert [seq for seq, _ in spool.batch("lobby", "boot-1", 4, 10).events] == [4, 5]
     spool.ack("lobby", "other boot", 99)
     spool.ack("lobby", "boot-1", 2)
     assert len(spool) == 2
     spool.ack("lobby", "boot-1", 5)
     spool.close()
     again = Spool(tmp_path / "spool.db", "boot-2", events_max=1000)
-    assert again.boot == "boot-1", "a spool keeps its boot, so that its count goes on"
+    assert again.boot == "boot-1", "a spool that was closed keeps its boot, so that its count goes on"
+    assert len(again) == 0
     assert again.append([event(6)])[0].seq == 6
-    assert again.batch("lobby", None, 0, 10).first == 6
+    assert again.batch("lobby", "boot-1", 6, 10).first == 6
     again.close()
 
 
@@ -168,8 +64,8 @@ def test_an_empty_spool_says_where_it_will_begin(spool: Spool) -> None:
     assert spool.batch("lobby", None, 0, 10).first == 1
     spool.append([event(1), event(2)])
     spool.ack("lobby", "boot-1", 2)
-    batch = spool.batch("lobby", "boot-1", 0, 10)
-    assert (batch.first, batch.events) == (3, [])
+    batch = spool.batch("lobby", "boot-1", 3, 10)
+    assert (batch.first, batch.events, batch.acked) == (3, [], 2)
 
 
 def test_batches_are_bounded_and_go_on(spool: Spool) -> None:
@@ -190,7 +86,8 @@ def test_an_event_with_its_own_boot_and_seq_keeps_them_and_is_spooled_once(spool
     assert len(spool) == 1
     spool.append([event(2)])
     assert [seq for seq, _ in spool.batch("lobby", "theirs", 0, 10).events] == [77]
-    assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [1]
+    assert [seq for seq, _ in spool.batch("lobby", "theirs", 0, 10).events] == [1], "by turns"
+    assert [seq for seq, _ in spool.batch("lobby", "theirs", 0, 10).events] == [77]
     assert spool.batch("lobby", "unknown", 5, 10).boot == "theirs", "the oldest that waits"
     spool.ack("lobby", "theirs", 77)
     assert len(spool) == 1

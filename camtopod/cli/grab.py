@@ -90,7 +90,7 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
     known = config.cameras.get(args.camera)
     if args.source is None and known is None:
         raise CommandError(f"camera {args.camera} has no SOURCE, and no configuration names it", exits.USAGE)
-    given = {name: getattr(args, name) for name in CameraSettings.__struct_fields__}
+    given = {name: getattr(args, name, None) for name in CameraSettings.__struct_fields__}
     given = {name: value for name, value in given.items() if value is not None}
     if given.get("speed", 1.0) <= 0:
         raise CommandError("--speed must be above 0", exits.USAGE)
@@ -130,7 +130,14 @@ def _to_bus(
     path = config.state_directory / f"spool-{args.camera}.db"
     with contextlib.ExitStack() as stack:
         try:
-            spool = Spool(path, clock.ulid(clock.wall()), config.limits.spool_events_max)
+            limits = config.limits
+            spool = Spool(
+                path,
+                clock.ulid(clock.wall()),
+                limits.spool_events_max,
+                limits.spool_bytes_max,
+                limits.spool_kept_events,
+            )
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         stack.callback(spool.close)

@@ -60,7 +60,14 @@ def run(args: argparse.Namespace) -> int:
             raise CommandError(str(error), exits.BUS) from None
         stack.callback(bus.close)
         try:
-            spool = Spool(path, clock.ulid(clock.wall()), config.limits.spool_events_max)
+            limits = config.limits
+            spool = Spool(
+                path,
+                clock.ulid(clock.wall()),
+                limits.spool_events_max,
+                limits.spool_bytes_max,
+                limits.spool_kept_events,
+            )
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         stack.callback(spool.close)

@@ -1,20 +1,48 @@
-"""A SQLite file that keeps what it has committed, through kill -9 and a power cut on a disk that flushes."""
+"""A SQLite file that keeps what it has committed, through kill -9 and a power cut on a disk that flushes.
+
+A damaged file is set aside, never deleted, and a new one is begun. SQLite itself notices little damage: a torn
+log reads as a shorter one, a flipped bit in a value as another value. So every row carries a `crc`, and a
+grabber remembers what was acknowledged (`camtopod.serve.spool`).
+"""
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import logging
 import os
 import sqlite3
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
+
+log = logging.getLogger(__name__)
+
+DAMAGED_FILES_MAX = 8
+"""Set aside beside one file; with more the disk is to be seen to before anything is begun anew."""
+SCAN_BYTES_MAX = 64 * 2**20
+"""Larger files are not scanned on opening, which may take a second for this much; their rows have their CRC."""
+
 _AUTOCHECKPOINT_PAGES = 200
+_LOG_BYTES_MAX = 2**20
+"""What the write-ahead log shrinks to after a transaction that made it larger."""
 _BUSY_SECONDS = 2.0
+_SIDE_FILES = ("-wal", "-journal")
+_SHAPE = """
+SELECT m.type, m.name, m.tbl_name, x.name, x.type, x."notnull", x.pk
+FROM sqlite_schema AS m LEFT JOIN pragma_table_xinfo(m.name) AS x ON m.type = 'table'
+WHERE m.name NOT LIKE 'sqlite_%' ORDER BY 2, 4
+"""
 
 
 class StateError(OSError):
     """The state directory cannot be written or is in use; ``str()`` says which and what to do."""
+
+
+class Damaged(StateError):
+    """The file is not what it was when it was written."""
 
 
 class Lock:
@@ -22,7 +50,7 @@ class Lock:
 
     def __init__(self, path: Path) -> None:
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            _make_directory(path.parent)
             self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         except OSError as error:
             raise StateError(
@@ -44,33 +72,94 @@ class Lock:
             self._fd = -1
 
 
-def connect(path: Path, schema: str) -> sqlite3.Connection:
+def crc(*columns: int | float | str | bytes | None) -> int:
+    """The checksum of a row: over all of its other columns."""
+    return zlib.crc32(msgspec.msgpack.encode(columns))
+
+
+def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None) -> sqlite3.Connection:
     """Open, or create with ``schema``, a database in WAL mode under synchronous=FULL.
 
-    Created under EXTRA, then switched: created under FULL, power cuts lost the table in half of the cases
-    measured. Transactions are explicit (``isolation_level=None``). Raises `StateError`.
+    ``prepare`` sees the file before the schema and in the same transaction, to migrate it or to raise
+    `StateError`. Created under EXTRA, then switched: created under FULL, power cuts lost the table in half of
+    the cases measured. Transactions are explicit (``isolation_level=None``). Raises `StateError`, `Damaged`.
     """
     try:
+        _make_private(path)
         database = sqlite3.connect(path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False)
         with contextlib.ExitStack() as undo:
             undo.callback(database.close)
             database.execute("PRAGMA synchronous=EXTRA")
-            database.executescript(f"BEGIN IMMEDIATE; {schema} COMMIT;")
-            database.execute("PRAGMA journal_mode=WAL")
-            database.execute("PRAGMA synchronous=FULL")
-            database.execute(f"PRAGMA wal_autocheckpoint={_AUTOCHECKPOINT_PAGES}")
-            database.execute("PRAGMA mmap_size=0")
-            mode = database.execute("PRAGMA journal_mode").fetchone()[0]
-            synchronous = database.execute("PRAGMA synchronous").fetchone()[0]
-            if (mode, synchronous) != ("wal", 2):
-                raise StateError(f"{path}: SQLite cannot write safely on this file system ({mode}, {synchronous})")
+            _scan(database, path)
+            with transaction(database):
+                if prepare is not None:
+                    prepare(database)
+                _create(database, schema)
+            _check_shape(database, schema, path)
+            _switch_to_wal(database, path)
             undo.pop_all()
             return database
     except sqlite3.Error as error:
+        if is_damage(error, path):
+            raise Damaged(f"{path} is damaged: {error}; it is left as it is") from None
         raise StateError(
             f"cannot use {path}: {error}; it is left as it is: "
             f"see whether the disk is full, or move the file away to start anew"
         ) from None
+    except StateError:
+        raise
+    except OSError as error:
+        raise StateError(f"cannot use {path}: {error.strerror}") from None
+
+
+def connect_or_begin_anew(
+    path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None
+) -> tuple[sqlite3.Connection, Path | None]:
+    """`connect`; if the file is damaged, it is set aside and another begun. Returns also where it is now."""
+    try:
+        return connect(path, schema, prepare), None
+    except Damaged as damage:
+        aside = set_aside(path)
+        log.error("%s; it is now %s and a new one is begun", damage, aside)
+        return connect(path, schema, prepare), aside
+
+
+def set_aside(path: Path) -> Path:
+    """Rename a database and its log; returns the new name. Raises `StateError` if there are too many already.
+
+    The log first: should the power go in between, an old log must not be taken for the new file's.
+    """
+    before = damaged_files(path)
+    if len(before) >= DAMAGED_FILES_MAX:
+        raise StateError(
+            f"{path} is damaged, and {len(before)} times before: see to the disk, and move those files away"
+        )
+    number = int(before[-1].name.rpartition("-")[2]) + 1 if before else 1
+    aside = path.with_name(f"{path.name}.damaged-{number}")
+    try:
+        for suffix in (*_SIDE_FILES, ""):
+            with contextlib.suppress(FileNotFoundError):
+                os.rename(f"{path}{suffix}", f"{aside}{suffix}")
+                _sync_directory(path.parent)
+        Path(f"{path}-shm").unlink(missing_ok=True)
+    except OSError as error:
+        raise StateError(f"{path} is damaged and cannot be set aside: {error.strerror}") from None
+    return aside
+
+
+def damaged_files(path: Path) -> list[Path]:
+    """What was set aside of ``path`` and is still there, the newest last."""
+    start = f"{path.name}.damaged-"
+    names = (one.name.removeprefix(start) for one in path.parent.glob(f"{start}*"))
+    return [path.with_name(f"{start}{number}") for number in sorted(int(name) for name in names if name.isdecimal())]
+
+
+def is_damage(error: sqlite3.Error, path: Path) -> bool:
+    """Whether ``error`` says that the content of ``path`` is wrong, not that the disk is full or the file busy."""
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    if code == sqlite3.SQLITE_READONLY:  # as a header that asks for a newer SQLite reads
+        return os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
+    return code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 @contextlib.contextmanager
@@ -80,7 +169,81 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
     try:
         yield
         database.execute("COMMIT")
-    except sqlite3.Error:
+    finally:
         if database.in_transaction:
             database.execute("ROLLBACK")
-        raise
+
+
+def _make_directory(directory: Path) -> None:
+    """So that nobody else can read it, and so that it is still there after a power cut."""
+    if not directory.is_dir():
+        _make_directory(directory.parent)
+        directory.mkdir(mode=0o700, exist_ok=True)
+        _sync_directory(directory.parent)
+
+
+def _sync_directory(directory: Path) -> None:
+    fd = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def _make_private(path: Path) -> None:
+    """SQLite gives the log and the shared memory the mode of the file."""
+    os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+    for suffix in ("", "-wal", "-shm"):
+        with contextlib.suppress(FileNotFoundError):
+            os.chmod(f"{path}{suffix}", 0o600)
+
+
+def _create(database: sqlite3.Connection, schema: str) -> None:
+    for statement in schema.split(";"):
+        database.execute(statement)
+
+
+def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
+    database.execute("PRAGMA journal_mode=WAL")
+    database.execute("PRAGMA synchronous=FULL")
+    database.execute(f"PRAGMA wal_autocheckpoint={_AUTOCHECKPOINT_PAGES}")
+    database.execute(f"PRAGMA journal_size_limit={_LOG_BYTES_MAX}")
+    database.execute("PRAGMA mmap_size=0")
+    mode = database.execute("PRAGMA journal_mode").fetchone()[0]
+    synchronous = database.execute("PRAGMA synchronous").fetchone()[0]
+    if (mode, synchronous) != ("wal", 2):
+        raise StateError(f"{path}: SQLite cannot write safely on this file system ({mode}, {synchronous})")
+
+
+def _scan(database: sqlite3.Connection, path: Path) -> None:
+    """Raises `Damaged` if pages, rows and indices do not hang together."""
+    pages = database.execute("PRAGMA page_count").fetchone()[0]
+    if pages * database.execute("PRAGMA page_size").fetchone()[0] <= SCAN_BYTES_MAX:
+        found = database.execute("PRAGMA integrity_check(1)").fetchone()[0]
+        if found != "ok":
+            raise Damaged(f"{path} is damaged: {found}; it is left as it is")
+
+
+def _check_shape(database: sqlite3.Connection, schema: str, path: Path) -> None:
+    """Raises `Damaged` if a table or an index is not as in ``schema``."""
+    with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as wanted:
+        _create(wanted, schema)
+        if not set(wanted.execute(_SHAPE)) <= set(database.execute(_SHAPE)):
+            raise Damaged(f"{path} is damaged: its tables are not those of this program; it is left as it is")
+
+
+def readable(path: Path, table: str, key: str) -> Iterator[tuple[int | float | str | bytes | None, ...]]:
+    """The rows of ``table`` that can still be read from a damaged file, which is not changed; some of them twice.
+
+    By rising ``key`` up to the first damaged page, then from the other end. Only a row's CRC says whether it is good.
+    """
+    try:
+        with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            for order in ("ASC", "DESC"):
+                try:
+                    yield from database.execute(f"SELECT * FROM {table} NOT INDEXED ORDER BY {key} {order}")
+                    return
+                except sqlite3.Error as error:
+                    log.info("reading %s of %s by %s %s: %s", table, path, key, order, error)
+    except sqlite3.Error as error:
+        log.info("opening %s: %s", path, error)

@@ -2,10 +2,15 @@
 
 What a put says is not believed; the daemon asks the spool for what it has not got. A spool has a ``boot`` of
 its own and counts each camera's events within it; an event that brings its own boot and seq keeps them.
+
+The newest acknowledged events stay for a while, and what was acknowledged is told with every answer: so a
+daemon whose journal came back shorter than it was notices, and gets them again.
 """
 
 from __future__ import annotations
 
+import logging
+import sqlite3
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,28 +20,27 @@ import msgspec
 from msgspec import Meta, Struct
 
 from camtopod import codec
+from camtopod.config import Limits
 from camtopod.records import CameraId, Event
-from camtopod.serve import database
+from camtopod.serve import database, spool_format
 
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS count (camera TEXT PRIMARY KEY, seq INTEGER NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS event (
-    id INTEGER PRIMARY KEY AUTOINCREMENT, camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL,
-    raw BLOB NOT NULL);
-CREATE UNIQUE INDEX IF NOT EXISTS event_stream ON event (camera, boot, seq);
-"""
-_INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw) VALUES (?, ?, ?, ?)"
+log = logging.getLogger(__name__)
+
+_DEFAULT = Limits()
+_INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw, crc) VALUES (?, ?, ?, ?, ?)"
 
 Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Stream = tuple[str, str]
+"""(camera, boot)."""
 
 
 class SpoolBatch(Struct, frozen=True):
-    """Events of one (camera, boot) that are not acknowledged, by rising seq; each as the bytes that were put.
+    """Events of one (camera, boot), by rising seq; each as the bytes that were put.
 
     ``first`` is the lowest seq of this boot that the spool still has or will give next: what is below it was
     acknowledged, or dropped because the spool was full (``dropped`` counts those, all cameras together).
-    ``more``: this boot has further ones.
+    ``more``: this boot has further ones. ``acked``: the highest seq of this boot that a daemon acknowledged;
+    one whose journal has less has lost it. None: nothing yet, or a grabber that does not say.
     """
 
     camera: CameraId
@@ -45,128 +49,283 @@ class SpoolBatch(Struct, frozen=True):
     dropped: int
     more: bool
     events: list[tuple[Seq, bytes]]
+    acked: Seq | None = None
 
 
 class Spool:
-    """A spool file, for one publishing process. Thread-safe. Raises `database.StateError` on opening."""
+    """A spool file, for one publishing process. Thread-safe. Raises `database.StateError` on opening.
 
-    def __init__(self, path: Path, boot: str, events_max: int) -> None:
+    At most ``events_max`` events and ``bytes_max`` bytes of file; of these at most ``kept_events_max`` that
+    are acknowledged. A damaged file is set aside, and what can be read of it goes on in the new one.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        boot: str,
+        events_max: int,
+        bytes_max: int = _DEFAULT.spool_bytes_max,
+        kept_events_max: int = _DEFAULT.spool_kept_events,
+    ) -> None:
         self._mutex = threading.Lock()
-        self._events_max = events_max
-        self._acked: dict[tuple[str, str], int] = {}
+        self._path = path
+        self._events_max, self._bytes_max, self._kept_max = events_max, bytes_max, kept_events_max
         self._lock = database.Lock(path.with_suffix(".lock"))
         try:
-            self._db = database.connect(path, _SCHEMA)
+            self._db, self.rescued = spool_format.open_file(path, boot)
+            """``rescued``: events read out of a damaged file on opening."""
+            self.boot = spool_format.meta(self._db, "boot")
+            """This spool's incarnation: the one given when its file was made, or after it was not closed."""
+            self._acked = spool_format.acked(self._db)
+            self._seqs = self._stored_seqs()
+            self._recount()
+        except sqlite3.Error as error:
+            self._lock.close()
+            raise database.StateError(f"cannot read {path}: {error}; it is left as it is") from None
         except database.StateError:
             self._lock.close()
             raise
-        self._db.execute("INSERT OR IGNORE INTO meta VALUES ('boot', ?)", (boot,))
-        self.boot = str(self._db.execute("SELECT value FROM meta WHERE key = 'boot'").fetchone()[0])
-        """This spool's incarnation: the one given when its file was made."""
-        self._seqs = dict(self._db.execute("SELECT camera, seq FROM count"))
-        self._held = self._count()
+        self._unwritten: set[Stream] = set()
+        self._damaged: set[int] = set()
         self._sure = True
-        self.dropped = 0
-        """Events dropped because the spool was full, since it was opened."""
+        self._asked_last = False
 
     def append(self, events: Sequence[Event]) -> list[Event]:
         """Store in one transaction; returns the events with boot and seq. Raises `sqlite3.Error`.
 
-        An event that is in the spool already (same camera, boot and seq) is stored once.
+        An event that is in the spool already (same camera, boot and seq) is stored once. After an error the
+        same call may be repeated: whether its events were durable after all is asked of the file.
         """
         with self._mutex:
-            seqs = dict(self._seqs)
-            numbered = []
-            for event in events:
-                if event.boot is None or event.seq is None:
-                    seq = seqs[event.camera] = seqs.get(event.camera, 0) + 1
-                    event = msgspec.structs.replace(event, boot=self.boot, seq=seq)
-                numbered.append(event)
-            rows = [(event.camera, event.boot, event.seq, codec.to_pack(event)) for event in numbered]
-            self._sure, sure = False, self._sure  # should this raise, its rows may be there or not
+            if not self._sure:
+                self._ask_the_file(self._number(events)[0])
+            numbered, seqs = self._number(events)
+            self._sure = False  # should this raise, its rows may be there or not
             with database.transaction(self._db):
-                stored = self._db.executemany(_INSERT, rows).rowcount
-                self._db.executemany(
-                    "INSERT OR REPLACE INTO count VALUES (?, ?)",
-                    [(event.camera, seqs[event.camera]) for event in numbered if event.camera in seqs],
-                )
-            self._seqs = seqs
-            self._held = self._held + stored if sure else self._count()
-            self._sure = True
-            self._drop_oldest()
+                for camera, boot in self._unwritten:
+                    spool_format.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
+                added = self._db.executemany(_INSERT, [_row(event) for event in numbered]).rowcount
+                for camera in seqs.keys() & {event.camera for event in numbered}:
+                    spool_format.set_row(self._db, "count", camera, seqs[camera])
+                forgotten, dropped = self._make_room(self._held + added)
+            self._seqs, self._sure = seqs, True
+            self._held += added - forgotten - dropped
+            self._kept -= forgotten
+            self.dropped += dropped
+            self._unwritten.clear()
+            if forgotten:
+                self._acked = spool_format.acked(self._db)
             return numbered
 
     def ack(self, camera: str, boot: str, seq: int) -> None:
-        """Everything of (camera, boot) up to ``seq`` is safe elsewhere: forget it."""
+        """Everything of (camera, boot) up to ``seq`` is safe elsewhere. Raises `sqlite3.Error`.
+
+        It is written with the next events, or on closing. Should it be lost before that, the daemon is told of
+        these events once more, and acknowledges them again.
+        """
         with self._mutex:
-            if seq <= self._acked.get((camera, boot), -1):
-                return
-            gone = self._db.execute(
-                "DELETE FROM event WHERE camera = ? AND boot = ? AND seq <= ?", (camera, boot, seq)
-            ).rowcount
-            self._held -= gone
-            if gone or boot == self.boot:
+            before = self._acked.get((camera, boot), -1)
+            newly = self._count("camera = ? AND boot = ? AND seq > ? AND seq <= ?", camera, boot, before, seq)
+            if newly:
+                self._kept += newly
                 self._acked[camera, boot] = seq
+                self._unwritten.add((camera, boot))
 
     def batch(self, camera: str, boot: str | None, from_seq: int, events_max: int) -> SpoolBatch:
-        """Events of ``camera`` from ``from_seq`` of ``boot`` on; if there are none, of the oldest other."""
+        """Events of ``camera`` from ``from_seq`` of ``boot`` on, acknowledged or not; if there are none, those
+        not acknowledged of the oldest other boot. Should there be both, by turns. No ``boot``: of the oldest.
+        """
         with self._mutex:
-            chosen, start = boot, from_seq
-            if boot is None or not self._has(camera, boot, from_seq):
-                row = self._db.execute(
-                    "SELECT boot FROM event WHERE camera = ? AND boot IS NOT ? ORDER BY id LIMIT 1",
-                    (camera, boot),
-                ).fetchone()
-                chosen, start = (row[0], -1) if row else (boot or self.boot, from_seq)
-            rows = self._db.execute(
-                "SELECT seq, raw FROM event WHERE camera = ? AND boot = ? AND seq >= ? ORDER BY seq LIMIT ?",
-                (camera, chosen, start, events_max + 1),
-            ).fetchall()
-            assert chosen is not None
+            chosen, start = self._choose(camera, boot, from_seq)
+            acked = self._acked.get((camera, chosen))
+            rows, more = self._good_rows(camera, chosen, start, events_max)
             return SpoolBatch(
                 camera=camera,
                 boot=chosen,
-                first=self._first(camera, chosen),
+                first=self._first(camera, chosen, -1 if acked is None or start <= acked else acked),
                 dropped=self.dropped,
-                more=len(rows) > events_max,
-                events=rows[:events_max],
+                more=more,
+                events=rows,
+                acked=acked,
             )
 
     def cameras(self) -> list[str]:
         """The cameras with events that are not acknowledged."""
         with self._mutex:
-            return [row[0] for row in self._db.execute("SELECT DISTINCT camera FROM event")]
+            cameras = self._db.execute("SELECT DISTINCT camera FROM event").fetchall()
+            return [camera for (camera,) in cameras if self._waiting(camera)]
+
+    def statistics(self) -> dict[str, int]:
+        """Counters for the status."""
+        with self._mutex:
+            return {
+                "unacknowledged": self._held - self._kept,
+                "kept": self._kept,
+                "dropped": self.dropped,
+                "damaged_events": len(self._damaged),
+                "damaged_files": len(database.damaged_files(self._path)),
+            }
 
     def __len__(self) -> int:
         """Events not acknowledged."""
         with self._mutex:
-            return self._held
+            return self._held - self._kept
 
     def close(self) -> None:
         """Close the file; what is in it stays for the next time."""
         with self._mutex:
+            try:
+                with database.transaction(self._db):
+                    for camera, boot in self._unwritten:
+                        spool_format.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
+                    spool_format.set_row(self._db, "meta", "closed", "yes")
+            except sqlite3.ProgrammingError:
+                pass  # closed already
+            except sqlite3.Error as error:
+                log.warning("the spool %s could not be closed properly: %s", self._path, error)
             self._db.close()
             self._lock.close()
 
-    def _count(self) -> int:
-        return int(self._db.execute("SELECT COUNT(*) FROM event").fetchone()[0])
+    def _number(self, events: Sequence[Event]) -> tuple[list[Event], dict[str, int]]:
+        """The events with boot and seq; and the highest seq given, by camera."""
+        seqs = dict(self._seqs)
+        numbered = []
+        for event in events:
+            if event.boot is None or event.seq is None:
+                seq = seqs[event.camera] = seqs.get(event.camera, 0) + 1
+                event = msgspec.structs.replace(event, boot=self.boot, seq=seq)
+            numbered.append(event)
+        return numbered, seqs
 
-    def _has(self, camera: str, boot: str, from_seq: int) -> bool:
+    def _ask_the_file(self, again: list[Event]) -> None:
+        """After an error: what it did store, if it is not ``again`` the same, keeps its numbers."""
+        given = {_row(event) for event in again}
+        for camera, last in self._stored_seqs().items():
+            ahead = self._db.execute(
+                "SELECT camera, boot, seq, raw, crc FROM event WHERE camera = ? AND boot = ? AND seq > ?",
+                (camera, self.boot, self._seqs.get(camera, 0)),
+            )
+            if not given.issuperset(ahead):
+                self._seqs[camera] = last
+        self._recount()
+
+    def _make_room(self, held: int) -> tuple[int, int]:
+        """Within a transaction; returns how many acknowledged and how many other events were deleted."""
+        surplus = 0 if self._kept <= self._kept_max * 9 // 8 else self._kept - self._kept_max
+        forgotten = self._forget(surplus)
+        surplus = max(self._surplus(held - forgotten), 0)
+        forgotten += self._forget(min(surplus, self._kept - forgotten))
+        dropped = max(self._surplus(held - forgotten), 0) if surplus else 0
+        if dropped:
+            self._db.execute("DELETE FROM event WHERE id IN (SELECT id FROM event ORDER BY id LIMIT ?)", (dropped,))
+            spool_format.set_row(self._db, "meta", "dropped", str(self.dropped + dropped))
+        return forgotten, dropped
+
+    def _forget(self, count: int) -> int:
+        """Delete the oldest acknowledged events, at most ``count``."""
+        if count <= 0:
+            return 0
+        gone = self._db.execute(
+            "DELETE FROM event WHERE id IN (SELECT event.id FROM event JOIN acked USING (camera, boot)"
+            " WHERE event.seq <= acked.seq ORDER BY event.id LIMIT ?)",
+            (count,),
+        ).rowcount
+        self._db.execute(
+            "DELETE FROM acked WHERE boot != ? AND NOT EXISTS"
+            " (SELECT 1 FROM event WHERE event.camera = acked.camera AND event.boot = acked.boot)",
+            (self.boot,),
+        )
+        return gone
+
+    def _surplus(self, held: int) -> int:
+        """How many events there are too many, or so many that the file is too large."""
+        pages, free, size = (
+            self._db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
+        )
+        used = (pages - free) * size
+        too_large = -(-held * (used - self._bytes_max) // used) if used > self._bytes_max else 0
+        return min(held, max(held - self._events_max, too_large))
+
+    def _choose(self, camera: str, boot: str | None, from_seq: int) -> tuple[str, int]:
+        """Which boot to answer from, and from which seq on."""
+        if boot is None:
+            ages = [(self._oldest(camera, one, -1), one) for one in self._boots(camera)]
+            return min(ages)[1] if ages else self.boot, -1
+        others = [one for one in self._waiting(camera) if one != boot]
+        mine = self._oldest(camera, boot, from_seq - 1) is not None
+        self._asked_last = mine and not (others and self._asked_last)
+        if self._asked_last or not others:
+            return boot, from_seq
+        return others[0], self._acked.get((camera, others[0]), -1) + 1
+
+    def _waiting(self, camera: str) -> list[str]:
+        """The boots with events of ``camera`` that are not acknowledged, the oldest first."""
+        found = []
+        for boot in self._boots(camera):
+            oldest = self._oldest(camera, boot, self._acked.get((camera, boot), -1))
+            if oldest is not None:
+                found.append((oldest, boot))
+        return [boot for _, boot in sorted(found)]
+
+    def _boots(self, camera: str) -> list[str]:
+        """Those with events of ``camera``; each found by a step in the index."""
+        boots: list[str] = []
+        following = "SELECT MIN(boot) FROM event WHERE camera = ? AND boot >= ''"
+        while (boot := self._db.execute(following, (camera, *boots[-1:])).fetchone()[0]) is not None:
+            boots.append(boot)
+            following = "SELECT MIN(boot) FROM event WHERE camera = ? AND boot > ?"
+        return boots
+
+    def _oldest(self, camera: str, boot: str, after_seq: int) -> int | None:
+        """The id of the first event after ``after_seq``."""
         row = self._db.execute(
-            "SELECT 1 FROM event WHERE camera = ? AND boot = ? AND seq >= ? LIMIT 1", (camera, boot, from_seq)
+            "SELECT id FROM event WHERE camera = ? AND boot = ? AND seq > ? ORDER BY seq LIMIT 1",
+            (camera, boot, after_seq),
         ).fetchone()
-        return row is not None
+        return None if row is None else int(row[0])
 
-    def _first(self, camera: str, boot: str) -> int:
-        row = self._db.execute("SELECT MIN(seq) FROM event WHERE camera = ? AND boot = ?", (camera, boot)).fetchone()
+    def _first(self, camera: str, boot: str, after_seq: int) -> int:
+        """The lowest seq after ``after_seq`` that is here or will be given next."""
+        row = self._db.execute(
+            "SELECT MIN(seq) FROM event WHERE camera = ? AND boot = ? AND seq > ?", (camera, boot, after_seq)
+        ).fetchone()
         if row[0] is not None:
             return int(row[0])
         known = self._acked.get((camera, boot), -1)
         return 1 + (max(known, self._seqs.get(camera, 0)) if boot == self.boot else known)
 
-    def _drop_oldest(self) -> None:
-        surplus = self._held - self._events_max
-        if surplus > 0:
-            self._db.execute("DELETE FROM event WHERE id IN (SELECT id FROM event ORDER BY id LIMIT ?)", (surplus,))
-            self._held -= surplus
-            self.dropped += surplus
+    def _good_rows(self, camera: str, boot: str, start: int, events_max: int) -> tuple[list[tuple[int, bytes]], bool]:
+        """At most ``events_max`` events that are as they were stored; and whether there are more."""
+        rows: list[tuple[int, bytes]] = []
+        for id_, *row in self._db.execute(
+            "SELECT id, camera, boot, seq, raw, crc FROM event WHERE camera = ? AND boot = ? AND seq >= ? ORDER BY seq",
+            (camera, boot, start),
+        ):
+            if database.crc(*row[:-1]) != row[-1]:
+                if id_ not in self._damaged:
+                    self._damaged.add(id_)
+                    log.error("event %s of camera %s in the spool %s is damaged", row[2], camera, self._path)
+            elif len(rows) == events_max:
+                return rows, True
+            else:
+                rows.append((row[2], row[3]))
+        return rows, False
+
+    def _stored_seqs(self) -> dict[str, int]:
+        return dict(self._db.execute("SELECT camera, seq FROM count"))
+
+    def _recount(self) -> None:
+        self._held = self._count("TRUE")
+        self._kept = sum(
+            self._count("camera = ? AND boot = ? AND seq <= ?", *stream, seq) for stream, seq in self._acked.items()
+        )
+        self.dropped = int(spool_format.meta(self._db, "dropped"))
+        """Events dropped because the spool was full, since its file was made."""
+
+    def _count(self, where: str, *parameters: str | int) -> int:
+        return int(self._db.execute(f"SELECT COUNT(*) FROM event WHERE {where}", parameters).fetchone()[0])
+
+
+def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
+    raw = codec.to_pack(event)
+    return event.camera, event.boot, event.seq, raw, database.crc(event.camera, event.boot, event.seq, raw)

@@ -1,0 +1,133 @@
+"""The tables of a spool's file: made, migrated, checked, and read out of a damaged file."""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+from pathlib import Path
+
+from camtopod.serve import database
+
+log = logging.getLogger(__name__)
+
+FORMAT = 2
+"""Of the tables; an older one is migrated, a newer one refused."""
+
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS count (camera TEXT PRIMARY KEY, seq INTEGER NOT NULL, crc INTEGER NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS acked (
+    camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL, crc INTEGER NOT NULL,
+    PRIMARY KEY (camera, boot)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS event (
+    id INTEGER PRIMARY KEY AUTOINCREMENT, camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL,
+    raw BLOB NOT NULL, crc INTEGER NOT NULL);
+CREATE UNIQUE INDEX IF NOT EXISTS event_stream ON event (camera, boot, seq)
+"""
+_SMALL_TABLES = ("meta", "count", "acked")
+
+
+def open_file(path: Path, boot: str) -> tuple[sqlite3.Connection, int]:
+    """Open or make a spool's file; returns also how many events were read out of a damaged one just now.
+
+    ``boot`` has to be new: it is that of a new file, and of one that was not closed. How much of its count was
+    lost with its last writes nobody can know, and a seq that is given twice is an event lost. Raises
+    `database.StateError`.
+    """
+    connection, _ = database.connect_or_begin_anew(path, SCHEMA, _prepare)
+    rescued = 0
+    try:
+        with database.transaction(connection):
+            known = {"dropped": "0", "rescued": ""} | dict(connection.execute("SELECT key, value FROM meta"))
+            for aside in database.damaged_files(path)[-1:]:
+                if known["rescued"] != aside.name:
+                    rescued = _rescue(connection, aside)
+                    log.error("%d events were read out of the damaged spool %s", rescued, aside)
+                    known["rescued"] = aside.name
+            if known.get("closed") != "yes" and known.get("boot") != boot:
+                connection.execute("DELETE FROM count")
+                known["boot"] = boot
+            for key, value in (known | {"format": str(FORMAT), "closed": "no"}).items():
+                set_row(connection, "meta", key, value)
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection, rescued
+
+
+def meta(connection: sqlite3.Connection, key: str) -> str:
+    """A value of the table ``meta``."""
+    return str(connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()[0])
+
+
+def acked(connection: sqlite3.Connection) -> dict[tuple[str, str], int]:
+    """The highest acknowledged seq of each (camera, boot)."""
+    return {(camera, boot): seq for camera, boot, seq in connection.execute("SELECT camera, boot, seq FROM acked")}
+
+
+def set_row(connection: sqlite3.Connection, table: str, *columns: str | int) -> None:
+    """Insert or replace a row of one of the small tables."""
+    marks = "?, " * len(columns)
+    connection.execute(f"INSERT OR REPLACE INTO {table} VALUES ({marks}?)", (*columns, database.crc(*columns)))
+
+
+def _prepare(connection: sqlite3.Connection) -> None:
+    """Check what is there, and bring it up to this format. Raises `database.StateError`."""
+    names = {row[0] for row in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+    if not names:
+        return
+    columns = {row[0] for row in connection.execute("SELECT name FROM pragma_table_info('meta')")}
+    if columns == {"key", "value"}:
+        _from_format_1(connection)
+        return
+    if "crc" not in columns:
+        raise database.Damaged("the spool has no table meta")
+    _check(connection, "meta")
+    found = connection.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
+    if found is None:
+        if connection.execute("SELECT COUNT(*) FROM meta").fetchone()[0]:
+            raise database.Damaged("the spool does not say which format it has")
+    elif int(found[0]) > FORMAT:
+        raise database.StateError(
+            f"the spool has format {found[0]}, this program {FORMAT}: use the one that wrote it, or move the file away"
+        )
+    for table in _SMALL_TABLES:
+        _check(connection, table)
+
+
+def _check(connection: sqlite3.Connection, table: str) -> None:
+    for *columns, crc in connection.execute(f"SELECT * FROM {table}"):
+        if database.crc(*columns) != crc:
+            raise database.Damaged(f"a row of the spool's table {table} is damaged")
+
+
+def _from_format_1(connection: sqlite3.Connection) -> None:
+    """No checksums, and nothing acknowledged was kept."""
+    tables = ("meta", "count", "event")
+    connection.execute("DROP INDEX event_stream")
+    for table in tables:
+        connection.execute(f"ALTER TABLE {table} RENAME TO {table}_1")
+    for statement in SCHEMA.split(";"):
+        connection.execute(statement)
+    for key, value in connection.execute("SELECT key, value FROM meta_1").fetchall():
+        set_row(connection, "meta", key, value)
+    for camera, seq in connection.execute("SELECT camera, seq FROM count_1").fetchall():
+        set_row(connection, "count", camera, seq)
+    connection.executemany(
+        "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?)",
+        ((*row, database.crc(*row[1:])) for row in connection.execute("SELECT * FROM event_1 ORDER BY id")),
+    )
+    for table in tables:
+        connection.execute(f"DROP TABLE {table}_1")
+
+
+def _rescue(connection: sqlite3.Connection, aside: Path) -> int:
+    """Take over what is good in a damaged file; returns how many events."""
+    events = 0
+    for row in database.readable(aside, "event", "id"):
+        if len(row) == 6 and database.crc(*row[1:-1]) == row[-1]:
+            events += connection.execute("INSERT OR IGNORE INTO event VALUES (?, ?, ?, ?, ?, ?)", row).rowcount
+    for row in database.readable(aside, "acked", "camera"):
+        if len(row) == 4 and database.crc(*row[:-1]) == row[-1]:
+            connection.execute("INSERT OR REPLACE INTO acked VALUES (?, ?, ?, ?)", row)
+    return events
