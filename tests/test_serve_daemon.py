@@ -23,6 +23,7 @@ from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus, BusError, QueryError
 from camtopod.serve.clock import ulid
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.database import crc
 from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
@@ -262,6 +263,9 @@ def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
     acks: list[Ack] = []
     bus.subscribe("ack/lobby", lambda key, raw: acks.append(codec.read(Ack, raw, pack=True)))
     put(bus, first, wild, third)
+    wait_for(lambda: daemon.status()["events"]["early"] == 1, "the third to wait for its time")
+    stored(daemon, 1)
+    site.now += 50
     stored(daemon, 2)
     assert daemon.status()["events"]["future"] == 1
     wait_for(
@@ -336,7 +340,8 @@ def test_poison_in_a_spool_does_not_stop_the_stream(site: Site) -> None:
     publisher, spool = site.publisher(site.client(daemon))
     good = numbered([Event("lobby", "entry", T0 + n) for n in range(4)], spool.boot)
     spool.append([Event("lobby", "entry", event.t) for event in good])
-    spool._db.execute("UPDATE event SET raw = x'c1ff' WHERE seq = 2")
+    row = ("lobby", spool.boot, 2, b"\xc1\xff")
+    spool._db.execute("UPDATE event SET raw = ?, crc = ? WHERE seq = 2", (row[3], crc(*row)))
     publisher.attach(site.client(daemon), ["lobby"])
     assert publisher.drained(20)
     stored(daemon, 3)

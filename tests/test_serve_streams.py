@@ -10,8 +10,10 @@ from camtopod.serve.streams import Streams
 KEY = ("lobby", "b1")
 
 
-def streams(held: int = 100, streams_max: int = 10, stored: dict[tuple[str, str], int] | None = None) -> Streams[int]:
-    return Streams(stored or {}, held, streams_max)
+def streams(
+    held: int = 100, streams_max: int = 10, stored: dict[tuple[str, str], int] | None = None, boots_max: int = 4
+) -> Streams[int]:
+    return Streams(stored or {}, held, streams_max, boots_max)
 
 
 def test_in_order_is_ready_at_once_and_a_repetition_is_a_duplicate() -> None:
@@ -43,7 +45,7 @@ def test_a_gap_is_waited_for_while_a_spool_may_fill_it() -> None:
     assert order.offer(KEY, 3, 3, 1.0) == ("held", [])
     assert order.gaps == {"lobby"}
     assert order.give_up(1000.0, 5.0, has_spool={"lobby"}) == []
-    order.answered(KEY, asked_from=2)
+    order.answered(KEY, 2, [3], more=False)
     assert order.give_up(5.9, 5.0, has_spool={"lobby"}) == []
     assert order.give_up(6.0, 5.0, has_spool={"lobby"}) == [3]
     assert order.lost == 1
@@ -63,9 +65,9 @@ def test_without_a_spool_a_gap_is_given_up_after_a_while() -> None:
 def test_an_answer_to_another_question_does_not_end_the_waiting() -> None:
     order = streams(stored={KEY: 4})
     order.offer(KEY, 7, 7, 0.0)
-    order.answered(KEY, asked_from=6)  # asked before it was known what is missing
+    order.answered(KEY, 6, [7], more=False)  # asked before it was known what is missing
     assert order.give_up(100.0, 5.0, has_spool={"lobby"}) == []
-    order.answered(KEY, asked_from=5)
+    order.answered(KEY, 5, [7], more=False)
     assert order.give_up(100.0, 5.0, has_spool={"lobby"}) == [7]
 
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 Clock = Callable[[], float]
-"""Seconds since the Unix epoch."""
+"""Seconds since the Unix epoch, or since whenever."""
 
 _CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 
@@ -15,6 +15,13 @@ _CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 def wall() -> float:
     """Seconds since the Unix epoch, now."""
     return time.time()
+
+
+def steady_beside(clock: Clock) -> Clock:
+    """The clock that measures how long something takes: it never steps. Whoever makes up the time (a simulation) makes
+    it up for both.
+    """
+    return time.monotonic if clock is wall else clock
 
 
 def ulid(now: float, after: str = "") -> str:

@@ -175,8 +175,15 @@ class Daemon:
             "epoch": self.epoch,
             "version": 0 if self.topology is None else self.topology.version,
             "t": self._clock(),
-            "events": {**receiver.counts, "lost": receiver.streams.lost, "waiting": learning.waiting},
+            "events": {
+                **receiver.counts,
+                "lost": receiver.streams.lost,
+                "waiting": learning.waiting,
+                "early": receiver.cameras.waiting,
+            },
             "rejects": dict(receiver.rejects.counts),
+            "reject_samples": receiver.rejects.samples(),
+            "dropped": receiver.dropped,
             "learner": learning.statistics,
             **self._live.counts,
             "score": None if self.topology is None else self.topology.score,
@@ -190,7 +197,7 @@ class Daemon:
             },
             "cameras": {
                 camera: {**counters, "alive": camera in self._puller.alive}
-                for camera, counters in sorted(receiver.cameras.copy().items())
+                for camera, counters in sorted(receiver.cameras.status().items())
             },
         }
 

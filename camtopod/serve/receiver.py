@@ -100,9 +100,7 @@ class Receiver:
         self._dirty: set[tuple[str, str]] = set(self._stored)
         self._next_ack = 0.0
         self._live: tuple[float, float, float] | None = None  # newest event time in step; wall and steady clock then
-        self.streams: Streams[Received] = Streams(
-            self._stored, limits.held_events_max, limits.streams_max, BOOTS_MAX
-        )
+        self.streams: Streams[Received] = Streams(self._stored, limits.held_events_max, limits.streams_max, BOOTS_MAX)
         for camera, _ in self._stored:
             self.cameras.admit(camera, self._steady())
         self.with_spool: set[str] = set()
@@ -167,7 +165,7 @@ class Receiver:
                 ready += self._pulled(message, wall, now)
             else:
                 ready += self._published(message, wall, now)
-        ready += self.streams.give_up(now, self._limits.gap_seconds, self.with_spool)
+        ready += self.streams.give_up(time.monotonic(), self._limits.gap_seconds, self.with_spool)
         ready = self._without_floods(self.cameras.in_time(ready, wall, now))
         ready += self._time_went_on(now)
         self._store(ready, stopping)
@@ -187,8 +185,9 @@ class Receiver:
             time.sleep(self._limits.commit_seconds)
         messages: list[Message | Pulled] = []
         while self._answers and room > 0:
-            messages.append(self._answers.popleft())
-            room -= len(messages[-1].batch.events)
+            answer = self._answers.popleft()
+            messages.append(answer)
+            room -= len(answer.batch.events)
         return messages + self._inbox.take(max(room, _QUANTUM_EVENTS))
 
     def _published(self, message: Message, wall: float, now: float) -> list[Received]:
@@ -207,7 +206,7 @@ class Receiver:
         received = self._judge(event, raw, wall, now, fresh=True)
         if event.boot is None or event.seq is None:
             return [received]
-        return self._order(camera, event.boot, event.seq, received, now)
+        return self._order(camera, event.boot, event.seq, received)
 
     def _pulled(self, pulled: Pulled, wall: float, now: float) -> list[Received]:
         batch = pulled.batch
@@ -215,7 +214,7 @@ class Receiver:
         if not self._admitted(batch.camera, now, b""):
             return []
         self._notice_loss(batch)
-        ready = self.streams.begins_at(key, batch.first, now)
+        ready = self.streams.begins_at(key, batch.first, time.monotonic())
         for seq, raw in batch.events:
             received = Received(Entry("refused", batch.camera, batch.boot, seq, raw[: codec.EVENT_BYTES_MAX]))
             try:
@@ -226,7 +225,7 @@ class Receiver:
                     self.rejects.add("wrong-camera", f"spool/{batch.camera}", "says another stream", raw)
             except codec.Rejected as error:
                 self.rejects.add(error.reason, f"spool/{batch.camera}", str(error), raw)
-            ready += self._order(batch.camera, batch.boot, seq, received, now)
+            ready += self._order(batch.camera, batch.boot, seq, received)
         seqs = [seq for seq, _ in batch.events]
         self.streams.answered(key, pulled.asked_from, seqs, batch.more, knows=batch.first > 0)
         if key in self._stored and batch.first <= self._stored[key] != batch.acked:
@@ -238,9 +237,12 @@ class Receiver:
         stored = self._stored.get((batch.camera, batch.boot), -1)
         missing = sum(stored < seq <= (batch.acked or 0) for seq, _ in batch.events)
         if missing:
+            if not self.counts["refilled"]:
+                log.error(
+                    "the journal has come back shorter than it was: what camera %s had stored after %d, and perhaps "
+                    "others', is filled in from the spools", batch.camera, stored,
+                )  # fmt: skip
             self.counts["refilled"] += missing
-            what = f"events after {stored} of {batch.boot} were acknowledged and are not in the journal; pulled again"
-            self.rejects.add("journal-shorter", f"spool/{batch.camera}", what)
 
     def _admitted(self, camera: str, now: float, raw: bytes) -> bool:
         admitted = self.cameras.admit(camera, now)
@@ -255,11 +257,11 @@ class Receiver:
             return Received(Entry("future", event.camera, event.boot, event.seq, raw))
         return Received(Entry("event", event.camera, event.boot, event.seq, raw), event)
 
-    def _order(self, camera: str, boot: str, seq: int, received: Received, now: float) -> list[Received]:
+    def _order(self, camera: str, boot: str, seq: int, received: Received) -> list[Received]:
         if self.cameras.full(camera):
             self.counts["held_full"] += 1
             return []
-        verdict, ready = self.streams.offer((camera, boot), seq, received, now)
+        verdict, ready = self.streams.offer((camera, boot), seq, received, time.monotonic())
         if verdict == "duplicate":
             self.counts["duplicate"] += 1
         elif verdict == "dropped":

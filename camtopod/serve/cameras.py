@@ -1,0 +1,148 @@
+"""What is known of each camera that sends, and which of its events are to be believed.
+
+Clocks are not trusted. An event stamped far ahead of this machine's clock is set aside. One stamped a little ahead
+would make everybody else's late, as the learner's time is that of the newest event; so it, and what its camera sends
+after it, waits here until its time has come: a wild camera delays itself. When most cameras are ahead it is this
+machine's clock that is behind, and time is taken from them. A camera that has more events within a second than any
+view can show floods; what is too much is not learned.
+"""
+
+from __future__ import annotations
+
+import collections
+import statistics
+from typing import Any, NamedTuple
+
+from msgspec import Struct, field
+
+from camtopod.config import Limits
+from camtopod.records import Event
+from camtopod.serve.journal import Entry
+
+EARLY_SECONDS_MAX = 1.0
+"""An event this far ahead of the clock is taken at once; far below the lateness that the learner allows for."""
+LEADS_MIN = 3
+"""Cameras heard lately that have to agree before this machine's clock is doubted."""
+LEADS_SECONDS = 60.0
+"""Heard lately."""
+LOOK_SECONDS = 1.0
+"""How often it is asked again whether this machine's clock is behind."""
+FLOOD_SECONDS_KEPT = 128
+"""Seconds of event time in which a camera's events are counted."""
+IDLE_SECONDS = 3600.0
+"""When there are too many cameras, one silent for longer gives its place to another."""
+
+
+class Received(NamedTuple):
+    """On its way into the journal: an event (none if it is not to be learned) or an advance of event time."""
+
+    entry: Entry
+    event: Event | None = None
+    advance: float | None = None
+
+
+class Camera(Struct):
+    """``lead``: seconds its newest event was ahead of the clock on arrival; ``heard``: when that was (steady)."""
+
+    heard: float
+    lead: float = 0.0
+    events: int = 0
+    newest: float = 0.0
+    seconds: dict[int, int] = field(default_factory=dict)
+    waiting: collections.deque[tuple[float, Received]] = field(default_factory=collections.deque)
+
+
+class Cameras:
+    """At most ``limits.cameras_max``. ``now`` is always of a clock that never steps, ``wall`` is seconds since 1970."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self._cameras: dict[str, Camera] = {}
+        self._waiting: set[str] = set()
+        self._next_look = 0.0
+        self.clock_behind = 0.0
+        """Seconds by which most cameras are ahead of this machine's clock."""
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._cameras
+
+    def admit(self, name: str, now: float) -> bool:
+        """Whether there is room for this camera; it has a place from now on."""
+        camera = self._cameras.get(name)
+        if camera is not None:
+            return True
+        if len(self._cameras) >= self.limits.cameras_max:
+            silent = min(self._cameras, key=lambda other: self._cameras[other].heard)
+            if now - self._cameras[silent].heard < IDLE_SECONDS or silent in self._waiting:
+                return False
+            del self._cameras[silent]
+        self._cameras[name] = Camera(now)
+        return True
+
+    def is_future(self, event: Event, wall: float, now: float, fresh: bool) -> bool:
+        """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too far ahead to be
+        believed.
+        """
+        camera = self._cameras[event.camera]
+        if fresh:
+            camera.lead, camera.heard = event.t - wall, now
+        if now >= self._next_look:
+            self._next_look = now + LOOK_SECONDS
+            leads = [one.lead for one in self._cameras.values() if now - one.heard <= LEADS_SECONDS]
+            self.clock_behind = max(0.0, statistics.median_low(leads)) if len(leads) >= LEADS_MIN else 0.0
+        return event.t - wall > self.clock_behind + self.limits.future_seconds_max
+
+    def is_flood(self, event: Event) -> bool:
+        """Whether its camera has had too many events in this second; counts it if not."""
+        seconds = self._cameras[event.camera].seconds
+        second = int(event.t)
+        count = seconds.get(second, 0)
+        if count >= self.limits.camera_events_per_second_max:
+            return True
+        seconds[second] = count + 1
+        if len(seconds) > FLOOD_SECONDS_KEPT:
+            del seconds[next(iter(seconds))]
+        return False
+
+    def full(self, name: str) -> bool:
+        """Whether no more of this camera's events can wait for their time."""
+        return len(self._cameras[name].waiting) >= self.limits.held_events_max
+
+    def in_time(self, ready: list[Received], wall: float, now: float) -> list[Received]:
+        """Those whose time has come, of these and of what waits; in order for each camera."""
+        due = [received for name in sorted(self._waiting) for received in self._due(name, now)]
+        wall += self.clock_behind
+        for received in ready:
+            camera, event = self._cameras[received.entry.camera], received.event
+            early = 0.0 if event is None else event.t - wall - EARLY_SECONDS_MAX
+            if early > 0.0 or camera.waiting:
+                camera.waiting.append((now + early, received))
+                self._waiting.add(received.entry.camera)
+            else:
+                due.append(received)
+        return due
+
+    def note(self, event: Event) -> None:
+        """It is stored."""
+        camera = self._cameras[event.camera]
+        camera.newest = max(camera.newest, event.t) if camera.events else event.t
+        camera.events += 1
+
+    @property
+    def waiting(self) -> int:
+        """Events that wait for their time."""
+        return sum(len(self._cameras[name].waiting) for name in self._waiting.copy())
+
+    def status(self) -> dict[str, dict[str, Any]]:
+        """For each camera what the status says. Any thread."""
+        cameras = self._cameras.copy()
+        return {name: {"events": one.events, "newest": one.newest} for name, one in cameras.items() if one.events}
+
+    def _due(self, name: str, now: float) -> list[Received]:
+        waiting = self._cameras[name].waiting
+        due = []
+        while waiting and waiting[0][0] <= now:
+            due.append(waiting.popleft()[1])
+        if not waiting:
+            self._waiting.discard(name)
+        return due
