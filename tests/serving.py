@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import sqlite3
 import subprocess
 import sys
 import time
@@ -75,3 +76,21 @@ def camtopod(*arguments: str, **popen: object) -> subprocess.Popen[bytes]:
     """The program in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
     return subprocess.Popen([sys.executable, "-m", "camtopod", *arguments], env=environment, **popen)  # type: ignore[call-overload]
+
+
+class Failing:
+    """A connection whose COMMIT raises once, before or after it took effect."""
+
+    def __init__(self, database: sqlite3.Connection, durable: bool) -> None:
+        self._database, self._durable, self._failed = database, durable, False
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._database, name)
+
+    def execute(self, statement: str, *parameters: object) -> object:
+        if statement == "COMMIT" and not self._failed:
+            self._failed = True
+            if self._durable:
+                self._database.execute(statement)
+            raise sqlite3.OperationalError("disk I/O error")
+        return self._database.execute(statement, *parameters)

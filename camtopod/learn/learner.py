@@ -137,9 +137,14 @@ class Learner:
         self._learned, self._since_fit = state.learned, state.since_fit
 
     def begin_epoch(self, epoch: str) -> None:
-        """What is known stays; versions count from 1 again, the first as soon as there is a new event."""
+        """What is known stays; versions count from 1 again."""
         self.epoch, self.topology, self._fitted_us = epoch, None, None
         self._alarms.newest = []
+
+    def refresh(self) -> None:
+        """Make the first version of the epoch of what is known already, if anything is."""
+        if self.topology is None and self._done_us is not None and len(self._window):
+            self._refit(self._done_us)
 
     def next_deadline(self) -> float | None:
         """Event time (seconds) to which `advance` would have to go for something to happen; None: nothing waits."""

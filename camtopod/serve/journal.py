@@ -10,6 +10,7 @@ What is older than the retention and than both snapshots is forgotten.
 from __future__ import annotations
 
 import logging
+import math
 import sqlite3
 import threading
 import zlib
@@ -137,7 +138,7 @@ class Journal:
             too_large = (pages - free) * size > keep.journal_bytes_max
             first = self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0]
             until = min(first + PRUNED_ROWS_MAX, oldest + 1)
-            kept_from = now if too_large else now - keep.journal_days * DAY_SECONDS
+            kept_from = math.inf if too_large else now - keep.journal_days * DAY_SECONDS
             with database.transaction(self._db):
                 self._db.execute("DELETE FROM entry WHERE id < ? AND stored < ?", (until, kept_from))
                 self._db.execute(

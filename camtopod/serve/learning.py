@@ -89,12 +89,14 @@ class Learning:
         """The learner as it is, for the next start; None if nothing has been learned since the last. Only while `work`
         does not run.
         """
-        if self.position == self._saved:
+        if self.position == self._saved and not self._due:
             return None
         return Snapshot(self.position, self.epoch, pack(self._learner.save()))
 
     def _catch_up(self, stopping: threading.Event, beat: Beat) -> None:
         begun = self.position
+        self._learner.refresh()
+        self._take_versions()
         for number, entry in self._journal.entries(after=begun, up_to=self._replay_until):
             if stopping.is_set():
                 return
@@ -135,8 +137,12 @@ class Learning:
             self._learner.receive(received.event)
         elif received.advance is not None:
             self._learner.advance(received.advance)
-        for topology in self._learner.updates():
-            self._hand_out(topology)
+        self._take_versions()
+
+    def _take_versions(self) -> None:
+        while made := self._learner.updates():
+            for topology in made:
+                self._hand_out(topology)
 
     def _hand_out(self, topology: Topology) -> None:
         """A version that is stored already must come out as it was; a new one is handed on."""
@@ -148,6 +154,7 @@ class Learning:
                 topology.version, self.epoch,
             )  # fmt: skip
             self._learner.begin_epoch(self.epoch)
+            self._learner.refresh()
             return
         delta = None if self._topology is None else make_delta(self._topology, topology)
         self._topology = topology

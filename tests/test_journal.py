@@ -1,0 +1,233 @@
+"""The journal: what is committed stays, once, in order; damage is noticed; what is old is forgotten, no more."""
+
+from __future__ import annotations
+
+import sqlite3
+import zlib
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from serving import Failing
+
+from camtopod.config import KeepSettings
+from camtopod.serve import journal as journals
+from camtopod.serve.database import StateError
+from camtopod.serve.journal import BOOTS_KEPT_MAX, DAY_SECONDS, Entry, Journal, Snapshot, StoredVersion
+
+OLD = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE entry (
+    id INTEGER PRIMARY KEY, kind TEXT NOT NULL, camera TEXT NOT NULL, boot TEXT, seq INTEGER,
+    raw BLOB NOT NULL, crc INTEGER NOT NULL);
+CREATE INDEX entry_stream ON entry (camera, boot, seq) WHERE boot IS NOT NULL;
+CREATE TABLE version (version INTEGER PRIMARY KEY, digest TEXT NOT NULL);
+INSERT INTO meta VALUES ('format', '1'), ('epoch', 'E');
+INSERT INTO version VALUES (1, 'd1'), (2, 'd2');
+"""
+"""A journal as the first format had it."""
+NOW = 1_700_000_000.0
+
+
+def entry(number: int, boot: str = "b1") -> Entry:
+    return Entry("event", "lobby", boot, number, f"raw {number}".encode())
+
+
+def version(number: int, content: bytes = b"{}", epoch: str = "E") -> StoredVersion:
+    return StoredVersion(epoch, number, f"d{number}", content)
+
+
+def kept(journal: Journal) -> list[int]:
+    return [number for number, _ in journal.entries()]
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    with closing(Journal(tmp_path)) as one:
+        yield one
+
+
+def test_it_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: Path) -> None:
+    journal.commit([entry(1), entry(2)])
+    journal.commit([entry(3), Entry("advance", "", None, None, b"12.5")], [version(1)], Snapshot(3, "E", b"state"))
+    expected = [entry(1), entry(2), entry(3), Entry("advance", "", None, None, b"12.5")]
+    assert [one for _, one in journal.entries()] == expected
+    journal.close()
+    with closing(Journal(tmp_path)) as again:
+        assert [one for _, one in again.entries()] == expected
+        assert [one for _, one in again.entries(after=1, up_to=3)] == expected[1:3]
+        assert again.streams() == {("lobby", "b1"): 3}
+        assert again.versions("E") == {1: "d1"}
+        assert again.version("E", 1) == again.version("E") == again.newest_version() == b"{}"
+        assert again.version("E", 2) is None
+        assert again.snapshots() == [Snapshot(3, "E", b"state")]
+        assert len(again) == 4
+
+
+def test_more_entries_than_are_read_at_a_time(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journals, "CHUNK_ENTRIES", 7)
+    journal.commit([entry(n) for n in range(1, 51)])
+    assert kept(journal) == list(range(1, 51))
+
+
+def test_a_directory_has_one_daemon(journal: Journal, tmp_path: Path) -> None:
+    with pytest.raises(StateError, match="held by another camtopod process"):
+        Journal(tmp_path)
+    journal.close()
+    Journal(tmp_path).close()
+
+
+def test_a_directory_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StateError, match="cannot write the state directory"):
+        Journal(tmp_path / "file" / "state")
+
+
+def test_a_version_has_one_content(journal: Journal) -> None:
+    journal.commit([], [version(1, b"one")])
+    journal.commit([], [StoredVersion("E", 1, "other", b"two")])
+    assert (journal.versions("E"), journal.version("E", 1)) == ({1: "d1"}, b"one")
+    journal.commit([], [version(1, b"anew", epoch="F")])
+    assert journal.newest_version() == b"anew"
+
+
+def test_only_the_newest_snapshots_stay(journal: Journal) -> None:
+    for position in (5, 9, 12):
+        journal.commit([], snapshot=Snapshot(position, "E", b"s%d" % position))
+    assert [one.position for one in journal.snapshots()] == [12, 9]
+
+
+@pytest.mark.parametrize("column", ["raw", "kind", "camera", "boot", "seq", "stored"])
+def test_a_damaged_entry_is_noticed_and_left_where_it_is(journal: Journal, column: str) -> None:
+    journal.commit([entry(1), entry(2), entry(3)])
+    journal._db.execute(f"UPDATE entry SET {column} = x'00' WHERE id = 2")
+    assert [one for _, one in journal.entries()] == [entry(1), None, entry(3)]
+    assert journal._db.execute("SELECT COUNT(*) FROM entry").fetchone() == (3,)
+
+
+def test_other_damaged_rows_are_reported_and_not_used(journal: Journal, caplog: pytest.LogCaptureFixture) -> None:
+    journal.set_meta("epoch", "E")
+    for position in (1, 2):
+        journal.commit([entry(position)], [version(position)], Snapshot(position, "E", b"state"))
+    journal._db.execute("UPDATE snapshot SET state = x'00' WHERE position = 2")
+    journal._db.execute("UPDATE version SET content = x'00' WHERE version = 2")
+    journal._db.execute("UPDATE stream SET seq = 7")
+    journal._db.execute("UPDATE meta SET value = 'F' WHERE key = 'epoch'")
+    assert [one.position for one in journal.snapshots()] == [1]
+    assert journal.version("E", 2) is None
+    assert journal.streams() == {}
+    assert journal.meta("epoch") is None
+    assert len([record for record in caplog.records if "damaged" in record.message]) == 4
+
+
+def test_a_file_that_is_no_database_is_set_aside(tmp_path: Path) -> None:
+    (tmp_path / "journal.db").write_bytes(b"something else" * 100)
+    with closing(Journal(tmp_path)) as anew:
+        assert anew.set_aside is not None
+        assert anew.set_aside.read_bytes() == b"something else" * 100
+        anew.commit([entry(1)])
+
+
+def test_a_newer_format_is_refused(journal: Journal, tmp_path: Path) -> None:
+    journal.set_meta("format", "99")
+    journal.close()
+    with pytest.raises(StateError, match="has format 99"):
+        Journal(tmp_path)
+    with closing(sqlite3.connect(tmp_path / "journal.db")) as file:
+        assert file.execute("SELECT value FROM meta WHERE key = 'format'").fetchone() == ("99",)
+
+
+def test_the_first_format_is_migrated(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "journal.db", isolation_level=None)) as old:
+        old.executescript(OLD)
+        for number in range(1, 4):
+            raw = entry(number).raw
+            old.execute(
+                "INSERT INTO entry VALUES (?, 'event', 'lobby', 'b1', ?, ?, ?)", (number, number, raw, zlib.crc32(raw))
+            )
+        old.execute("UPDATE entry SET crc = 0 WHERE id = 2")
+    for _ in range(2):
+        with closing(Journal(tmp_path)) as journal:
+            assert [one for _, one in journal.entries()] == [entry(1), None, entry(3)]
+            assert journal.streams() == {("lobby", "b1"): 3}
+            assert journal.versions("E") == {1: "d1", 2: "d2"}
+            assert journal.version("E", 2) is None  # only its digest was kept
+            assert (journal.meta("epoch"), journal.meta("format"), journal.set_aside) == ("E", "2", None)
+    with closing(Journal(tmp_path)) as journal:
+        journal.commit([entry(4)])
+        assert kept(journal) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("durable", [False, True])
+def test_a_commit_that_raises_may_be_repeated(journal: Journal, durable: bool) -> None:
+    journal.commit([entry(1)])
+    journal._db = Failing(journal._db, durable)  # type: ignore[assignment]
+    everything = ([entry(2), entry(3)], [version(1)], Snapshot(2, "E", b"state"))
+    with pytest.raises(sqlite3.OperationalError):
+        journal.commit(*everything)
+    journal.commit(*everything)
+    journal.commit([entry(4)])
+    assert [one for _, one in journal.entries()] == [entry(n) for n in (1, 2, 3, 4)]
+    assert journal.versions("E") == {1: "d1"}
+    assert [one.position for one in journal.snapshots()] == [2]
+
+
+def test_old_boots_of_a_camera_are_forgotten(journal: Journal) -> None:
+    for number in range(3 * BOOTS_KEPT_MAX):
+        journal.commit([entry(1, boot=f"b{number}")])
+    journal.commit([entry(2, boot=f"b{2 * BOOTS_KEPT_MAX}")])
+    assert len(journal.streams()) == BOOTS_KEPT_MAX
+    assert list(journal.streams())[-1] == ("lobby", f"b{2 * BOOTS_KEPT_MAX}")
+
+
+def test_entries_are_forgotten_by_age_behind_both_snapshots(tmp_path: Path) -> None:
+    with closing(Journal(tmp_path, KeepSettings(journal_days=2.0))) as journal:
+        for day in range(6):
+            journal.commit([entry(10 * day + k) for k in range(1, 11)], now=NOW + day * DAY_SECONDS)
+        journal.prune(NOW + 5 * DAY_SECONDS)
+        assert len(kept(journal)) == 60, "there is no snapshot, so all are needed"
+        journal.commit([], snapshot=Snapshot(15, "E", b""))
+        journal.commit([], snapshot=Snapshot(55, "E", b""))
+        journal.prune(NOW + 5 * DAY_SECONDS)
+        assert kept(journal) == list(range(16, 61)), "up to the older snapshot"
+        journal.commit([], snapshot=Snapshot(60, "E", b""))
+        journal.prune(NOW + 5.5 * DAY_SECONDS)
+        assert kept(journal) == list(range(41, 61)), "up to the age"
+        journal.commit([], snapshot=Snapshot(61, "E", b""))
+        journal.prune(NOW + 50 * DAY_SECONDS)
+        assert kept(journal) == []
+        assert journal.streams() == {("lobby", "b1"): 60}
+    with closing(Journal(tmp_path)) as again:
+        again.commit([entry(61)])
+        assert kept(again) == [62], "numbers are never given twice"
+
+
+def test_the_file_stays_within_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journals, "PRUNED_ROWS_MAX", 300)
+    largest = 400_000
+    with closing(Journal(tmp_path, KeepSettings(journal_bytes_max=largest))) as journal:
+        for block in range(60):
+            many = [Entry("event", "lobby", "b1", 200 * block + k, b"x" * 100) for k in range(200)]
+            journal.commit(many, now=NOW, snapshot=Snapshot(len(journal), "E", b""))
+            journal.prune(NOW)
+        assert journal.size() < 1.2 * largest
+        assert (tmp_path / "journal.db").stat().st_size < 1.5 * largest
+        assert len(kept(journal)) > 1000
+
+
+def test_history_is_bounded_by_bytes_and_by_days(tmp_path: Path) -> None:
+    keep = KeepSettings(history_days=10.0, history_bytes_max=3000)
+    with closing(Journal(tmp_path, keep)) as journal:
+        for day in range(8):
+            content = bytes(range(256)) * (day + 1)
+            journal.commit([], [version(day, content)], now=NOW + day * DAY_SECONDS)
+        journal.prune(NOW + 8 * DAY_SECONDS)
+        assert sum(len(zlib.compress(journal.version("E", n) or b"", 3)) for n in journal.versions("E")) <= 3000
+        assert max(journal.versions("E")) == 7
+        before = len(journal.versions("E"))
+        assert before > 3
+        journal.prune(NOW + 16 * DAY_SECONDS)
+        assert 1 < len(journal.versions("E")) < before
+        journal.prune(NOW + 100 * DAY_SECONDS)
+        assert journal.version("E") == bytes(range(256)) * 8, "the newest stays whatever its age"

@@ -1,0 +1,230 @@
+"""A daemon's learner after a start: it goes on from a snapshot, whatever happened before."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from serving import closing_event, numbered, small_config, walkers
+
+from camtopod.codec import to_json, to_pack
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
+from camtopod.records import Event
+from camtopod.serve import recovery
+from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.learning import Learning
+from camtopod.serve.receiver import Received, Version
+from camtopod.serve.recovery import recover
+
+SETTINGS = msgspec.structs.replace(small_config(Path()).learn, lateness_seconds=5.0)
+EVENTS = [*sorted(numbered(walkers(60)), key=lambda event: event.t), closing_event()]
+
+
+class Installation:
+    """A journal and the learning of a daemon on it, without the bus: stored, learned, stopped, started again."""
+
+    def __init__(self, directory: Path, settings: Settings = SETTINGS, snapshot_events: int = 10**9) -> None:
+        self.journal = Journal(directory)
+        self.published: list[tuple[str, int, str]] = []
+        self._snapshot: list[Snapshot] = []
+        self._versions: list[Version] = []
+        self._epochs = iter("EFGHIJ"[len(self.journal.meta("epochs") or "") :])
+        recovered = recover(self.journal, settings, "s", self.new_epoch)
+        self.started_at = recovered.position
+        self.learning = Learning(
+            recovered, self.journal, 10**6, snapshot_events,
+            self._versions.append, self._snapshot.append, lambda _: None, self.new_epoch,
+        )  # fmt: skip
+
+    def new_epoch(self) -> str:
+        epoch = next(self._epochs)
+        self.journal.set_meta("epochs", (self.journal.meta("epochs") or "") + epoch)
+        self.journal.set_meta("epoch", epoch)
+        return epoch
+
+    def store(self, events: list[Event]) -> list[Received]:
+        """As the receiver does: first into the journal."""
+        received = [Received(Entry("event", e.camera, e.boot, e.seq, to_pack(e)), e) for e in events]
+        self.journal.commit([one.entry for one in received])
+        return received
+
+    def learn(self, events: list[Event]) -> None:
+        """Store and learn, and store what comes of it."""
+        self.learning.feed(self.store(events))
+        self.run()
+
+    def run(self) -> None:
+        """Until there is nothing left to learn."""
+        stop = threading.Event()
+
+        def beat() -> None:
+            if not self.learning.waiting:
+                stop.set()
+
+        self.learning.work(stop, beat)
+        self.learning._tell()
+        for topology, _ in self._versions:
+            stored = StoredVersion(topology.epoch, topology.version, topology.digest, to_json(topology))
+            self.journal.commit([], [stored])
+            self.published.append((topology.epoch, topology.version, topology.digest))
+        for snapshot in self._snapshot:
+            self.journal.commit([], snapshot=snapshot)
+        self._versions.clear()
+        self._snapshot.clear()
+
+    def close(self) -> None:
+        self.journal.close()
+
+
+Start = Callable[..., Installation]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start an installation on the same directory again, as after a kill: what was not stored is gone."""
+    running: list[Installation] = []
+
+    def again(**given: Any) -> Installation:
+        if running:
+            running.pop().close()
+        running.append(Installation(tmp_path, **given))
+        return running[-1]
+
+    yield again
+    running.pop().close()
+
+
+def uninterrupted() -> list[tuple[str, int, str]]:
+    learner, made = Learner(SETTINGS, "s", "E"), []
+    for event in EVENTS:
+        learner.receive(event)
+        made += [(one.epoch, one.version, one.digest) for one in learner.updates()]
+    return made
+
+
+def test_killed_at_any_moment_the_versions_are_the_same(start: Start) -> None:
+    published: list[tuple[str, int, str]] = []
+    for number, first in enumerate(range(0, len(EVENTS), 37)):
+        one = start(snapshot_events=50 if number % 2 else 10**9)
+        one.learn(EVENTS[first : first + 30])
+        one.store(EVENTS[first + 30 : first + 37])  # stored, and killed before it was learned
+        published += one.published
+    last = start()
+    last.run()
+    assert published + last.published == uninterrupted()
+    assert last.started_at > len(EVENTS) / 2, "it went on from a snapshot"
+
+
+def test_a_version_that_was_not_stored_is_made_again(start: Start) -> None:
+    one = start()
+    one.learn(EVENTS[:100])
+    before = one.published
+    assert before
+    one.learning.feed(one.store(EVENTS[100:]))
+    stop = threading.Event()
+    one.learning.work(stop, lambda: stop.set() if not one.learning.waiting else None)  # and killed: nothing is stored
+    again = start()
+    again.run()
+    assert before + again.published == uninterrupted()
+
+
+def test_a_damaged_snapshot_costs_time_only(start: Start) -> None:
+    one = start(snapshot_events=60)
+    one.learn(EVENTS[:120])
+    one.learn(EVENTS[120:200])
+    positions = [snapshot.position for snapshot in one.journal.snapshots()]
+    assert len(positions) == 2
+    one.journal._db.execute("UPDATE snapshot SET state = x'00' WHERE position = ?", (positions[0],))
+    again = start()
+    assert again.started_at == positions[1]
+    again.learn(EVENTS[200:])
+    assert one.published + again.published == uninterrupted()
+
+
+def test_a_damaged_entry_begins_an_epoch_with_what_is_left(start: Start) -> None:
+    one = start()
+    one.learn(EVENTS)
+    assert one.published[-1][0] == "E"
+    one.journal._db.execute("DELETE FROM snapshot")
+    one.journal._db.execute("UPDATE entry SET raw = x'00' WHERE id BETWEEN 20 AND 60")
+    again = start()
+    again.run()
+    assert again.learning.damaged == 41
+    assert {epoch for epoch, _, _ in again.published} == {"F"}
+    assert [version for _, version, _ in again.published] == list(range(1, len(again.published) + 1))
+
+
+def test_other_settings_begin_an_epoch_with_what_is_known(start: Start) -> None:
+    start().learn(EVENTS)
+    again = start(settings=msgspec.structs.replace(SETTINGS, publish_q_max=0.5))
+    again.run()
+    assert [(epoch, version) for epoch, version, _ in again.published] == [("F", 1)]
+    same = start(settings=msgspec.structs.replace(SETTINGS, publish_q_max=0.5))
+    same.run()
+    assert same.published == []
+
+
+def test_without_a_snapshot_and_the_oldest_events_an_epoch_begins(start: Start) -> None:
+    one = start()
+    one.learn(EVENTS[:200])
+    one.journal._db.execute("DELETE FROM snapshot")
+    one.journal._db.execute("DELETE FROM entry WHERE id <= 100")
+    again = start()
+    assert again.started_at == 100
+    again.learn(EVENTS[200:])
+    assert {epoch for epoch, _, _ in again.published} == {"F"}
+
+
+def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
+    start: Start, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    one = start()
+    one.learn(EVENTS[:120])
+    receive = Learner.receive
+
+    def fail(learner: Learner, event: Event) -> str:
+        if event == EVENTS[130]:
+            raise ZeroDivisionError
+        return receive(learner, event)
+
+    monkeypatch.setattr(Learner, "receive", fail)
+    one.store(EVENTS[120:160])
+    for _ in range(recovery.FAILURES_MAX):
+        with pytest.raises(ZeroDivisionError):
+            start().run()
+    again = start()
+    assert again.started_at == 131
+    assert "begins anew behind it" in caplog.text
+    again.run()
+    again.learn(EVENTS[160:])
+    assert {epoch for epoch, _, _ in again.published} == {"F"}
+    assert len(again.journal) == len(EVENTS)
+
+
+def test_a_journal_of_nothing_is_a_first_start(start: Start) -> None:
+    one = start()
+    one.run()
+    assert (one.started_at, one.learning.epoch, one.published) == (0, "E", [])
+    assert start().learning.epoch == "E"
+
+
+def test_what_predictions_remember(start: Start) -> None:
+    one = start()
+    one.learn(EVENTS[:50])
+    assert recovery.recent_events(one.journal) == EVENTS[:50]
+    one.learn(EVENTS[50:])
+    newest = recovery.newest_topology(one.journal, Learner(SETTINGS))
+    assert newest is not None
+    assert newest.digest == one.published[-1][2]
+
+
+def test_a_closed_journal_can_be_opened_again(tmp_path: Path) -> None:
+    for _ in range(2):
+        with closing(Installation(tmp_path)) as one:
+            one.run()
