@@ -4,29 +4,24 @@ in `camtopod.learn.settings` and in `camtopod.vision.settings`; nowhere else.
 
 from __future__ import annotations
 
-import difflib
-import math
 import os
 import re
-import tomllib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
-from camtopod import redact, toml_lines
+from camtopod import redact, secret_files, toml_lines
 from camtopod.learn.settings import Settings
 from camtopod.records import CAMERA_PATTERN
+from camtopod.toml_tables import DEFAULT_ENDPOINT, Endpoint, Problem, TableReader, did_you_mean, is_endpoint, syntax
 from camtopod.vision.settings import VisionSettings
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 RESERVED = ("daemon",)
 """No camera's id: ``status/daemon`` is the daemon's."""
-_SYNTAX_ERRORS_MAX = 20
-_ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream|vsock|serial)/\S+\Z")
-_T = TypeVar("_T", bound=Struct)
-Endpoint = str
 Name = Annotated[str, Meta(pattern=CAMERA_PATTERN)]
 Positive = Annotated[float, Meta(gt=0)]
 Count = Annotated[int, Meta(ge=1)]
@@ -37,6 +32,23 @@ class SiteSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     name: Name = "site"
     """The second part of every key on the bus."""
+
+
+class TlsSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """``[bus.tls]``: who may be on the bus. Files as `camtopod keys` makes them, relative to the configuration.
+
+    In paths, ``{camera}`` stands for the camera being grabbed, ``$NAME`` for an environment variable.
+    """
+
+    ca: str = ""
+    """The authority's certificate; empty: everybody who reaches the bus may do everything. Paths are relative to
+    this file; {camera} in them is the camera being grabbed, $NAME an environment variable."""
+    certificate: str = ""
+    """This program's own certificate."""
+    private_key: str = ""
+    """The certificate's key, which nobody else may read."""
+    access: str = ""
+    """Who may do what (access.json of `camtopod keys`); needed by a daemon that is the meeting point."""
 
 
 class BusSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -51,7 +63,9 @@ class BusSettings(Struct, frozen=True, forbid_unknown_fields=True):
     query_seconds: Positive = 2.0
     """How long to wait for the answer to a query."""
     message_bytes_max: Count = 16 * 1024 * 1024
-    """Larger messages are refused."""
+    """Larger messages are refused; a daemon that is the meeting point takes no more than 1 to 2 MiB."""
+    tls: TlsSettings = TlsSettings()
+    """See [bus.tls]."""
 
 
 class StateSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -81,6 +95,9 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     source: str
     """An rtsp:// URL, a video file or a device number."""
+    source_file: str = ""
+    """Instead of source: a file whose first line is the source, so that no password stands here; a path as in
+    [bus.tls], for example $CREDENTIALS_DIRECTORY/lobby."""
     start: float = 0.0
     """A file only: time of its first frame, seconds since the Unix epoch."""
     realtime: bool = False
@@ -177,17 +194,33 @@ class Config(Struct, frozen=True):
     @property
     def listens(self) -> tuple[Endpoint, ...]:
         """The endpoints at which the daemon listens; empty if it only dials."""
-        return self.bus.listen or (() if self.bus.connect else (DEFAULT_ENDPOINT,))
+        default = f"tls/{DEFAULT_ENDPOINT.partition('/')[2]}" if self.bus.tls.ca else DEFAULT_ENDPOINT
+        return self.bus.listen or (() if self.bus.connect else (default,))
 
     @property
     def dials(self) -> tuple[Endpoint, ...]:
         """The endpoints which everything but the daemon dials."""
         return self.bus.connect or tuple(_from_here(endpoint) for endpoint in self.listens)
 
+    def for_camera(self, camera: str) -> Config:
+        """What the process that grabs ``camera`` needs: its own certificate, and its source read from its file.
+
+        Raises `OSError` if the file cannot be read.
+        """
+        tls = _with_paths(self.bus.tls, lambda path: path.replace("{camera}", camera))
+        cameras = self.cameras
+        if camera in cameras and cameras[camera].source_file:
+            source = secret_files.read(Path(cameras[camera].source_file))
+            redact.remember(source)
+            filled = replace(cameras[camera], source=source, source_file="")
+            cameras = {**cameras, camera: filled}
+        return replace(self, bus=replace(self.bus, tls=tls), cameras=cameras)
+
 
 TABLES: dict[str, type[Struct]] = {
     "site": SiteSettings,
     "bus": BusSettings,
+    "bus.tls": TlsSettings,
     "state": StateSettings,
     "learn": Settings,
     "vision": VisionSettings,
@@ -198,13 +231,6 @@ TABLES: dict[str, type[Struct]] = {
 """The tables with fixed keys; ``[cameras.ID]`` is the other one."""
 
 
-class Problem(NamedTuple):
-    """One mistake and the line (from 1) it is on."""
-
-    line: int
-    what: str
-
-
 class ConfigError(Exception):
     """The configuration is wrong; ``str()`` is one ``file:line: what`` per mistake."""
 
@@ -213,21 +239,25 @@ class ConfigError(Exception):
         super().__init__("\n".join(redact.redact(f"{path}:{p.line}: {p.what}") for p in self.problems))
 
 
-def load(path: Path) -> Config:
-    """Read a configuration file. Raises `ConfigError` with every mistake, `OSError` if it cannot be read."""
-    raw = path.read_bytes()
+def load(path: Path, raw: bytes | None = None) -> Config:
+    """Read a configuration file. Raises `ConfigError` with every mistake, `OSError` if it cannot be read.
+
+    ``raw``: what was in the file when it was read before.
+    """
+    if raw is None:
+        raw = path.read_bytes()
     try:
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ConfigError(str(path), [Problem(line, "the file is not UTF-8")]) from None
-    return parse(text, str(path))
+    return _from(path.parent, parse(text, str(path)))
 
 
 def parse(text: str, name: str = "configuration") -> Config:
     """The configuration that ``text`` says. Raises `ConfigError`, in which the file is called ``name``."""
-    data, text, problems = _syntax(text.replace("\r\n", "\n"))
-    reader = _Reader(toml_lines.key_lines(text), missing_matters=not problems)
+    data, text, problems = syntax(text.replace("\r\n", "\n"))
+    reader = _Reader(TABLES, toml_lines.key_lines(text), missing_matters=not problems)
     config = reader.config(data)
     problems += reader.problems
     if problems:
@@ -235,139 +265,78 @@ def parse(text: str, name: str = "configuration") -> Config:
     return config
 
 
-def _syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
-    """Parse; after a mistake in a ``key = value`` line go on without that line, to find the others too."""
-    problems: list[Problem] = []
-    while len(problems) < _SYNTAX_ERRORS_MAX:
-        try:
-            return tomllib.loads(text), text, problems
-        except tomllib.TOMLDecodeError as error:
-            match = re.search(r"(.*) \(at (?:line (\d+)|end of document)", str(error))
-            lines = text.split("\n")
-            number = int(match[2]) if match and match[2] else len(text.rstrip("\n").split("\n"))
-            problem = Problem(number, _sentence(match[1] if match else str(error)))
-            if problems and number <= problems[-1].line:
-                break
-            problems.append(problem)
-            if match is None or not match[2] or not re.match(r"\s*[^\[#=]+=", lines[number - 1]):
-                break
-            lines[number - 1] = ""
-            text = "\n".join(lines)
-    return {}, "", problems
-
-
-class _Reader:
-    """Builds the settings from what tomllib read, collecting mistakes instead of stopping at the first."""
-
-    def __init__(self, lines: dict[toml_lines.Path, int], missing_matters: bool) -> None:
-        self.problems: list[Problem] = []
-        self._lines = lines
-        self._missing_matters = missing_matters
+class _Reader(TableReader):
+    """Builds the settings from what tomllib read."""
 
     def config(self, data: dict[str, Any]) -> Config:
         known = [*TABLES, "cameras"]
         for key in data:
             if key not in known:
-                self._say((key,), f"{key}: no such table{_did_you_mean(key, known)}")
-        tables = {name: self._table(kind, data, (name,)) for name, kind in TABLES.items()}
+                self.say((key,), f"{key}: no such table{did_you_mean(key, known)}")
+        tables = {name: self.table(kind, data, (name,)) for name, kind in TABLES.items() if "." not in name}
+        self._check_bus(tables["bus"])
         return Config(cameras=self._cameras(data.get("cameras", {})), **tables)  # type: ignore[arg-type]
 
     def _cameras(self, data: Any) -> dict[str, CameraSettings]:
         if not isinstance(data, dict):
-            self._say(("cameras",), "cameras: expected tables [cameras.ID], one a camera")
+            self.say(("cameras",), "cameras: expected tables [cameras.ID], one a camera")
             return {}
         cameras = {}
         for camera in data:
             path = ("cameras", camera)
             if not re.match(CAMERA_PATTERN, camera):
-                self._say(path, f"cameras.{camera}: a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+                self.say(path, f"cameras.{camera}: a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -")
             if camera in RESERVED:
-                self._say(path, f"cameras.{camera}: this name is taken on the bus; call the camera otherwise")
-            if isinstance(data[camera], dict) and isinstance(data[camera].get("source"), str):
-                redact.remember(data[camera]["source"])
-            settings = self._table(CameraSettings, data, path)
+                self.say(path, f"cameras.{camera}: this name is taken on the bus; call the camera otherwise")
+            given = data[camera]
+            if isinstance(given, dict) and isinstance(given.get("source"), str):
+                redact.remember(given["source"])
+            elif isinstance(given, dict) and given.get("source_file"):
+                given["source"] = ""
+            settings = self.table(CameraSettings, data, path)
             if settings is not None:
-                if not settings.source:
-                    self._say((*path, "source"), f"cameras.{camera}.source: is empty")
+                if bool(settings.source) == bool(settings.source_file):
+                    what = "is empty" if not settings.source else "give source or source_file, not both"
+                    self.say((*path, "source"), f"cameras.{camera}.source: {what}")
                 cameras[camera] = settings
         return cameras
 
-    def _table(self, kind: type[_T], parent: dict[str, Any], path: tuple[str, ...]) -> _T | None:
-        """The settings at ``path``, with the default for each mistake; None if a required key is missing."""
-        title = ".".join(path)
-        data = parent.get(path[-1], {})
-        if not isinstance(data, dict):
-            self._say(path, f"{title}: expected a table [{title}]")
-            return None if kind is CameraSettings else kind()
-        fields = {field.name: field for field in msgspec.structs.fields(kind)}
-        values: dict[str, Any] = {}
-        for key, value in data.items():
-            if key not in fields:
-                self._say((*path, key), f"{title}.{key}: no such key{_hint(key, list(fields), path[0])}")
-            elif (converted := self._value(fields[key], value, (*path, key))) is not None:
-                values[key] = converted
-        for field in fields.values():
-            if field.required and field.name not in data and self._missing_matters:
-                self._say(path, f"{title}: {field.name} is missing")
-            if field.required and field.name not in values:
-                return None
-        return kind(**values)
-
-    def _value(self, field: msgspec.structs.FieldInfo, value: Any, path: toml_lines.Path) -> Any:
-        """``value`` as the field's type, or None after saying why not; each element of an array by itself."""
-        title = ".".join(str(part) for part in path[:3])
-        if field.type == tuple[Endpoint, ...] and isinstance(value, list):
-            for index, endpoint in enumerate(value):
-                if not is_endpoint(endpoint):
-                    what = f"{title}: {endpoint!r} is not an endpoint; write it like {DEFAULT_ENDPOINT!r}"
-                    self._say((*path, index), what)
-            return tuple(value)
-        try:
-            converted = msgspec.convert(value, field.type)
-            _check_number(converted, field.default)
-        except ValueError as error:
-            self._say(path, f"{title}: {_sentence(str(error))}")
-            return None
-        return converted
-
-    def _say(self, path: toml_lines.Path, what: str) -> None:
-        while path and path not in self._lines:
-            path = path[:-1]
-        self.problems.append(Problem(self._lines.get(path, 1), what))
+    def _check_bus(self, bus: Struct | None) -> None:
+        """TLS is whole or not at all, and then there is nothing beside it."""
+        assert isinstance(bus, BusSettings)
+        tls = bus.tls
+        if tls == TlsSettings():
+            return
+        for key in ("ca", "certificate", "private_key"):
+            if not getattr(tls, key):
+                self.say(("bus", "tls"), f"bus.tls: {key} is missing; ca, certificate and private_key go together")
+        if not tls.access and not bus.connect:
+            what = "access is missing: a daemon that is the meeting point has to know who may do what"
+            self.say(("bus", "tls"), f"bus.tls: {what}")
+        for key in ("listen", "connect"):
+            for index, endpoint in enumerate(getattr(bus, key)):
+                if is_endpoint(endpoint) and not endpoint.startswith("tls/"):
+                    self.say(
+                        ("bus", key, index), f"bus.{key}: {endpoint!r} is not a tls/ endpoint, but [bus.tls] is set"
+                    )
 
 
-def is_endpoint(value: object) -> bool:
-    """Whether ``value`` looks like an endpoint of zenoh: protocol/address."""
-    return isinstance(value, str) and _ENDPOINT.match(value) is not None
+def _from(folder: Path, config: Config) -> Config:
+    """Paths relative to ``folder``, with the environment's variables in them."""
+
+    def located(path: str) -> str:
+        return str(folder.absolute() / os.path.expandvars(path)) if path else ""
+
+    tls = _with_paths(config.bus.tls, located)
+    cameras = {
+        camera: replace(settings, source_file=located(settings.source_file))
+        for camera, settings in config.cameras.items()
+    }
+    return replace(config, bus=replace(config.bus, tls=tls), cameras=cameras)
 
 
-def _check_number(value: Any, default: Any) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return
-    if not math.isfinite(value):
-        raise ValueError("expected a finite number")
-    if isinstance(default, int | float) and default >= 0 and value < 0:
-        raise ValueError("must not be negative")
-
-
-def _hint(key: str, known: list[str], table: str) -> str:
-    homes = [name for name, kind in TABLES.items() if name != table and key in kind.__struct_fields__]
-    return f"; it belongs in [{homes[0]}]" if homes else _did_you_mean(key, known)
-
-
-def _did_you_mean(key: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
-    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(known)}"
-
-
-def _sentence(message: str) -> str:
-    """A message of msgspec or tomllib as the second half of a sentence, in TOML's words."""
-    message = re.sub(r" - at `\$.*", "", message)
-    words = {"`float`": "a number", "`int`": "a whole number", "`str`": "a string", "`bool`": "true or false"}
-    words |= {"`array`": "an array", "`object`": "a table"}
-    for theirs, ours in words.items():
-        message = message.replace(theirs, ours)
-    return message[:1].lower() + message[1:]
+def _with_paths(tls: TlsSettings, change: Callable[[str], str]) -> TlsSettings:
+    return TlsSettings(**{field: change(path) for field, path in msgspec.structs.asdict(tls).items()})
 
 
 def _from_here(endpoint: Endpoint) -> Endpoint:

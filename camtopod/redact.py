@@ -12,6 +12,7 @@ _SECRET_CHARACTERS_MIN = 4
 _USERINFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)\S*@")
 """To the last @ of the word: passwords may hold @, : and /. It may hide the host too, never too little."""
 _PARAMETER = re.compile(r"(?i)\b(pass(?:word|wd)?|pwd|token|secret)=[^&\s]+")
+_KEY = re.compile(r"-----BEGIN ([A-Z ]*PRIVATE KEY)-----.*?(-----END \1-----|\Z)", re.DOTALL)
 _known: set[str] = set()
 
 
@@ -29,7 +30,10 @@ def remember(source: str) -> None:
 
 
 def redact(text: str) -> str:
-    """``text`` without the user names and passwords of URLs, password parameters, and remembered secrets."""
+    """``text`` without the user names and passwords of URLs, password parameters, private keys, and remembered
+    secrets.
+    """
+    text = _KEY.sub(HIDDEN, text)
     for secret in sorted(_known, key=len, reverse=True):
         text = text.replace(secret, f"{HIDDEN}@" if secret.endswith("@") else HIDDEN)
     text = _USERINFO.sub(rf"\g<1>{HIDDEN}@", text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import re
 import tomllib
 from pathlib import Path
@@ -274,10 +275,11 @@ def test_the_example_is_right_and_says_every_default() -> None:
     defaults = Config()
     for name in TABLES:
         if name != "site":
-            assert getattr(config, name) == getattr(defaults, name)
+            assert operator.attrgetter(name)(config) == operator.attrgetter(name)(defaults)
     for name, kind in TABLES.items():
         for field in kind.__struct_fields__:
-            assert re.search(rf"(?m)^(# )?{field} = ", example()), f"{name}.{field}"
+            if f"{name}.{field}" not in TABLES:
+                assert re.search(rf"(?m)^(# )?{field} = ", example()), f"{name}.{field}"
 
 
 @pytest.mark.parametrize("kind", [*TABLES.values(), CameraSettings])

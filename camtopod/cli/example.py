@@ -31,7 +31,7 @@ _WIDTH = 110
 def example() -> str:
     """The text of a configuration file which is right as it stands and says what everything means."""
     parts = [_HEAD, _table("site", TABLES["site"], {"name": "hq"})]
-    parts += [_table(name, TABLES[name], {}) for name in ("bus", "state")]
+    parts += [_table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
     parts += [_CAMERAS + "\n".join(_settings(CameraSettings, {}))]
     parts += [_table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health")]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
@@ -45,7 +45,7 @@ def _settings(kind: type[Struct], given: dict[str, Any]) -> list[str]:
     documents = attribute_docs(kind)
     lines = []
     for field in msgspec.structs.fields(kind):
-        if field.required:
+        if field.required or isinstance(field.default, Struct):  # a table of its own
             continue
         lines += [f"# {line}" for line in textwrap.wrap(documents.get(field.name, ""), _WIDTH - 2)]
         if field.name in given:

@@ -33,6 +33,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "watch": ("camtopod.cli.watch", "live view of cameras, topology and predictions in the terminal"),
     "export": ("camtopod.cli.export", "a topology as a picture or in an exchange format"),
     "ingest": ("camtopod.cli.ingest", "other programs' events onto the bus"),
+    "keys": ("camtopod.cli.keys", "a private authority and certificates for the bus"),
     "check": ("camtopod.cli.check", "every mistake in a configuration, in one pass"),
 }
 """Command -> (module, one line for --help)."""

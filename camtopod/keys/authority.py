@@ -1,0 +1,257 @@
+"""The private authority of a site: one key signs the certificates of its daemon, cameras and readers.
+
+A folder holds everything: ``authority/`` (whose key never leaves it), and for each certificate a folder that is
+copied to where it is used. Who was given what stands in ``authority/issued.json``. zenoh knows no revocation
+lists, so a name is never given out twice: a replaced certificate has a new name, and the old one no rights.
+"""
+
+from __future__ import annotations
+
+import datetime
+import ipaddress
+import os
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from msgspec import Struct
+
+from camtopod.keys.rules import Access, Certificate, Role
+from camtopod.records import CAMERA_PATTERN
+
+CA = "ca.pem"
+CERTIFICATE = "certificate.pem"
+PRIVATE_KEY = "private.key"
+ACCESS = "access.json"
+DAEMON = "daemon"
+LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
+"""The daemon's certificate is good for these, too."""
+_BACKDATE = datetime.timedelta(days=1)
+"""Certificates begin this much earlier: the clock of a box may be behind."""
+_COMMON_NAME_MAX = 64
+_HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63})*\Z")
+
+
+class KeysError(Exception):
+    """The authority cannot do that; ``str()`` says why and what to do."""
+
+
+class Issued(Struct, frozen=True):
+    """A line of the ledger: a certificate that was given out, and whether it still counts."""
+
+    certificate: Certificate
+    of: str
+    """The camera or reader; `DAEMON` for the daemon."""
+    valid: bool = True
+
+
+class Ledger(Struct, frozen=True):
+    """``authority/issued.json``."""
+
+    site: str
+    issued: list[Issued]
+
+
+class Authority:
+    """The authority in a folder. ``now``: seconds since 1970. Raises `KeysError`, `OSError`."""
+
+    def __init__(self, folder: Path, now: float) -> None:
+        self.folder, self._now = folder, now
+        try:
+            raw = (folder / "authority" / "issued.json").read_bytes()
+        except FileNotFoundError:
+            raise KeysError(f"there is no authority in {folder}: `camtopod keys init` makes one") from None
+        try:
+            self._ledger = msgspec.json.decode(raw, type=Ledger)
+        except ValueError as error:
+            raise KeysError(f"{folder / 'authority' / 'issued.json'} cannot be read: {error}") from None
+
+    @classmethod
+    def make(cls, folder: Path, site: str, now: float, days: int, replace: bool) -> Authority:
+        """A new authority. One that is there already stays unless ``replace``, and is then worth nothing."""
+        secret = folder / "authority"
+        if (secret / "ca.key").exists() and not replace:
+            raise KeysError(
+                f"{secret} holds an authority already; --replace makes a new one, and then every certificate "
+                f"of the old one has to be made and copied again"
+            )
+        for old in ("camera", "reader", "daemon"):
+            shutil.rmtree(folder / old, ignore_errors=True)
+        _make_folder(folder)
+        _make_folder(secret)
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = x509.Name(
+            [
+                x509.NameAttribute(NameOID.ORGANIZATION_NAME, site),
+                x509.NameAttribute(NameOID.COMMON_NAME, "camtopod authority"),
+            ]
+        )
+        builder = _builder(name, name, key.public_key(), now, days)
+        builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        builder = builder.add_extension(_usage(signs=True), critical=True)
+        _write(secret / "ca.key", _pem(key))
+        _write(secret / CA, builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+        _write(secret / "issued.json", msgspec.json.encode(Ledger(site, [])))
+        return cls(folder, now)
+
+    @property
+    def site(self) -> str:
+        """Whose authority this is."""
+        return self._ledger.site
+
+    @property
+    def issued(self) -> list[Issued]:
+        """Everything ever given out, oldest first."""
+        return list(self._ledger.issued)
+
+    @property
+    def access(self) -> Access:
+        """The certificates that count."""
+        return Access(self.site, [issued.certificate for issued in self._ledger.issued if issued.valid])
+
+    def issue(self, role: Role, name: str, days: int, replace: bool = False, hosts: Sequence[str] = ()) -> Path:
+        """A key and a certificate; returns their folder. ``replace`` withdraws the one that is there."""
+        check_name(role, name)
+        for host in hosts:
+            if not _HOST.match(host) and _address(host) is None:
+                raise KeysError(f"{host!r} is neither a host's name nor an address")
+        old = [issued for issued in self.issued if (issued.certificate.role, issued.of) == (role, name)]
+        if any(issued.valid for issued in old) and not replace:
+            until = day(next(issued.certificate.expires for issued in old if issued.valid))
+            raise KeysError(
+                f"{role} {name} has a certificate (until {until}); --replace makes a new one and withdraws it"
+            )
+        common_name = name if role != "reader" else f"reader:{name}"
+        if old:
+            common_name += f"~{len(old) + 1}"
+        if len(common_name) > _COMMON_NAME_MAX:
+            raise KeysError(
+                f"{name!r} is too long for a certificate: {common_name!r} has over {_COMMON_NAME_MAX} characters"
+            )
+        folder = self._folder(role, name)
+        expires = self._sign(folder, common_name, days, hosts if role == "daemon" else None)
+        self.revoke(role, name, missing_matters=False)
+        certificate = Certificate(common_name, role, expires, name if role == "camera" else "")
+        self._keep([*self.issued, Issued(certificate, name)])
+        return folder
+
+    def revoke(self, role: Role, name: str, missing_matters: bool = True) -> None:
+        """What ``name`` was given counts no longer, as soon as the daemon has the new access list."""
+        mine = [issued.valid and (issued.certificate.role, issued.of) == (role, name) for issued in self.issued]
+        if missing_matters and not any(mine):
+            raise KeysError(f"{role} {name} has no certificate; `camtopod keys list` shows who has")
+        pairs = zip(self.issued, mine, strict=True)
+        self._keep([msgspec.structs.replace(issued, valid=False) if it else issued for issued, it in pairs])
+
+    def _sign(self, folder: Path, common_name: str, days: int, server_hosts: Sequence[str] | None) -> float:
+        """Write key, certificate and the authority's certificate into ``folder``; returns when it expires."""
+        secret = self.folder / "authority"
+        loaded = serialization.load_pem_private_key((secret / "ca.key").read_bytes(), password=None)
+        ca = x509.load_pem_x509_certificate((secret / CA).read_bytes())
+        assert isinstance(loaded, ec.EllipticCurvePrivateKey)
+        key = ec.generate_private_key(ec.SECP256R1())
+        builder = _builder(_common_name(common_name), ca.subject, key.public_key(), self._now, days)
+        uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
+        if server_hosts is not None:
+            uses.append(ExtendedKeyUsageOID.SERVER_AUTH)
+            hosts = dict.fromkeys([*server_hosts, *LOCAL_HOSTS])
+            names = [x509.DNSName(h) if (a := _address(h)) is None else x509.IPAddress(a) for h in hosts]
+            builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
+        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        builder = builder.add_extension(_usage(signs=False), critical=True)
+        builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+        made = builder.sign(loaded, hashes.SHA256())
+        if made.not_valid_after_utc > ca.not_valid_after_utc:
+            raise KeysError(f"the authority itself ends on {ca.not_valid_after_utc:%Y-%m-%d}: give fewer --days")
+        _make_folder(folder)
+        _write(folder / PRIVATE_KEY, _pem(key))
+        _write(folder / CERTIFICATE, made.public_bytes(serialization.Encoding.PEM))
+        _write(folder / CA, ca.public_bytes(serialization.Encoding.PEM))
+        return made.not_valid_after_utc.timestamp()
+
+    def _folder(self, role: Role, name: str) -> Path:
+        return self.folder / DAEMON if role == "daemon" else self.folder / role / name
+
+    def _keep(self, issued: list[Issued]) -> None:
+        self._ledger = Ledger(self.site, issued)
+        encoded = msgspec.json.format(msgspec.json.encode(self._ledger), indent=1)
+        _write(self.folder / "authority" / "issued.json", encoded)
+
+
+def check_name(role: Role, name: str) -> None:
+    """Raises `KeysError` for a name that the bus cannot have."""
+    if not re.match(CAMERA_PATTERN, name):
+        raise KeysError(f"{name!r} cannot be a {role}'s name: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+    if (role == "camera" and name == DAEMON) or name in (".", ".."):
+        raise KeysError(f"{name!r} is taken; call the {role} otherwise")
+
+
+def day(seconds: float) -> str:
+    """The date of a time, UTC."""
+    return f"{datetime.datetime.fromtimestamp(seconds, datetime.UTC):%Y-%m-%d}"
+
+
+def write_public(path: Path, text: str) -> None:
+    """A file without secrets beside the keys, for its owner alone all the same."""
+    _write(path, text.encode())
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, now: float, days: int
+) -> x509.CertificateBuilder:
+    start = datetime.datetime.fromtimestamp(now, datetime.UTC)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(start - _BACKDATE)
+        .not_valid_after(start + datetime.timedelta(days=days))
+    )
+
+
+def _usage(signs: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs, key_cert_sign=signs, crl_sign=signs, content_commitment=False,
+        key_encipherment=False, data_encipherment=False, key_agreement=False, encipher_only=False, decipher_only=False,
+    )  # fmt: skip
+
+
+def _common_name(name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+
+
+def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+
+
+def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(host)
+    except ValueError:
+        return None
+
+
+def _make_folder(folder: Path) -> None:
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Whole or not at all, 0600 from its first byte on."""
+    new = path.with_name(f".{path.name}.new")
+    new.unlink(missing_ok=True)
+    fd = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(fd, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(new, path)

@@ -1,0 +1,195 @@
+"""The bus's settings as data, for the daemon's own session and for a router of its own alike: one source.
+
+Whoever connects shows a certificate of the site's authority; its common name decides what it may do. What no
+rule allows is denied, in both directions: a camera's box says its own events and hears its own acks.
+Pure: names in, zenoh's settings out.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Literal
+
+import msgspec
+from msgspec import Struct
+
+PREFIX = "camtopo"
+FORMAT = "camtopod/access/1"
+SOON_SECONDS = 60 * 86400.0
+"""A certificate that expires within this time is warned of."""
+EVENT_BYTES_MAX = 16 * 1024
+"""A larger event is dropped by the bus; one that is too long for an event, but not for this, is counted."""
+STATUS_BYTES_MAX = 256 * 1024
+QUERY_BYTES_MAX = 4 * 1024
+"""What a question may carry beside its parameters."""
+SPOOLED_BYTES_MAX = 1536
+"""More than a valid event takes in a spool's answer: ids of 64 and 128 characters of at most 4 bytes."""
+RECEIVED_BYTES_MIN = 1024 * 1024
+"""The meeting point takes messages of this size at least."""
+
+Role = Literal["daemon", "camera", "reader"]
+Settings = dict[str, Any]
+"""Path in zenoh's configuration -> value."""
+
+_EVERYTHING = (
+    "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", "liveliness_token",
+    "declare_liveliness_subscriber", "liveliness_query",
+)  # fmt: skip
+_READABLE = ("topology", "topology/delta", "prediction/*", "predict/*", "status/*")
+
+
+class Certificate(Struct, frozen=True, omit_defaults=True):
+    """A certificate given out: its common name, what it is for, and when it ends (seconds since 1970)."""
+
+    name: str
+    role: Role
+    expires: float
+    camera: str = ""
+    """The camera whose events it may publish."""
+
+
+class Access(Struct, frozen=True):
+    """``access.json``: the certificates that may do something. Written by `camtopod keys`."""
+
+    site: str
+    certificates: list[Certificate]
+    format: Literal["camtopod/access/1"] = FORMAT  # type: ignore[assignment]
+
+
+def read_access(raw: bytes) -> Access:
+    """The contents of an ``access.json``. Raises `ValueError`."""
+    return msgspec.json.decode(raw, type=Access)
+
+
+def access_control(access: Access) -> Settings:
+    """Default deny, and what each certificate's name allows."""
+    allowed: list[dict[str, Any]] = []
+    policies = []
+    for certificate in access.certificates:
+        mine = _rules(access.site, certificate)
+        allowed += mine
+        policies.append({"rules": [rule["id"] for rule in mine], "subjects": [certificate.name]})
+    subjects = [{"id": c.name, "cert_common_names": [c.name], "link_protocols": ["tls"]} for c in access.certificates]
+    return {
+        "access_control": {
+            "enabled": True,
+            "default_permission": "deny",
+            "rules": allowed,
+            "subjects": subjects,
+            "policies": policies,
+        }
+    }
+
+
+def mutual_tls(ca: str, certificate: str, private_key: str) -> Settings:
+    """Nothing but TLS, both sides show a certificate, and one that ends closes its link."""
+    tls: Settings = {
+        "root_ca_certificate": ca,
+        "listen_certificate": certificate,
+        "listen_private_key": private_key,
+        "connect_certificate": certificate,
+        "connect_private_key": private_key,
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+    }
+    return {"transport/link/protocols": ["tls"]} | {f"transport/link/tls/{key}": value for key, value in tls.items()}
+
+
+def sizes(site: str, pull_events_max: int) -> Settings:
+    """What is larger is dropped where it comes in. Topologies go out only, so they are not limited here."""
+    limits = {
+        "event": ("put", "event/*", EVENT_BYTES_MAX),
+        "status": ("put", "status/*", STATUS_BYTES_MAX),
+        "query": ("query", "**", QUERY_BYTES_MAX),
+        "spool": ("reply", "spool/*", spool_bytes_max(pull_events_max)),
+    }
+    return {
+        "low_pass_filter": [
+            {
+                "id": name,
+                "flows": ["ingress"],
+                "messages": [message],
+                "key_exprs": [_key(site, key)],
+                "size_limit": size,
+            }
+            for name, (message, key, size) in limits.items()
+        ]
+    }
+
+
+def spool_bytes_max(pull_events_max: int) -> int:
+    """The largest answer of a spool, which is the largest message that a meeting point has to take."""
+    return max(RECEIVED_BYTES_MIN, pull_events_max * SPOOLED_BYTES_MAX)
+
+
+def quiet(mode: str) -> Settings:
+    """Nobody is looked for or answered by multicast or gossip; no shared memory."""
+    return {
+        "mode": mode,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }
+
+
+def router_json5(access: Access, listen: list[str], message_bytes_max: int, pull_events_max: int) -> str:
+    """The configuration of a router of its own, to be started beside the daemon's certificate and key."""
+    settings = quiet("router") | {"listen/endpoints": listen}
+    settings |= mutual_tls("ca.pem", "certificate.pem", "private.key") | access_control(access)
+    settings |= sizes(access.site, pull_events_max)
+    settings |= {"transport/link/rx/max_message_size": message_bytes_max}
+    nested: dict[str, Any] = {}
+    for path, value in settings.items():
+        *folders, name = path.split("/")
+        place = nested
+        for folder in folders:
+            place = place.setdefault(folder, {})
+        place[name] = value
+    return (
+        f"// The bus of site {access.site}: who may do what. Written by `camtopod keys`; start the router in this folder.\n"
+        + json.dumps(nested, indent=1)
+        + "\n"
+    )
+
+
+def expiring(access: Access, now: float) -> list[tuple[Certificate, float]]:
+    """Certificates that have ended or will soon, with the days left (below 0: ended)."""
+    left = [(certificate, certificate.expires - now) for certificate in access.certificates]
+    return [(certificate, seconds / 86400.0) for certificate, seconds in left if seconds < SOON_SECONDS]
+
+
+def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
+    def rule(what: str, flows: list[str], messages: tuple[str, ...], *keys: str) -> dict[str, Any]:
+        return {
+            "id": f"{certificate.name} {what}",
+            "permission": "allow",
+            "flows": flows,
+            "messages": list(messages),
+            "key_exprs": [_key(site, key) for key in keys],
+        }
+
+    come, go = ["ingress"], ["egress"]
+    if certificate.role == "daemon":
+        return [rule("everything", come + go, _EVERYTHING, "**")]
+    if certificate.role == "reader":
+        return [
+            rule("asks", come, ("declare_subscriber", "query"), *_READABLE),
+            rule("hears", go, ("put", "reply"), *_READABLE),
+            rule("watches", come, ("declare_liveliness_subscriber", "liveliness_query"), "alive/daemon/*"),
+            rule("sees", go, ("liveliness_token",), "alive/daemon/*"),
+        ]
+    camera = certificate.camera
+    answered = (f"spool/{camera}", f"status/{camera}")
+    return [
+        rule("says", come, ("put",), f"event/{camera}", f"status/{camera}"),
+        rule("is asked", go, ("query",), *answered),
+        rule("answers", come, ("declare_queryable", "reply"), *answered),
+        rule("listens", come, ("declare_subscriber",), f"ack/{camera}"),
+        rule("hears", go, ("put",), f"ack/{camera}"),
+        rule("is there", come, ("liveliness_token",), f"alive/grabber/{camera}"),
+    ]
+
+
+def _key(site: str, key: str) -> str:
+    return f"{PREFIX}/{site}/{key}"

@@ -1,0 +1,39 @@
+"""Files that hold secrets: reading one, and whether others can read them."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+
+BYTES_MAX = 4096
+
+
+def read(path: Path) -> str:
+    """The first line of a file that holds one secret. Raises `OSError`, also if it is empty or not text."""
+    with path.open("rb") as file:
+        line = file.read(BYTES_MAX).split(b"\n", 1)[0].strip()
+    try:
+        text = line.decode("utf-8")
+    except UnicodeDecodeError:
+        raise OSError(22, "is not UTF-8 text", str(path)) from None
+    if not text:
+        raise OSError(22, "has an empty first line", str(path))
+    return text
+
+
+def exposed(paths: Iterable[Path]) -> list[str]:
+    """A sentence for each file that everybody on this machine can read or write, or whose group can write it.
+
+    That its group can read a file is how services share it; what is not there is not exposed.
+    """
+    found = []
+    for path in dict.fromkeys(paths):
+        try:
+            mode = path.stat().st_mode
+        except OSError:
+            continue
+        if mode & (stat.S_IROTH | stat.S_IWOTH | stat.S_IWGRP):
+            can = "read" if mode & stat.S_IROTH else "written"
+            found.append(f"{path} holds a secret and can be {can} by others of this machine: chmod 600 or 640")
+    return found
