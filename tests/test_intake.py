@@ -163,3 +163,57 @@ def test_ties_do_not_depend_on_the_order(events: list[Event], chance: random.Ran
         return [(e.t, e.camera, e.kind, e.x, e.y, None if e.track is None else str(e.track)) for e in taken]
 
     assert names(out(first)) == names(out(second))
+
+
+# --- clocks ---
+
+
+def test_a_single_clock_that_is_ahead_makes_nobody_late() -> None:
+    """Camera b is 40 s ahead; with no allowance for that everybody else would be late."""
+    for ahead, late in ((60.0, 0), (0.0, 98 + 100)):
+        intake = Intake(5.0, 9, ahead)
+        for t in range(100):
+            for camera, error in (("a", 0.0), ("b", 40.0), ("c", 0.5)):
+                intake.receive(event(t + error, camera))
+        assert intake.counts["late"] == pytest.approx(late, abs=2)
+        assert intake.watermark_us == microseconds(99.5 - 5 if ahead else 139 - 5)
+
+
+def test_one_that_is_further_ahead_is_obeyed_as_time_may_have_gone_on() -> None:
+    intake = Intake(5.0, 9, 60.0)
+    for camera in "ab":
+        intake.receive(event(100, camera))
+    intake.receive(event(1000, "a"))
+    assert intake.watermark_us == microseconds(1000 - 60 - 5)
+    assert intake.receive(event(934, "b")) == "late"
+    assert intake.receive(event(936, "b")) == "accepted"
+
+
+def test_silent_cameras_hold_nobody_up_for_longer() -> None:
+    intake = Intake(5.0, 9, 60.0)
+    intake.receive(event(0, "b"))
+    for t in range(300):
+        intake.receive(event(t, "a"))
+    assert intake.watermark_us == microseconds(299 - 60 - 5)
+    intake.advance(microseconds(300))
+    assert intake.watermark_us == microseconds(300 - 5), "when time is told, it is told for all"
+
+
+def test_a_camera_that_is_alone_does_not_wait_for_another() -> None:
+    intake = Intake(5.0, 9, 60.0)
+    for t in range(50):
+        intake.receive(event(t, "a"))
+    assert intake.watermark_us == microseconds(49 - 5)
+
+
+@given(EVENTS)
+def test_event_time_is_where_a_second_camera_has_come_to(events: list[Event]) -> None:
+    intake, newest = Intake(5.0, 9, 60.0), dict[str, float]()
+    for e in events:
+        before = intake.watermark_us
+        if intake.receive(e) == "late":
+            continue
+        newest[e.camera] = max(newest.get(e.camera, e.t), e.t)
+        reached = sorted(newest.values())[-2 if len(newest) > 1 else -1]
+        wanted = microseconds(max(reached, max(newest.values()) - 60.0) - 5.0)
+        assert intake.watermark_us == (wanted if before is None else max(wanted, before))

@@ -1,10 +1,11 @@
 """Reorder buffer with a watermark: whatever the order of arrival, the rest of the learner sees events by
 time.
 
-Theory of operation. The watermark trails the newest event time by the lateness. An event at or above the
-watermark is held until the watermark has passed it; one below is late: counted, not learned. So any order of
-arrival within the lateness gives the same sequence out. A silent camera holds nobody up, because only the
-newest event time counts. An event with (camera, boot, seq) counts once however often it comes.
+Theory of operation. The watermark trails event time by the lateness. An event at or above the watermark is held
+until the watermark has passed it; one below is late: counted, not learned. So any order of arrival within the
+lateness gives the same sequence out. Event time is where a second camera has come to, so that a single one whose
+clock is ahead makes nobody else late; but it is at most ``ahead`` behind the first, so that silent cameras hold
+nobody up. An event with (camera, boot, seq) counts once however often it comes.
 """
 
 from __future__ import annotations
@@ -35,6 +36,9 @@ class IntakeState(Struct):
     """What an `Intake` knows. ``seen``: (camera, boot, starts, ends) of every `Sequence`."""
 
     newest_us: int | None
+    second_us: int | None
+    leader: str | None
+    watermark_us: int | None
     counts: dict[str, int]
     held: list[Event]
     cameras: list[str]
@@ -75,10 +79,15 @@ class Sequence:
 class Intake:
     """Events in any order in, events by time out."""
 
-    def __init__(self, lateness_seconds: float, cameras_max: int) -> None:
+    def __init__(self, lateness_seconds: float, cameras_max: int, ahead_seconds_max: float = 0.0) -> None:
         self.lateness_us = microseconds(lateness_seconds)
+        self.ahead_us = microseconds(ahead_seconds_max)
         self.cameras_max = cameras_max
         self.newest_us: int | None = None
+        self.watermark_us: int | None = None
+        """Nothing older will be learned any more; None before the first event."""
+        self._second_us: int | None = None  # the newest of another camera than the one that has come furthest ...
+        self._leader: str | None = None  # ... which is this one
         self.counts = {"accepted": 0, "duplicate": 0, "late": 0, "refused": 0}
         self._held: list[tuple[_Key, Event]] = []
         self._seen: dict[str, dict[str, Sequence]] = {}
@@ -91,21 +100,19 @@ class Intake:
             for boot, sequence in boots.items()
         ]
         held = [event for _, event in self._held]
-        return IntakeState(self.newest_us, self.counts, held, list(self._seen), seen)
+        return IntakeState(
+            self.newest_us, self._second_us, self._leader, self.watermark_us, self.counts, held, list(self._seen), seen
+        )  # fmt: skip
 
     def load(self, state: IntakeState) -> None:
         """Go on from there."""
-        self.newest_us, self.counts = state.newest_us, state.counts
+        self.newest_us, self._second_us, self._leader = state.newest_us, state.second_us, state.leader
+        self.watermark_us, self.counts = state.watermark_us, state.counts
         self._held = [(_key(microseconds(event.t), event), event) for event in state.held]
         self._seen = {camera: {} for camera in state.cameras}
         for camera, boot, starts, ends in state.seen:
             sequence = self._seen[camera][boot] = Sequence()
             sequence.starts, sequence.ends = starts, ends
-
-    @property
-    def watermark_us(self) -> int | None:
-        """Nothing older will be learned any more; None before the first event."""
-        return None if self.newest_us is None else self.newest_us - self.lateness_us
 
     def receive(self, event: Event) -> str:
         """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many
@@ -129,17 +136,36 @@ class Intake:
             if not sequence.add(event.seq):
                 return "duplicate"
         t_us = microseconds(event.t)
-        if self.newest_us is None or t_us > self.newest_us:
-            self.newest_us = t_us
-        elif t_us < self.newest_us - self.lateness_us:
+        if self.watermark_us is not None and t_us < self.watermark_us:
             return "late"
+        self._note(t_us, event.camera)
         self._held.append((_key(t_us, event), event))
         return "accepted"
+
+    def _note(self, t_us: int, camera: str) -> None:
+        """A camera has come to ``t_us``."""
+        if self.newest_us is None or t_us > self.newest_us:
+            if camera != self._leader:
+                self._second_us, self._leader = self.newest_us, camera
+            self.newest_us = t_us
+        elif camera != self._leader and (self._second_us is None or t_us > self._second_us):
+            self._second_us = t_us
+        self._raise_watermark()
+
+    def _raise_watermark(self) -> None:
+        """It only rises: what has been passed has been learned."""
+        assert self.newest_us is not None
+        second = self.newest_us if self._second_us is None else self._second_us
+        watermark = max(second, self.newest_us - self.ahead_us) - self.lateness_us
+        if self.watermark_us is None or watermark > self.watermark_us:
+            self.watermark_us = watermark
 
     def advance(self, now_us: int) -> None:
         """Event time has come to ``now`` although no event says so."""
         if self.newest_us is not None and now_us > self.newest_us:
-            self.newest_us = now_us
+            self.newest_us = self._second_us = now_us
+            self._leader = None
+            self._raise_watermark()
 
     def take(self, until_us: int) -> list[tuple[int, Event]]:
         """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical

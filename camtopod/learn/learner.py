@@ -67,7 +67,9 @@ class Learner:
         self.topology: Topology | None = None
         self.bins = LagBins(-self.settings.overlap_max_seconds, self.settings.transit_max_seconds)
         self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
-        self._intake = Intake(self.settings.lateness_seconds, self.settings.cameras_max)
+        self._intake = Intake(
+            self.settings.lateness_seconds, self.settings.cameras_max, self.settings.ahead_seconds_max
+        )
         self._window = Window(self.settings.window_events_max)
         self._keeper = ClockKeeper()
         self._alarms = AlarmLog()
