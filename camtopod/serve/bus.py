@@ -20,11 +20,12 @@ import zenoh
 
 from camtopod import codec
 from camtopod.config import Config
+from camtopod.keys.rules import PREFIX
 from camtopod.redact import redact
+from camtopod.serve import clock, guard
 
 log = logging.getLogger(__name__)
 
-PREFIX = "camtopo"
 _PACK = "application/msgpack;schema=camtopod.{}.1"
 _JSON = "application/json"
 _OPEN_RETRY_SECONDS = 0.2
@@ -60,6 +61,7 @@ class Bus:
         self._query_seconds = query_seconds
         self._declared: list[Any] = []
         self._closed = threading.Event()
+        self._doorkeeper: guard.Doorkeeper | None = None
 
     def put(self, key: str, noun: Any, schema: str) -> None:
         """Publish a noun, as MessagePack. What becomes of it is not known; see `camtopod.serve.spool`."""
@@ -144,6 +146,13 @@ class Bus:
         token = self._session.liveliness().declare_token(self._full(f"alive/{role}/{name}"))
         self._declared.append(token)
 
+    def present(self, role: str) -> list[str]:
+        """The names of those of a role who are there."""
+        answers = self._session.liveliness().get(
+            self._full(f"alive/{role}/*"), zenoh.handlers.FifoChannel(_REPLIES_MAX), timeout=self._query_seconds
+        )
+        return [str(reply.ok.key_expr).rsplit("/", 1)[-1] for reply in answers if reply.ok is not None]
+
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
         """Call ``on_change(name, alive)`` for those of a role who are there, appear, and vanish."""
 
@@ -153,6 +162,22 @@ class Bus:
 
         key = self._full(f"alive/{role}/*")
         self._declared.append(self._session.liveliness().declare_subscriber(key, change, history=True))
+
+    def watch_door(self, doorkeeper: guard.Doorkeeper) -> None:
+        """Tell ``doorkeeper`` who connects."""
+
+        def change(event: zenoh.LinkEvent) -> None:
+            if event.kind == zenoh.SampleKind.PUT:
+                doorkeeper.came(event.link.auth_identifier, event.link.dst)
+
+        self._doorkeeper = doorkeeper
+        self._declared.append(self._session.info.declare_link_events_listener(change, history=True))
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """How many were not let in, by reason, as far as zenoh tells."""
+        strangers = 0 if self._doorkeeper is None else self._doorkeeper.strangers
+        return {"no-rights": strangers}
 
     @property
     def connected(self) -> bool:
@@ -186,14 +211,19 @@ class Bus:
 def dial(config: Config) -> Bus:
     """Open a client session, trying for ``bus.connect_seconds``. Raises `BusError`."""
     endpoints = config.dials
+    try:
+        guard.check_files(config)
+    except guard.AccessError as error:
+        raise BusError(str(error)) from None
     deadline = time.monotonic() + config.bus.connect_seconds
     while True:
         try:
-            session = zenoh.open(_settings(config, "client", connect=endpoints))
+            session = _open(config, guard.settings(config, "client"), connect=endpoints)
         except zenoh.ZError as error:
             if time.monotonic() >= deadline:
+                also = ", and does it accept this certificate" if config.bus.tls.ca else ""
                 raise BusError(
-                    f"cannot reach the bus at {', '.join(endpoints)}: is `camtopod run` running there? "
+                    f"cannot reach the bus at {', '.join(endpoints)}: is `camtopod run` running there{also}? "
                     f"({_short(error)})"
                 ) from None
             time.sleep(_OPEN_RETRY_SECONDS)
@@ -204,38 +234,38 @@ def dial(config: Config) -> Bus:
 def meet(config: Config) -> Bus:
     """The daemon's session: the meeting point at ``config.listens``, or a client if there are none.
 
-    A port 0 stands for a free one. Raises `BusError`.
+    A port 0 stands for a free one. Says what is open to whom. Raises `BusError`.
     """
+    guard.warn_if_open(config)
     if not config.listens:
         return dial(config)
     endpoints = [_with_port(endpoint) for endpoint in config.listens]
     try:
-        settings = _settings(config, "router", connect=config.bus.connect, listen=endpoints)
-        session = zenoh.open(settings)
+        guard.check_files(config)
+        access = guard.read_access(config, clock.wall)
+        session = _open(config, guard.settings(config, "router", access), connect=config.bus.connect, listen=endpoints)
+    except guard.AccessError as error:
+        raise BusError(str(error)) from None
     except zenoh.ZError as error:
         raise BusError(
             f"cannot listen at {', '.join(endpoints)}: another daemon may be running there; "
             f"stop it or set other endpoints in [bus] ({_short(error)})"
         ) from None
-    return Bus(session, config.site.name, endpoints[0], config.bus.query_seconds)
+    bus = Bus(session, config.site.name, endpoints[0], config.bus.query_seconds)
+    bus.watch_door(guard.Doorkeeper(access))
+    return bus
 
 
-def _settings(config: Config, mode: str, connect: Sequence[str] = (), listen: Sequence[str] = ()) -> zenoh.Config:
+def _open(
+    config: Config, values: Mapping[str, object], connect: Sequence[str] = (), listen: Sequence[str] = ()
+) -> zenoh.Session:
     settings = zenoh.Config()
-    values: dict[str, object] = {
-        "mode": mode,
-        "connect/endpoints": list(connect),
-        "listen/endpoints": list(listen),
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/shared_memory/enabled": False,
-        "transport/link/rx/max_message_size": config.bus.message_bytes_max,
-    }
-    if mode == "client":
-        values["connect/timeout_ms"] = int(config.bus.connect_seconds * 1000)
-    for key, value in values.items():
+    endpoints = {"connect/endpoints": list(connect), "listen/endpoints": list(listen)}
+    for key, value in {**values, **endpoints}.items():
         settings.insert_json5(key, json.dumps(value))
-    return settings
+    if not listen:
+        settings.insert_json5("connect/timeout_ms", json.dumps(int(config.bus.connect_seconds * 1000)))
+    return zenoh.open(settings)
 
 
 def _with_port(endpoint: str) -> str:

@@ -1,0 +1,129 @@
+"""Who is let onto the bus: the settings for it, what is open, and who came.
+
+The daemon that is the meeting point enforces `camtopod.keys.rules`; with a router of its own, that one does.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import threading
+from pathlib import Path
+
+from camtopod import secret_files
+from camtopod.config import Config
+from camtopod.keys import rules
+from camtopod.serve.clock import Clock
+
+log = logging.getLogger(__name__)
+
+STRANGERS_NAMED_MAX = 100
+"""Names of certificates without rights that are said in the log, each once."""
+
+
+class AccessError(OSError):
+    """The access list or a certificate cannot be used; ``str()`` says which and what to do."""
+
+
+def settings(config: Config, mode: str, access: rules.Access | None = None) -> rules.Settings:
+    """Everything that a session of zenoh is told, except the endpoints."""
+    values = rules.quiet(mode)
+    tls = config.bus.tls
+    if tls.ca:
+        values |= rules.mutual_tls(tls.ca, tls.certificate, tls.private_key)
+    largest = config.bus.message_bytes_max
+    if mode == "router":  # it receives no topology, so nothing large
+        largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
+        values |= rules.sizes(config.site.name, config.limits.pull_events_max)
+        if access is not None:
+            values |= rules.access_control(access)
+    values["transport/link/rx/max_message_size"] = largest
+    return values
+
+
+def read_access(config: Config, clock: Clock) -> rules.Access | None:
+    """Who may do what, None if everybody may do everything. Warns of what expires soon. Raises `AccessError`."""
+    path = config.bus.tls.access
+    if not config.bus.tls.ca:
+        return None
+    try:
+        access = rules.read_access(Path(path).read_bytes())
+    except OSError as error:
+        raise AccessError(f"cannot read who may do what, {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise AccessError(f"{path} is no access list of `camtopod keys`: {error}") from None
+    if access.site != config.site.name:
+        raise AccessError(f"{path} is for site {access.site}, but this is site {config.site.name}")
+    for certificate, days in rules.expiring(access, clock()):
+        when = f"expires in {days:.0f} days" if days > 0 else f"expired {-days:.0f} days ago"
+        log.warning("the certificate of %s %s: `camtopod keys` makes another", certificate.name, when)
+    return access
+
+
+def check_files(config: Config) -> None:
+    """A missing certificate or key is said by its name. Raises `AccessError`; warns of a key others can read."""
+    tls = config.bus.tls
+    if not tls.ca:
+        return
+    for path in (tls.ca, tls.certificate, tls.private_key):
+        try:
+            with open(path, "rb"):
+                pass
+        except OSError as error:
+            raise AccessError(f"cannot read {path}: {error.strerror}; see [bus.tls]") from None
+    for sentence in secret_files.exposed([Path(tls.private_key)]):
+        log.warning("%s", sentence)
+
+
+def warn_if_open(config: Config) -> None:
+    """Say at every start what is open to whom, and what to do about it."""
+    if config.bus.tls.ca:
+        return
+    what = "write events, read everything learned and answer in the daemon's place"
+    cure = "`camtopod keys init` and [bus.tls] close it, see README, 'Security'"
+    if not config.listens:
+        log.warning("no [bus.tls]: whoever reaches the bus at %s can %s; %s", ", ".join(config.dials), what, cure)
+    elif beyond := [endpoint for endpoint in config.listens if not is_local(endpoint)]:
+        log.warning(
+            "ANYBODY ON THE NETWORK who reaches %s can %s: there is no authentication; %s",
+            ", ".join(beyond), what, cure,
+        )  # fmt: skip
+    else:
+        log.warning("no authentication: every program of this machine can %s; %s", what, cure)
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this machine can reach an endpoint."""
+    protocol, _, rest = endpoint.partition("/")
+    if protocol in ("unixsock-stream", "vsock", "serial"):
+        return True
+    host = rest.split("#")[0].split("?")[0].rpartition(":")[0].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class Doorkeeper:
+    """Notes which certificates are on the bus; one without rights is counted, and said once."""
+
+    def __init__(self, access: rules.Access | None) -> None:
+        self._known = None if access is None else {certificate.name for certificate in access.certificates}
+        self._mutex = threading.Lock()
+        self._said: set[str | None] = set()
+        self.strangers = 0
+        """Links of certificates of the authority which the access list does not have (any more)."""
+
+    def came(self, name: str | None, address: str) -> None:
+        """A link was added; from a thread of the bus."""
+        if self._known is None or name in self._known:
+            return
+        with self._mutex:
+            self.strangers += 1
+            first = name not in self._said and len(self._said) < STRANGERS_NAMED_MAX
+            if first:
+                self._said.add(name)
+        if first:
+            log.warning("certificate %r from %s is not on the access list: it can do nothing here", name, address)
