@@ -34,6 +34,7 @@ from camtopod.serve.progress import Mark, Progress
 from camtopod.serve.puller import Puller
 from camtopod.serve.receiver import Received, Receiver, Version
 from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover
+from camtopod.serve.rivals import Rivals
 
 log = logging.getLogger(__name__)
 
@@ -93,6 +94,8 @@ class Daemon:
             if self._bus is None:
                 self._bus = meet(self._config)
             self._build(self._bus, recovered)
+            self._rivals = Rivals(self._bus, self._name())
+            self._rivals.refuse(self._config.bus.connect_seconds, cancelled)
             self._serve(self._bus)
         except sqlite3.Error as error:
             self._undo()
@@ -167,7 +170,7 @@ class Daemon:
     def status(self) -> dict[str, Any]:
         """What ``status/daemon`` says: state, reason, counters."""
         receiver, learning = self._receiver, self._learning
-        reason = receiver.reason or "; ".join(self.failing())
+        reason = receiver.reason or self._rivals.reason or "; ".join(self.failing())
         return {
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
@@ -234,7 +237,8 @@ class Daemon:
             recovered, self._journal, limits.learn_events_max, self._config.keep.snapshot_events,
             self._receiver.on_version, self._receiver.on_snapshot, self._receiver.on_deadline, self._new_epoch,
         )  # fmt: skip
-        self._puller = Puller(bus, limits, self._receiver.streams.wanted, self._receiver.on_pulled, self._receiver.gap)
+        receiver = self._receiver
+        self._puller = Puller(bus, limits, receiver.streams.wanted, receiver.on_pulled, receiver.gap, receiver.rejects)
 
     def _serve(self, bus: Bus) -> None:
         bus.answer("topology", lambda key, parameters: self._version(parameters), "topology")
@@ -242,7 +246,15 @@ class Daemon:
         bus.answer("status/daemon", lambda key, parameters: self.status(), "status")
         bus.subscribe("event/*", self._receiver.on_event)
         bus.watch_alive("grabber", self._on_alive)
-        bus.appear("daemon", self._config.site.name)
+        self._rivals.appear()
+
+    def _name(self) -> str:
+        """What other daemons know this one by: it stays with the state directory."""
+        name = self._journal.meta("name")
+        if name is None:
+            name = clocks.ulid(self._clock())
+            self._journal.set_meta("name", name)
+        return name
 
     def _on_alive(self, camera: str, alive: bool) -> None:
         known = self._receiver.with_spool

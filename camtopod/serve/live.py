@@ -7,6 +7,7 @@ import queue
 import threading
 from collections.abc import Callable, Sequence
 
+from camtopod import codec
 from camtopod.learn.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
@@ -26,7 +27,7 @@ class Live:
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
         self._topology: Topology | None = None
-        self.counts = {"predictions": 0, "predictions_skipped": 0}
+        self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
     def feed(self, event: Event) -> None:
         """An event just stored. Never blocks: what cannot be predicted in time is skipped and counted."""
@@ -61,27 +62,24 @@ class Live:
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """To ``predict/{camera}``: for an exit at x, y at t, or from a zone. Raises `QueryError`."""
-        camera = key.removeprefix("predict/")
         try:
-            t = float(parameters["t"]) if "t" in parameters else None
-            x = float(parameters["x"]) if "x" in parameters else None
-            y = float(parameters["y"]) if "y" in parameters else None
-        except ValueError:
-            raise QueryError("t, x and y are numbers") from None
-        if (x is None) != (y is None):
-            raise QueryError("x and y go together")
+            return self._predicted(key.removeprefix("predict/"), parameters)
+        except QueryError:
+            self.counts["questions_refused"] += 1
+            raise
+
+    def _predicted(self, camera: str, parameters: dict[str, str]) -> Prediction:
         with self._mutex:
             predictor = self._newest()
             if predictor is None:
                 raise QueryError("nothing has been learned yet")
-            if t is None:
-                t = predictor.topology.as_of
+            event = asked_exit(camera, parameters, predictor.topology.as_of)
             if "zone" not in parameters:
-                return predictor.predict(Event(camera, "exit", t, x, y))
+                return predictor.predict(event)
             zones = [zone.id for zone in predictor.zones]
             if parameters["zone"] not in zones or not parameters["zone"].startswith(f"{camera}/"):
                 raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
-            return predictor.predict_from(zones.index(parameters["zone"]), t)
+            return predictor.predict_from(zones.index(parameters["zone"]), event.t)
 
     def _step(self, event: Event) -> Prediction | None:
         with self._mutex:
@@ -98,3 +96,15 @@ class Live:
         if topology is not None and (old is None or old.topology is not topology):
             self._predictor = Predictor(topology) if old is None else old.follow(topology)
         return self._predictor
+
+
+def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> Event:
+    """The exit a question is about; at ``as_of`` if it does not say when. Raises `QueryError`."""
+    asked: dict[str, object] = {"camera": camera, "kind": "exit", "t": as_of}
+    try:
+        asked |= {name: float(parameters[name]) for name in ("t", "x", "y") if name in parameters}
+        return codec.event_from_pack(codec.to_pack(asked))
+    except codec.Rejected as error:
+        raise QueryError(str(error)) from None
+    except ValueError:
+        raise QueryError("t, x and y are numbers") from None

@@ -10,12 +10,14 @@ from collections.abc import Sequence
 from camtopod import codec
 from camtopod.records import Ack, Event
 from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.rejects import Rejects
 from camtopod.serve.spool import Spool, SpoolBatch
 
 log = logging.getLogger(__name__)
 
 PENDING_EVENTS_MAX = 10_000
 """Events kept in memory while the spool cannot be written (disk full); beyond it the newest are dropped."""
+SEQ_MAX = 2**63 - 1
 
 
 class Publisher:
@@ -31,6 +33,9 @@ class Publisher:
         self._pending: list[Event] = []
         self._introduced: set[str] = set()
         self._acked = threading.Condition()
+        self._unwritable = False
+        self.rejects = Rejects()
+        """Acks and questions that do not fit."""
         self.published = 0
         """Events spooled (and put, if there is a bus) since the start."""
         self.dropped = 0
@@ -56,8 +61,13 @@ class Publisher:
             try:
                 numbered = self._spool.append(batch)
             except sqlite3.Error as error:
-                log.error("cannot write the spool: %s; %d events wait in memory", error, len(self._pending))
+                if not self._unwritable:
+                    self._unwritable = True
+                    log.error("cannot write the spool: %s; events wait in memory", error)
                 return
+            if self._unwritable:
+                self._unwritable = False
+                log.info("the spool can be written again")
             del self._pending[: self._batch_max]
             self.published += len(numbered)
             if self._bus is not None:
@@ -81,6 +91,7 @@ class Publisher:
             "published": self.published,
             "unacknowledged": self.unacknowledged,
             "dropped": self.dropped + self._spool.dropped,
+            "rejected": self.rejects.counts.total(),
         }
 
     def _introduce(self, bus: Bus, camera: str) -> None:
@@ -93,26 +104,34 @@ class Publisher:
 
     def _answer(self, key: str, parameters: dict[str, str]) -> SpoolBatch:
         try:
-            start, most = int(parameters.get("from", "-1")), int(parameters.get("max", "1000"))
+            start, most = int(parameters.get("from", "0")), int(parameters.get("max", "1000"))
         except ValueError:
-            raise QueryError("from and max are whole numbers") from None
+            raise self._refusal(key, parameters, "from and max are whole numbers") from None
+        if not -1 <= start <= SEQ_MAX:
+            raise self._refusal(key, parameters, "from is not a sequence number")
         camera = key.removeprefix("spool/")
         try:
             return self._spool.batch(camera, parameters.get("boot"), start, max(1, min(most, 10_000)))
         except sqlite3.Error as error:
             raise QueryError(f"the spool cannot be read: {error}") from None
 
+    def _refusal(self, key: str, parameters: dict[str, str], what: str) -> QueryError:
+        self.rejects.add("bad-question", key, what, str(parameters))
+        return QueryError(what)
+
     def _on_ack(self, key: str, payload: bytes) -> None:
         try:
             ack = codec.read(Ack, payload, pack=True)
             if ack.camera != key.removeprefix("ack/"):
-                return
+                raise codec.Rejected("wrong-camera", f"says camera {ack.camera!r}")
+            if not 0 <= ack.seq <= SEQ_MAX:
+                raise codec.Rejected("bad-value", "seq is not a sequence number")
             self._spool.ack(ack.camera, ack.boot, ack.seq)
         except codec.Rejected as error:
-            log.debug("an ack that cannot be read on %s: %s", key, error)
+            self.rejects.add(error.reason, key, str(error), payload)
             return
         except sqlite3.Error as error:
-            log.warning("cannot write the spool: %s", error)
+            log.debug("cannot write the spool: %s; the ack will come again", error)
             return
         with self._acked:
             self._acked.notify_all()

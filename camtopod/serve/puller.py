@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import concurrent.futures
+import itertools
 import logging
 import math
+import re
 import threading
 import time
 from collections.abc import Callable
 
 from camtopod import codec
 from camtopod.config import Limits
+from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.progress import Mark
 from camtopod.serve.receiver import Pulled
+from camtopod.serve.rejects import Rejects
 from camtopod.serve.spool import SpoolBatch
 
 log = logging.getLogger(__name__)
 
 _ASKING_AT_ONCE = 4
 _GAP_PULLS_SECONDS = 0.1
-_ROUNDS_MAX = 1000
+_ROUNDS_MAX = 20
 """Answers taken in a row from one spool before it is another's turn."""
+_BOOT = re.compile(CAMERA_PATTERN)
+"""A boot that can be asked for; for another the spool is asked what is oldest, which comes to the same in the end."""
 
 
 class Puller:
@@ -34,6 +40,7 @@ class Puller:
         wanted: Callable[[str], tuple[str, int] | None],
         deliver: Callable[[Pulled], bool],
         poke: threading.Event,
+        rejects: Rejects,
     ) -> None:
         self._bus, self._limits = bus, limits
         self._wanted, self._deliver = wanted, deliver
@@ -43,6 +50,7 @@ class Puller:
         self.alive: set[str] = set()
         """Cameras whose publisher is there."""
         self.pulls = 0
+        self._rejects = rejects
 
     def on_alive(self, camera: str, alive: bool) -> None:
         """A publisher appeared or vanished; from a thread of the bus."""
@@ -80,6 +88,7 @@ class Puller:
                 if following is None:
                     return
                 question = following
+            self._poke.set()  # there is more
         finally:
             with self._mutex:
                 self._asking.pop(camera, None)
@@ -88,27 +97,39 @@ class Puller:
         """Ask once; returns what to ask next at once, or None."""
         with self._mutex:
             self._asking[camera] = time.monotonic()
+        if not _BOOT.match(boot):
+            boot, start = "", 0
         given: dict[str, object] = {"from": start, "max": self._limits.pull_events_max}
         try:
             answers = self._bus.ask(f"spool/{camera}", given | ({"boot": boot} if boot else {}))
         except QueryError as error:
-            log.warning("the spool of camera %s: %s", camera, error)
+            self._rejects.add("spool-refuses", f"spool/{camera}", str(error))
             return None
         following = None
         for _, payload in answers:
             self.pulls += 1
             try:
-                batch = codec.read(SpoolBatch, payload, pack=True)
+                batch = read_batch(payload, camera)
             except codec.Rejected as error:
-                log.warning("the spool of camera %s gave an answer that cannot be read: %s", camera, error)
-                continue
-            if batch.camera != camera:
-                log.warning("the spool of camera %s answered for camera %s", camera, batch.camera)
+                self._rejects.add(error.reason, f"spool/{camera}", str(error), payload)
                 continue
             delivered = self._deliver(Pulled(batch, start if batch.boot == boot else -1))
-            if delivered and batch.more and batch.events:
+            if delivered and batch.more and batch.events and (batch.boot != boot or batch.events[-1][0] >= start):
                 following = (batch.boot, batch.events[-1][0] + 1)
         return following
+
+
+def read_batch(payload: bytes, camera: str) -> SpoolBatch:
+    """The answer of a camera's spool. Raises `codec.Rejected` also for one that contradicts itself."""
+    batch = codec.read(SpoolBatch, payload, pack=True)
+    if batch.camera != camera:
+        raise codec.Rejected("wrong-camera", f"answers for camera {batch.camera!r}")
+    seqs = [seq for seq, _ in batch.events]
+    if any(seq >= following for seq, following in itertools.pairwise(seqs)):
+        raise codec.Rejected("bad-batch", "its events are not by rising seq")
+    if seqs and batch.first > seqs[0]:
+        raise codec.Rejected("bad-batch", "it begins behind its first event")
+    return batch
 
 
 def _complain(pull: concurrent.futures.Future[None]) -> None:

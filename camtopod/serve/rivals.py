@@ -1,0 +1,57 @@
+"""Another daemon for the same site: two would both acknowledge, and each have half of the events.
+
+One that starts beside another refuses to. Where neither could see the other (a cut between them that heals), both go
+on and say so loudly until one is stopped: nothing that was acknowledged is given up. A daemon is known by a name that
+stays with its state directory, so it does not mistake its own trace from before a crash for another.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+from camtopod.serve.bus import Bus, BusError
+
+log = logging.getLogger(__name__)
+
+ROLE = "daemon"
+_LOOK_SECONDS = 0.1
+
+
+class Rivals:
+    """``name``: this daemon's own."""
+
+    def __init__(self, bus: Bus, name: str) -> None:
+        self._bus, self._name = bus, name
+        self._there: set[str] = set()
+
+    def refuse(self, seconds: float, cancelled: threading.Event) -> None:
+        """Raises `BusError` if another is there and does not go within ``seconds``."""
+        deadline = time.monotonic() + seconds
+        while others := set(self._bus.present(ROLE)) - {self._name}:
+            if time.monotonic() >= deadline:
+                raise BusError(
+                    f"another daemon ({', '.join(sorted(others))}) serves site {self._bus.site} on this bus: "
+                    f"stop it, or give one of them another [site] name"
+                )
+            if cancelled.wait(_LOOK_SECONDS):
+                return
+
+    def appear(self) -> None:
+        """Be seen as the site's daemon, and look out for others."""
+        self._bus.watch_alive(ROLE, self._on_change)
+        self._bus.appear(ROLE, self._name)
+
+    @property
+    def reason(self) -> str:
+        """Why this is no good state; empty if there is no other."""
+        others = ", ".join(sorted(self._there.copy()))
+        return f"another daemon ({others}) serves the same site: stop one of them" if others else ""
+
+    def _on_change(self, name: str, alive: bool) -> None:
+        if name == self._name:
+            return
+        if alive and name not in self._there:
+            log.error("another daemon (%s) serves site %s on this bus: stop one of them", name, self._bus.site)
+        (self._there.add if alive else self._there.discard)(name)
