@@ -1,0 +1,31 @@
+"""Where the storage faults happen."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import vfs
+
+IN_MEMORY = Path("/dev/shm")
+
+
+@pytest.fixture
+def quick_path(tmp_path: Path) -> Iterator[Path]:
+    """A directory in memory where there is one: many files are written, and none needs to survive."""
+    if not os.access(IN_MEMORY, os.W_OK):
+        yield tmp_path
+        return
+    with tempfile.TemporaryDirectory(dir=IN_MEMORY) as name:
+        yield Path(name)
+
+
+@pytest.fixture
+def disk_watch() -> vfs.Vfs:
+    """The VFS that sees and spoils what SQLite does."""
+    if vfs.VFS is None:
+        pytest.skip("the functions of the SQLite that Python uses cannot be reached")
+    return vfs.VFS

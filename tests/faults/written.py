@@ -1,0 +1,102 @@
+"""What the storage faults happen to: a journal and a spool that are written step by step, and what is then in them."""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+from collections.abc import Callable, Hashable
+from pathlib import Path
+from typing import Protocol
+
+from camtopod.config import KeepSettings
+from camtopod.records import Event
+from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.spool import Spool
+
+KEEP = KeepSettings(journal_bytes_max=150_000, history_bytes_max=20_000)
+EPOCH = "e1"
+CAMERAS = ("lobby", "hall", "yard")
+State = Hashable
+
+
+class Written(Protocol):
+    """One file that is written in numbered steps; the steps' content depends on their number alone."""
+
+    damaged: bool
+    """Whether a file was set aside on opening."""
+
+    def step(self, number: int) -> None:
+        """Do it; afterwards it is durable. Raises `sqlite3.Error`; may then be repeated."""
+
+    def state(self) -> State:
+        """What is in it, as far as it must survive."""
+
+    def close(self) -> None: ...
+
+
+Open = Callable[[Path], Written]
+
+
+class WrittenJournal:
+    """Entries; now and then a version, a snapshot, and the forgetting of what is old."""
+
+    def __init__(self, directory: Path) -> None:
+        self.journal = Journal(directory, KEEP)
+        self.damaged = self.journal.set_aside is not None
+
+    def step(self, number: int) -> None:
+        entries, versions, snapshot = step_of(number, len(self.journal))
+        self.journal.commit(entries, versions, snapshot, now=float(number))
+        if number % 40 == 39:
+            self.journal.prune(now=float(number))
+
+    def state(self) -> State:
+        entries = tuple(self.journal.entries())
+        assert all(entry is not None for _, entry in entries), "damaged"
+        versions = self.journal.versions(EPOCH)
+        contents = tuple((number, digest, self.journal.version(EPOCH, number)) for number, digest in versions.items())
+        return (
+            entries,
+            contents,
+            tuple(self.journal.snapshots()),
+            tuple(sorted(self.journal.streams().items())),
+            len(self.journal),
+        )
+
+    def close(self) -> None:
+        self.journal.close()
+
+
+def step_of(number: int, last: int) -> tuple[list[Entry], list[StoredVersion], Snapshot | None]:
+    """The content of a step of the journal which has ``last`` entries."""
+    chance = random.Random(number)
+    camera = chance.choice(CAMERAS)
+    entries = [Entry("event", camera, "b1", 10 * number + n, chance.randbytes(60)) for n in range(chance.randint(1, 6))]
+    versions = [StoredVersion(EPOCH, number, f"sha256:{number}", chance.randbytes(900))] if number % 7 == 3 else []
+    snapshot = Snapshot(last, EPOCH, chance.randbytes(6000)) if number % 20 == 11 else None
+    return entries, versions, snapshot
+
+
+class WrittenSpool:
+    """Events of some cameras, most of them acknowledged some steps later."""
+
+    def __init__(self, directory: Path) -> None:
+        known = len(list(directory.glob("spool.db*")))
+        self.spool = Spool(directory / "spool.db", f"boot-{known}-{random.random()}", 150, kept_events_max=40)
+        self.damaged = self.spool.rescued > 0 or bool(self.spool.statistics()["damaged_files"])
+
+    def step(self, number: int) -> None:
+        chance = random.Random(number)
+        camera = chance.choice(CAMERAS)
+        events = [Event(camera, "entry", 10.0 * number + n, track="x" * 40) for n in range(chance.randint(1, 6))]
+        stored = self.spool.append(events)
+        if number % 5 != 0:
+            last = stored[-1]
+            self.spool.ack(last.camera, str(last.boot), int(last.seq or 0))
+
+    def state(self) -> State:
+        database: sqlite3.Connection = self.spool._db
+        return tuple(database.execute("SELECT * FROM event ORDER BY id")), self.spool.dropped
+
+    def close(self) -> None:
+        self.spool.close()
