@@ -11,7 +11,7 @@ from camtopod.cli.common import Told, configuration, leaving, signals, start_log
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import Config
 from camtopod.serve import health, systemd
-from camtopod.serve.bus import BusError
+from camtopod.serve.bus import BusError, refusals_heard
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.database import StateError
 
@@ -42,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
         daemon = Daemon(config)
         try:
             with (
+                refusals_heard(),
                 health.serving(config.health.listen, daemon.failing, daemon.unready) as listening,
                 systemd.watchdog(daemon.failing, lambda: not daemon.started),
             ):

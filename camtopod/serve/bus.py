@@ -13,7 +13,7 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import zenoh
@@ -22,7 +22,7 @@ from camtopod import codec
 from camtopod.config import Config
 from camtopod.keys.rules import PREFIX
 from camtopod.redact import redact
-from camtopod.serve import clock, guard
+from camtopod.serve import clock, guard, refusals
 
 log = logging.getLogger(__name__)
 
@@ -175,9 +175,9 @@ class Bus:
 
     @property
     def refused(self) -> dict[str, int]:
-        """How many were not let in, by reason, as far as zenoh tells."""
+        """How many were not let in, by reason; those without a good certificate only inside `refusals_heard`."""
         strangers = 0 if self._doorkeeper is None else self._doorkeeper.strangers
-        return {"no-rights": strangers}
+        return {**refusals.refusals.counts, "no-rights": strangers}
 
     @property
     def connected(self) -> bool:
@@ -254,6 +254,14 @@ def meet(config: Config) -> Bus:
     bus = Bus(session, config.site.name, endpoints[0], config.bus.query_seconds)
     bus.watch_door(guard.Doorkeeper(access))
     return bus
+
+
+@contextlib.contextmanager
+def refusals_heard() -> Iterator[None]:
+    """Count and log who is refused while the block runs. Once in a process, which leaves standard output alone."""
+    with refusals.standard_output_heard():
+        zenoh.init_log_from_env_or(refusals.FILTER)
+        yield
 
 
 def _open(
