@@ -185,6 +185,7 @@ class Daemon:
                 "early": receiver.cameras.waiting,
             },
             "rejects": dict(receiver.rejects.counts),
+            "refused": {} if self._bus is None else self._bus.refused,
             "reject_samples": receiver.rejects.samples(),
             "dropped": receiver.dropped,
             "learner": learning.statistics,
