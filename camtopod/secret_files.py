@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import stat
 from collections.abc import Iterable
 from pathlib import Path
 
 BYTES_MAX = 4096
+_PASSWORD = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://[^/]*:.*@")
 
 
 def read(path: Path) -> str:
@@ -20,6 +22,11 @@ def read(path: Path) -> str:
     if not text:
         raise OSError(22, "has an empty first line", str(path))
     return text
+
+
+def holds_password(source: str) -> bool:
+    """Whether a source is a URL with a password."""
+    return _PASSWORD.match(source) is not None
 
 
 def exposed(paths: Iterable[Path]) -> list[str]:

@@ -7,9 +7,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from camtopod import config
+from camtopod import config, secret_files
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
+from camtopod.serve import guard
 
 
 def add_parser(subparsers: Any) -> None:
@@ -23,7 +24,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Mistakes go to standard error as ``file:line: what``, a good configuration to nobody."""
+    """Mistakes go to standard error as ``file:line: what``, and so do warnings of what is open to others."""
     if args.example:
         from camtopod.cli.example import example
 
@@ -39,5 +40,9 @@ def run(args: argparse.Namespace) -> int:
         return exits.CONFIG
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
+    warnings = secret_files.exposed(loaded.secrets(path))
+    warnings += [] if (open_to := guard.openness(loaded)) is None else [open_to]
+    for warning in warnings:
+        print(f"{path}: warning: {warning}", file=sys.stderr)
     print(f"{path}: no mistakes; site {loaded.site.name}, {len(loaded.cameras)} cameras", file=sys.stderr)
     return exits.DONE

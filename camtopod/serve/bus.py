@@ -236,7 +236,8 @@ def meet(config: Config) -> Bus:
 
     A port 0 stands for a free one. Says what is open to whom. Raises `BusError`.
     """
-    guard.warn_if_open(config)
+    if (open_to := guard.openness(config)) is not None:
+        log.warning("%s", open_to)
     if not config.listens:
         return dial(config)
     endpoints = [_with_port(endpoint) for endpoint in config.listens]

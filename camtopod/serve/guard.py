@@ -10,7 +10,6 @@ import logging
 import threading
 from pathlib import Path
 
-from camtopod import secret_files
 from camtopod.config import Config
 from camtopod.keys import rules
 from camtopod.serve.clock import Clock
@@ -61,7 +60,7 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
 
 
 def check_files(config: Config) -> None:
-    """A missing certificate or key is said by its name. Raises `AccessError`; warns of a key others can read."""
+    """A missing certificate or key is said by its name. Raises `AccessError`."""
     tls = config.bus.tls
     if not tls.ca:
         return
@@ -71,25 +70,20 @@ def check_files(config: Config) -> None:
                 pass
         except OSError as error:
             raise AccessError(f"cannot read {path}: {error.strerror}; see [bus.tls]") from None
-    for sentence in secret_files.exposed([Path(tls.private_key)]):
-        log.warning("%s", sentence)
 
 
-def warn_if_open(config: Config) -> None:
-    """Say at every start what is open to whom, and what to do about it."""
+def openness(config: Config) -> str | None:
+    """What is open to whom without authentication, and what to do about it; None with authentication."""
     if config.bus.tls.ca:
-        return
+        return None
     what = "write events, read everything learned and answer in the daemon's place"
     cure = "`camtopod keys init` and [bus.tls] close it, see README, 'Security'"
     if not config.listens:
-        log.warning("no [bus.tls]: whoever reaches the bus at %s can %s; %s", ", ".join(config.dials), what, cure)
-    elif beyond := [endpoint for endpoint in config.listens if not is_local(endpoint)]:
-        log.warning(
-            "ANYBODY ON THE NETWORK who reaches %s can %s: there is no authentication; %s",
-            ", ".join(beyond), what, cure,
-        )  # fmt: skip
-    else:
-        log.warning("no authentication: every program of this machine can %s; %s", what, cure)
+        return f"no [bus.tls]: whoever reaches the bus at {', '.join(config.dials)} can {what}; {cure}"
+    if beyond := [endpoint for endpoint in config.listens if not is_local(endpoint)]:
+        where = ", ".join(beyond)
+        return f"ANYBODY ON THE NETWORK who reaches {where} can {what}: there is no authentication; {cure}"
+    return f"no authentication: every program of this machine can {what}; {cure}"
 
 
 def is_local(endpoint: str) -> bool:
