@@ -162,10 +162,12 @@ class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The same for a step of the learner (fitting anew takes long on a small machine) and for the start."""
     hung_seconds: Positive = 30.0
     """A camera's process that has not got on for this long is killed and started again."""
+    start_seconds: Positive = 60.0
+    """How long a camera's process may take to be there; loading OpenCV takes a while on a small machine."""
     restart_seconds_min: Positive = 1.0
     """First wait before a camera's process is started again; doubles up to the largest."""
     restart_seconds_max: Positive = 60.0
-    """Largest wait before a camera's process is started again; it starts anew after running for this long."""
+    """Largest wait before a camera's process is started again; one that ran for this long waits least."""
 
 
 class Config(Struct, frozen=True):
@@ -201,6 +203,15 @@ class Config(Struct, frozen=True):
     def dials(self) -> tuple[Endpoint, ...]:
         """The endpoints which everything but the daemon dials."""
         return self.bus.connect or tuple(_from_here(endpoint) for endpoint in self.listens)
+
+    def secrets(self, path: Path) -> list[Path]:
+        """The files that hold secrets, when this configuration was read from ``path``."""
+        files = [Path(camera.source_file) for camera in self.cameras.values() if camera.source_file]
+        if any(secret_files.holds_password(camera.source) for camera in self.cameras.values()):
+            files.append(path)
+        names = list(self.cameras) if "{camera}" in self.bus.tls.private_key else [""]
+        keys = [self.bus.tls.private_key.replace("{camera}", name) for name in names]
+        return files + [Path(key) for key in keys if key]
 
     def for_camera(self, camera: str) -> Config:
         """What the process that grabs ``camera`` needs: its own certificate, and its source read from its file.

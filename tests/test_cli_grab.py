@@ -1,12 +1,9 @@
-"""`grab` and the supervision of many cameras, with a grabber that says what the test wants."""
+"""`grab` of one camera, with a grabber that says what the test wants."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
-import sys
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,10 +13,8 @@ import pytest
 import serving
 from serving import T0, small_config, wait_for
 
-from camtopod.cli import supervise
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
-from camtopod.config import CameraSettings, Config
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
@@ -39,6 +34,7 @@ class FakeGrabber:
     def __init__(self, camera: str, source: str, **options: Any) -> None:
         self.camera, self.source, self.options = camera, source, options
         self.state, self.reason, self.closed = "connecting", "rtsp://admin:p@ss@h is slow", False
+        self.overdue_seconds = 0.0
         FakeGrabber.made.append(self)
 
     def events(self) -> Iterator[Event | None]:
@@ -206,77 +202,6 @@ def test_a_live_source_goes_on_while_the_bus_is_away(tmp_path: Path, monkeypatch
     assert daemon.status()["events"]["stored"] == len(EVENTS)
     assert FakeGrabber.made[0].source == "rtsp://h/x"
     daemon.stop()
-
-
-# --- many cameras ---------------------------------------------------------------------------------
-
-
-def supervised(**given: Any) -> argparse.Namespace:
-    names = {"config": Path("c.toml"), "site": None, "connect": [], "log_format": "json", "state": None}
-    return argparse.Namespace(**{**names, "start": None, "speed": None, "realtime": None, **given})
-
-
-def test_a_camera_s_command_line_has_no_source_in_it() -> None:
-    args = supervised(site="hq", connect=["tcp/h:1"], state="/s", realtime=True, speed=2.0)
-    line = supervise.command("lobby", args)
-    text = " ".join(line)
-    assert "--config c.toml --log-format json --site hq --connect tcp/h:1 grab --camera lobby" in text
-    assert text.endswith("--state /s --speed 2.0 --realtime")
-
-
-def test_backoff_grows_has_jitter_and_starts_anew_after_a_steady_run() -> None:
-    waits, backoff = [], supervise.BACKOFF_MIN_SECONDS
-    for _ in range(10):
-        wait, backoff = supervise.backoff_after(backoff, 0.5, chance=lambda: 0.5)
-        waits.append(wait)
-    assert waits == [1, 2, 4, 8, 16, 32, 60, 60, 60, 60]
-    assert supervise.backoff_after(60.0, 61.0, chance=lambda: 0.0) == (0.5, 2.0)
-    assert supervise.backoff_after(8.0, 1.0, chance=lambda: 1.0)[0] == 12.0
-
-
-def test_a_camera_that_fails_is_started_again_and_harms_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """good ends at once; flaky fails twice and then ends; hopeless cannot be helped."""
-    script = (
-        "import pathlib, sys; path = pathlib.Path(sys.argv[1]); path.open('a').write('x')\n"
-        "sys.exit({'good': 0, 'hopeless': 78}.get(path.name, 0 if len(path.read_text()) > 2 else 1))"
-    )
-    monkeypatch.setattr(
-        supervise, "command", lambda camera, args: [sys.executable, "-c", script, str(tmp_path / camera)]
-    )
-    monkeypatch.setattr(supervise, "backoff_after", lambda backoff, ran: (0.01, backoff))
-    cameras = {name: CameraSettings("x") for name in ("good", "flaky", "hopeless")}
-    assert supervise.supervise(supervised(), Config(cameras=cameras)) == 78
-    assert {name: len((tmp_path / name).read_text()) for name in cameras} == {
-        "good": 1,
-        "flaky": 3,
-        "hopeless": 1,
-    }
-
-
-def test_a_signal_ends_every_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    script = "import sys, time, pathlib; pathlib.Path(sys.argv[1]).write_text('x'); time.sleep(60)"
-    monkeypatch.setattr(
-        supervise, "command", lambda camera, args: [sys.executable, "-c", script, str(tmp_path / camera)]
-    )
-    stop = threading.Event()
-
-    class UntilStop:
-        def __enter__(self) -> threading.Event:
-            return stop
-
-        def __exit__(self, *_: object) -> None:
-            pass
-
-    monkeypatch.setattr(supervise, "until_signal", UntilStop)
-
-    def when_running() -> None:
-        wait_for(lambda: all((tmp_path / name).exists() for name in "ab"), "both processes")
-        stop.set()
-
-    threading.Thread(target=when_running).start()
-    assert supervise.supervise(supervised(), Config(cameras={name: CameraSettings("x") for name in "ab"})) == 0
 
 
 def test_ingest_counts_bad_lines_with_file_and_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

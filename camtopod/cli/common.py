@@ -12,43 +12,67 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 
-from camtopod import config
+from camtopod import config, secret_files
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
+from camtopod.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 
 log = logging.getLogger(__name__)
 
 _PARENT_LOOK_SECONDS = 0.5
 
 
-def configuration(args: argparse.Namespace) -> config.Config:
-    """The configuration with ``--site``, ``--connect``, ``--state`` on top. Raises `CommandError`."""
+def accepted(args: argparse.Namespace) -> tuple[config.Config, bytes]:
+    """The configuration, and the file's content that says so. Raises `CommandError`."""
+    try:
+        raw = b"" if args.config is None else args.config.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {args.config}: {error.strerror}") from None
+    return configuration(args, raw), raw
+
+
+def configuration(args: argparse.Namespace, raw: bytes | None = None) -> config.Config:
+    """The configuration with ``--site``, ``--connect``, ``--state`` on top. Raises `CommandError`.
+
+    ``raw``: the file's content as it was read before, which a process that was started with ``--config-fd`` gets
+    from the one above it.
+    """
+    if raw is None and getattr(args, "config_fd", None) is not None:
+        raw = Path(f"/proc/self/fd/{args.config_fd}").read_bytes()
     loaded = config.Config()
     if args.config is not None:
         try:
-            loaded = config.load(args.config)
+            loaded = config.load(args.config, raw)
         except config.ConfigError as error:
             raise CommandError(f"the configuration is wrong:\n{error}", exits.CONFIG) from None
         except OSError as error:
             raise InputError(f"cannot read {args.config}: {error.strerror}") from None
+        for sentence in secret_files.exposed(loaded.secrets(args.config)):
+            log.warning("%s", sentence)
     if args.site is not None:
         if not re.match(CAMERA_PATTERN, args.site):
             raise CommandError(f"--site {args.site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
         loaded = msgspec.structs.replace(loaded, site=config.SiteSettings(args.site))
     if args.connect:
         for endpoint in args.connect:
-            if not config.is_endpoint(endpoint):
-                raise CommandError(f"--connect {endpoint!r}: write it like {config.DEFAULT_ENDPOINT}", exits.USAGE)
+            if not is_endpoint(endpoint):
+                raise CommandError(f"--connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}", exits.USAGE)
         bus = msgspec.structs.replace(loaded.bus, connect=tuple(args.connect), listen=())
         loaded = msgspec.structs.replace(loaded, bus=bus)
     if getattr(args, "state", None):
         loaded = msgspec.structs.replace(loaded, state=config.StateSettings(args.state))
+    if getattr(args, "camera", None):
+        try:
+            loaded = loaded.for_camera(args.camera)
+        except OSError as error:
+            raise InputError(f"the source of camera {args.camera}: {error.filename}: {error.strerror}") from None
     return loaded
 
 

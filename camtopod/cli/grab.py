@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
 import logging
 import os
 import re
+import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import msgspec
 
 from camtopod import codec, redact
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, start_logging, until_signal
+from camtopod.cli.child import restarted
+from camtopod.cli.common import Told, accepted, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
+from camtopod.cli.heartbeat import Heart
 from camtopod.config import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve import clock
@@ -51,21 +54,36 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--realtime", action="store_true", default=None, help="a file: at its own pace")
     parser.add_argument("--speed", type=float, metavar="FACTOR", help="a file: with --realtime, times its own pace")
     parser.add_argument("--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)")
-    parser.add_argument("--with-parent", type=int, help=argparse.SUPPRESS)
+    given = ("with-parent", "config-fd", "beat-fd", "restarts")  # to a camera's process by the one above it
+    for option in given:
+        parser.add_argument(f"--{option}", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--last-end", default="", help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
     """Grab until the file ends or a signal comes."""
     start_logging(args)
-    config = configuration(args)
-    if args.camera is None:
-        if args.source is not None or args.out is not None:
-            raise CommandError("which camera is it? add --camera ID", exits.USAGE)
-        if not config.cameras:
-            raise CommandError("nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE)
-        from camtopod.cli.supervise import supervise
+    with signals() as told:
+        if args.camera is None:
+            return _all(args, told)
+        faulthandler.register(signal.SIGUSR1, file=2, all_threads=True)  # to tell where it hangs before it is killed
+        with leaving(told.stop, LEAVE_SECONDS, args.with_parent):
+            return _one(args, told)
 
-        return supervise(args, config)
+
+def _all(args: argparse.Namespace, told: Told) -> int:
+    config, text = accepted(args)
+    if args.source is not None or args.out is not None:
+        raise CommandError("which camera is it? add --camera ID", exits.USAGE)
+    if not config.cameras:
+        raise CommandError("nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE)
+    from camtopod.cli.supervise import supervise
+
+    return supervise(args, config, text, told)
+
+
+def _one(args: argparse.Namespace, told: Told) -> int:
+    config = configuration(args)
     settings = _camera(args, config)
     redact.remember(settings.source)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own messages may hold passwords
@@ -75,10 +93,10 @@ def run(args: argparse.Namespace) -> int:
         args.camera, settings.source, start=settings.start, realtime=settings.realtime, speed=settings.speed,
         wall_clock=clock.wall, settings=config.vision,
     )  # fmt: skip
-    with until_signal() as stop, _leaving(stop), contextlib.closing(grabber):
+    with contextlib.closing(grabber):
         if args.out is not None:
-            return _to_lines(grabber, args.out, stop)
-        return _to_bus(grabber, args, config, settings, stop)
+            return _to_lines(grabber, args.out, told.stop)
+        return _to_bus(grabber, args, config, settings, told)
 
 
 def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
@@ -90,7 +108,7 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
     known = config.cameras.get(args.camera)
     if args.source is None and known is None:
         raise CommandError(f"camera {args.camera} has no SOURCE, and no configuration names it", exits.USAGE)
-    given = {name: getattr(args, name, None) for name in CameraSettings.__struct_fields__}
+    given: dict[str, Any] = {name: getattr(args, name, None) for name in CameraSettings.__struct_fields__}
     given = {name: value for name, value in given.items() if value is not None}
     if given.get("speed", 1.0) <= 0:
         raise CommandError("--speed must be above 0", exits.USAGE)
@@ -120,7 +138,7 @@ def _to_bus(
     args: argparse.Namespace,
     config: Config,
     settings: CameraSettings,
-    stop: threading.Event,
+    told: Told,
 ) -> int:
     from camtopod.serve.bus import BusError, dial
     from camtopod.serve.database import StateError
@@ -142,7 +160,7 @@ def _to_bus(
             raise CommandError(str(error), exits.STATE) from None
         stack.callback(spool.close)
         publisher = Publisher(spool, config.limits.spool_batch_events)
-        connection = _Connection(config, grabber, publisher)
+        connection = _Connection(config, grabber, publisher, args)
         stack.callback(connection.close)
         if _is_live(settings.source):
             connection.keep_dialling()
@@ -151,8 +169,8 @@ def _to_bus(
                 connection.use(dial(config))
             except BusError as error:
                 raise CommandError(str(error), exits.BUS) from None
-        _publish_all(grabber, publisher, connection, config, stop, args.with_parent)
-        if not stop.is_set() and not publisher.drained(DRAIN_SECONDS):
+        _publish_all(grabber, publisher, connection, config, told, Heart(args.beat_fd))
+        if not told.stop.is_set() and not publisher.drained(DRAIN_SECONDS):
             left = publisher.unacknowledged
             raise CommandError(
                 f"{left} events are not acknowledged: is `camtopod run` running for site {config.site.name}? "
@@ -166,10 +184,11 @@ def _publish_all(
     publisher: Publisher,
     connection: _Connection,
     config: Config,
-    stop: threading.Event,
-    parent: int | None,
+    told: Told,
+    heart: Heart,
 ) -> None:
     state, next_status = "", 0.0
+    heart.beat(grabber.state, grabber.reason)
     for event in grabber.events():
         if event is not None:
             publisher.publish(event)
@@ -182,17 +201,24 @@ def _publish_all(
         if now >= next_status:
             next_status = now + config.limits.status_seconds
             connection.tell_status()
-        if stop.is_set() or (parent is not None and os.getppid() != parent):
+        if grabber.overdue_seconds == 0.0:  # else whoever hears no beat ends this process
+            heart.beat(grabber.state, grabber.reason)
+        if told.reload.is_set():
+            told.reload.clear()
+            log.warning("camera %s: the configuration is read at the start only; start it again", grabber.camera)
+        if told.stop.is_set():
             return
     publisher.retry()
     connection.tell_status()
+    heart.beat(grabber.state, grabber.reason)
 
 
 class _Connection:
     """The grabber's way to the bus, which may come later than the first events."""
 
-    def __init__(self, config: Config, grabber: Grabber, publisher: Publisher) -> None:
+    def __init__(self, config: Config, grabber: Grabber, publisher: Publisher, args: argparse.Namespace) -> None:
         self._config, self._grabber, self._publisher = config, grabber, publisher
+        self._restarts, self._last_end = args.restarts or 0, args.last_end
         self._bus: Bus | None = None
         self._closed = threading.Event()
         self._mutex = threading.Lock()
@@ -230,7 +256,9 @@ class _Connection:
         return {
             "camera": self._grabber.camera,
             "state": self._grabber.state,
-            "reason": redact.redact(self._grabber.reason),
+            "reason": redact.redact(restarted(self._restarts, self._last_end, self._grabber.reason)),
+            "restarts": self._restarts,
+            "last_end": self._last_end,
             "t": clock.wall(),
             **self._grabber.statistics(),
             **self._publisher.statistics(),
@@ -252,21 +280,3 @@ class _Connection:
 def _is_live(source: str) -> bool:
     """A stream or a device, which goes on whether the bus is there or not; a file can wait."""
     return "://" in source or source.isdigit()
-
-
-@contextlib.contextmanager
-def _leaving(stop: threading.Event) -> Iterator[None]:
-    """A source that blocks must not hold up the end: every event is in the spool or the file already."""
-    done = threading.Event()
-
-    def leave_anyway() -> None:
-        stop.wait()
-        if not done.wait(LEAVE_SECONDS):
-            os._exit(exits.DONE)
-
-    threading.Thread(target=leave_anyway, daemon=True).start()
-    try:
-        yield
-    finally:
-        done.set()
-        stop.set()

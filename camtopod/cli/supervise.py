@@ -1,88 +1,160 @@
-"""All cameras of a configuration, a process each: one that fails is started again and harms no other."""
+"""All cameras of a configuration, a process each: one that fails or hangs is started again and harms no other."""
 
 from __future__ import annotations
 
 import argparse
 import logging
 import os
-import random
-import subprocess
 import sys
 import time
-from collections.abc import Callable
-
-from msgspec import Struct
+from collections.abc import Sequence
 
 from camtopod.cli import exits
-from camtopod.cli.common import until_signal
-from camtopod.config import Config
+from camtopod.cli.child import STOP_SECONDS, Child
+from camtopod.cli.common import Told, accepted
+from camtopod.cli.exits import CommandError
+from camtopod.cli.speaker import Speaker
+from camtopod.config import CameraSettings, Config
+from camtopod.serve import systemd
 
 log = logging.getLogger(__name__)
 
-BACKOFF_MIN_SECONDS = 1.0
-BACKOFF_MAX_SECONDS = 60.0
-STEADY_SECONDS = 60.0
-"""A process that ran this long is started again without waiting longer than the first time."""
-STOP_SECONDS = 4.5
 _LOOK_SECONDS = 0.1
-_HOPELESS = (exits.USAGE, exits.CONFIG)
-"""With these statuses starting again changes nothing."""
+_SPEAK_SECONDS = 0.5
+_OF_ALL = ("site", "bus", "state", "vision", "limits")
+"""Tables that every camera's process reads."""
 
 
-class Child(Struct):
-    """One camera's process. ``again_at``: when to start (again), on the monotonic clock."""
+def supervise(args: argparse.Namespace, config: Config, text: bytes, told: Told) -> int:
+    """Run `camtopod grab` for every camera until all have ended or a signal comes; the worst status.
 
-    camera: str
-    process: subprocess.Popen[bytes] | None = None
-    started: float = 0.0
-    again_at: float | None = 0.0
-    backoff: float = BACKOFF_MIN_SECONDS
-    status: int = 0
+    ``text`` is the configuration's: each process gets it from here, so that none comes to read a file that has
+    been changed, perhaps for the worse, and not been accepted yet.
+    """
+    site = _Cameras(args, config, text)
+    try:
+        while not told.stop.is_set() and not site.over:
+            if told.reload.is_set():
+                told.reload.clear()
+                systemd.reloading()
+                site.reload()
+            site.look_after()
+            told.stop.wait(_LOOK_SECONDS)
+    finally:
+        closed = site.end()
+    status = exits.DONE if told.stop.is_set() else site.status
+    if not closed:  # a bus that was not closed would keep the process from ending
+        os._exit(status)
+    return status
 
 
-def backoff_after(backoff: float, ran: float, chance: Callable[[], float] = random.random) -> tuple[float, float]:
-    """(seconds to wait now, backoff for the next time) after a process that ran for ``ran`` seconds."""
-    if ran >= STEADY_SECONDS:
-        backoff = BACKOFF_MIN_SECONDS
-    return backoff * (0.5 + chance()), min(2 * backoff, BACKOFF_MAX_SECONDS)
+class _Cameras:
+    """The processes of all cameras, and what is said about them."""
 
+    def __init__(self, args: argparse.Namespace, config: Config, text: bytes) -> None:
+        self._args, self._config = args, config
+        self._config_fd = _in_memory(text)
+        self._children = {name: Child(name, _filled(config, name), config.health) for name in config.cameras}
+        self._leaving: list[Child] = []
+        self._speaker = Speaker(config)
+        self._next_word = self._next_feeding = 0.0
+        self._summary = ""
 
-def supervise(args: argparse.Namespace, config: Config) -> int:
-    """Run `camtopod grab` for every camera until all have ended or a signal comes; the worst status."""
-    children = [Child(camera) for camera in config.cameras]
-    with until_signal() as stop:
+    @property
+    def over(self) -> bool:
+        """All have ended, and none is to be started again."""
+        return all(child.over for child in [*self._children.values(), *self._leaving])
+
+    @property
+    def status(self) -> int:
+        """The worst of the exit statuses."""
+        return max((child.status for child in self._children.values()), default=0)
+
+    def look_after(self) -> None:
+        """One turn; never waits for a camera."""
+        for child in [*self._leaving, *self._children.values()]:
+            child.look_after(time.monotonic(), self._command, self._config_fd)
+        self._leaving = [child for child in self._leaving if not child.over]
+        now = time.monotonic()
+        if now >= self._next_word:
+            self._next_word = now + _SPEAK_SECONDS
+            silent = [child for child in self._children.values() if child.silent]
+            self._speaker.say({child.camera: child.summary(now) for child in silent if child.restarts or child.over})
+        if now >= self._next_feeding:
+            self._next_feeding = now + systemd.feed_seconds()
+            systemd.notify("WATCHDOG=1")
+        self._tell_systemd(now)
+
+    def reload(self) -> None:
+        """Read the configuration anew: what changed starts anew, what is gone ends, the rest is not touched."""
         try:
-            while not stop.is_set() and any(c.again_at is not None or c.process for c in children):
-                for child in children:
-                    _look_after(child, args)
-                stop.wait(_LOOK_SECONDS)
-        finally:
-            _end(children)
-    return exits.DONE if stop.is_set() else max(child.status for child in children)
+            config, text = accepted(self._args)
+        except CommandError as error:
+            log.error("the old configuration stays: %s", error)
+            self._summary = ""
+            return
+        now = time.monotonic()
+        old, self._config = self._config, config
+        os.close(self._config_fd)
+        self._config_fd = _in_memory(text)
+        every = any(getattr(old, table) != getattr(config, table) for table in _OF_ALL)
+        for name in [name for name in self._children if name not in config.cameras]:
+            child = self._children.pop(name)
+            child.tell_to_end(now)
+            self._leaving.append(child)
+        started: list[str] = []
+        anew: list[str] = []
+        ending = {child.camera: child for child in self._leaving}
+        for name in config.cameras:
+            camera = _filled(config, name)
+            known = self._children.get(name)
+            child = known or ending.pop(name, None) or Child(name, camera, config.health)
+            changed = known is None or every or child.settings != camera
+            if changed:
+                (started if known is None else anew).append(name)
+            child.renew(camera, config.health, now, changed)
+            self._children[name] = child
+        self._leaving = list(ending.values())
+        if (old.site, old.bus) != (config.site, config.bus):
+            self._speaker.close()
+            self._speaker = Speaker(config)
+        gone = [child.camera for child in self._leaving]
+        log.info(
+            "the configuration is read anew; cameras that start: %s; start anew: %s; end: %s",
+            *(", ".join(names) or "none" for names in (started, anew, gone)),
+        )
+        self._summary = ""
+
+    def end(self) -> bool:
+        """All together; whoever has not ended by the deadline is killed. False if the bus blocks and stays open."""
+        systemd.notify("STOPPING=1")
+        everyone = [*self._children.values(), *self._leaving]
+        for child in everyone:
+            child.tell_to_end(time.monotonic())
+        deadline = time.monotonic() + STOP_SECONDS + 1.0
+        while not all(child.over for child in everyone) and time.monotonic() < deadline:
+            for child in everyone:
+                child.look_after(time.monotonic(), self._command, self._config_fd)
+            time.sleep(_LOOK_SECONDS / 5)
+        os.close(self._config_fd)
+        return self._speaker.close()
+
+    def _tell_systemd(self, now: float) -> None:
+        """What `systemctl status` shows: how many run, and what is wrong with the others."""
+        running = sum(child.state == "running" for child in self._children.values())
+        wrong = [f"{child.camera}: {child.state}" for child in self._children.values() if child.state != "running"]
+        summary = f"{running} of {len(self._children)} cameras run" + "".join(f"; {one}" for one in wrong[:10])
+        if summary != self._summary:
+            self._summary = summary
+            systemd.notify("READY=1", systemd.status(summary))
+
+    def _command(self, camera: str, restarts: int, last_end: str, beat_fd: int) -> Sequence[str]:
+        return command(camera, self._args, self._config_fd, restarts, last_end, beat_fd)
 
 
-def _look_after(child: Child, args: argparse.Namespace) -> None:
-    now = time.monotonic()
-    if child.process is None:
-        if child.again_at is not None and now >= child.again_at:
-            child.process = subprocess.Popen(command(child.camera, args), stdin=subprocess.DEVNULL)
-            child.started, child.again_at = now, None
-        return
-    status = child.process.poll()
-    if status is None:
-        return
-    child.process, child.status = None, abs(status)
-    if status == exits.DONE:
-        log.info("camera %s has ended", child.camera)
-    elif status in _HOPELESS:
-        log.error("camera %s ended with status %d and is not started again", child.camera, status)
-    else:
-        wait, child.backoff = backoff_after(child.backoff, now - child.started)
-        child.again_at = now + wait
-        log.warning("camera %s ended with status %d; again in %.1f s", child.camera, status, wait)
-
-
-def command(camera: str, args: argparse.Namespace) -> list[str]:
+def command(
+    camera: str, args: argparse.Namespace, config_fd: int, restarts: int, last_end: str, beat_fd: int
+) -> list[str]:
     """The command line of one camera's process: no source in it, so no password either."""
     line = [sys.executable, "-m", "camtopod", "--config", str(args.config), "--log-format", args.log_format]
     if args.site is not None:
@@ -90,20 +162,26 @@ def command(camera: str, args: argparse.Namespace) -> list[str]:
     for endpoint in args.connect:
         line += ["--connect", endpoint]
     line += ["grab", "--camera", camera, "--with-parent", str(os.getpid())]
+    line += ["--config-fd", str(config_fd), "--beat-fd", str(beat_fd)]
+    if restarts:
+        line += ["--restarts", str(restarts), "--last-end", last_end]
     for option in ("state", "start", "speed"):
         if getattr(args, option) is not None:
             line += [f"--{option}", str(getattr(args, option))]
     return line + (["--realtime"] if args.realtime else [])
 
 
-def _end(children: list[Child]) -> None:
-    running = [child.process for child in children if child.process is not None]
-    for process in running:
-        process.terminate()
-    deadline = time.monotonic() + STOP_SECONDS
-    for process in running:
-        try:
-            process.wait(max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+def _filled(config: Config, camera: str) -> CameraSettings:
+    """The camera's settings with its source, which may be in a file of its own, to see whether it changes."""
+    try:
+        return config.for_camera(camera).cameras[camera]
+    except OSError:  # its own process says so, and tries again
+        return config.cameras[camera]
+
+
+def _in_memory(text: bytes) -> int:
+    """A file descriptor to read ``text`` from, any number of times, by opening /proc/self/fd/N."""
+    fd = os.memfd_create("camtopod.toml", os.MFD_CLOEXEC)
+    with open(fd, "wb", closefd=False) as out:
+        out.write(text)
+    return fd

@@ -94,6 +94,14 @@ class Grabber:
         password."""
         return self._source.reason
 
+    @property
+    def overdue_seconds(self) -> float:
+        """How much longer than its timeouts allow the source has been in one call of OpenCV; 0.0 if all is well.
+
+        Nothing but ending the process helps against that.
+        """
+        return self._source.overdue_seconds
+
     def statistics(self) -> dict[str, int | float]:
         """Counters since the start; ``last_frame_t`` is the capture time of the latest frame (absent before
         it)."""

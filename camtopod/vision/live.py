@@ -25,6 +25,8 @@ HEARTBEAT_SECONDS = 0.5
 """The caller gets control back at least this often."""
 HEALTHY_SECONDS = 10.0
 """A connection that gave frames for this long starts the backoff from the beginning."""
+MARGIN_SECONDS = 1.0
+"""What a call of OpenCV may take beyond its timeouts."""
 TIME_STEP_MIN_SECONDS = 0.001
 
 
@@ -46,6 +48,7 @@ class LiveSource:
         self.failures = 0
         self.untrusted_stamps = 0
         self._latest = float("-inf")
+        self._called: float | None = None
 
     def frames(self) -> Iterator[Frame | None]:
         """Frames with capture times on the wall clock; None when there was none for half a second."""
@@ -66,24 +69,37 @@ class LiveSource:
         self._latest = frame.t
         return frame
 
+    @property
+    def overdue_seconds(self) -> float:
+        """How much longer than the timeouts allow a call of OpenCV has been going on; 0.0 if all is well."""
+        called = self._called
+        return 0.0 if called is None else max(0.0, time.monotonic() - called - self._blocked_seconds_max)
+
+    @property
+    def _blocked_seconds_max(self) -> float:
+        return self._settings.open_timeout_seconds + self._settings.read_timeout_seconds + MARGIN_SECONDS
+
     def close(self) -> None:
         """Stop; waits for a blocked read to come back, at most the sum of the timeouts."""
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join(self._settings.open_timeout_seconds + self._settings.read_timeout_seconds + 1.0)
+            self._thread.join(self._blocked_seconds_max)
 
     # -- the capture thread ------------------------------
 
     def _run(self) -> None:
         wait = self._settings.backoff_min_seconds
         while not self._stop.is_set():
+            self._called = time.monotonic()
             capture = Capture(self._source, self._settings)
             began = time.monotonic()
             reason = "the source cannot be opened"
             if capture.is_open:
                 self.connections += 1
                 reason = self._read(capture)
+            self._called = time.monotonic()
             capture.release()
+            self._called = None
             self.failures += 1
             self.state = "stalled" if self.grabbed else "connecting"
             if time.monotonic() - began > HEALTHY_SECONDS:
@@ -99,7 +115,7 @@ class LiveSource:
         held: list[tuple[float, float, Frame]] = []
         first: float | None = None
         while not self._stop.is_set():
-            asked = time.monotonic()
+            self._called = asked = time.monotonic()
             grab = capture.grab()
             arrival = time.monotonic()
             if grab is None:

@@ -40,6 +40,8 @@ class RecordedSource:
         self.connections = 1
         self.failures = 0
         self.untrusted_stamps = 0
+        self.overdue_seconds = 0.0
+        """Its reader is its caller, who cannot ask while a call of OpenCV lasts."""
 
     def frames(self) -> Iterator[Frame | None]:
         """The frames to analyse; None while waiting. Raises `SourceError` if there is not one frame."""
