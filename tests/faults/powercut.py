@@ -2,7 +2,8 @@
 
 A disk keeps, for certain, what was synced. Of the rest: nothing (``synced``), some of the operations in some order
 (``subset``), or some sectors of them, with rubbish or nothing in the others (``torn``). Directory entries (a file made,
-a file deleted) are certain once the directory was synced.
+a file deleted) are certain once the directory was synced. What a sync failed to write no later one will (Linux takes
+it for written), so it is as if it had not been done.
 """
 
 from __future__ import annotations
@@ -70,6 +71,8 @@ class Disk:
                 self._since.append(_Entry(op.path, None))
             if op.directory:
                 self._sync_directory()
+        elif op.kind == "sync failed":
+            self._files[op.path].since.clear()
         elif op.kind == "sync":
             file = self._files[op.path]
             for one in file.since:

@@ -43,10 +43,13 @@ class WrittenJournal:
     def __init__(self, directory: Path) -> None:
         self.journal = Journal(directory, KEEP)
         self.damaged = self.journal.set_aside is not None
+        self._committed = 0
 
     def step(self, number: int) -> None:
-        entries, versions, snapshot = step_of(number, len(self.journal))
-        self.journal.commit(entries, versions, snapshot, now=float(number))
+        if number != self._committed:
+            entries, versions, snapshot = step_of(number, len(self.journal))
+            self.journal.commit(entries, versions, snapshot, now=float(number))
+            self._committed = number
         if number % 40 == 39:
             self.journal.prune(now=float(number))
 
@@ -82,16 +85,18 @@ class WrittenSpool:
 
     def __init__(self, directory: Path) -> None:
         known = len(list(directory.glob("spool.db*")))
-        self.spool = Spool(directory / "spool.db", f"boot-{known}-{random.random()}", 150, kept_events_max=40)
-        self.damaged = self.spool.rescued > 0 or bool(self.spool.statistics()["damaged_files"])
+        self.spool = Spool(directory / "spool.db", f"boot-{known}", 150, kept_events_max=40)
+        self.damaged = bool(self.spool.statistics()["damaged_files"])
+        self._appended: tuple[int, list[Event]] = (0, [])
 
     def step(self, number: int) -> None:
         chance = random.Random(number)
         camera = chance.choice(CAMERAS)
         events = [Event(camera, "entry", 10.0 * number + n, track="x" * 40) for n in range(chance.randint(1, 6))]
-        stored = self.spool.append(events)
+        if number != self._appended[0]:
+            self._appended = number, self.spool.append(events)
         if number % 5 != 0:
-            last = stored[-1]
+            last = self._appended[1][-1]
             self.spool.ack(last.camera, str(last.boot), int(last.seq or 0))
 
     def state(self) -> State:

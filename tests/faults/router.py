@@ -1,0 +1,14 @@
+"""A router in a process of its own: `router.py ENDPOINT`. Says "ready" and stays until it is killed."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+from camtopod.config import BusSettings, Config
+from camtopod.serve.bus import meet
+
+if __name__ == "__main__":
+    with meet(Config(bus=BusSettings(listen=(sys.argv[1],)))):
+        print("ready", flush=True)
+        signal.pause()

@@ -1,0 +1,236 @@
+"""A whole site in processes that can be killed: a router, the daemon, and a publisher for each camera."""
+
+from __future__ import annotations
+
+import os
+import queue
+import random
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import traffic
+from serving import camtopod, wait_for
+
+from camtopod import codec
+from camtopod.config import BusSettings, Config, parse
+from camtopod.learn.learner import Learner
+from camtopod.records import Event, Topology
+from camtopod.serve.bus import Bus, dial
+from camtopod.serve.journal import Journal
+
+HERE = Path(__file__).parent
+LATENESS_SECONDS = 3600.0
+"""So much that no fault makes anything late: then the result does not depend on the order of arrival."""
+READY_SECONDS = 60.0
+
+
+def free_endpoint() -> str:
+    """A TCP endpoint on this machine that is free now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+class Site:
+    """``count`` objects in ``span`` seconds of event time, played ``speed`` times faster.
+
+    ``at_daemon``, ``at_publishers``: endpoints they dial instead of the router's own (a proxy before it). Without
+    spools the publishers just put.
+    """
+
+    def __init__(self, directory: Path, count: int, span: float, speed: float, spools: bool = True) -> None:
+        self.directory, self.count, self.span, self.speed, self.spools = directory, count, span, speed, spools
+        self.events = traffic.crossings(count, span)
+        self.router_endpoint = free_endpoint()
+        self.at_daemon = self.at_publishers = self.router_endpoint
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.began = 0.0
+        self._bus: Bus | None = None
+        self.versions: dict[tuple[str, int], str] = {}
+        self.newest: list[tuple[str, int]] = []
+
+    # --- processes ------------------------------------------------------------------------------
+
+    def start(self, name: str) -> None:
+        """Start ``router``, ``daemon`` or the publisher of a camera."""
+        if name == "router":
+            process = self._python("router.py", self.router_endpoint, stdout=subprocess.PIPE)
+            self._await(process, process.stdout, b"ready")
+        elif name == "daemon":
+            config = self.directory / "camtopod.toml"
+            config.write_text(self.daemon_toml())
+            process = camtopod("--config", str(config), "run", stderr=subprocess.PIPE)
+            self._await(process, process.stderr, b"ready at")
+        else:
+            spool = str(self.directory / f"spool-{name}.db") if self.spools else "-"
+            process = self._python(
+                "traffic.py", self.at_publishers, spool, name,
+                str(self.count), str(self.span), str(self.speed), str(self.began),
+            )  # fmt: skip
+        self.processes[name] = process
+
+    def start_all(self) -> None:
+        """Everything, and somebody who watches the versions."""
+        self.start("router")
+        self.start("daemon")
+        self._bus = dial(Config(bus=BusSettings(connect=(self.router_endpoint,))))
+        self._bus.subscribe("topology", self._on_topology)
+        self.began = time.time()
+        for camera in traffic.CAMERAS:
+            self.start(camera)
+
+    def kill(self, name: str) -> None:
+        """kill -9."""
+        process = self.processes.pop(name)
+        process.kill()
+        process.wait()
+        self._close_pipes(process)
+
+    def running(self, name: str) -> bool:
+        """Whether it has not ended by itself."""
+        return name in self.processes and self.processes[name].poll() is None
+
+    def finish(self, seconds: float = 120.0) -> dict[str, Any]:
+        """Wait for the publishers to have everything acknowledged and for the learner to have learned it, and end
+        the daemon; returns its last status.
+        """
+        for camera in traffic.CAMERAS:
+            wait_for(lambda one=camera: not self.running(one), f"publisher {camera} to end", seconds)  # type: ignore[misc]
+            assert self.processes[camera].returncode == 0
+        learned = len(self.events) + 1
+        stored = self.status()["events"]["stored"]
+        assert self._bus is not None
+        self._bus.put(f"event/{traffic.AFTER}", traffic.last_event(self.span), "event")
+        wait_for(lambda: self.status()["events"]["stored"] > stored, "the last event")
+
+        def rest() -> bool:
+            status = self.status()
+            return bool(status["events"]["waiting"] == 0 and status["learner"].get("learned", 0) >= min(learned - 1, 1))
+
+        wait_for(rest, "the learner", seconds)
+        status = self.status()
+        self.processes["daemon"].terminate()
+        assert self.processes["daemon"].wait(30) == 0
+        return status
+
+    def close(self) -> None:
+        """End everything."""
+        for process in self.processes.values():
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+            self._close_pipes(process)
+        if self._bus is not None:
+            self._bus.close()
+
+    # --- what it has come to ----------------------------------------------------------------------
+
+    def status(self) -> dict[str, Any]:
+        """The daemon's, waited for."""
+        assert self._bus is not None
+        deadline = time.monotonic() + READY_SECONDS
+        while time.monotonic() < deadline:
+            answers = self._bus.ask("status/daemon", seconds=1.0)
+            if answers:
+                found: dict[str, Any] = msgspec.msgpack.decode(answers[0][1])
+                return found
+            time.sleep(0.05)
+        raise AssertionError("the daemon does not answer")
+
+    def journal(self) -> list[Event]:
+        """Every event in the journal, without its boot and seq, except the last one."""
+        journal = Journal(self.directory / "state")
+        events = [codec.event_from_pack(entry.raw) for _, entry in journal.entries() if entry and entry.kind == "event"]
+        journal.close()
+        return [
+            msgspec.structs.replace(event, boot=None, seq=None) for event in events if event.camera != traffic.AFTER
+        ]
+
+    def lost_and_doubled(self) -> tuple[int, int]:
+        """How many events are not in the journal, and how many are in it once too often."""
+        found, made = Counter(map(_key, self.journal())), Counter(map(_key, self.events))
+        return (made - found).total(), (found - made).total()
+
+    def expected(self) -> dict[int, str]:
+        """Version -> digest of a learner that was never interrupted, over the same events by time."""
+        learner = Learner(parse(self.daemon_toml()).learn, "site", "any")
+        digests = {}
+        for event in [*self.events, traffic.last_event(self.span)]:
+            learner.receive(event)
+            digests |= {version.version: version.digest for version in learner.updates()}
+        return digests
+
+    def daemon_toml(self) -> str:
+        """The daemon's configuration."""
+        return (
+            f'[bus]\nconnect = ["{self.at_daemon}"]\nconnect_seconds = 30.0\n'
+            f'[state]\ndirectory = "{self.directory}/state"\n'
+            f"[learn]\nlateness_seconds = {LATENESS_SECONDS}\nrefit_share = 0.5\n"
+            "[limits]\npull_seconds = 0.3\nack_seconds = 0.05\nstatus_seconds = 0.5\n"
+        )
+
+    def _on_topology(self, key: str, payload: bytes) -> None:
+        topology = codec.read(Topology, payload, pack=True)
+        version = (topology.epoch, topology.version)
+        assert self.versions.setdefault(version, topology.digest) == topology.digest
+        self.newest.append(version)
+
+    def _python(self, script: str, *arguments: str, **popen: Any) -> subprocess.Popen[bytes]:
+        path = os.pathsep.join(str(folder) for folder in (HERE.parent.parent, HERE.parent, HERE))
+        return subprocess.Popen(
+            [sys.executable, str(HERE / script), *arguments], env={**os.environ, "PYTHONPATH": path}, **popen
+        )
+
+    def _await(self, process: subprocess.Popen[bytes], pipe: Any, what: bytes) -> None:
+        said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+
+        def read() -> None:
+            for line in pipe:
+                said.put(line)
+            said.put(b"")
+
+        threading.Thread(target=read, daemon=True).start()
+        lines = []
+        while True:
+            lines.append(said.get(timeout=READY_SECONDS))
+            if what in lines[-1]:
+                return
+            assert lines[-1], f"{process.args!r} ended: {b''.join(lines).decode()}"
+
+    @staticmethod
+    def _close_pipes(process: subprocess.Popen[bytes]) -> None:
+        for pipe in (process.stdout, process.stderr):
+            if pipe is not None:
+                pipe.close()
+
+
+def kill_and_restart(
+    site: Site, kills: int, seed: int, names: Sequence[str], say: Callable[[str], None]
+) -> Counter[str]:
+    """kill -9 one after the other at random moments; between two kills events get through."""
+    chance = random.Random(seed)
+    killed: Counter[str] = Counter()
+    while killed.total() < kills:
+        alive = [name for name in names if site.running(name)]
+        name = chance.choice(alive)
+        time.sleep(chance.uniform(0.0, 0.7))
+        site.kill(name)
+        killed[name] += 1
+        time.sleep(chance.choice((0.0, chance.uniform(0.0, 1.0))))
+        site.start(name)
+        before = site.status()["events"]["stored"]
+        wait_for(lambda floor=before: site.status()["events"]["stored"] > floor, "events to get through", 60.0)  # type: ignore[misc]
+        say(f"{killed.total()} {name}")
+    return killed
+
+
+def _key(event: Event) -> tuple[str, float, str, str]:
+    return (event.camera, event.t, event.kind, str(event.track))

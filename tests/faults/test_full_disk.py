@@ -1,0 +1,324 @@
+"""The disk is full or fails, at any single operation: nothing is acknowledged that is not there, and it goes on by itself
+when there is room again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import random
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import pytest
+from powercut import Disk, Record, put
+from sizes import size
+from vfs import EIO, FULL, Fault, Op, Vfs
+from written import Open, State, Written, WrittenJournal, WrittenSpool
+
+Kind = Literal["full", "short", "eio"]
+KINDS: tuple[Kind, ...] = ("full", "short", "eio")
+FILES: dict[str, Open] = {"journal": WrittenJournal, "spool": WrittenSpool}
+ATTEMPTS_MAX = 50
+STEPS_AFTER = 8
+"""Written after a fault that came once, before what is there is looked at."""
+
+
+class Spoiler:
+    """In one directory: records, and spoils the operations from the ``first`` on (counted from 1), ``count`` of them."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self.record = Record()
+        self.kind: Kind = "eio"
+        self.first = self.until = sys.maxsize
+        self.seen = 0
+        self.spoiled = 0
+
+    def arm(self, kind: Kind, first: int, count: int = 1) -> None:
+        self.kind, self.first, self.until = kind, first, first + count
+        self.seen = self.spoiled = 0
+
+    def disarm(self) -> None:
+        self.first = self.until = sys.maxsize
+
+    def __call__(self, op: Op) -> Fault | None:
+        if Path(op.path).parent != self._directory:
+            return None
+        if self.kind == "eio" or op.kind in ("create", "write", "shm"):
+            self.seen += 1
+            if self.first <= self.seen < self.until:
+                self.spoiled += 1
+                return self._spoil(op)
+        self.record(op)
+        return None
+
+    def _spoil(self, op: Op) -> Fault:
+        if op.kind == "sync":
+            self.record(op._replace(kind="sync failed"))
+        if op.kind == "write" and self.kind == "short":
+            self.record(op._replace(data=op.data[: len(op.data) // 2]))
+            return Fault(FULL, short=True)
+        return Fault(FULL if op.kind == "write" and self.kind == "full" else EIO[op.kind])
+
+
+class Suffered(NamedTuple):
+    """``refused``: attempts that raised; ``spoiled``: operations that were made to fail."""
+
+    refused: int
+    spoiled: int
+
+
+def reference(make: Open, steps: int, directory: Path) -> list[State]:
+    """What is there after opening and after each step when nothing fails."""
+    directory.mkdir()
+    one = make(directory)
+    states = [one.state()]
+    for number in range(1, steps + 1):
+        one.step(number)
+        states.append(one.state())
+    one.close()
+    return states
+
+
+def attempt(one: Written, number: int) -> int:
+    """Repeat a step until it is done; how often it was refused."""
+    for refused in range(ATTEMPTS_MAX):
+        try:
+            one.step(number)
+        except sqlite3.Error:
+            continue
+        return refused
+    raise AssertionError(f"step {number} was refused {ATTEMPTS_MAX} times and the disk was in order again")
+
+
+def after_power_cut(record: Record, make: Open, directory: Path) -> State:
+    """What is there when the power goes now and nothing survives that need not."""
+    disk = Disk()
+    for op in record.ops:
+        disk.apply(op)
+    directory.mkdir(exist_ok=True)
+    put(disk.image("synced", random.Random(0)), directory)
+    one = make(directory)
+    try:
+        assert not one.damaged
+        return one.state()
+    finally:
+        one.close()
+
+
+def each_write_fails_once(name: str, kind: Kind, steps: int, quick_path: Path, disk_watch: Vfs) -> None:
+    """One file: each step is tried with its first operation failing, then with its second, until none is left."""
+    make = FILES[name]
+    states = reference(make, steps, quick_path / "reference")
+    spoiler, suffered = Spoiler(quick_path / "real"), Suffered(0, 0)
+    (quick_path / "real").mkdir()
+    with disk_watch.watching(spoiler):
+        one = make(quick_path / "real")
+        for number in range(1, steps + 1):
+            for first in itertools.count(1):
+                spoiler.arm(kind, first)
+                try:
+                    one.step(number)
+                except sqlite3.Error:
+                    assert spoiler.spoiled, "it failed and nothing was spoiled"
+                    suffered = Suffered(suffered.refused + 1, suffered.spoiled + spoiler.spoiled)
+                    continue
+                break
+            spoiler.disarm()
+            if number % 20 == 0:
+                assert after_power_cut(spoiler.record, make, quick_path / "image") == states[number]
+        assert one.state() == states[-1]
+        assert suffered.refused > 3 * steps
+        print(f"{name} {kind}: {suffered} in {steps} steps")
+        one.close()
+    one = make(quick_path / "real")
+    assert not one.damaged
+    assert one.state() == states[-1]
+    one.close()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", FILES)
+def test_each_write_of_each_commit_fails_once(name: str, kind: Kind, quick_path: Path, disk_watch: Vfs) -> None:
+    each_write_fails_once(name, kind, 40, quick_path, disk_watch)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", FILES)
+def test_campaign_of_each_write_of_each_commit(name: str, kind: Kind, quick_path: Path, disk_watch: Vfs) -> None:
+    each_write_fails_once(name, kind, size("FULL_STEPS", 500), quick_path, disk_watch)
+
+
+def fails_at(
+    make: Open, kind: Kind, first: int, count: int, states: list[State], base: Path, watch: Vfs
+) -> tuple[int, bool]:
+    """One run with ``count`` operations failing from the ``first`` on; refused attempts, and whether any failed."""
+    directory = base / f"{kind} {first}"
+    directory.mkdir()
+    spoiler = Spoiler(directory)
+    refused = 0
+    with watch.watching(spoiler):
+        one = make(directory)
+        spoiler.arm(kind, first, count)
+        left = STEPS_AFTER
+        for number in range(1, len(states)):
+            refused += attempt(one, number)
+            left -= spoiler.spoiled >= count
+            if left == 0:
+                break
+        spoiler.disarm()
+        assert one.state() == states[number]
+        assert after_power_cut(spoiler.record, make, base / "image") == states[number]
+        one.close()
+    shutil.rmtree(directory)
+    return refused, spoiler.spoiled > 0
+
+
+@pytest.mark.parametrize("count", [1, 12])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", FILES)
+def test_any_operation_fails_in_a_file_of_its_own(
+    name: str, kind: Kind, count: int, quick_path: Path, disk_watch: Vfs
+) -> None:
+    """Checkpoints, too: for those a failing commit before them is in the way in the test above."""
+    steps = 75
+    states = reference(FILES[name], steps, quick_path / "reference")
+    points = refused = 0
+    for first in itertools.count(1 + 2 * count, 97):
+        more, failed = fails_at(FILES[name], kind, first, count, states, quick_path, disk_watch)
+        if not failed:
+            break
+        points, refused = points + 1, refused + more
+    assert points > 5
+    assert refused > points // 4
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", FILES)
+def test_campaign_of_operations_that_fail(name: str, kind: Kind, quick_path: Path, disk_watch: Vfs) -> None:
+    steps, every = size("FAILS_STEPS", 500), size("FAILS_EVERY", 1)
+    states = reference(FILES[name], steps, quick_path / "reference")
+    points = refused = 0
+    for first in itertools.count(1, every):
+        more, failed = fails_at(FILES[name], kind, first, 1, states, quick_path, disk_watch)
+        if not failed:
+            break
+        points, refused = points + 1, refused + more
+    print(f"{name} {kind}: {points} operations of {steps} steps failed, {refused} commits refused, none lost")
+    assert points > steps // every
+
+
+class Careless(WrittenJournal):
+    """Takes no for an answer: what is refused is forgotten."""
+
+    def step(self, number: int) -> None:
+        try:
+            super().step(number)
+        except sqlite3.Error:
+            self._committed = number
+
+
+def test_the_harness_sees_a_false_acknowledgement(quick_path: Path, disk_watch: Vfs) -> None:
+    states = reference(WrittenJournal, 20, quick_path / "reference")
+    with pytest.raises(AssertionError):
+        fails_at(Careless, "full", 30, 1, states, quick_path, disk_watch)
+
+
+def test_the_harness_sees_a_sync_that_is_not_waited_for(quick_path: Path, disk_watch: Vfs) -> None:
+    class Unsynced(WrittenJournal):
+        def __init__(self, directory: Path) -> None:
+            super().__init__(directory)
+            self.journal._db.execute("PRAGMA synchronous=NORMAL")
+
+    states = reference(WrittenJournal, 20, quick_path / "reference")
+    with pytest.raises(AssertionError):
+        fails_at(Unsynced, "full", 30, 1, states, quick_path, disk_watch)
+
+
+# --- a disk that is really full -------------------------------------------------------------------
+
+
+def child(name: str, directory: Path, limit: int, steps: int) -> dict[str, int]:
+    """Write in a process of its own whose files may be ``limit`` bytes long until it has been refused often."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name("filling.py")),
+        name,
+        str(directory),
+        str(limit),
+        str(steps),
+    ]
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    return dict(json.loads(done.stdout))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_that_may_not_grow(name: str, quick_path: Path) -> None:
+    steps = 120
+    states = reference(FILES[name], steps, quick_path / "reference")
+    (quick_path / "real").mkdir()
+    told = child(name, quick_path / "real", 70_000, steps)
+    assert told["refused"] >= 20
+    one = FILES[name](quick_path / "real")
+    assert not one.damaged
+    assert one.state() == states[steps]
+    one.close()
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", FILES)
+def test_campaign_on_a_file_system_that_is_full(name: str, quick_path: Path) -> None:
+    """Filled up by something else, at twenty different moments, and each time freed again."""
+    disk = quick_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "camtopod-test", str(disk)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode != 0:
+        pytest.skip("only root may mount a small file system")
+    try:
+        steps, refused = 200, 0
+        states = reference(FILES[name], steps, quick_path / "reference")
+        one = FILES[name](disk)
+        for number in range(1, steps + 1):
+            if number % 10 == 0:
+                refused += refused_while_full(one, number, disk)
+            one.step(number)
+        assert one.state() == states[steps]
+        one.close()
+        one = FILES[name](disk)
+        assert not one.damaged
+        assert one.state() == states[steps]
+        one.close()
+        print(f"{name}: refused {refused} times in {steps} steps on a full file system, nothing lost")
+        assert refused > 10
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def refused_while_full(one: Written, number: int, disk: Path) -> int:
+    """Fill the disk, try, free it."""
+    filler = disk / "filler"
+    with filler.open("wb", buffering=0) as file:
+        try:
+            while True:
+                file.write(bytes(4096))
+        except OSError:
+            pass
+    refused = 0
+    for _ in range(3):
+        try:
+            one.step(number)
+        except sqlite3.Error:
+            refused += 1
+    filler.unlink()
+    return refused

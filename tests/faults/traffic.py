@@ -1,0 +1,94 @@
+"""Made-up traffic for the fault tests, and a publisher of one camera's part that may be killed and started again.
+
+`traffic.py ENDPOINT SPOOL CAMERA COUNT SPAN SPEED BEGAN` publishes what camera CAMERA sees of `crossings(COUNT, SPAN)`,
+SPEED times faster than it happened, as if the first had happened at BEGAN (Unix seconds); it goes on behind what its
+spool has had, and ends when everything is acknowledged. With SPOOL "-" it has none and just puts.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import sqlite3
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+
+from camtopod.codec import to_pack
+from camtopod.config import BusSettings, Config
+from camtopod.records import Event
+from camtopod.serve.bus import BusError, dial
+from camtopod.serve.publisher import Publisher
+from camtopod.serve.spool import Spool
+
+T0 = 1_700_000_000.0
+CAMERAS = ("a", "b", "c")
+AFTER = "after"
+"""The camera of the last event, which lets everything before it be learned."""
+
+
+def crossings(count: int, seconds: float, seed: int = 1) -> list[Event]:
+    """Objects that cross the view of ``a`` and then that of ``b`` or ``c``; four events each, by time."""
+    chance = random.Random(seed)
+    events = []
+    for number in range(count):
+        t = T0 + chance.uniform(0, seconds - 60)
+        for camera, gap in (("a", 0.0), (chance.choice("bc"), chance.gauss(9, 1))):
+            t += gap
+            events.append(Event(camera, "entry", round(t, 3), 0.1 + 0.02 * chance.random(), 0.5, str(number)))
+            t += chance.uniform(3, 6)
+            events.append(Event(camera, "exit", round(t, 3), 0.9 - 0.02 * chance.random(), 0.5, str(number)))
+    return sorted(events, key=lambda event: event.t)
+
+
+def last_event(seconds: float) -> Event:
+    """So much later than the rest that all of it is learned."""
+    return Event(AFTER, "entry", T0 + 10 * seconds)
+
+
+def published_so_far(path: Path) -> int:
+    """How many events a spool has ever had, also those that are gone."""
+    if not path.exists():
+        return 0
+    with sqlite3.connect(path) as database:
+        row = database.execute("SELECT seq FROM sqlite_sequence WHERE name = 'event'").fetchone()
+    database.close()
+    return int(row[0]) if row else 0
+
+
+def publish(endpoint: str, spool: str, camera: str, events: list[Event], speed: float, began: float) -> None:
+    """Until all of the events are acknowledged, or put if there is no spool."""
+    config = Config(bus=BusSettings(connect=(endpoint,)))
+    while True:
+        try:
+            bus = dial(config)
+            break
+        except BusError:
+            continue
+    keep = None if spool == "-" else Spool(Path(spool), os.urandom(8).hex(), 1_000_000)
+    publisher = None if keep is None else Publisher(keep, 500)
+    if publisher is not None:
+        publisher.attach(bus, [camera])
+    done = 0 if keep is None else published_so_far(Path(spool))
+    while done < len(events):
+        until = T0 + (time.time() - began) * speed
+        due = [event for event in events[done : done + 500] if event.t <= until]
+        if publisher is not None:
+            publisher.publish(*due)
+        for seq, event in enumerate(due if publisher is None else (), start=done + 1):
+            bus.put_raw(f"event/{camera}", to_pack(msgspec.structs.replace(event, boot="none", seq=seq)), "event")
+        done += len(due)
+        time.sleep(0.005)
+    if publisher is not None and keep is not None:
+        while not publisher.drained(0.5):
+            publisher.retry()
+        keep.close()
+    bus.close()
+
+
+if __name__ == "__main__":
+    where, file, which, objects, span, faster, start = sys.argv[1:]
+    mine = [event for event in crossings(int(objects), float(span)) if event.camera == which]
+    publish(where, file, which, mine, float(faster), float(start))
