@@ -17,7 +17,7 @@ from serving import T0, closing_event, numbered, small_config, wait_for, walkers
 
 from camtopod import codec
 from camtopod.learn.learner import Learner
-from camtopod.learn.topology import make_delta
+from camtopod.learn.topology import digest_of, make_delta
 from camtopod.records import Ack, Event, Prediction, Topology
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus, BusError, QueryError
@@ -147,8 +147,40 @@ def test_other_settings_begin_a_new_epoch(site: Site) -> None:
     config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, version_seconds=17.0))
     with Daemon(config, clock=lambda: site.now) as again:
         assert again.epoch > daemon.epoch
-        assert again.topology is not None
-        assert again.topology.epoch == again.epoch
+        assert again.topology is not None, "the last version holds until there is another"
+        wait_for(lambda: again.topology is not None and again.topology.epoch == again.epoch, "a version of the epoch")
+        assert again.topology.version == 1
+        assert len(again.topology.zones) > 0
+
+
+def test_old_versions_can_be_asked_for(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    events = [*numbered(walkers(40)), closing_event()]
+    last = learned(events).version
+    put(bus, *events)
+    wait_for(lambda: daemon.topology is not None and daemon.topology.version == last, "the last version")
+
+    def asked(**parameters: object) -> Topology:
+        return codec.read(Topology, bus.ask("topology", parameters)[0][1], pack=True)
+
+    first = asked(version=1)
+    assert (first.version, first.digest) == (1, digest_of(first))
+    assert asked(version=1, epoch=daemon.epoch) == first
+    assert asked() == asked(version=last) == daemon.topology
+    for nonsense in ({"version": 999}, {"version": "x"}, {"version": 1, "epoch": "other"}):
+        with pytest.raises(QueryError, match="is not kept"):
+            bus.ask("topology", nonsense)
+    before = daemon.status()["journal"]
+    daemon.stop()
+    again = site.daemon()
+    assert again.status()["events"]["waiting"] == 0, "it stopped with a snapshot"
+    assert asked_of(site, again, first.version) == first
+    assert again.status()["journal"]["entries"] == before["entries"]
+
+
+def asked_of(site: Site, daemon: Daemon, version: int) -> Topology:
+    return codec.read(Topology, site.client(daemon).ask("topology", {"version": version})[0][1], pack=True)
 
 
 def test_epochs_sort_by_time_whatever_the_clock_does() -> None:
