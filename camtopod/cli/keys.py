@@ -25,38 +25,40 @@ _INSTALLED = "keys"
 """Where the folders are copied to, beside the configuration."""
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add `keys` with its own commands."""
+def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
+    """Add `keys` with its own commands, which it returns."""
     parser = subparsers.add_parser(
         "keys",
         help="certificates for the bus",
-        description="Makes a private authority for a site and gives out certificates. Each has a folder of its own, which "
-        "is all that is copied to where it is used. The daemon has the list of who may do what (access.json): "
+        description="Makes a private authority for a site and gives out certificates. Each has a folder of its own, "
+        "which is all that is copied to where it is used. The daemon has the list of who may do what (access.json): "
         "copy it again and restart the daemon after every change.",
     )
-    parser.add_argument("--keys", type=Path, default=DEFAULT_FOLDER, metavar="FOLDER", help="default: %(default)s")
     commands = parser.add_subparsers(dest="keys_command", metavar="WHAT", required=True)
     init = commands.add_parser("init", help="a new authority, and the daemon's certificate")
     init.add_argument("--authority-days", type=_days, default=AUTHORITY_DAYS, metavar="N", help="default: %(default)s")
     daemon = commands.add_parser("daemon", help="a new certificate for the daemon, or for a router")
-    camera = commands.add_parser("camera", help="a certificate for a camera")
-    reader = commands.add_parser("reader", help="a certificate for a program that only reads topology and predictions")
+    camera = commands.add_parser("camera", help="a certificate for each camera")
+    reader = commands.add_parser("reader", help="a certificate for a program that reads topology and predictions")
     revoke = commands.add_parser("revoke", help="take a camera's or a reader's rights away")
-    commands.add_parser("list", help="who has what, and until when")
-    for made in (init, daemon):
-        made.add_argument(
+    listing = commands.add_parser("list", help="who has what, and until when")
+    revoke.add_argument("role", choices=("camera", "reader"))
+    for named in (camera, reader, revoke):
+        named.add_argument("names", nargs="+", metavar="NAME", help="the camera's id, or any name for a reader")
+    for hosted in (init, daemon):
+        hosted.add_argument(
             "--host", action="append", default=[], metavar="NAME",
             help="name or address under which the others dial the daemon; may be repeated",
         )  # fmt: skip
-    camera.add_argument("names", nargs="+", metavar="NAME", help="the camera's id")
-    reader.add_argument("names", nargs="+", metavar="NAME", help="any name")
-    revoke.add_argument("role", choices=("camera", "reader"))
-    revoke.add_argument("names", nargs="+", metavar="NAME")
     for made in (init, daemon, camera, reader):
         made.add_argument(
             "--days", type=_days, default=DAYS, metavar="N", help="valid for so long (default: %(default)s)"
         )
         made.add_argument("--replace", action="store_true", help="make it anew; the old one loses its rights")
+    inner = [init, daemon, camera, reader, revoke, listing]
+    for its, default in [(parser, DEFAULT_FOLDER), *((each, argparse.SUPPRESS) for each in inner)]:
+        its.add_argument("--keys", type=Path, default=default, metavar="FOLDER", help=f"default: {DEFAULT_FOLDER}")
+    return inner
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,10 +1,11 @@
 """The console script: finds the command, imports only its module, turns expected errors into exit statuses.
 
 A command is a module ``camtopod.cli.NAME`` with two functions: ``add_parser(subparsers)`` calls
-``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments; ``run(args) -> int`` does the
-work and returns the exit status. The common options are added here, before and after the command's name, and
-arrive as ``args.config`` (path or None), ``args.site`` (str or None), ``args.connect`` (list of endpoints,
-maybe empty) and ``args.log_format``. `camtopod.cli.common` has what several commands share.
+``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments (and returns the parsers of its
+own commands, if it has any); ``run(args) -> int`` does the work and returns the exit status. The common options
+are added here, before and after the command's name, and arrive as ``args.config`` (path or None), ``args.site``
+(str or None), ``args.connect`` (list of endpoints, maybe empty) and ``args.log_format``. `camtopod.cli.common`
+has what several commands share.
 """
 
 from __future__ import annotations
@@ -83,8 +84,9 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
     for command, (path, summary) in COMMANDS.items():
         if command == name:
             module = _import(path, command)
-            module.add_parser(subparsers)
-            _add_common(subparsers.choices[command], top=False)
+            inner = module.add_parser(subparsers) or []
+            for its in (subparsers.choices[command], *inner):
+                _add_common(its, top=False)
         else:
             subparsers.add_parser(command, help=summary)
     if name is not None and module is None:

@@ -83,8 +83,9 @@ class Authority:
             )
         for old in ("camera", "reader", "daemon"):
             shutil.rmtree(folder / old, ignore_errors=True)
-        _make_folder(folder)
-        _make_folder(secret)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        for private in (folder, secret, folder / "camera", folder / "reader"):
+            _make_folder(private)
         key = ec.generate_private_key(ec.SECP256R1())
         name = x509.Name(
             [
@@ -242,7 +243,9 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _make_folder(folder: Path) -> None:
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    """For its owner alone, also if it was there before."""
+    folder.mkdir(mode=0o700, exist_ok=True)
+    folder.chmod(0o700)
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -147,7 +147,7 @@ def router_json5(access: Access, listen: list[str], message_bytes_max: int, pull
             place = place.setdefault(folder, {})
         place[name] = value
     return (
-        f"// The bus of site {access.site}: who may do what. Written by `camtopod keys`; start the router in this folder.\n"
+        f"// The bus of site {access.site}: who may do what. By `camtopod keys`; start the router in this folder.\n"
         + json.dumps(nested, indent=1)
         + "\n"
     )

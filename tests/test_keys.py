@@ -1,0 +1,359 @@
+"""The authority of a site: what it makes, what it refuses, who can read it; and the rules it stands for."""
+
+from __future__ import annotations
+
+import json
+import stat
+from pathlib import Path
+
+import msgspec
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from cryptography.x509.verification import PolicyBuilder, Store, VerificationError
+
+from camtopod import redact, secret_files
+from camtopod.cli import exits, main
+from camtopod.config import ConfigError, load, parse
+from camtopod.keys import rules
+from camtopod.keys.authority import Authority, KeysError
+from camtopod.serve import guard
+
+NOW = 1_800_000_000.0
+DAY = 86400.0
+
+
+@pytest.fixture
+def authority(tmp_path: Path) -> Authority:
+    made = Authority.make(tmp_path / "keys", "hq", NOW, 7300, replace=False)
+    made.issue("daemon", "daemon", 1825, hosts=["hub.example", "192.0.2.1"])
+    made.issue("camera", "lobby", 1825)
+    made.issue("reader", "wall", 30)
+    return made
+
+
+def certificate(folder: Path) -> x509.Certificate:
+    return x509.load_pem_x509_certificate((folder / "certificate.pem").read_bytes())
+
+
+def run(*arguments: str) -> int:
+    return main.main(["keys", *arguments])
+
+
+# --- what is made -----------------------------------------------------------------------------------
+
+
+def test_certificates_say_who_and_for_what(authority: Authority) -> None:
+    daemon, camera = certificate(authority.folder / "daemon"), certificate(authority.folder / "camera" / "lobby")
+    names = [cert.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value for cert in (daemon, camera)]
+    assert names == ["daemon", "lobby"]
+    assert isinstance(camera.public_key(), ec.EllipticCurvePublicKey)
+    uses = [list(cert.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value) for cert in (daemon, camera)]
+    assert uses[0] == [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
+    assert uses[1] == [ExtendedKeyUsageOID.CLIENT_AUTH], "a stolen box must not pass for the daemon"
+    hosts = daemon.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert hosts.get_values_for_type(x509.DNSName) == ["hub.example", "localhost"]
+    assert [str(a) for a in hosts.get_values_for_type(x509.IPAddress)] == ["192.0.2.1", "127.0.0.1", "::1"]
+    assert camera.not_valid_after_utc.timestamp() == NOW + 1825 * DAY
+    assert camera.not_valid_before_utc.timestamp() < NOW, "the clock of a box may be behind"
+
+
+def test_the_chain_verifies_and_another_authority_does_not(authority: Authority, tmp_path: Path) -> None:
+    other = Authority.make(tmp_path / "other", "hq", NOW, 7300, replace=False)
+    trusted = x509.load_pem_x509_certificate((authority.folder / "camera/lobby/ca.pem").read_bytes())
+    foreign = x509.load_pem_x509_certificate((other.folder / "authority/ca.pem").read_bytes())
+    name = x509.DNSName("hub.example")
+    leaf = certificate(authority.folder / "daemon")
+    time = leaf.not_valid_before_utc.replace(year=leaf.not_valid_before_utc.year + 1)
+    for store, fits in ((Store([trusted]), True), (Store([foreign]), False)):
+        verifier = PolicyBuilder().store(store).time(time).build_server_verifier(name)
+        if fits:
+            # the verifier wants key identifiers that TLS itself does not; the signature is what counts here
+            leaf.verify_directly_issued_by(trusted)
+        else:
+            with pytest.raises((VerificationError, ValueError)):
+                verifier.verify(leaf, [])
+
+
+def test_nobody_else_can_read_it(authority: Authority) -> None:
+    for path in [authority.folder, *authority.folder.rglob("*")]:
+        mode = stat.S_IMODE(path.stat().st_mode)
+        if path.is_dir():
+            assert mode == 0o700, path
+        else:
+            assert mode == 0o600, path
+    copied = [path.name for path in (authority.folder / "camera" / "lobby").iterdir()]
+    assert "ca.key" not in copied
+
+
+def test_a_folder_that_was_open_is_closed(tmp_path: Path) -> None:
+    folder = tmp_path / "keys"
+    (folder / "camera").mkdir(parents=True, mode=0o755)
+    made = Authority.make(folder, "hq", NOW, 7300, replace=False)
+    made.issue("camera", "lobby", 10)
+    assert {stat.S_IMODE(path.stat().st_mode) for path in [folder, folder / "camera"]} == {0o700}
+
+
+# --- nothing is overwritten -------------------------------------------------------------------------
+
+
+def test_nothing_is_overwritten_unless_told(authority: Authority) -> None:
+    before = {path: path.read_bytes() for path in authority.folder.rglob("*.key")}
+    with pytest.raises(KeysError, match="holds an authority already; --replace"):
+        Authority.make(authority.folder, "hq", NOW, 7300, replace=False)
+    for role, name in (("camera", "lobby"), ("reader", "wall"), ("daemon", "daemon")):
+        with pytest.raises(KeysError, match=r"until 20\d\d-\d\d-\d\d\); --replace"):
+            authority.issue(role, name, 10)
+    assert {path: path.read_bytes() for path in authority.folder.rglob("*.key")} == before
+    Authority.make(authority.folder, "hq", NOW, 7300, replace=True)
+    assert (authority.folder / "authority/ca.key").read_bytes() != before[authority.folder / "authority/ca.key"]
+    assert not (authority.folder / "camera/lobby").exists(), "certificates of no authority"
+
+
+def test_a_replaced_certificate_has_a_name_never_used_before(authority: Authority) -> None:
+    for expected in ("lobby~2", "lobby~3"):
+        authority.issue("camera", "lobby", 10, replace=True)
+        valid = {c.name: c.camera for c in authority.access.certificates if c.role == "camera"}
+        assert valid == {expected: "lobby"}
+    authority.revoke("camera", "lobby")
+    assert not [c for c in authority.access.certificates if c.role == "camera"]
+    authority.issue("camera", "lobby", 10)
+    again = Authority(authority.folder, NOW)
+    assert [c.name for c in again.access.certificates] == ["daemon", "reader:wall", "lobby~4"]
+    with pytest.raises(KeysError, match="has no certificate"):
+        authority.revoke("reader", "nobody")
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a b", "*", "lobby~2", "daemon", "x" * 65, "..", "ü", "a\n"])
+def test_bad_camera_names(authority: Authority, name: str) -> None:
+    before = sorted(authority.folder.rglob("*"))
+    with pytest.raises(KeysError, match=r"name|taken"):
+        authority.issue("camera", name, 10)
+    assert sorted(authority.folder.rglob("*")) == before
+
+
+def test_a_name_that_fits_the_bus_but_no_certificate(authority: Authority) -> None:
+    authority.issue("camera", "x" * 64, 10)
+    with pytest.raises(KeysError, match="too long for a certificate"):
+        authority.issue("camera", "x" * 64, 10, replace=True)
+    with pytest.raises(KeysError, match="too long for a certificate"):
+        authority.issue("reader", "x" * 60, 10)
+
+
+def test_other_mistakes(authority: Authority, tmp_path: Path) -> None:
+    with pytest.raises(KeysError, match="neither a host's name nor an address"):
+        authority.issue("daemon", "daemon", 10, replace=True, hosts=["tls/hub:7447"])
+    with pytest.raises(KeysError, match="the authority itself ends"):
+        authority.issue("camera", "late", 8000)
+    with pytest.raises(KeysError, match="there is no authority in"):
+        Authority(tmp_path / "none", NOW)
+    (authority.folder / "authority/issued.json").write_text("{")
+    with pytest.raises(KeysError, match="cannot be read"):
+        Authority(authority.folder, NOW)
+
+
+# --- the command ------------------------------------------------------------------------------------
+
+
+def test_from_nothing_to_a_site(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    keys = str(tmp_path / "keys")
+    assert run("--keys", keys, "list") == exits.FAILED
+    assert run("--keys", keys, "init", "--site", "hq", "--host", "hub.example") == exits.DONE
+    assert run("--keys", keys, "camera", "lobby", "hall", "--days", "20") == exits.DONE
+    assert run("--keys", keys, "reader", "wall") == exits.DONE
+    assert run("--keys", keys, "camera", "lobby") == exits.FAILED
+    assert run("--keys", keys, "camera", "bad/name") == exits.FAILED
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "PRIVATE KEY" not in said.err
+    assert "camtopod: 'bad/name' cannot be a camera's name" in said.err
+    assert run("--keys", keys, "revoke", "camera", "hall") == exits.DONE
+    capsys.readouterr()
+    assert run("--keys", keys, "list") == exits.DONE
+    out, err = capsys.readouterr()
+    assert [line.split()[:2] for line in out.splitlines()[1:]] == [
+        ["daemon", "daemon"], ["lobby", "camera"], ["hall", "camera"], ["wall", "reader"],
+    ]  # fmt: skip
+    assert "EXPIRES SOON" in out.splitlines()[2]
+    assert "withdrawn" in out.splitlines()[3]
+    assert "warning: camera lobby: expires soon" in err
+    assert [c.name for c in rules.read_access(Path(keys, "daemon/access.json").read_bytes()).certificates] == [
+        "daemon", "lobby", "reader:wall",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("days", ["0", "-1", "x", "1e9", "99999999"])
+def test_days_are_checked(days: str, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as caught:
+        run("--keys", str(tmp_path), "init", "--days", days)
+    assert caught.value.code == exits.USAGE
+
+
+def test_the_examples_it_writes_are_right_where_they_are_copied_to(tmp_path: Path) -> None:
+    keys = tmp_path / "made"
+    run("--keys", str(keys), "--site", "hq", "init")
+    run("--keys", str(keys), "--connect", "tls/hub.example:7447", "camera", "lobby", "a.b")
+    run("--keys", str(keys), "--connect", "tls/hub.example:7447", "reader", "wall")
+    for role, name in (("", "daemon"), ("camera", "lobby"), ("camera", "a.b"), ("reader", "wall")):
+        box = tmp_path / f"box-{name}"
+        (box / "keys").mkdir(parents=True)
+        (keys / role / name).rename(box / "keys" / name)
+        (box / "keys" / name / "camtopod.toml").rename(box / "camtopod.toml")
+        (box / "secrets").mkdir()
+        (box / "secrets" / name).write_text("rtsp://u:hunter2@192.0.2.7/x\n")
+        config = load(box / "camtopod.toml")
+        assert config.site.name == "hq"
+        if role == "camera":
+            config = config.for_camera(name)
+            assert config.cameras[name].source == "rtsp://u:hunter2@192.0.2.7/x"
+            assert "hunter2" not in redact.redact("it was hunter2")
+        guard.check_files(config)
+        assert config.dials == (("tls/127.0.0.1:7447",) if name == "daemon" else ("tls/hub.example:7447",))
+    assert guard.read_access(load(tmp_path / "box-daemon/camtopod.toml"), lambda: NOW) is not None
+
+
+# --- the rules --------------------------------------------------------------------------------------
+
+
+def test_rules_name_exact_keys_only(authority: Authority) -> None:
+    control = rules.access_control(authority.access)["access_control"]
+    assert (control["enabled"], control["default_permission"]) == (True, "deny")
+    assert {rule["permission"] for rule in control["rules"]} == {"allow"}
+    of_camera = [rule for rule in control["rules"] if rule["id"].startswith("lobby ")]
+    keys = {key for rule in of_camera for key in rule["key_exprs"]}
+    assert keys == {f"camtopo/hq/{key}" for key in (
+        "event/lobby", "status/lobby", "spool/lobby", "ack/lobby", "alive/grabber/lobby")}  # fmt: skip
+    said = {m for rule in of_camera if "ingress" in rule["flows"] for m in rule["messages"]}
+    assert said == {"put", "declare_queryable", "reply", "declare_subscriber", "liveliness_token"}
+    of_reader = [rule for rule in control["rules"] if rule["id"].startswith("reader:wall ")]
+    assert not {"put", "delete", "declare_queryable"} & {
+        m for rule in of_reader if "ingress" in rule["flows"] for m in rule["messages"]
+    }
+    assert [subject["cert_common_names"] for subject in control["subjects"]] == [["daemon"], ["lobby"], ["reader:wall"]]
+
+
+def test_the_router_s_file_has_the_same_rules(authority: Authority) -> None:
+    text = rules.router_json5(authority.access, ["tls/[::]:7447"], 1 << 24, 1000)
+    router = json.loads(text.partition("\n")[2])
+    assert router["access_control"] == rules.access_control(authority.access)["access_control"]
+    assert router["transport"]["link"]["tls"]["enable_mtls"] is True
+    assert router["transport"]["link"]["protocols"] == ["tls"]
+    assert router["transport"]["link"]["rx"]["max_message_size"] == 1 << 24
+    assert router["scouting"]["multicast"]["enabled"] is False
+
+
+def test_what_expires_is_known_in_advance(authority: Authority) -> None:
+    def names(days: float) -> list[str]:
+        return [certificate.name for certificate, _ in rules.expiring(authority.access, NOW + days * DAY)]
+
+    assert names(0) == ["reader:wall"]  # its 30 days are fewer than the warning's 60
+    assert names(1764) == ["reader:wall"]
+    assert names(1766) == ["daemon", "lobby", "reader:wall"]
+
+
+# --- the configuration ------------------------------------------------------------------------------
+
+
+def test_tls_is_whole_or_not_at_all() -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse('[bus]\nlisten = ["tcp/0.0.0.0:7447"]\n[bus.tls]\nca = "ca.pem"\ncertifcate = "c.pem"\n')
+    assert [(p.line, p.what) for p in caught.value.problems] == [
+        (2, "bus.listen: 'tcp/0.0.0.0:7447' is not a tls/ endpoint, but [bus.tls] is set"),
+        (3, "bus.tls: access is missing: a daemon that is the meeting point has to know who may do what"),
+        (3, "bus.tls: certificate is missing; ca, certificate and private_key go together"),
+        (3, "bus.tls: private_key is missing; ca, certificate and private_key go together"),
+        (5, "bus.tls.certifcate: no such key; did you mean 'certificate'?"),
+    ]
+    files = 'ca = "a"\ncertificate = "b"\nprivate_key = "c"\n'
+    config = parse(f'[bus]\nconnect = ["tls/hub:7447"]\n[bus.tls]\n{files}')
+    assert config.dials == ("tls/hub:7447",)
+    assert parse(f'[bus.tls]\n{files}access = "d"\n').listens == ("tls/127.0.0.1:7447",)
+
+
+def test_paths_are_relative_to_the_file_and_hold_variables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", "/run/credentials/x")
+    path = tmp_path / "c.toml"
+    path.write_text(
+        '[bus]\nconnect = ["tls/hub:7447"]\n[bus.tls]\nca = "keys/{camera}/ca.pem"\ncertificate = "/etc/c.pem"\n'
+        'private_key = "$CREDENTIALS_DIRECTORY/key"\n[cameras.a]\nsource_file = "s/a"\n'
+    )
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s/a").write_text("rtsp://u:pw@h/x\nsecond line\n")
+    config = load(path).for_camera("a")
+    assert config.bus.tls.ca == str(tmp_path / "keys/a/ca.pem")
+    assert (config.bus.tls.certificate, config.bus.tls.private_key) == ("/etc/c.pem", "/run/credentials/x/key")
+    assert config.cameras["a"].source == "rtsp://u:pw@h/x"
+    assert load(path).cameras["a"].source == "", "who does not grab does not need the secret"
+    for content in ("", "\n", b"\xff"):
+        (tmp_path / "s/a").write_bytes(content if isinstance(content, bytes) else content.encode())
+        with pytest.raises(OSError, match=r"empty first line|not UTF-8"):
+            load(path).for_camera("a")
+
+
+def test_a_camera_has_one_source() -> None:
+    with pytest.raises(ConfigError, match=r":3: cameras\.a\.source: give source or source_file, not both"):
+        parse('[cameras.a]\nsource_file = "x"\nsource = "0"\n')
+    with pytest.raises(ConfigError, match=r"cameras\.a: source is missing"):
+        parse("[cameras.a]\nspeed = 2\n")
+
+
+def test_secrets_that_others_can_read_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('[cameras.a]\nsource = "rtsp://u:pw@h/x"\n')
+    for mode, warned in ((0o600, False), (0o640, False), (0o644, True), (0o602, True), (0o660, True)):
+        path.chmod(mode)
+        assert main.main(["check", str(path)]) == exits.DONE
+        assert ("holds a secret" in capsys.readouterr().err) == warned, oct(mode)
+    path.chmod(0o644)
+    path.write_text('[cameras.a]\nsource = "rtsp://h/x"\n')
+    main.main(["check", str(path)])
+    assert "holds a secret" not in capsys.readouterr().err
+    assert secret_files.exposed([tmp_path / "none"]) == []
+
+
+# --- what is open is said ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "every program of this machine"),
+        ('[bus]\nlisten = ["tcp/localhost:1", "tcp/[::1]:2"]', "every program of this machine"),
+        ('[bus]\nlisten = ["tcp/127.0.0.1:1", "tcp/0.0.0.0:7447"]', "NETWORK who reaches tcp/0.0.0.0:7447 can"),
+        ('[bus]\nlisten = ["tcp/[::]:7447"]', "ANYBODY ON THE NETWORK"),
+        ('[bus]\nlisten = ["tls/hub.example:7447"]', "ANYBODY ON THE NETWORK"),
+        ('[bus]\nconnect = ["tcp/hub:7447"]', "whoever reaches the bus at tcp/hub:7447"),
+        ('[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\naccess = "d"', None),
+    ],
+)  # fmt: skip
+def test_what_is_open_is_said(text: str, said: str | None) -> None:
+    found = guard.openness(parse(text))
+    if said is None:
+        assert found is None
+    else:
+        assert found is not None
+        assert said in found
+        assert "camtopod keys init" in found
+
+
+def test_a_private_key_is_no_text_for_people() -> None:
+    key = "-----BEGIN PRIVATE KEY-----\nMIGH\n-----END PRIVATE KEY-----\n"
+    assert redact.redact(f"cannot parse {key} here") == "cannot parse ***\n here"
+    assert "MIGH" not in redact.redact(key[:40])
+
+
+def test_the_access_list_is_checked(tmp_path: Path, authority: Authority) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\naccess = "access.json"\n')
+    for content, why in (
+        (None, "cannot read who may do what"),
+        (b"{}", "no access list"),
+        (msgspec.json.encode(authority.access), "is for site hq, but this is site site"),
+    ):
+        if content is not None:
+            (tmp_path / "access.json").write_bytes(content)
+        with pytest.raises(guard.AccessError, match=why):
+            guard.read_access(load(path), lambda: NOW)
+    with pytest.raises(guard.AccessError, match=r"cannot read .*/a: No such file"):
+        guard.check_files(load(path))
