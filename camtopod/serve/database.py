@@ -1,8 +1,8 @@
 """A SQLite file that keeps what it has committed, through kill -9 and a power cut on a disk that flushes.
 
 A damaged file is set aside, never deleted, and a new one is begun. SQLite itself notices little damage: a torn
-log reads as a shorter one, a flipped bit in a value as another value. So every row carries a `crc`, and a
-grabber remembers what was acknowledged (`camtopod.serve.spool`).
+log reads as a shorter one, a flipped bit in a value as another value. So the log is looked at before (`wal`), every
+row carries a `crc`, and a grabber remembers what was acknowledged (`camtopod.serve.spool`).
 """
 
 from __future__ import annotations
@@ -11,12 +11,15 @@ import contextlib
 import fcntl
 import logging
 import os
+import shutil
 import sqlite3
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
+
+from camtopod.serve import wal
 
 log = logging.getLogger(__name__)
 
@@ -86,11 +89,13 @@ def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], Non
     """
     try:
         _make_private(path)
+        written = wal.read(path)
         database = sqlite3.connect(path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False)
         with contextlib.ExitStack() as undo:
             undo.callback(database.close)
             database.execute("PRAGMA synchronous=EXTRA")
             _scan(database, path)
+            _report_lost(path, written)
             with transaction(database):
                 if prepare is not None:
                     prepare(database)
@@ -148,7 +153,7 @@ def set_aside(path: Path) -> Path:
 
 
 def damaged_files(path: Path) -> list[Path]:
-    """What was set aside of ``path`` and is still there, the newest last."""
+    """What was set aside of ``path`` and is still there, the newest last; of a log if its path is given."""
     start = f"{path.name}.damaged-"
     names = (one.name.removeprefix(start) for one in path.parent.glob(f"{start}*"))
     return [path.with_name(f"{start}{number}") for number in sorted(int(name) for name in names if name.isdecimal())]
@@ -172,6 +177,16 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
     finally:
         if database.in_transaction:
             database.execute("ROLLBACK")
+
+
+def _name_aside(path: Path) -> Path:
+    before = damaged_files(path)
+    if len(before) >= DAMAGED_FILES_MAX:
+        raise StateError(
+            f"{path} is damaged, and {len(before)} times before: see to the disk, and move those files away"
+        )
+    number = int(before[-1].name.rpartition("-")[2]) + 1 if before else 1
+    return path.with_name(f"{path.name}.damaged-{number}")
 
 
 def _make_directory(directory: Path) -> None:
@@ -222,6 +237,23 @@ def _scan(database: sqlite3.Connection, path: Path) -> None:
         found = database.execute("PRAGMA integrity_check(1)").fetchone()[0]
         if found != "ok":
             raise Damaged(f"{path} is damaged: {found}; it is left as it is")
+
+
+def _report_lost(path: Path, written: wal.Log) -> None:
+    """Say what SQLite left out of the log, and keep a copy of a log that was damaged."""
+    lost = wal.lost(path, written)
+    if lost.damaged:
+        aside = _name_aside(Path(f"{path}-wal"))
+        shutil.copyfile(f"{path}-wal", aside)
+        log.error(
+            "the log of %s is damaged: %s cannot be read; a copy is %s", path,
+            "nothing of it" if lost.headless else f"{lost.transactions} transactions", aside,
+        )  # fmt: skip
+    elif lost.frames:
+        log.warning(
+            "the last transaction in the log of %s is not whole and left out: "
+            "it was being written when the program ended, or is damaged", path,
+        )  # fmt: skip
 
 
 def _check_shape(database: sqlite3.Connection, schema: str, path: Path) -> None:

@@ -163,7 +163,8 @@ class Spool:
                 "kept": self._kept,
                 "dropped": self.dropped,
                 "damaged_events": len(self._damaged),
-                "damaged_files": len(database.damaged_files(self._path)),
+                "damaged_files": len(database.damaged_files(self._path))
+                + len(database.damaged_files(self._path.with_name(f"{self._path.name}-wal"))),
             }
 
     def __len__(self) -> int:

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from camtopod.config import KeepSettings
 from camtopod.records import Event
+from camtopod.serve.database import damaged_files
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.spool import Spool
 
@@ -20,10 +21,10 @@ State = Hashable
 
 
 class Written(Protocol):
-    """One file that is written in numbered steps; the steps' content depends on their number alone."""
+    """One file that is written in numbered steps, each a transaction; their content depends on the number alone."""
 
     damaged: bool
-    """Whether a file was set aside on opening."""
+    """Whether something was set aside on opening."""
 
     def step(self, number: int) -> None:
         """Do it; afterwards it is durable. Raises `sqlite3.Error`; may then be repeated."""
@@ -42,16 +43,14 @@ class WrittenJournal:
 
     def __init__(self, directory: Path) -> None:
         self.journal = Journal(directory, KEEP)
-        self.damaged = self.journal.set_aside is not None
-        self._committed = 0
+        self.damaged = self.journal.set_aside is not None or bool(damaged_files(directory / "journal.db-wal"))
 
     def step(self, number: int) -> None:
-        if number != self._committed:
-            entries, versions, snapshot = step_of(number, len(self.journal))
-            self.journal.commit(entries, versions, snapshot, now=float(number))
-            self._committed = number
         if number % 40 == 39:
             self.journal.prune(now=float(number))
+        else:
+            entries, versions, snapshot = step_of(number, len(self.journal))
+            self.journal.commit(entries, versions, snapshot, now=float(number))
 
     def state(self) -> State:
         entries = tuple(self.journal.entries())

@@ -1,0 +1,88 @@
+"""How much of SQLite's write-ahead log is lost: SQLite itself takes a damaged log for a shorter one and says nothing.
+
+The layout is that of https://www.sqlite.org/fileformat2.html#walformat and https://www.sqlite.org/walformat.html.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+_MAGIC = (0x377F0682, 0x377F0683)
+_HEADER_BYTES = 32
+_FRAME_HEADER_BYTES = 24
+_LAST_FRAME_AT = 16
+"""Where the index of the log says how many frames are good."""
+
+
+class Log(NamedTuple):
+    """What is written in a log, good or not. ``frames``: the number, from 1, of each that belongs to the log as it was
+    begun last; ``commits``: of each that ends a transaction. ``headless``: the beginning is damaged.
+    """
+
+    frames: list[int]
+    commits: list[int]
+    headless: bool = False
+
+
+class Lost(NamedTuple):
+    """``frames`` that SQLite leaves out, and among them ``transactions`` that had been written to their end.
+
+    At a kill or a power cut one may have been on its way; more than one, or a damaged head, is damage.
+    """
+
+    frames: int
+    transactions: int
+    headless: bool
+
+    @property
+    def damaged(self) -> bool:
+        """Whether this cannot be the work of a kill or a power cut."""
+        return self.headless or self.transactions > 1
+
+
+def read(path: Path) -> Log:
+    """The log of the database ``path``, before SQLite opens it. Raises `OSError`."""
+    try:
+        with Path(f"{path}-wal").open("rb") as file:
+            head = file.read(_HEADER_BYTES)
+            if len(head) < _HEADER_BYTES:
+                return Log([], [])
+            magic, _, page_bytes, _, *salts = struct.unpack(">6I", head[:24])
+            if magic not in _MAGIC or _checksum(head[:24], big_endian=magic & 1 == 1) != struct.unpack(
+                ">2I", head[24:]
+            ):
+                return Log([], [], headless=len(file.read(_FRAME_HEADER_BYTES)) == _FRAME_HEADER_BYTES)
+            found = Log([], [])
+            number = 0
+            while len(frame := file.read(_FRAME_HEADER_BYTES)) == _FRAME_HEADER_BYTES:
+                number += 1
+                _, pages, *own = struct.unpack(">4I", frame[:16])
+                if own == salts:
+                    found.frames.append(number)
+                    if pages:
+                        found.commits.append(number)
+                file.seek(page_bytes, 1)
+            return found
+    except FileNotFoundError:
+        return Log([], [])
+
+
+def lost(path: Path, log: Log) -> Lost:
+    """What of ``log`` SQLite, which has the database open by now, has left out. Raises `OSError`."""
+    last = 0
+    with contextlib.suppress(FileNotFoundError), Path(f"{path}-shm").open("rb") as file:
+        file.seek(_LAST_FRAME_AT)
+        last = struct.unpack("=I", file.read(4))[0]
+    return Lost(sum(one > last for one in log.frames), sum(one > last for one in log.commits), log.headless)
+
+
+def _checksum(data: bytes, big_endian: bool) -> tuple[int, int]:
+    words = struct.unpack(f"{'>' if big_endian else '<'}{len(data) // 4}I", data)
+    first = second = 0
+    for even, odd in zip(words[::2], words[1::2], strict=True):
+        first = (first + even + second) & 0xFFFFFFFF
+        second = (second + odd + first) & 0xFFFFFFFF
+    return first, second
