@@ -44,9 +44,10 @@ def check(site: Site) -> None:
 
 
 def test_kills(make_site: MakeSite) -> None:
-    site = make_site(1_500, 4 * 3600.0, 1800.0)
+    site = make_site(400, 2 * 3600.0, 1800.0)
     site.start_all()
-    kill_and_restart(site, 2, 1, ("router",), print)
+    killed = kill_and_restart(site, 2, size("SEED", 3), ("daemon", "router"), print)
+    assert killed.total() == 2
     check(site)
 
 
@@ -54,7 +55,7 @@ def test_kills(make_site: MakeSite) -> None:
 @pytest.mark.timeout(3600)
 def test_many_kills(make_site: MakeSite) -> None:
     kills = size("KILLS", 60)
-    speed = 40.0
+    speed = 160.0
     site = make_site(int(40 * 6 * kills), 6 * kills * speed, speed)
     began = time.monotonic()
     site.start_all()
@@ -65,7 +66,7 @@ def test_many_kills(make_site: MakeSite) -> None:
 
 def test_the_harness_sees_a_loss(make_site: MakeSite) -> None:
     """The canary: publishers that just put lose what is under way when the daemon is killed."""
-    site = make_site(1_000, 3600.0, 900.0, spools=False)
+    site = make_site(400, 1800.0, 600.0, spools=False)
     site.start_all()
     kill_and_restart(site, 1, 1, ("daemon",), print)
     site.finish()

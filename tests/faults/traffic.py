@@ -43,9 +43,9 @@ def crossings(count: int, seconds: float, seed: int = 1) -> list[Event]:
     return sorted(events, key=lambda event: event.t)
 
 
-def last_event(seconds: float) -> Event:
+def last_event(seconds: float, camera: str = AFTER) -> Event:
     """So much later than the rest that all of it is learned."""
-    return Event(AFTER, "entry", T0 + 10 * seconds)
+    return Event(camera, "entry", T0 + 100 * seconds)
 
 
 def published_so_far(path: Path) -> int:
