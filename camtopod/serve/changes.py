@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
+
 import msgspec
 
 from camtopod.config import TABLES, Config, Limits
@@ -27,10 +29,11 @@ def changes(old: Config, new: Config) -> tuple[Limits, list[str]]:
     obeyed = {name: getattr(new.limits, name) for name in WHILE_RUNNING}
     waiting = []
     for table in TABLES:
-        before, after = getattr(old, table), getattr(new, table)
+        before, after = attrgetter(table)(old), attrgetter(table)(new)
         for name in after.__struct_fields__:
-            if getattr(before, name) == getattr(after, name) or table in _OF_OTHERS:
+            title = f"{table}.{name}"
+            if getattr(before, name) == getattr(after, name) or table in _OF_OTHERS or title in TABLES:
                 continue
             if table != "limits" or name not in obeyed:
-                waiting.append(f"{table}.{name}")
+                waiting.append(title)
     return msgspec.structs.replace(old.limits, **obeyed), waiting

@@ -152,6 +152,8 @@ class Daemon:
         if not self.started or self._bus is None:
             return ["the daemon is starting"]
         reasons = [self._receiver.reason] if self._receiver.reason else []
+        if self._learning.replaying:
+            reasons.append(f"{self._learning.replaying} entries of the journal are still to be learned")
         if not self._config.listens and not self._bus.connected:
             reasons.append(f"the bus at {self._bus.endpoint} is not reached")
         return [redact(reason) for reason in reasons] + self.failing()

@@ -72,7 +72,12 @@ class Learning:
     @property
     def waiting(self) -> int:
         """Events stored and not learned yet."""
-        return self._waiting + max(0, self._replay_until - self.position)
+        return self._waiting + self.replaying
+
+    @property
+    def replaying(self) -> int:
+        """Entries of before the start that are not learned yet."""
+        return max(0, self._replay_until - self.position)
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Learn until ``stopping``; what is not learned by then is in the journal."""
