@@ -65,6 +65,8 @@ def read(path: Path) -> Log:
                     if pages:
                         found.commits.append(number)
                 file.seek(page_bytes, 1)
+            if frame:
+                found.frames.append(number + 1)
             return found
     except FileNotFoundError:
         return Log([], [])
