@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import site_of
 import vfs
 
 IN_MEMORY = Path("/dev/shm")
@@ -29,3 +30,17 @@ def disk_watch() -> vfs.Vfs:
     if vfs.VFS is None:
         pytest.skip("the functions of the SQLite that Python uses cannot be reached")
     return vfs.VFS
+
+
+@pytest.fixture
+def make_site(tmp_path: Path) -> Iterator[site_of.MakeSite]:
+    """Makes a `site_of.Site` in a directory of its own, and ends it."""
+    made: list[site_of.Site] = []
+
+    def make(*given: float, **more: bool) -> site_of.Site:
+        made.append(site_of.Site(tmp_path, *given, **more))  # type: ignore[arg-type]
+        return made[-1]
+
+    yield make
+    for site in made:
+        site.close()

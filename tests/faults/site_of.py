@@ -126,6 +126,20 @@ class Site:
         if self._bus is not None:
             self._bus.close()
 
+    def await_flow(self) -> None:
+        """Until more events have been stored."""
+        before = self.status()["events"]["stored"]
+        wait_for(lambda: self.status()["events"]["stored"] > before, "events to get through", 60.0)
+
+    def restart(self, name: str, seconds: float) -> None:
+        """End it cleanly, and start it again some time later."""
+        process = self.processes.pop(name)
+        process.terminate()
+        process.wait()
+        self._close_pipes(process)
+        time.sleep(seconds)
+        self.start(name)
+
     # --- what it has come to ----------------------------------------------------------------------
 
     def status(self) -> dict[str, Any]:
@@ -208,21 +222,19 @@ class Site:
 
 
 def kill_and_restart(
-    site: Site, kills: int, seed: int, names: Sequence[str], say: Callable[[str], None]
+    site: Site, kills: int, seed: int, groups: Sequence[Sequence[str]], say: Callable[[str], None]
 ) -> Counter[str]:
-    """kill -9 one after the other at random moments; between two kills events get through."""
+    """kill -9 of one of a group after the other at random moments; between two kills events get through."""
     chance = random.Random(seed)
     killed: Counter[str] = Counter()
     while killed.total() < kills:
-        alive = [name for name in names if site.running(name)]
-        name = chance.choice(alive)
+        name = chance.choice([name for name in chance.choice(groups) if site.running(name)])
         time.sleep(chance.uniform(0.0, 0.7))
         site.kill(name)
         killed[name] += 1
         time.sleep(chance.choice((0.0, chance.uniform(0.0, 1.0))))
         site.start(name)
-        before = site.status()["events"]["stored"]
-        wait_for(lambda floor=before: site.status()["events"]["stored"] > floor, "events to get through", 60.0)  # type: ignore[misc]
+        site.await_flow()
         say(f"{killed.total()} {name}")
     return killed
 
@@ -237,3 +249,22 @@ def all_learned(status: dict[str, Any]) -> bool:
 
 def _key(event: Event) -> tuple[str, float, str, str]:
     return (event.camera, event.t, event.kind, str(event.track))
+
+
+MakeSite = Callable[..., Site]
+"""The fixture ``make_site``: what `Site` takes after the directory."""
+
+
+def check(site: Site) -> None:
+    """Everything is there once, and the versions are those of a learner that was never interrupted."""
+    status = site.finish()
+    assert status["learner"]["late"] == 0, "else the order of arrival would matter"
+    assert site.lost_and_doubled() == (0, 0)
+    expected = site.expected()
+    assert status["version"] == max(expected)
+    epochs = {epoch for epoch, _ in site.versions}
+    assert len(epochs) == 1
+    assert site.newest == sorted(site.newest), "versions only go up"
+    for (_, version), digest in site.versions.items():
+        assert expected[version] == digest
+    assert (*epochs, max(expected)) in site.versions
