@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import collections
 import random
 import sqlite3
 from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Protocol
 
+from camtopod import codec
 from camtopod.config import KeepSettings
 from camtopod.records import Event
 from camtopod.serve.database import damaged_files
@@ -16,6 +18,7 @@ from camtopod.serve.spool import Spool
 
 KEEP = KeepSettings(journal_bytes_max=150_000, history_bytes_max=20_000)
 EPOCH = "e1"
+PRUNE_EVERY, PRUNE_AT = 40, 39
 CAMERAS = ("lobby", "hall", "yard")
 State = Hashable
 
@@ -32,6 +35,12 @@ class Written(Protocol):
     def state(self) -> State:
         """What is in it, as far as it must survive."""
 
+    def last(self) -> int:
+        """The newest step that is in it."""
+
+    def missing(self, start: int, stop: int) -> list[int]:
+        """Which of these steps are not in it, whole, and have not been forgotten either."""
+
     def close(self) -> None: ...
 
 
@@ -46,7 +55,7 @@ class WrittenJournal:
         self.damaged = self.journal.set_aside is not None or bool(damaged_files(directory / "journal.db-wal"))
 
     def step(self, number: int) -> None:
-        if number % 40 == 39:
+        if number % PRUNE_EVERY == PRUNE_AT:
             self.journal.prune(now=float(number))
         else:
             entries, versions, snapshot = step_of(number, len(self.journal))
@@ -65,6 +74,24 @@ class WrittenJournal:
             len(self.journal),
         )
 
+    def last(self) -> int:
+        newest = self.journal._db.execute("SELECT COALESCE(MAX(seq), 0) FROM entry").fetchone()[0] // 10
+        return int(newest + 1 if (newest + 1) % PRUNE_EVERY == PRUNE_AT else newest)
+
+    def missing(self, start: int, stop: int) -> list[int]:
+        raws = collections.defaultdict(list)
+        for _, entry in self.journal.entries():
+            assert entry is not None
+            raws[(entry.seq or 0) // 10].append(entry.raw)
+        versions = self.journal.versions(EPOCH)
+        gone = []
+        for number in range(max(start, min(raws, default=start) + 1), stop):
+            entries, wanted, _ = step_of(number, 0)
+            whole = raws[number] == [entry.raw for entry in entries]
+            if number % PRUNE_EVERY != PRUNE_AT and not (whole and all(one.version in versions for one in wanted)):
+                gone.append(number)
+        return gone
+
     def close(self) -> None:
         self.journal.close()
 
@@ -80,18 +107,18 @@ def step_of(number: int, last: int) -> tuple[list[Entry], list[StoredVersion], S
 
 
 class WrittenSpool:
-    """Events of some cameras, most of them acknowledged some steps later."""
+    """Events of some cameras, most of them acknowledged at once."""
+
+    events_max, kept_max = 150, 40
 
     def __init__(self, directory: Path) -> None:
         known = len(list(directory.glob("spool.db*")))
-        self.spool = Spool(directory / "spool.db", f"boot-{known}", 150, kept_events_max=40)
+        self.spool = Spool(directory / "spool.db", f"boot-{known}", self.events_max, kept_events_max=self.kept_max)
         self.damaged = bool(self.spool.statistics()["damaged_files"])
         self._appended: tuple[int, list[Event]] = (0, [])
 
     def step(self, number: int) -> None:
-        chance = random.Random(number)
-        camera = chance.choice(CAMERAS)
-        events = [Event(camera, "entry", 10.0 * number + n, track="x" * 40) for n in range(chance.randint(1, 6))]
+        events = events_of(number)
         if number != self._appended[0]:
             self._appended = number, self.spool.append(events)
         if number % 5 != 0:
@@ -102,5 +129,22 @@ class WrittenSpool:
         database: sqlite3.Connection = self.spool._db
         return tuple(database.execute("SELECT * FROM event ORDER BY id")), self.spool.dropped
 
+    def last(self) -> int:
+        row = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT 1").fetchone()
+        return 0 if row is None else int(codec.event_from_pack(row[0]).t) // 10
+
+    def missing(self, start: int, stop: int) -> list[int]:
+        rows = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT ?", (self.events_max - 100,))
+        times = {codec.event_from_pack(raw).t for (raw,) in rows}
+        first = max(start, int(min(times, default=0.0)) // 10 + 1 if len(times) >= self.events_max - 100 else start)
+        return [number for number in range(first, stop) if not {event.t for event in events_of(number)} <= times]
+
     def close(self) -> None:
         self.spool.close()
+
+
+def events_of(number: int) -> list[Event]:
+    """The events of a step of the spool, all of one camera."""
+    chance = random.Random(number)
+    camera = chance.choice(CAMERAS)
+    return [Event(camera, "entry", 10.0 * number + n, track="x" * 40) for n in range(chance.randint(1, 6))]

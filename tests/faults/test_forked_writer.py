@@ -1,0 +1,45 @@
+"""A writer is killed at any moment, and what it had said to be durable is there."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from sizes import size
+
+NAMES = ("journal", "spool")
+
+
+def killed(name: str, directory: Path, kills: int, *more: str) -> dict[str, int]:
+    """In a process of its own: forking is for programs of one thread."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, str(Path(__file__).with_name("forking.py")), name, str(directory), str(kills), *more]
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    return dict(json.loads(done.stdout))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_killed_writer_loses_nothing(name: str, quick_path: Path) -> None:
+    told = killed(name, quick_path, 30)
+    assert told["lost"] == 0
+    assert told["durable"] > 30
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_harness_sees_a_writer_that_speaks_too_early(name: str, quick_path: Path) -> None:
+    assert killed(name, quick_path, 40, "early")["lost"] > 0
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("name", NAMES)
+def test_campaign_of_killed_writers(name: str, tmp_path: Path) -> None:
+    """On the real disk."""
+    told = killed(name, tmp_path, size("KILLS", 1000))
+    print(f"{name}: {told}")
+    assert told["lost"] == 0
