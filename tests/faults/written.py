@@ -84,11 +84,13 @@ class WrittenJournal:
             assert entry is not None
             raws[(entry.seq or 0) // 10].append(entry.raw)
         versions = self.journal.versions(EPOCH)
+        oldest = min(versions, default=0)
         gone = []
         for number in range(max(start, min(raws, default=start) + 1), stop):
             entries, wanted, _ = step_of(number, 0)
             whole = raws[number] == [entry.raw for entry in entries]
-            if number % PRUNE_EVERY != PRUNE_AT and not (whole and all(one.version in versions for one in wanted)):
+            whole = whole and all(one.version in versions or one.version < oldest for one in wanted)
+            if number % PRUNE_EVERY != PRUNE_AT and not whole:
                 gone.append(number)
         return gone
 
