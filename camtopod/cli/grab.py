@@ -25,6 +25,7 @@ from camtopod.cli.heartbeat import Heart
 from camtopod.config import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve import clock
+from camtopod.vision import complaints
 
 if TYPE_CHECKING:
     from camtopod.serve.bus import Bus
@@ -86,14 +87,19 @@ def _one(args: argparse.Namespace, told: Told) -> int:
     config = configuration(args)
     settings = _camera(args, config)
     redact.remember(settings.source)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own messages may hold passwords
-    from camtopod.vision.grabber import Grabber
+    with contextlib.ExitStack() as stack:
+        heard = None
+        if args.out is not None:  # which may be standard output: FFmpeg would talk in between
+            os.environ.setdefault(complaints.LEVEL_VARIABLE, complaints.LEVEL_NOTHING)
+        else:
+            heard = stack.enter_context(complaints.listening())
+        from camtopod.vision.grabber import Grabber
 
-    grabber = Grabber(
-        args.camera, settings.source, start=settings.start, realtime=settings.realtime, speed=settings.speed,
-        wall_clock=clock.wall, settings=config.vision,
-    )  # fmt: skip
-    with contextlib.closing(grabber):
+        grabber = Grabber(
+            args.camera, settings.source, start=settings.start, realtime=settings.realtime, speed=settings.speed,
+            wall_clock=clock.wall, settings=config.vision, complaints=heard,
+        )  # fmt: skip
+        stack.enter_context(contextlib.closing(grabber))
         if args.out is not None:
             return _to_lines(grabber, args.out, told.stop)
         return _to_bus(grabber, args, config, settings, told)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from camtopod.records import Event
+from camtopod.vision.complaints import Complaints
 from camtopod.vision.live import LiveSource
 from camtopod.vision.recorded import RecordedSource
 from camtopod.vision.settings import VisionSettings
@@ -42,6 +43,7 @@ class Grabber:
         speed: float = 1.0,
         wall_clock: Callable[[], float],
         settings: VisionSettings | None = None,
+        complaints: Complaints | None = None,
     ) -> None:
         settings = settings or VisionSettings()
         self.camera = camera
@@ -50,7 +52,7 @@ class Grabber:
             path = source.removeprefix("file://")
             self._source = RecordedSource(path, settings, start, speed if realtime else None)
         else:
-            self._source = LiveSource(source, settings, wall_clock)
+            self._source = LiveSource(source, settings, wall_clock, complaints)
         self._watcher = Watcher(camera, settings)
         self._analysis_seconds = 0.0
         self._last_t: float | None = None

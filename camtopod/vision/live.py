@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from camtopod.vision.capture import Cadence, Capture, Frame
+from camtopod.vision.complaints import Complaints
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.timing import StampClock
 
@@ -33,10 +34,17 @@ TIME_STEP_MIN_SECONDS = 0.001
 class LiveSource:
     """Reconnects by itself with jittered, doubling waits."""
 
-    def __init__(self, source: str, settings: VisionSettings, wall_clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        source: str,
+        settings: VisionSettings,
+        wall_clock: Callable[[], float],
+        complaints: Complaints | None = None,
+    ) -> None:
         self._source = source
         self._settings = settings
         self._wall_clock = wall_clock
+        self._complaints = complaints or Complaints()
         self._queue: queue.Queue[Frame] = queue.Queue(QUEUE_FRAMES)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
@@ -90,13 +98,16 @@ class LiveSource:
     def _run(self) -> None:
         wait = self._settings.backoff_min_seconds
         while not self._stop.is_set():
+            self._complaints.take()  # of before
             self._called = time.monotonic()
             capture = Capture(self._source, self._settings)
             began = time.monotonic()
-            reason = "the source cannot be opened"
             if capture.is_open:
                 self.connections += 1
                 reason = self._read(capture)
+            else:
+                why = self._complaints.take()
+                reason = f"the source cannot be opened{why and ': '}{why}"
             self._called = time.monotonic()
             capture.release()
             self._called = None

@@ -1,0 +1,84 @@
+"""Why a stream cannot be opened, which OpenCV does not tell: FFmpeg says it, and OpenCV prints it to standard output.
+
+Only what is recognised is handed on, in our words: FFmpeg's own may hold addresses and passwords.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+LEVEL_VARIABLE = "OPENCV_FFMPEG_LOGLEVEL"
+LEVEL_ERRORS = "16"
+LEVEL_NOTHING = "-8"
+_READ_BYTES = 65536
+_STANDARD_OUTPUT = 1
+_REFUSED = re.compile(rb"failed: (?:Server returned )?([45]\d\d)\b")
+_STATUSES = {
+    401: "the camera refuses the user name or password",
+    403: "the camera refuses the user name or password",
+    404: "the camera has no such stream",
+    454: "the camera has ended the session",
+    453: "the camera has too many viewers",
+    503: "the camera is busy",
+}
+_PHRASES = {
+    b"Connection refused": "nothing listens at this address and port",
+    b"Failed to resolve hostname": "the host's name is not known",
+    b"No route to host": "there is no way to the host",
+    b"Network is unreachable": "there is no way to the host",
+    b"Connection timed out": "the host does not answer",
+    b"Connection reset": "the host closed the connection",
+}
+
+
+def reason_in(said: bytes) -> str:
+    """The last reason in what FFmpeg said; "" if none is recognised."""
+    for line in reversed(said.splitlines()):
+        refused = _REFUSED.search(line)
+        if refused is not None:
+            status = int(refused.group(1))
+            return f"{_STATUSES.get(status, 'the camera refuses')} ({status})"
+        for phrase, words in _PHRASES.items():
+            if phrase in line:
+                return words
+    return ""
+
+
+class Complaints:
+    """What has been said since it was asked last; nothing unless `listening`."""
+
+    def __init__(self, fd: int | None = None) -> None:
+        self._fd = fd
+
+    def take(self) -> str:
+        """The newest reason, or "". Never blocks."""
+        said = b""
+        while self._fd is not None:
+            try:
+                said = (said + os.read(self._fd, _READ_BYTES))[-_READ_BYTES:]
+            except BlockingIOError:
+                break
+        return reason_in(said)
+
+
+@contextmanager
+def listening() -> Iterator[Complaints]:
+    """Standard output is FFmpeg's while the block runs, so only for a process that has no data for it."""
+    os.environ.setdefault(LEVEL_VARIABLE, LEVEL_ERRORS)
+    sys.stdout.flush()
+    heard, written = os.pipe()
+    for fd in (heard, written):
+        os.set_blocking(fd, False)  # when it is full, what is said is lost, and nothing waits
+    before = os.dup(_STANDARD_OUTPUT)
+    os.dup2(written, _STANDARD_OUTPUT, inheritable=False)
+    os.close(written)
+    try:
+        yield Complaints(heard)
+    finally:
+        os.dup2(before, _STANDARD_OUTPUT)
+        os.close(before)
+        os.close(heard)
