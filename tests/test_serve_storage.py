@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from serving import Failing
 
 from camtopod import codec
 from camtopod.records import Event
+from camtopod.serve import database, spool_format
 from camtopod.serve.database import StateError
-from camtopod.serve.journal import Entry, Journal, StoredVersion
 from camtopod.serve.spool import Spool
 
 
@@ -119,3 +121,193 @@ def test_an_append_that_raises_may_be_repeated(spool: Spool, durable: bool) -> N
     assert [seq for seq, _ in spool.batch("lobby", None, 0, 10).events] == [1, 2, 3]
     spool.ack("lobby", "boot-1", 3)
     assert len(spool) == 0
+
+
+def test_a_full_spool_by_bytes_drops_the_oldest_and_its_file_stays_small(tmp_path: Path) -> None:
+    bytes_max = 400_000
+    spool = Spool(tmp_path / "small.db", "b", events_max=10**6, bytes_max=bytes_max)
+    for start in range(0, 20_000, 500):
+        spool.append([event(n) for n in range(start, start + 500)])
+    assert (tmp_path / "small.db").stat().st_size < bytes_max + 200_000
+    assert spool.dropped > 10_000
+    assert len(spool) + spool.dropped == 20_000
+    assert len(spool) > 1000
+    batch = spool.batch("lobby", "b", 0, 10**6)
+    assert [seq for seq, _ in batch.events] == list(range(spool.dropped + 1, 20_001))
+    spool.close()
+
+
+def test_what_was_dropped_is_still_known_after_a_restart(tmp_path: Path) -> None:
+    spool = Spool(tmp_path / "small.db", "b", events_max=10)
+    spool.append([event(n) for n in range(17)])
+    spool.close()
+    again = Spool(tmp_path / "small.db", "c", events_max=10)
+    assert (again.dropped, again.batch("lobby", "b", 0, 10).dropped) == (7, 7)
+    again.append([event(1)])
+    assert again.statistics() == {
+        "unacknowledged": 10, "kept": 0, "dropped": 8, "damaged_events": 0, "damaged_files": 0,
+    }  # fmt: skip
+    again.close()
+
+
+def test_acknowledged_events_are_kept_for_a_journal_that_came_back_shorter(tmp_path: Path) -> None:
+    spool = Spool(tmp_path / "spool.db", "b", events_max=1000, kept_events_max=80)
+    for start in range(0, 300, 10):
+        spool.append([event(n) for n in range(start, start + 10)])
+        spool.ack("lobby", "b", start + 10)
+    assert len(spool) == 0
+    batch = spool.batch("lobby", "b", 280, 1000)
+    assert [seq for seq, _ in batch.events] == list(range(280, 301))
+    assert batch.acked == 300
+    longest = spool.batch("lobby", "b", 0, 1000)
+    assert 80 <= len(longest.events) <= 100
+    assert longest.first == longest.events[0][0] == 301 - len(longest.events)
+    at_ease = spool.batch("lobby", "b", 301, 1000)
+    assert (at_ease.first, at_ease.events, at_ease.more) == (301, [], False)
+    spool.close()
+
+
+def test_a_full_spool_forgets_what_is_acknowledged_before_it_drops_anything(tmp_path: Path) -> None:
+    spool = Spool(tmp_path / "spool.db", "b", events_max=20, kept_events_max=100)
+    spool.append([event(n, "hall") for n in range(5)])
+    spool.append([event(n) for n in range(15)])
+    spool.ack("lobby", "b", 10)
+    spool.append([event(n) for n in range(8)])
+    assert (spool.dropped, len(spool), spool.statistics()["kept"]) == (0, 18, 2)
+    spool.append([event(n) for n in range(4)])
+    assert (spool.dropped, len(spool), spool.statistics()["kept"]) == (2, 20, 0)
+    assert [seq for seq, _ in spool.batch("hall", "b", 0, 10).events] == [3, 4, 5]
+    spool.close()
+
+
+def copy_of(path: Path, to: Path) -> Path:
+    """The files as a kill would leave them."""
+    to.mkdir()
+    for name in (path.name, f"{path.name}-wal"):
+        shutil.copyfile(path.with_name(name), to / name)
+    return to / path.name
+
+
+def test_a_spool_that_was_not_closed_begins_a_new_boot(spool: Spool, tmp_path: Path) -> None:
+    spool.append([event(1), event(2)])
+    again = Spool(copy_of(tmp_path / "spool.db", tmp_path / "killed"), "boot-2", events_max=1000)
+    assert again.boot == "boot-2", "what the disk lost of its count nobody knows"
+    stored = again.append([event(3)])[0]
+    assert (stored.boot, stored.seq) == ("boot-2", 1)
+    assert [seq for seq, _ in again.batch("lobby", None, 0, 10).events] == [1, 2]
+    assert len(again) == 3
+    again.close()
+
+
+def test_other_events_after_an_append_that_raised_get_numbers_of_their_own(spool: Spool) -> None:
+    spool._db = Failing(spool._db, durable=True)  # type: ignore[assignment]
+    with pytest.raises(sqlite3.OperationalError):
+        spool.append([event(1), event(2, "hall")])
+    assert [one.seq for one in spool.append([event(3), event(4)])] == [2, 3]
+    assert [one.seq for one in spool.append([event(5, "hall")])] == [2]
+    assert [codec.event_from_pack(raw).t for _, raw in spool.batch("lobby", None, 0, 10).events] == [1, 3, 4]
+    assert len(spool) == 5
+
+
+def test_state_is_nobody_elses_to_read(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "state" / "spool.db"
+    spool = Spool(path, "b", events_max=10)
+    spool.append([event(1)])
+    assert path.parent.stat().st_mode & 0o777 == 0o700
+    modes = {one.name: one.stat().st_mode & 0o777 for one in path.parent.iterdir()}
+    assert modes == dict.fromkeys(("spool.db", "spool.db-shm", "spool.db-wal", "spool.lock"), 0o600)
+    spool.close()
+    path.chmod(0o644)
+    Spool(path, "b", events_max=10).close()
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+FORMAT_1 = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE count (camera TEXT PRIMARY KEY, seq INTEGER NOT NULL) WITHOUT ROWID;
+CREATE TABLE event (
+    id INTEGER PRIMARY KEY AUTOINCREMENT, camera TEXT NOT NULL, boot TEXT NOT NULL, seq INTEGER NOT NULL,
+    raw BLOB NOT NULL);
+CREATE UNIQUE INDEX event_stream ON event (camera, boot, seq);
+INSERT INTO meta VALUES ('boot', 'old');
+INSERT INTO count VALUES ('lobby', 9);
+"""
+
+
+def test_a_spool_of_the_first_format_goes_on(tmp_path: Path) -> None:
+    connection = sqlite3.connect(tmp_path / "spool.db")
+    connection.executescript(FORMAT_1)
+    events = [Event("lobby", "entry", float(n), boot="old", seq=n) for n in (7, 8, 9)]
+    connection.executemany(
+        "INSERT INTO event VALUES (NULL, ?, ?, ?, ?)", [(e.camera, e.boot, e.seq, codec.to_pack(e)) for e in events]
+    )
+    connection.commit()
+    connection.close()
+    spool = Spool(tmp_path / "spool.db", "new", events_max=10)
+    assert [codec.event_from_pack(raw) for _, raw in spool.batch("lobby", "old", 0, 10).events] == events
+    assert [(one.boot, one.seq) for one in spool.append([event(10)])] == [("new", 1)]
+    spool.close()
+    Spool(tmp_path / "spool.db", "new", events_max=10).close()
+
+
+def test_a_spool_of_a_newer_format_is_refused_and_left_alone(spool: Spool, tmp_path: Path) -> None:
+    spool.append([event(1)])
+    spool_format.set_row(spool._db, "meta", "format", "3")
+    spool.close()
+    with pytest.raises(StateError, match="format 3"):
+        Spool(tmp_path / "spool.db", "b", events_max=10)
+    assert database.damaged_files(tmp_path / "spool.db") == []
+
+
+def test_a_damaged_spool_is_set_aside_and_what_can_be_read_goes_on(tmp_path: Path, caplog: Any) -> None:
+    path = tmp_path / "spool.db"
+    spool = Spool(path, "boot-1", events_max=10_000)
+    for start in range(0, 1500, 100):
+        spool.append([event(n) for n in range(start, start + 100)])
+    spool.close()
+    content = bytearray(path.read_bytes())
+    middle = len(content) // 2 // 4096 * 4096
+    content[middle : middle + 4096] = bytes(4096)
+    path.write_bytes(content)
+    again = Spool(path, "boot-2", events_max=10_000)
+    assert (tmp_path / "spool.db.damaged-1").read_bytes() == content
+    assert 1300 < again.rescued < 1500
+    assert again.boot == "boot-2"
+    assert len(again.batch("lobby", "boot-1", 0, 10_000).events) == again.rescued
+    assert "is damaged" in caplog.text
+    assert again.statistics()["damaged_files"] == 1
+    assert again.append([event(1)])[0].seq == 1
+    again.close()
+    once_more = Spool(path, "boot-3", events_max=10_000)
+    assert (once_more.rescued, len(once_more)) == (0, again.rescued + 1)
+    once_more.close()
+
+
+def test_a_damaged_event_is_not_given_and_its_neighbours_are(spool: Spool) -> None:
+    spool.append([event(n) for n in range(5)])
+    spool._db.execute("UPDATE event SET seq = 7 WHERE seq = 2")
+    assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [1, 3, 4, 5]
+    assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [1, 3, 4, 5]
+    assert spool.statistics()["damaged_events"] == 1
+
+
+def test_a_disk_that_damages_every_file_is_not_filled_up(tmp_path: Path) -> None:
+    path = tmp_path / "spool.db"
+    for _ in range(database.DAMAGED_FILES_MAX):
+        path.write_bytes(b"rubbish " * 1000)
+        Spool(path, "b", events_max=10).close()
+    path.write_bytes(b"rubbish " * 1000)
+    with pytest.raises(StateError, match="see to the disk"):
+        Spool(path, "b", events_max=10)
+    assert path.read_bytes() == b"rubbish " * 1000
+    assert [one.name for one in database.damaged_files(path)] == [f"spool.db.damaged-{n}" for n in range(1, 9)]
+
+
+def test_a_read_only_file_is_not_taken_for_a_damaged_one(tmp_path: Path) -> None:
+    error = sqlite3.OperationalError("attempt to write a readonly database")
+    error.sqlite_errorcode = sqlite3.SQLITE_READONLY
+    (tmp_path / "one.db").write_bytes(b"")
+    assert database.is_damage(error, tmp_path / "one.db")
+    assert not database.is_damage(error, tmp_path / "missing" / "one.db")
+    error.sqlite_errorcode = sqlite3.SQLITE_FULL
+    assert not database.is_damage(error, tmp_path / "one.db")
