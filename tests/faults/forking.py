@@ -74,7 +74,7 @@ def main() -> None:
         one = FILES[name](directory)
         assert not one.damaged
         there = one.last()
-        assert there <= said + 1, f"{there} is there and only {said + 1} was begun"
+        assert there <= said + 2, f"{there} is there, and {said + 1} was begun"  # a step that forgets shows nowhere
         durable += said - done
         lost += len(one.missing(done + 1, said + 1))
         one.close()

@@ -20,7 +20,7 @@ from camtopod.serve.database import StateError
 
 QUICK_STEPS = 45
 CAMPAIGN_STEPS = 520
-CAMPAIGN_EACH = 7
+CAMPAIGN_EACH = 14
 GOES_ON_EVERY = 20
 """Of the images, one in so many is also written on."""
 FILES: dict[str, Open] = {"journal": WrittenJournal, "spool": WrittenSpool}
