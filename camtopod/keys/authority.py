@@ -96,6 +96,7 @@ class Authority:
         builder = _builder(name, name, key.public_key(), now, days)
         builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         builder = builder.add_extension(_usage(signs=True), critical=True)
+        builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
         _write(secret / "ca.key", _pem(key))
         _write(secret / CA, builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
         _write(secret / "issued.json", msgspec.json.encode(Ledger(site, [])))
@@ -166,6 +167,8 @@ class Authority:
             builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         builder = builder.add_extension(_usage(signs=False), critical=True)
+        signer = x509.AuthorityKeyIdentifier.from_issuer_public_key(loaded.public_key())
+        builder = builder.add_extension(signer, critical=False)
         builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         made = builder.sign(loaded, hashes.SHA256())
         if made.not_valid_after_utc > ca.not_valid_after_utc:

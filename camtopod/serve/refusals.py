@@ -20,7 +20,7 @@ SAY_SECONDS = 60.0
 LINE_BYTES_MAX = 4096
 _REASONS = {
     "no-certificate": r"peer sent no certificates",
-    "expired": r"invalid peer certificate: .*(Expired|NotValidYet)",
+    "expired": r"invalid peer certificate: .*(expired|Expired|not valid yet|NotValidYet)",
     "wrong-authority": r"invalid peer certificate: .*(UnknownIssuer|BadSignature|CaUsedAsEndEntity)",
     "bad-certificate": r"invalid peer certificate|received fatal alert|signature",
     "not-tls": r"corrupt message|InvalidContentType|InvalidMessage",

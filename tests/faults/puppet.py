@@ -40,7 +40,7 @@ class Puppet:
         self._session.delete(key)
 
     def subscribe(self, key: str) -> None:
-        self._kept.append(self._session.declare_subscriber(key, self.hear))
+        self._kept.append(self._session.declare_subscriber(key, self.hear, allowed_origin=zenoh.Locality.REMOTE))
 
     def watch(self, key: str) -> None:
         """Liveliness."""
@@ -59,7 +59,13 @@ class Puppet:
 
     def ask(self, key: str, seconds: float = 0.5) -> list[str]:
         channel = zenoh.handlers.FifoChannel(100)
-        replies = self._session.get(key, channel, timeout=seconds, consolidation=zenoh.ConsolidationMode.NONE)
+        replies = self._session.get(
+            key,
+            channel,
+            timeout=seconds,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
         return [(r.ok or r.err).payload.to_bytes().decode("utf-8", "replace") for r in replies]
 
     def heard(self) -> list[str]:

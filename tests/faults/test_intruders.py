@@ -1,0 +1,472 @@
+"""Who should not be there: against the real daemon, over mutual TLS, every session in a process of its own.
+
+Each attack is made twice: with the rules, where it must come to nothing, and by somebody whom the rules allow
+everything (or where there are none), where it must succeed; else the test would prove nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from serving import WAIT_SECONDS, camtopod, closing_event, small_config, wait_for, walkers
+
+from camtopod.config import BusSettings, Config, TlsSettings
+from camtopod.keys import rules
+from camtopod.keys.authority import Authority
+from camtopod.serve.bus import BusError, dial, meet
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.publisher import Publisher
+from camtopod.serve.spool import Spool
+from camtopod.serve.subscriber import TopologyView
+
+HQ = "camtopo/hq"
+PUPPET = Path(__file__).parent / "puppet.py"
+BIG_BYTES = 2 * 1024 * 1024
+GROWTH_BYTES_MAX = 24 * 1024 * 1024
+
+
+class Puppet:
+    """A process that does on the bus as it is told; see puppet.py."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, str(PUPPET)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def open(self, **settings: Any) -> bool:
+        """Whether it is let in."""
+        return "open" in self._say(settings)
+
+    def do(self, name: str, **arguments: Any) -> Any:
+        return self._say([name, arguments])["done"]
+
+    def hears(self, *expected: str) -> None:
+        wait_for(lambda: set(expected) <= set(self.do("heard")), f"{expected}, not only {set(self.do('heard'))}")
+
+    def close(self) -> None:
+        self._process.communicate(timeout=WAIT_SECONDS)
+
+    def _say(self, what: Any) -> dict[str, Any]:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps(what).encode() + b"\n")
+        self._process.stdin.flush()
+        answer: dict[str, Any] = json.loads(self._process.stdout.readline())
+        return answer
+
+
+class Keys:
+    """A site's authority, and what went wrong with some certificates."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        now = time.time()
+        self.authority = Authority.make(folder, "hq", now, 7300, replace=False)
+        self.authority.issue("daemon", "daemon", 100)
+        for camera in ("cam1", "cam2"):
+            self.authority.issue("camera", camera, 100)
+        self.authority.issue("reader", "wall", 100)
+        self.authority.issue("camera", "gone", 100)
+        self.authority.revoke("camera", "gone")
+        self.allow(folder / "daemon" / "access.json")
+        other = Authority.make(folder / "other", "hq", now, 7300, replace=False)
+        other.issue("camera", "cam1", 100)
+        Authority.make(folder / "old", "hq", now, 7300, replace=False)
+        for name in ("ca.key", "ca.pem"):
+            (folder / "old/authority" / name).write_bytes((folder / "authority" / name).read_bytes())
+        Authority(folder / "old", now - 50 * 86400.0).issue("camera", "cam1", 20)
+
+    def tls(self, own: str) -> dict[str, Any]:
+        """Zenoh's settings for the certificate in the folder ``own``, with this site's authority."""
+        folder = self.folder / own
+        return rules.mutual_tls(
+            str(self.folder / "authority" / "ca.pem"), str(folder / "certificate.pem"), str(folder / "private.key")
+        )
+
+    def bus(self, own: str, endpoint: str = "", listen: str = "") -> BusSettings:
+        folder = self.folder / own
+        files = [str(folder / name) for name in ("ca.pem", "certificate.pem", "private.key")]
+        tls = TlsSettings(*files, access=str(self.folder / "daemon" / "access.json"))
+        return BusSettings(
+            connect=(endpoint,) if endpoint else (), listen=(listen,) if listen else (), tls=tls, connect_seconds=2.0
+        )
+
+    def allow(self, path: Path, everything: str = "") -> Path:
+        """Write an access list; the certificate named ``everything`` may do what the daemon may."""
+        certificates = [
+            msgspec.structs.replace(c, role="daemon") if c.name == everything else c
+            for c in self.authority.access.certificates
+        ]
+        path.write_bytes(msgspec.json.encode(rules.Access("hq", certificates)))
+        return path
+
+
+class RealDaemon:
+    """`camtopod run` on a free port; what it says is in ``said``."""
+
+    def __init__(self, folder: Path, bus: str) -> None:
+        folder.mkdir()
+        config = folder / "camtopod.toml"
+        config.write_text(f'[site]\nname = "hq"\n[limits]\nstatus_seconds = 0.1\n{bus}')
+        config.chmod(0o600)
+        self.process = camtopod(
+            "--config", str(config), "run", "--state", str(folder / "state"),
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        self.said: list[str] = []
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+        wait_for(lambda: self._ready() is not None, "the daemon to be ready")
+        self.endpoint = str(self._ready())
+
+    def _listen(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self.said.append(line.decode())
+
+    def _ready(self) -> str | None:
+        found = re.search(r"ready at (\S+)", "".join(self.said))
+        return found and found.group(1)
+
+    def stop(self) -> None:
+        self.process.terminate()
+        out, _ = self.process.communicate(timeout=WAIT_SECONDS)
+        assert out == b"", "standard output carries data only"
+
+
+def tls_table(keys: Keys, access: Path, listen: str = "tls/127.0.0.1:0") -> str:
+    folder = keys.folder / "daemon"
+    return (
+        f'[bus]\nlisten = ["{listen}"]\n[bus.tls]\nca = "{folder}/ca.pem"\ncertificate = "{folder}/certificate.pem"\n'
+        f'private_key = "{folder}/private.key"\naccess = "{access}"\n'
+    )
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
+    return Keys(tmp_path_factory.mktemp("keys"))
+
+
+@pytest.fixture(scope="module")
+def guarded(keys: Keys, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealDaemon]:
+    """A daemon with the rules as they are."""
+    daemon = RealDaemon(tmp_path_factory.mktemp("d") / "d", tls_table(keys, keys.folder / "daemon" / "access.json"))
+    yield daemon
+    daemon.stop()
+
+
+@pytest.fixture(scope="module")
+def unguarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealDaemon]:
+    """A daemon without authentication, for this machine alone."""
+    daemon = RealDaemon(tmp_path_factory.mktemp("u") / "d", '[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
+    yield daemon
+    daemon.stop()
+
+
+@pytest.fixture
+def cleanup() -> Iterator[contextlib.ExitStack]:
+    with contextlib.ExitStack() as stack:
+        yield stack
+
+
+def puppet(cleanup: contextlib.ExitStack) -> Puppet:
+    one = Puppet()
+    cleanup.callback(one.close)
+    return one
+
+
+def client(endpoint: str, mode: str = "client") -> dict[str, Any]:
+    return rules.quiet(mode) | {
+        "connect/endpoints": [endpoint], "listen/endpoints": [], "connect/timeout_ms": 800,
+        "connect/exit_on_failure": True,
+    }  # fmt: skip
+
+
+def status(observer: Puppet) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(observer.do("ask", key=f"{HQ}/status/daemon?format=application/json")[0])
+    return found
+
+
+# --- a stolen box -----------------------------------------------------------------------------------
+
+OWN = {f"put {HQ}/event/cam1", f"put {HQ}/status/cam1", f"put {HQ}/alive/grabber/cam1"}
+STOLEN = [
+    ("put", f"{HQ}/event/cam2"), ("put", f"{HQ}/event/*"), ("put", f"{HQ}/event/cam1/x"), ("put", f"{HQ}/topology"),
+    ("put", f"{HQ}/topology/delta"), ("put", f"{HQ}/prediction/cam1"), ("put", f"{HQ}/ack/cam1"),
+    ("put", f"{HQ}/ack/cam2"), ("put", f"{HQ}/status/cam2"), ("put", f"{HQ}/status/daemon"),
+    ("delete", f"{HQ}/event/cam1"), ("delete", f"{HQ}/topology"),
+]  # fmt: skip
+
+
+def attack(thief: Puppet, observer: Puppet) -> set[str]:
+    """Everything a stolen box of cam1 might try; returns what of it had an effect."""
+    observer.do("subscribe", key=f"{HQ}/**")
+    observer.do("watch", key=f"{HQ}/alive/**")
+    observer.do("answer", key=f"{HQ}/spool/cam2", payload="the real one")
+    observer.do("appear", key=f"{HQ}/alive/grabber/cam3")
+    for what, key in STOLEN:
+        thief.do(what, key=key)
+    thief.do("put", key=f"{HQ}/status/cam1")
+    for camera in ("cam2", "cam1"):
+        thief.do("appear", key=f"{HQ}/alive/grabber/{camera}")
+        thief.do("answer", key=f"{HQ}/spool/{camera}", payload="from the thief")
+    thief.do("answer", key=f"{HQ}/topology", payload="from the thief")
+    for key in ("ack/cam1", "ack/cam2", "event/*", "prediction/*", "topology/delta", "status/*"):
+        thief.do("subscribe", key=f"{HQ}/{key}")
+    thief.do("watch", key=f"{HQ}/alive/*/cam3")
+    thief.do("put", key=f"{HQ}/event/cam1")  # the last, so that all before it has been dealt with
+    observer.hears(*OWN)
+    effects = {line for line in observer.do("heard") if not re.search("daemon|/ack/|cam3", line)}
+    for key in ("ack/cam2", "event/cam2", "prediction/cam2", "topology/delta", "status/cam2", "ack/cam1"):
+        observer.do("put", key=f"{HQ}/{key}", payload="y")
+    thief.hears(f"put {HQ}/ack/cam1")
+    effects |= {f"thief heard {line}" for line in thief.do("heard") if "grabber/cam1" not in line}
+    wait_for(lambda: "from the thief" in observer.do("ask", key=f"{HQ}/spool/cam1"), "its own spool")
+    for key in ("spool/cam2", "topology"):
+        if "from the thief" in observer.do("ask", key=f"{HQ}/{key}"):
+            effects.add(f"answered {key}")
+    for key in ("topology", "predict/cam1?zone=cam1/1", "status/daemon", "spool/cam2", "**"):
+        if thief.do("ask", key=f"{HQ}/{key}"):
+            effects.add(f"asked {key}")
+    return effects
+
+
+@pytest.mark.parametrize("mode", ["client", "peer"])
+def test_a_stolen_box_can_publish_its_own_events_and_nothing_else(
+    mode: str, keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack
+) -> None:
+    thief, observer = puppet(cleanup), puppet(cleanup)
+    assert thief.open(**client(guarded.endpoint, mode), **keys.tls("camera/cam1"))
+    assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
+    effects = attack(thief, observer)
+    assert effects == OWN | {f"thief heard put {HQ}/ack/cam1"}
+
+
+def test_the_same_box_allowed_everything_does_all_of_it(
+    keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack
+) -> None:
+    daemon = RealDaemon(tmp_path / "d", tls_table(keys, keys.allow(tmp_path / "access.json", everything="cam1")))
+    cleanup.callback(daemon.stop)
+    thief, observer = puppet(cleanup), puppet(cleanup)
+    assert thief.open(**client(daemon.endpoint), **keys.tls("camera/cam1"))
+    assert observer.open(**client(daemon.endpoint), **keys.tls("daemon"))
+    effects = attack(thief, observer)
+    assert effects >= OWN
+    assert effects >= {f"{what} {key}" for what, key in STOLEN if HQ in key and not re.search(r"/ack/|daemon|\*", key)}
+    assert effects >= {f"put {HQ}/alive/grabber/cam2", "answered spool/cam2", "answered topology"}
+    assert effects >= {f"thief heard put {HQ}/{key}" for key in ("ack/cam2", "event/cam2", "alive/grabber/cam3")}
+    assert effects >= {f"asked {key}" for key in ("topology", "status/daemon", "spool/cam2")}
+
+
+def test_a_reader_reads_and_nothing_else(keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack) -> None:
+    reader, observer = puppet(cleanup), puppet(cleanup)
+    assert reader.open(**client(guarded.endpoint), **keys.tls("reader/wall"))
+    assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
+    readable = ("topology", "topology/delta", "prediction/cam1", "status/cam1")
+    observer.do("subscribe", key=f"{HQ}/**")
+    for key in ("topology", "topology/delta", "prediction/*", "status/*", "event/*", "ack/*", "spool/*", "**"):
+        reader.do("subscribe", key=f"{HQ}/{key}")
+    reader.do("watch", key=f"{HQ}/alive/daemon/*")
+    assert reader.do("ask", key=f"{HQ}/status/daemon?format=application/json")
+    assert reader.do("ask", key=f"{HQ}/topology") == ["nothing has been learned yet"]
+    assert reader.do("ask", key=f"{HQ}/predict/cam1?zone=cam1/1") == ["nothing has been learned yet"]
+    assert reader.do("ask", key=f"{HQ}/spool/cam1") == []
+    for key in (*readable, "event/cam1", "ack/cam1"):
+        reader.do("put", key=f"{HQ}/{key}", payload="from the reader")
+        reader.do("delete", key=f"{HQ}/{key}")
+        observer.do("put", key=f"{HQ}/{key}")
+    reader.hears(*(f"put {HQ}/{key}" for key in readable))
+    wait_for(lambda: any("alive/daemon/" in line for line in reader.do("heard")), "the daemon to be seen")
+    heard = {line for line in reader.do("heard") if "daemon" not in line}
+    assert heard == {f"put {HQ}/{key}" for key in readable}
+    assert reader.do("ask", key=f"{HQ}/status/daemon"), "and with it what was put before has been dealt with"
+    assert [line for line in observer.do("heard") if "daemon" not in line] == [], "from the reader"
+
+
+def test_a_box_whose_certificate_was_withdrawn_has_no_rights(
+    keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack
+) -> None:
+    thief, observer = puppet(cleanup), puppet(cleanup)
+    assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
+    before = status(observer)["refused"]["no-rights"]
+    assert thief.open(**client(guarded.endpoint), **keys.tls("camera/gone")), "it is still the authority's"
+    observer.do("subscribe", key=f"{HQ}/event/*")
+    thief.do("put", key=f"{HQ}/event/gone")
+    assert thief.do("ask", key=f"{HQ}/status/daemon") == []  # and with it the put has been dealt with
+    assert observer.do("heard") == []
+    assert status(observer)["refused"]["no-rights"] == before + 1
+    assert any("'gone' from" in line and "can do nothing here" in line for line in guarded.said)
+
+
+# --- at the door ------------------------------------------------------------------------------------
+
+
+def test_who_is_not_let_in(keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack) -> None:
+    observer, intruder = puppet(cleanup), puppet(cleanup)
+    assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
+    good = client(guarded.endpoint) | keys.tls("camera/cam1")
+    own = "transport/link/tls/connect_"
+    nothing = {f"{own}certificate": None, f"{own}private_key": None, "transport/link/tls/enable_mtls": False}
+    plain = {"connect/endpoints": [guarded.endpoint.replace("tls/", "tcp/")], "transport/link/protocols": ["tcp"]}
+    for reason, wrong in (
+        ("no-certificate", nothing),
+        ("wrong-authority", _own(keys.tls("other/camera/cam1"))),
+        ("expired", _own(keys.tls("old/camera/cam1"))),
+        ("not-tls", plain),
+    ):
+        before = status(observer)["refused"].get(reason, 0)
+        assert not intruder.open(**good | wrong), reason
+        assert status(observer)["refused"].get(reason, 0) > before, (reason, status(observer)["refused"])
+        assert any(f"not let onto the bus: {reason}" in line for line in guarded.said)
+    assert intruder.open(**good), "the control: the same with a good certificate"
+
+
+def _own(tls: dict[str, Any]) -> dict[str, Any]:
+    """The certificate and the key alone; the authority stays the site's."""
+    return {key: value for key, value in tls.items() if "root_ca" not in key}
+
+
+def test_a_stolen_box_cannot_pass_for_the_daemon(keys: Keys, cleanup: contextlib.ExitStack) -> None:
+    """Whoever answers at the daemon's address has to show the daemon's certificate."""
+    for own, accepted in (("camera/cam2", False), ("daemon", True)):
+        listening = Config(bus=keys.bus(own, listen="tls/127.0.0.1:0"))
+        listening = msgspec.structs.replace(listening, site=msgspec.structs.replace(listening.site, name="hq"))
+        with meet(listening) as false_daemon:
+            config = msgspec.structs.replace(listening, bus=keys.bus("camera/cam1", false_daemon.endpoint))
+            if accepted:
+                dial(config).close()
+            else:
+                with pytest.raises(BusError, match="does it accept this certificate"):
+                    dial(config)
+
+
+# --- too large --------------------------------------------------------------------------------------
+
+
+def memory(pid: int) -> int:
+    """Resident bytes."""
+    found = re.search(r"VmRSS:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+    assert found is not None
+    return 1024 * int(found.group(1))
+
+
+def test_what_is_too_large_neither_arrives_nor_takes_memory(
+    unguarded: RealDaemon, cleanup: contextlib.ExitStack
+) -> None:
+    flooder, observer = puppet(cleanup), puppet(cleanup)
+    assert flooder.open(**client(unguarded.endpoint))
+    assert observer.open(**client(unguarded.endpoint))
+    event = f"{HQ}/event/cam1"
+    flooder.do("put", key=event)
+    wait_for(lambda: status(observer)["events"]["received"] == 1, "the daemon to receive")
+    before = memory(unguarded.process.pid)
+    for size, count in ((BIG_BYTES, 40), (rules.EVENT_BYTES_MAX + 1, 200)):
+        flooder.do("put", key=event, payload="x", repeat=size, count=count)
+    flooder.do("put", key=event, payload='{"camera":"cam1","kind":"entry","t":1}')
+    wait_for(lambda: status(observer)["events"]["received"] >= 2, "the one that fits")
+    assert status(observer)["events"]["received"] == 2
+    assert memory(unguarded.process.pid) - before < GROWTH_BYTES_MAX
+    flooder.do("put", key=event, payload="x", repeat=rules.EVENT_BYTES_MAX)
+    wait_for(lambda: status(observer)["rejects"].get("too-long") == 1, "what the bus lets pass to be counted")
+
+
+def test_without_limits_the_same_arrives(cleanup: contextlib.ExitStack) -> None:
+    with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
+        endpoint = bus.endpoint  # free again in a moment
+    unlimited, flooder = puppet(cleanup), puppet(cleanup)
+    assert unlimited.open(**rules.quiet("router"), **{"listen/endpoints": [endpoint], "connect/endpoints": []})
+    unlimited.do("subscribe", key="**")
+    assert flooder.open(**client(endpoint))
+    flooder.do("put", key=f"{HQ}/event/cam1", repeat=BIG_BYTES)
+    unlimited.hears(f"put {HQ}/event/cam1")
+
+
+# --- what listens, and what is said about it --------------------------------------------------------
+
+
+def listening(pid: int) -> set[str]:
+    """The addresses, in hexadecimal as the kernel shows them, at which a process waits for others (TCP and UDP)."""
+    links = []
+    for fd in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):
+            links.append(os.readlink(fd))
+    inodes = {link[8:-1] for link in links if link.startswith("socket:[")}
+    found = set()
+    for table, states in (("tcp", ("0A",)), ("tcp6", ("0A",)), ("udp", ("07",)), ("udp6", ("07",))):
+        for line in Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[9] in inodes and fields[3] in states:
+                found.add(f"{table} {fields[1].split(':')[0]}")
+    return found
+
+
+def test_nothing_listens_beyond_loopback_and_what_is_open_is_said(
+    unguarded: RealDaemon, cleanup: contextlib.ExitStack
+) -> None:
+    assert listening(unguarded.process.pid) == {"tcp 0100007F"}
+    assert "warning: no authentication: every program of this machine" in "".join(unguarded.said)
+    grabber = puppet(cleanup)
+    assert grabber.open(**client(unguarded.endpoint))
+    assert listening(grabber.pid) == set()
+
+
+def test_what_listens_beyond_loopback_is_seen_and_said_loudly(caplog: pytest.LogCaptureFixture) -> None:
+    before = listening(os.getpid())
+    with meet(Config(bus=BusSettings(listen=("tcp/0.0.0.0:0",)))):
+        assert listening(os.getpid()) - before == {"tcp 00000000"}
+    assert "ANYBODY ON THE NETWORK" in caplog.text
+
+
+# --- and those who belong there ---------------------------------------------------------------------
+
+
+def test_an_authenticated_site_works_as_one_without(keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack) -> None:
+    authority = keys.authority
+    for camera in ("a", "b", "c", "late"):
+        if not (keys.folder / "camera" / camera).exists():
+            authority.issue("camera", camera, 100)
+    keys.allow(keys.folder / "daemon" / "access.json")
+    plain = small_config(tmp_path / "state")
+    plain = msgspec.structs.replace(plain, site=msgspec.structs.replace(plain.site, name="hq"))
+    daemon = Daemon(msgspec.structs.replace(plain, bus=keys.bus("daemon", listen="tls/127.0.0.1:0")))
+    events = [*walkers(120), closing_event()]
+    spools = {}
+    for camera in ("a", "b", "c", "late"):
+        spool = spools[camera] = Spool(tmp_path / f"{camera}.db", f"boot-{camera}", 100_000)
+        cleanup.callback(spool.close)
+    publishers = {camera: Publisher(spool, 100) for camera, spool in spools.items()}
+    for event in events[:100]:
+        publishers[event.camera].publish(event)  # before there is a bus: these have to be pulled
+    daemon.start()
+    cleanup.callback(daemon.stop)
+    for camera, publisher in publishers.items():
+        bus = dial(msgspec.structs.replace(plain, bus=keys.bus(f"camera/{camera}", daemon.endpoint)))
+        cleanup.callback(bus.close)
+        publisher.attach(bus, [camera])
+    for event in events[100:]:
+        publishers[event.camera].publish(event)
+    reader = dial(msgspec.structs.replace(plain, bus=keys.bus("reader/wall", daemon.endpoint)))
+    cleanup.callback(reader.close)
+    for camera, publisher in publishers.items():
+        assert publisher.drained(WAIT_SECONDS), f"{camera} is not acknowledged"
+    view = TopologyView(reader)
+    assert view.wait_for(1, WAIT_SECONDS) is not None
+    assert daemon.status()["events"]["stored"] == len(events)
+    assert [key for key, _ in reader.ask("predict/a", {"x": 0.9, "y": 0.5})] == ["predict/a"]
+    assert "status/daemon" in [key for key, _ in reader.ask("status/*")]
