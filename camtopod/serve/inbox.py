@@ -9,6 +9,7 @@ from __future__ import annotations
 import collections
 import threading
 from collections.abc import Callable
+from operator import itemgetter
 from typing import NamedTuple
 
 STRANGERS = ""
@@ -32,8 +33,9 @@ class Inbox:
     def __init__(self, events_max: int, camera_events_max: int, quantum: int, known: Callable[[str], bool]) -> None:
         self._events_max, self._camera_events_max, self._quantum = events_max, camera_events_max, quantum
         self._known = known
-        self._queues: dict[str, collections.deque[Message]] = {}  # in the order of their turns; none is empty
+        self._queues: dict[str, collections.deque[tuple[int, Message]]] = {}  # by whose turn it is; none is empty
         self._waiting = 0
+        self._arrived = 0
         self._changed = threading.Condition()
         self.dropped: collections.Counter[str] = collections.Counter()
         """Messages there was no room for, by queue."""
@@ -54,7 +56,8 @@ class Inbox:
             if not room:
                 self.dropped[name] += 1
                 return
-            self._queues.setdefault(name, collections.deque()).append(message)
+            self._queues.setdefault(name, collections.deque()).append((self._arrived, message))
+            self._arrived += 1
             self._waiting += 1
             self._changed.notify()
 
@@ -70,8 +73,8 @@ class Inbox:
                 self._changed.wait(seconds)
 
     def take(self, most: int) -> list[Message]:
-        """Up to ``most`` messages, in turns; each camera's in the order they came."""
-        taken: list[Message] = []
+        """Up to ``most`` messages, chosen in turns; in the order they came, or else quick cameras would be late."""
+        taken: list[tuple[int, Message]] = []
         with self._changed:
             while len(taken) < most and self._queues:
                 name = next(iter(self._queues))
@@ -80,7 +83,8 @@ class Inbox:
                 if queue:
                     self._queues[name] = queue  # behind the others
             self._waiting -= len(taken)
-        return taken
+        taken.sort(key=itemgetter(0))
+        return [message for _, message in taken]
 
     def __len__(self) -> int:
         return self._waiting

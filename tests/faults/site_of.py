@@ -98,7 +98,7 @@ class Site:
         """Whether it has not ended by itself."""
         return name in self.processes and self.processes[name].poll() is None
 
-    def finish(self, seconds: float = 120.0) -> dict[str, Any]:
+    def finish(self, seconds: float = 600.0) -> dict[str, Any]:
         """Wait for the publishers to have everything acknowledged and for the learner to have learned it, and end
         the daemon; returns its last status.
         """

@@ -24,7 +24,7 @@ def test_kills(make_site: MakeSite) -> None:
 @pytest.mark.timeout(3600)
 def test_many_kills(make_site: MakeSite) -> None:
     kills = size("KILLS", 60)
-    speed = 160.0
+    speed = 1000.0
     site = make_site(int(40 * 6 * kills), 6 * kills * speed, speed)
     began = time.monotonic()
     site.start_all()

@@ -1,0 +1,145 @@
+"""Shuffled, repeated and delayed events: as long as nothing comes later than allowed, one result for all orders."""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from serving import numbered
+from sizes import size
+from traffic import crossings, last_event
+
+from camtopod.codec import to_pack
+from camtopod.config import Limits
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
+from camtopod.records import Ack, Event
+from camtopod.serve.receiver import Received, Receiver
+
+LATENESS = Settings().lateness_seconds
+SPAN_SECONDS = 600.0
+EVENTS = numbered([*crossings(14, SPAN_SECONDS), *(last_event(SPAN_SECONDS, camera) for camera in "yz")])
+LEARN = Settings(version_seconds=20.0, refit_share=0.3)
+ROUND_EVENTS = 7
+"""Events that come in between two rounds of the receiver."""
+TENTHS = st.lists(st.integers(0, round(10 * LATENESS) - 1), min_size=len(EVENTS), max_size=len(EVENTS))
+AGAIN = st.lists(st.tuples(st.integers(0, len(EVENTS) - 1), st.integers(0, 6000)), max_size=30)
+
+
+class Shelf:
+    """Stands in for the journal: what is committed."""
+
+    def __init__(self) -> None:
+        self.entries: list[Any] = []
+
+    def streams(self) -> dict[tuple[str, str], int]:
+        return {}
+
+    def commit(self, entries: Sequence[Any], *others: object, **more: object) -> None:
+        self.entries += entries
+
+    def prune(self, now: float) -> None:
+        """Nothing is old."""
+
+
+class Line:
+    """Stands in for the bus: the acks."""
+
+    def __init__(self) -> None:
+        self.acks: dict[str, int] = {}
+
+    def put(self, key: str, ack: Ack, schema: str) -> None:
+        self.acks[ack.camera] = ack.seq
+
+
+def versions(learner: Learner) -> list[tuple[int, str]]:
+    return [(one.version, one.digest) for one in learner.updates()]
+
+
+def received(arrivals: Sequence[Event], learn: Settings = LEARN) -> tuple[list[tuple[int, str]], Learner, Shelf, Line]:
+    """What comes of events that arrive in this order, through the receiver and the learner."""
+    learner, shelf, line, made = Learner(learn, "site", "e"), Shelf(), Line(), []
+
+    def take(batch: list[Received]) -> None:
+        for one in batch:
+            assert one.event is not None
+            learner.receive(one.event)
+        made.extend(versions(learner))
+
+    receiver = Receiver(
+        shelf, line, Limits(), lambda: EVENTS[-1].t, take, lambda: 10_000, lambda version: None,  # type: ignore[arg-type]
+    )  # fmt: skip
+    stopping = threading.Event()
+    stopping.set()  # one round at a time
+    for start in range(0, len(arrivals), ROUND_EVENTS):
+        for event in arrivals[start : start + ROUND_EVENTS]:
+            receiver.on_event(f"event/{event.camera}", to_pack(event))
+        receiver.work(stopping)
+    return made, learner, shelf, line
+
+
+def expected() -> list[tuple[int, str]]:
+    learner = Learner(LEARN, "site", "e")
+    for event in EVENTS:
+        learner.receive(event)
+    return versions(learner)
+
+
+EXPECTED = expected()
+
+
+def one_result(tenths: list[int], again: list[tuple[int, int]]) -> None:
+    """Each event is delayed by so many tenths of a second; some come again."""
+    at = [(event.t + late / 10, number) for number, (event, late) in enumerate(zip(EVENTS, tenths, strict=True))]
+    at += [(at[number][0] + late / 10, number) for number, late in again]
+    made, learner, shelf, line = received([EVENTS[number] for _, number in sorted(at)])
+    assert made == EXPECTED
+    assert learner.statistics()["late"] == 0
+    assert len(shelf.entries) == len(EVENTS)
+    assert line.acks == {event.camera: event.seq for event in EVENTS}
+
+
+@given(TENTHS, AGAIN)
+@settings(max_examples=10, deadline=None)
+def test_any_order_within_the_lateness_gives_one_result(tenths: list[int], again: list[tuple[int, int]]) -> None:
+    one_result(tenths, again)
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(3600)
+@given(TENTHS, AGAIN)
+@settings(max_examples=size("DISORDER", 2_000), deadline=None)
+def test_very_many_orders_give_one_result(tenths: list[int], again: list[tuple[int, int]]) -> None:
+    one_result(tenths, again)
+
+
+def test_there_is_something_to_get_wrong() -> None:
+    assert len(EXPECTED) >= 3
+    elsewhere = msgspec.structs.replace(EVENTS[10], x=0.5)
+    made, *_ = received([*EVENTS[:10], elsewhere, *EVENTS[11:]])
+    assert made != EXPECTED, "the canary: one event in another place shows"
+
+
+def test_what_comes_too_late_is_stored_and_counted_and_not_learned() -> None:
+    number = next(k for k, event in enumerate(EVENTS) if event.camera == "b" and event.t > EVENTS[0].t + 200)
+    late = [event for event in EVENTS if event.camera == "b" and event is not EVENTS[number]]
+    alone = msgspec.structs.replace(EVENTS[number], boot="other", seq=1)
+    rest = numbered(late) + [event for event in EVENTS if event.camera != "b"]
+    rest.sort(key=lambda event: event.t)
+    after = next(k for k, event in enumerate(rest) if event.t > alone.t + 60)
+    made, learner, shelf, _ = received([*rest[:after], alone, *rest[after:]])
+    assert learner.statistics()["late"] == 1
+    assert len(shelf.entries) == len(EVENTS)
+    assert made == received(rest)[0]
+
+
+def test_shuffled_by_chance() -> None:
+    chance = random.Random(1)
+    for _ in range(3):
+        one_result([chance.randrange(50) for _ in EVENTS], [(chance.randrange(len(EVENTS)), 300) for _ in range(20)])
