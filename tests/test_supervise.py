@@ -298,6 +298,28 @@ def test_a_process_that_cannot_be_started_is_tried_again(caplog: pytest.LogCaptu
     assert 100.0 < child.again_at < 102.0
 
 
+def test_a_start_that_takes_too_long_gets_more_time_the_next_time() -> None:
+    """Else a box too small for its cameras would kill them for ever while they load."""
+    health = HealthSettings(start_seconds=10.0, hung_seconds=5.0, restart_seconds_min=1.0)
+    child = Child("lobby", CameraSettings("rtsp://h/x"), health)
+    fd, now, allowed = os.open(os.devnull, os.O_RDONLY), 100.0, []
+    sleeping = [sys.executable, "-c", "import time; time.sleep(1000)"]
+    for _ in range(3):
+        while child.process is None:
+            child.look_after(now, lambda *_: sleeping, fd)
+            now += 0.5
+        began = now - 0.5
+        while not child._hung:
+            child.look_after(now, lambda *_: sleeping, fd)
+            now += 0.5
+        allowed.append(now - began)
+        while child.process is not None:
+            child.look_after(now, lambda *_: sleeping, fd)
+            time.sleep(0.01)
+    os.close(fd)
+    assert allowed == [pytest.approx(10 * 2**n, abs=1.5) for n in range(3)]
+
+
 def test_heartbeats() -> None:
     ear = Ear()
     heart = Heart(ear.child_fd)

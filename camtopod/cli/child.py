@@ -12,7 +12,8 @@ import os
 import random
 import signal
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from camtopod.cli import exits
@@ -26,6 +27,9 @@ TRACE_SECONDS = 0.3
 """A process that hangs has this long to say where (SIGUSR1) before it is killed."""
 STOP_SECONDS = 4.5
 """A process that was told to end is killed after this long."""
+START_FACTOR_MAX = 16
+"""A process that took too long to be there gets twice the time when it is started again, up to this: many that start
+at once on a small machine would otherwise be killed for ever."""
 _HOPELESS = (exits.USAGE, exits.CONFIG)
 """With these statuses starting again changes nothing."""
 _WORDS = {
@@ -66,6 +70,16 @@ def restarted(times: int, why: str, reason: str = "") -> str:
     return f"{reason}; {said}" if reason and reason != why else said
 
 
+@contextmanager
+def _without_hangup() -> Iterator[None]:
+    """What starts in the block has SIGHUP blocked until it can take it, however early that comes."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class Child:
     """The process of one camera, there or to be started."""
 
@@ -83,6 +97,7 @@ class Child:
         self._backoff = health.restart_seconds_min
         self._started = self._heard = 0.0
         self._spoke = False
+        self._slow_starts = 0
         self._ear: Ear | None = None
         self._kill_at: float | None = None
         self._hung = ""
@@ -108,7 +123,7 @@ class Child:
         status = self.process.poll()  # first: what it said before it ended counts
         said = self._ear.listen()
         if said is not None:
-            self._heard, self._spoke = now, True
+            self._heard, self._spoke, self._slow_starts = now, True, 0
             self.state, self.reason = said.state, said.reason
         if status is not None:
             self._ended(status, now)
@@ -118,6 +133,7 @@ class Child:
         elif now - self._heard > self._allowed():
             self._hung = f"hung for {now - self._heard:.0f} s while {self.state}"
             log.error("camera %s: the process %s; it is killed", self.camera, self._hung)
+            self._slow_starts += not self._spoke
             self.process.send_signal(signal.SIGUSR1)
             self._kill_at = now + TRACE_SECONDS
 
@@ -147,16 +163,19 @@ class Child:
         }  # fmt: skip
 
     def _allowed(self) -> float:
-        return self._health.hung_seconds if self._spoke else self._health.start_seconds
+        if self._spoke:
+            return self._health.hung_seconds
+        return self._health.start_seconds * min(2**self._slow_starts, START_FACTOR_MAX)
 
     def _start(self, now: float, command: Command, config_fd: int) -> None:
         self._ear = ear = Ear()
         environment = {k: v for k, v in os.environ.items() if k not in (SOCKET_VARIABLE, "WATCHDOG_USEC")}
         line = command(self.camera, self.restarts, self.last_end, ear.child_fd)
         try:
-            self.process = subprocess.Popen(
-                line, stdin=subprocess.DEVNULL, env=environment, pass_fds=(ear.child_fd, config_fd)
-            )
+            with _without_hangup():
+                self.process = subprocess.Popen(
+                    line, stdin=subprocess.DEVNULL, env=environment, pass_fds=(ear.child_fd, config_fd)
+                )
         except OSError as error:  # no memory, no process: perhaps later
             ear.close()
             self._again(now, 0.0, f"cannot be started: {error.strerror}")

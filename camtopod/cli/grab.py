@@ -95,6 +95,8 @@ def _one(args: argparse.Namespace, told: Told) -> int:
             heard = stack.enter_context(complaints.listening())
         from camtopod.vision.grabber import Grabber
 
+        heart = Heart(args.beat_fd)
+        heart.beat("connecting", "not opened yet")
         grabber = Grabber(
             args.camera, settings.source, start=settings.start, realtime=settings.realtime, speed=settings.speed,
             wall_clock=clock.wall, settings=config.vision, complaints=heard,
@@ -102,7 +104,7 @@ def _one(args: argparse.Namespace, told: Told) -> int:
         stack.enter_context(contextlib.closing(grabber))
         if args.out is not None:
             return _to_lines(grabber, args.out, told.stop)
-        return _to_bus(grabber, args, config, settings, told)
+        return _to_bus(grabber, args, config, settings, told, heart)
 
 
 def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
@@ -145,6 +147,7 @@ def _to_bus(
     config: Config,
     settings: CameraSettings,
     told: Told,
+    heart: Heart,
 ) -> int:
     from camtopod.serve.bus import BusError, dial
     from camtopod.serve.database import StateError
@@ -175,7 +178,7 @@ def _to_bus(
                 connection.use(dial(config))
             except BusError as error:
                 raise CommandError(str(error), exits.BUS) from None
-        _publish_all(grabber, publisher, connection, config, told, Heart(args.beat_fd))
+        _publish_all(grabber, publisher, connection, config, told, heart)
         if not told.stop.is_set() and not publisher.drained(DRAIN_SECONDS):
             left = publisher.unacknowledged
             raise CommandError(

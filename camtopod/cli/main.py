@@ -55,6 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     form = "text"
     if _command_in(arguments) in _KEEP_ON:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)  # until they listen to it: there is nothing yet to read anew
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGHUP])  # it is blocked in a camera's process till here
     try:
         try:
             args, run = _parse(arguments)

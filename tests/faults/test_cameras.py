@@ -1,0 +1,344 @@
+"""Every way a camera fails, at once, under the real `camtopod grab`; the one that works must not notice."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import pytest
+from scenes import FPS, HEIGHT, WIDTH, Person, Scene, line
+from serving import WAIT_SECONDS, camtopod, small_config, wait_for
+from streams import FaultProxy, missing, served, transcode
+
+from camtopod.cli.heartbeat import Ear
+from camtopod.serve.daemon import Daemon
+from camtopod.vision import live
+from camtopod.vision.complaints import Complaints, listening, reason_in
+from camtopod.vision.grabber import Grabber
+from camtopod.vision.settings import VisionSettings
+
+FILM_SECONDS = 18.0
+SPEED = 3.0
+QUICK = "[vision]\nopen_timeout_seconds = 0.7\nread_timeout_seconds = 0.7\nbackoff_min_seconds = 0.2\n"
+SETTINGS = VisionSettings(
+    open_timeout_seconds=0.7, read_timeout_seconds=0.7, backoff_min_seconds=0.2, backoff_max_seconds=0.5
+)
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Somebody walks through every three seconds."""
+    people = [
+        Person(line(3.5 + 3.0 * n, (-0.05, 0.7), (1.05, 0.65), 4.0), seed=n) for n in range(round(FILM_SECONDS / 3) - 2)
+    ]
+    scene = Scene(people)
+    path = tmp_path_factory.mktemp("film") / "film.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (WIDTH, HEIGHT))
+    for k in range(round(FILM_SECONDS * FPS)):
+        writer.write(cv2.cvtColor(scene.picture(k / FPS), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return path
+
+
+class Host:
+    """A host that treats whoever connects as ``treat`` says, in a thread each."""
+
+    def __init__(self, treat: Callable[[socket.socket], None]) -> None:
+        self._treat = treat
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"rtsp://admin:p@ssw0rd@127.0.0.1:{self._listener.getsockname()[1]}/stream"
+        self.connections = 0
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                self.connections += 1
+                threading.Thread(target=self._one, args=(client,), daemon=True).start()
+
+    def _one(self, client: socket.socket) -> None:
+        with client, contextlib.suppress(OSError):
+            self._treat(client)
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+
+
+def silent(client: socket.socket) -> None:
+    """Takes everything and says nothing."""
+    while client.recv(65536):
+        pass
+
+
+def hang_up(client: socket.socket) -> None:
+    """Closes at once."""
+
+
+def rtsp_answer(status: str) -> Callable[[socket.socket], None]:
+    """Answers every DESCRIBE with ``status``."""
+
+    def treat(client: socket.socket) -> None:
+        while request := client.recv(65536).decode():
+            said = "200 OK" if request.startswith("OPTIONS") else status
+            number = next(line for line in request.split("\r\n") if line.startswith("CSeq"))
+            more = "Public: OPTIONS, DESCRIBE" if said == "200 OK" else 'WWW-Authenticate: Digest realm="x", nonce="y"'
+            client.sendall(f"RTSP/1.0 {said}\r\n{number}\r\n{more}\r\n\r\n".encode())
+
+    return treat
+
+
+@pytest.fixture
+def hosts() -> Iterator[dict[str, Host]]:
+    made = {
+        "silent": Host(silent),
+        "frozen": Host(silent),
+        "flapping": Host(hang_up),
+        "secret": Host(rtsp_answer("401 Unauthorized")),
+    }
+    yield made
+    for host in made.values():
+        host.close()
+
+
+def children_of(pid: int) -> dict[str, int]:
+    """The camera and the process of each child of a supervisor."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError):
+                parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+                if parent == pid and b"--camera" in words:
+                    found[words[words.index(b"--camera") + 1].decode()] = int(entry.name)
+    return found
+
+
+def test_every_bad_camera_is_named_and_the_good_one_is_on_time(
+    film: Path, hosts: dict[str, Host], tmp_path: Path
+) -> None:
+    expected = [e for e in Grabber("good", str(film), wall_clock=time.time).events() if e is not None]
+    assert len(expected) >= 6
+    os.mkfifo(tmp_path / "fifo")  # opening it blocks for ever
+    with socket.socket() as reserved:
+        reserved.bind(("127.0.0.1", 0))  # bound, not listening: refuses
+        sources = {
+            "good": f'{film}"\nrealtime = true\nspeed = {SPEED}\n#"',
+            "blocked": str(tmp_path / "fifo"),
+            "missing": str(tmp_path / "nowhere.mp4"),
+            "refused": f"rtsp://127.0.0.1:{reserved.getsockname()[1]}/x",
+            **{name: host.url for name, host in hosts.items()},
+        }
+        with Daemon(small_config(tmp_path / "daemon")) as daemon:
+            _watched(daemon, sources, expected_events=len(expected), directory=tmp_path)
+
+
+def _watched(daemon: Daemon, sources: dict[str, str], expected_events: int, directory: Path) -> None:
+    said: dict[str, dict[str, Any]] = {}
+    gaps: dict[str, float] = {}
+    last: dict[str, float] = {}
+    reasons: dict[str, set[str]] = {name: set() for name in sources}
+
+    def on_status(key: str, raw: bytes) -> None:
+        camera, now = key.removeprefix("status/"), time.monotonic()
+        if camera in sources:
+            status = msgspec.msgpack.decode(raw)
+            if status["state"] != "ended":
+                gaps[camera] = max(gaps.get(camera, 0.0), now - last.get(camera, now))
+            said[camera], last[camera] = status, now
+            reasons[camera].add(status["reason"])
+
+    assert daemon._bus is not None
+    daemon._bus.subscribe("status/*", on_status)
+    config = directory / "c.toml"
+    config.write_text(
+        f'[bus]\nconnect = ["{daemon.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n{QUICK}'
+        "[limits]\nstatus_seconds = 0.2\n"
+        "[health]\nhung_seconds = 4\nrestart_seconds_min = 0.5\nrestart_seconds_max = 4\n"
+        + "".join(f'[cameras.{name}]\nsource = "{source}"\n' for name, source in sources.items())
+    )
+    config.chmod(0o600)
+    with (directory / "log").open("wb") as log:
+        box = camtopod("--config", str(config), "grab", stderr=log)
+    try:
+
+        def told(camera: str, what: str) -> bool:
+            return any(what in reason for reason in reasons[camera])
+
+        wait_for(lambda: said.get("frozen", {}).get("failures", 0) >= 1, "the frozen one to run")
+        os.kill(children_of(box.pid)["frozen"], signal.SIGSTOP)
+        wait_for(lambda: said.get("good", {}).get("state") == "running", "the good one to run")
+        began = time.monotonic() - said["good"]["frames_grabbed"] / FPS / SPEED
+        wait_for(lambda: told("refused", "nothing listens at this address and port"), "refused")
+        wait_for(lambda: told("secret", "the camera refuses the user name or password (401)"), "secret")
+        wait_for(lambda: told("silent", "the source cannot be opened"), "silent")
+        wait_for(lambda: said["silent"]["failures"] >= 2, "another try")
+        wait_for(lambda: told("flapping", "the source cannot be opened"), "flapping")
+        wait_for(lambda: told("missing", "last: cannot read its source (status 66)"), "missing")
+        wait_for(lambda: said["good"]["state"] == "ended", "the good one's end")
+        assert time.monotonic() - began < FILM_SECONDS / SPEED + 3.0, "it was held up"
+        assert gaps["good"] < 1.5, "it was held up"
+        assert said["good"]["restarts"] == 0
+        wait_for(lambda: daemon.status()["events"]["stored"] == expected_events, "all of its events")
+        wait_for(lambda: told("frozen", "hung for 4 s while connecting"), "frozen")
+        wait_for(lambda: told("blocked", "restarted once, last: hung for 4 s while connecting"), "blocked")
+        wait_for(lambda: said["frozen"]["state"] == "connecting" and said["frozen"]["restarts"] == 1, "its return")
+        assert "p@ss" not in str(reasons) + (directory / "log").read_text()
+
+        children = children_of(box.pid)
+        assert {"silent", "refused", "secret", "flapping", "frozen", "blocked"} <= children.keys()
+        began = time.monotonic()
+        box.terminate()
+        assert box.wait(WAIT_SECONDS) == 0
+        assert time.monotonic() - began < 9.0, "systemd would have killed it"
+        assert not [pid for pid in children.values() if Path(f"/proc/{pid}").exists()], "somebody was left behind"
+    finally:
+        box.kill()
+        box.wait()
+
+
+BLOCKED = """
+import sys, threading
+from camtopod.cli.main import main
+from camtopod.vision import live
+class Blocked:
+    def __init__(self, *given): threading.Event().wait()
+live.Capture = Blocked
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_no_beat_while_opencv_does_not_come_back(tmp_path: Path) -> None:
+    """The loop goes on, its capture does not: only ending the process helps, so it must not look alive."""
+    config = tmp_path / "c.toml"
+    config.write_text(
+        f'[bus]\nconnect = ["tcp/127.0.0.1:1"]\n[state]\ndirectory = "{tmp_path}"\n'
+        f'{QUICK}[cameras.lobby]\nsource = "rtsp://127.0.0.1:1/x"\n'
+    )
+    ear = Ear()
+    line = ["--config", str(config), "grab", "--camera", "lobby", "--beat-fd", str(ear.child_fd)]
+    root = str(Path(__file__).parent.parent.parent)
+    process = subprocess.Popen(
+        [sys.executable, "-c", BLOCKED, *line], pass_fds=(ear.child_fd,), stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": root},
+    )  # fmt: skip
+    os.close(ear.child_fd)
+    try:
+        wait_for(lambda: ear.listen() is not None, "the first beat")
+        time.sleep(0.7 + 0.7 + live.MARGIN_SECONDS + 1.0)
+        ear.listen()
+        time.sleep(1.5)
+        assert ear.listen() is None
+        assert process.poll() is None
+        began = time.monotonic()
+        process.terminate()
+        assert process.wait(WAIT_SECONDS) == 0
+        assert time.monotonic() - began < 8.0
+    finally:
+        process.kill()
+        process.wait()
+        ear.close()
+
+
+def test_a_call_of_opencv_that_takes_too_long_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    go = threading.Event()
+
+    class Blocked:
+        is_open = False
+
+        def __init__(self, *given: object) -> None:
+            assert go.wait(WAIT_SECONDS)
+
+        def release(self) -> None:
+            pass
+
+    monkeypatch.setattr(live, "Capture", Blocked)
+    monkeypatch.setattr(live, "MARGIN_SECONDS", 0.1)
+    settings = msgspec.structs.replace(SETTINGS, open_timeout_seconds=0.1, read_timeout_seconds=0.1)
+    grabber = Grabber("cam", "rtsp://127.0.0.1:1/x", wall_clock=time.time, settings=settings)
+    stream = grabber.events()
+    assert grabber.overdue_seconds == 0.0
+    wait_for(lambda: next(stream) is None and grabber.overdue_seconds > 0.0, "it to be overdue")
+    go.set()
+    wait_for(lambda: next(stream) is None and grabber.overdue_seconds == 0.0, "it to come back")
+    assert grabber.statistics()["failures"] >= 1
+    grabber.close()
+
+
+@pytest.mark.skipif(missing() is not None, reason=f"needs an RTSP server: {missing()}")
+def test_a_stream_that_flaps_is_tried_with_patience_and_comes_back(film: Path, tmp_path: Path) -> None:
+    transcode(film, tmp_path / "film.mp4", FPS)
+    with served(tmp_path / "film.mp4") as port:
+        proxy = FaultProxy(port)
+        grabber = Grabber("cam", f"rtsp://127.0.0.1:{proxy.port}/camera", wall_clock=time.time, settings=SETTINGS)
+        stream = grabber.events()
+        stop = threading.Event()
+
+        def flap() -> None:
+            while not stop.wait(0.25):
+                proxy.cut()
+
+        flapping = threading.Thread(target=flap)
+        flapping.start()
+        began = heard = time.monotonic()
+        while time.monotonic() - began < 3.0:
+            next(stream)
+            assert time.monotonic() - heard < 1.5, "the caller was kept waiting"
+            heard = time.monotonic()
+        stop.set()
+        flapping.join()
+        assert 2 <= proxy.connections <= 3.0 / 0.1 + 1, "no patience"
+        wait_for(lambda: next(stream) is None or grabber.state == "running", "it to run")
+        analysed = grabber.statistics()["frames_analysed"]
+
+        def more() -> bool:
+            next(stream)
+            return grabber.state == "running" and grabber.statistics()["frames_analysed"] > analysed + 3
+
+        wait_for(more, "it to come back")
+        grabber.close()
+        proxy.close()
+
+
+def test_reasons_are_recognised_and_nothing_else_is_said(capfd: pytest.CaptureFixture[str]) -> None:
+    said = (
+        b"[OPENCV:FFMPEG:16] method DESCRIBE failed: 401 (Unauthorized)\n",
+        b"[OPENCV:FFMPEG:16] Connection to tcp://admin:p@ss@h:1?timeout=0 failed: Connection refused\n",
+        b"[OPENCV:FFMPEG:16] method SETUP failed: 461 (Unsupported transport)\n",
+        b"[OPENCV:FFMPEG:16] Failed to resolve hostname x.invalid: Name or service not known\n",
+        b"[OPENCV:FFMPEG:16] rtsp://admin:p@ss@h: something new\n",
+    )
+    words = [reason_in(line) for line in said]
+    assert words == [
+        "the camera refuses the user name or password (401)",
+        "nothing listens at this address and port",
+        "the camera refuses (461)",
+        "the host's name is not known",
+        "",
+    ]
+    assert reason_in(said[0] + said[1] + said[4]) == words[1], "the last that is known"
+    assert Complaints().take() == ""
+    with listening() as complaints:
+        assert complaints.take() == ""
+        os.write(1, said[0])
+        assert complaints.take() == words[0]
+        assert complaints.take() == ""
+        for _ in range(3000):  # nobody asks: nothing waits
+            with contextlib.suppress(BlockingIOError):
+                os.write(1, b"[OPENCV:FFMPEG:16] error while decoding\n")
+        assert complaints.take() == ""
+    os.write(1, b"data")
+    assert capfd.readouterr().out == "data"

@@ -1,0 +1,207 @@
+"""SIGTERM and SIGHUP at any moment of the real programs: they end in time, lose nothing, and no SIGHUP ends them.
+
+The quick form takes a few moments; the campaign (CAMTOPOD_FAULTS_SIGNALS, 100) many.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from serving import T0, WAIT_SECONDS, numbered, small_config, walkers
+from sizes import size
+
+from camtopod.records import Event
+from camtopod.serve.bus import BusError, dial
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.journal import Journal
+from camtopod.serve.publisher import Publisher
+from camtopod.serve.spool import Spool
+
+STOP_SECONDS_MAX = 9.5
+"""deploy/'s TimeoutStopSec= is 10."""
+START_SECONDS = 2.0
+"""Moments are drawn from this long after the start; reading the journal and fitting are in it."""
+
+
+class Under:
+    """Runs a program again and again, and sends it signals."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        self.file = directory / "c.toml"
+        self.file.write_text(
+            f'[bus]\nlisten = ["{self.endpoint}"]\nconnect_seconds = 0.3\n[state]\ndirectory = "{directory}/state"\n'
+            "[limits]\npull_seconds = 0.2\nack_seconds = 0.05\n[learn]\nlateness_seconds = 2400\n"
+            '[vision]\nopen_timeout_seconds = 1\n[cameras.lobby]\nsource = "rtsp://127.0.0.1:1/x"\n'
+            '[cameras.hall]\nsource = "rtsp://127.0.0.1:1/x"\n'
+        )
+        self.file.chmod(0o600)
+        self._log = (directory / "log").open("ab")
+        self._started: list[subprocess.Popen[bytes]] = []
+
+    @property
+    def log(self) -> str:
+        return (self.directory / "log").read_text()
+
+    def start(self, command: str) -> subprocess.Popen[bytes]:
+        root = Path(__file__).parent.parent.parent
+        process = subprocess.Popen(
+            [sys.executable, "-m", "camtopod", "--config", str(self.file), command],
+            env={**os.environ, "PYTHONPATH": str(root)}, stderr=self._log,
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+        )  # fmt: skip
+        self._started.append(process)
+        return process
+
+    def listens(self, process: subprocess.Popen[bytes]) -> bool:
+        """Whether it has got as far as to catch or ignore SIGHUP; the interpreter's start is not ours."""
+        with contextlib.suppress(OSError):
+            for line in Path(f"/proc/{process.pid}/status").read_text().splitlines():
+                if line.startswith(("SigCgt:", "SigIgn:")) and int(line.split()[1], 16) & 1 << signal.SIGHUP - 1:
+                    return True
+        return False
+
+    def close(self) -> None:
+        for process in self._started:
+            process.kill()
+            process.wait()
+        self._log.close()
+
+
+@pytest.fixture
+def under(tmp_path: Path) -> Iterator[Under]:
+    one = Under(tmp_path)
+    yield one
+    one.close()
+
+
+def moments(under: Under, command: str, count: int, chance: random.Random) -> None:
+    """Start the program ``count`` times; some SIGHUPs, and SIGTERM, at random moments of each."""
+    for number in range(count):
+        process = under.start(command)
+        began = time.monotonic()
+        while not under.listens(process):
+            assert time.monotonic() - began < WAIT_SECONDS
+            time.sleep(0.002)
+        until = time.monotonic() + START_SECONDS * chance.random() ** 2
+        while time.monotonic() < until:
+            process.send_signal(signal.SIGHUP)
+            time.sleep(chance.uniform(0.0, 0.2))
+        assert process.poll() is None, f"run {number}: SIGHUP ended it: {process.returncode}\n{under.log[-3000:]}"
+        process.send_signal(signal.SIGTERM)
+        if chance.random() < 0.5:
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(signal.SIGHUP)
+        told = time.monotonic()
+        status = process.wait(WAIT_SECONDS)
+        assert time.monotonic() - told < STOP_SECONDS_MAX, f"run {number} took too long\n{under.log[-3000:]}"
+        # before it catches SIGTERM, and again at the very end, the signal itself ends it
+        assert status in (0, -signal.SIGTERM), f"run {number}: {status}\n{under.log[-3000:]}"
+    assert "Traceback" not in under.log, under.log[-5000:]
+
+
+def daemon_at_many_moments(under: Under, count: int, seed: int) -> None:
+    """While a publisher goes on all the time; in the end everything is in the journal, once."""
+    state = under.directory / "state"
+    before = numbered(walkers(150))
+    journal_config = small_config(state)
+    with Daemon(journal_config) as daemon:
+        assert daemon._bus is not None
+        spool = Spool(under.directory / "first.db", "b1", 100_000)
+        first = Publisher(spool, 100)
+        first.attach(daemon._bus, ["a", "b", "c"])
+        first.publish(*before)
+        assert first.drained(WAIT_SECONDS)
+        spool.close()
+    spool = Spool(under.directory / "spool.db", "stream", 100_000)
+    publisher, stop, published = Publisher(spool, 100), threading.Event(), 0
+
+    def publish() -> None:
+        nonlocal published
+        while not stop.wait(0.005):
+            published += 1
+            publisher.publish(Event("lobby", "entry", T0 + 0.01 * published))
+
+    def attach() -> None:
+        while not stop.is_set():
+            with contextlib.suppress(BusError):
+                publisher.attach(dial(small_config(under.directory, under.endpoint)), ["lobby"])
+                return
+
+    threads = [threading.Thread(target=target) for target in (publish, attach)]
+    for thread in threads:
+        thread.start()
+    try:
+        moments(under, "run", count, random.Random(seed))
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join()
+    with Daemon(small_config(state)) as daemon:
+        assert daemon._bus is not None
+        last = Publisher(spool, 100)
+        last.attach(daemon._bus, ["lobby"])
+        assert last.drained(WAIT_SECONDS)
+        assert daemon.failing() == []
+    spool.close()
+    if publisher._bus is not None:
+        publisher._bus.close()
+    journal = Journal(state, journal_config.keep)
+    rows = [(e.camera, e.boot, e.seq) for _, e in journal.entries() if e is not None and e.kind == "event"]
+    journal.close()
+    assert len(rows) == len(set(rows)) == len(before) + published
+    assert [seq for camera, _, seq in rows if camera == "lobby"] == list(range(1, published + 1))
+
+
+def test_the_daemon_at_a_few_moments(under: Under) -> None:
+    daemon_at_many_moments(under, 3, seed=1)
+
+
+def test_grabbers_at_a_few_moments(under: Under) -> None:
+    moments(under, "grab", 2, random.Random(2))
+    assert not left_behind(under)
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(3600)
+def test_the_daemon_at_many_moments(under: Under) -> None:
+    daemon_at_many_moments(under, size("SIGNALS", 100), seed=3)
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(3600)
+def test_grabbers_at_many_moments(under: Under) -> None:
+    moments(under, "grab", size("SIGNALS", 100), random.Random(4))
+    assert not left_behind(under)
+
+
+def test_a_program_that_does_not_listen_is_ended_by_a_hangup(under: Under) -> None:
+    """The canary: `watch` has no use for SIGHUP, and the loop above would notice."""
+    process = under.start("watch")
+    time.sleep(0.3)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(WAIT_SECONDS) == -signal.SIGHUP
+
+
+def left_behind(under: Under) -> list[int]:
+    """Processes of this configuration that are still there."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        with contextlib.suppress(OSError):
+            if entry.name.isdigit() and str(under.file).encode() in (entry / "cmdline").read_bytes():
+                found.append(int(entry.name))
+    return found
