@@ -72,12 +72,9 @@ class Spool:
         self._events_max, self._bytes_max, self._kept_max = events_max, bytes_max, kept_events_max
         self._lock = database.Lock(path.with_suffix(".lock"))
         try:
-            self._db, self.rescued = spool_format.open_file(path, boot)
-            """``rescued``: events read out of a damaged file on opening."""
-            self.boot = spool_format.meta(self._db, "boot")
-            """This spool's incarnation: the one given when its file was made, or after it was not closed."""
+            self._opened = spool_format.open_file(path, boot)
+            self._db = self._opened.connection
             self._acked = spool_format.acked(self._db)
-            self._seqs = self._stored_seqs()
             self._recount()
         except sqlite3.Error as error:
             self._lock.close()
@@ -85,6 +82,12 @@ class Spool:
         except database.StateError:
             self._lock.close()
             raise
+        self.boot = self._opened.boot
+        """This spool's incarnation: the one given when its file was made, or after it was not closed."""
+        self.rescued = self._opened.rescued
+        """Events read out of a damaged file on opening."""
+        self._seqs = {} if self._opened.fresh else spool_format.counts(self._db)
+        self._opened_written = False
         self._unwritten: set[Stream] = set()
         self._damaged: set[int] = set()
         self._sure = True
@@ -102,8 +105,7 @@ class Spool:
             numbered, seqs = self._number(events)
             self._sure = False  # should this raise, its rows may be there or not
             with database.transaction(self._db):
-                for camera, boot in self._unwritten:
-                    spool_format.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
+                self._write_down()
                 added = self._db.executemany(_INSERT, [_row(event) for event in numbered]).rowcount
                 for camera in seqs.keys() & {event.camera for event in numbered}:
                     spool_format.set_row(self._db, "count", camera, seqs[camera])
@@ -112,6 +114,7 @@ class Spool:
             self._held += added - forgotten - dropped
             self._kept -= forgotten
             self.dropped += dropped
+            self._opened_written = True
             self._unwritten.clear()
             if forgotten:
                 self._acked = spool_format.acked(self._db)
@@ -177,8 +180,7 @@ class Spool:
         with self._mutex:
             try:
                 with database.transaction(self._db):
-                    for camera, boot in self._unwritten:
-                        spool_format.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
+                    self._write_down()
                     spool_format.set_row(self._db, "meta", "closed", "yes")
             except sqlite3.ProgrammingError:
                 pass  # closed already
@@ -198,10 +200,19 @@ class Spool:
             numbered.append(event)
         return numbered, seqs
 
+    def _write_down(self) -> None:
+        """Within a transaction: what is known and not in the file yet."""
+        if not self._opened_written:
+            spool_format.write_opened(self._db, self._opened)
+        for camera, boot in self._unwritten:
+            spool_format.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
+
     def _ask_the_file(self, again: list[Event]) -> None:
         """After an error: what it did store, if it is not ``again`` the same, keeps its numbers."""
         given = {_row(event) for event in again}
-        for camera, last in self._stored_seqs().items():
+        self._opened_written = spool_format.is_written(self._db, self._opened)
+        stored = spool_format.counts(self._db) if self._opened_written or not self._opened.fresh else {}
+        for camera, last in stored.items():
             ahead = self._db.execute(
                 "SELECT camera, boot, seq, raw, crc FROM event WHERE camera = ? AND boot = ? AND seq > ?",
                 (camera, self.boot, self._seqs.get(camera, 0)),
@@ -312,15 +323,12 @@ class Spool:
                 rows.append((row[2], row[3]))
         return rows, False
 
-    def _stored_seqs(self) -> dict[str, int]:
-        return dict(self._db.execute("SELECT camera, seq FROM count"))
-
     def _recount(self) -> None:
         self._held = self._count("TRUE")
         self._kept = sum(
             self._count("camera = ? AND boot = ? AND seq <= ?", *stream, seq) for stream, seq in self._acked.items()
         )
-        self.dropped = int(spool_format.meta(self._db, "dropped"))
+        self.dropped = int(spool_format.meta(self._db, "dropped") or 0)
         """Events dropped because the spool was full, since its file was made."""
 
     def _count(self, where: str, *parameters: str | int) -> int:

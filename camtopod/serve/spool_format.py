@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sqlite3
 from pathlib import Path
+from typing import NamedTuple
 
 from camtopod.serve import database
 
@@ -27,37 +29,63 @@ CREATE UNIQUE INDEX IF NOT EXISTS event_stream ON event (camera, boot, seq)
 _SMALL_TABLES = ("meta", "count", "acked")
 
 
-def open_file(path: Path, boot: str) -> tuple[sqlite3.Connection, int]:
-    """Open or make a spool's file; returns also how many events were read out of a damaged one just now.
+class Opened(NamedTuple):
+    """``boot``: this spool's incarnation. ``fresh``: it is a new one, the counts in the file are not its own.
+
+    ``rescued``: how many events were read out of a damaged file just now.
+    """
+
+    connection: sqlite3.Connection
+    boot: str
+    fresh: bool
+    rescued: int
+
+
+def open_file(path: Path, boot: str) -> Opened:
+    """Open or make a spool's file; one that is there is not written to, so that a full disk is no hindrance.
 
     ``boot`` has to be new: it is that of a new file, and of one that was not closed. How much of its count was
     lost with its last writes nobody can know, and a seq that is given twice is an event lost. Raises
-    `database.StateError`.
+    `database.StateError`, `sqlite3.Error`.
     """
     connection, _ = database.connect_or_begin_anew(path, SCHEMA, _prepare)
-    rescued = 0
-    try:
-        with database.transaction(connection):
-            known = {"dropped": "0", "rescued": ""} | dict(connection.execute("SELECT key, value FROM meta"))
-            for aside in database.damaged_files(path)[-1:]:
-                if known["rescued"] != aside.name:
+    with contextlib.ExitStack() as undo:
+        undo.callback(connection.close)
+        rescued = 0
+        for aside in database.damaged_files(path)[-1:]:
+            if meta(connection, "rescued") != aside.name:
+                with database.transaction(connection):
                     rescued = _rescue(connection, aside)
-                    log.error("%d events were read out of the damaged spool %s", rescued, aside)
-                    known["rescued"] = aside.name
-            if known.get("closed") != "yes" and known.get("boot") != boot:
-                connection.execute("DELETE FROM count")
-                known["boot"] = boot
-            for key, value in (known | {"format": str(FORMAT), "closed": "no"}).items():
-                set_row(connection, "meta", key, value)
-    except sqlite3.Error:
-        connection.close()
-        raise
-    return connection, rescued
+                    set_row(connection, "meta", "rescued", aside.name)
+                    set_row(connection, "meta", "format", str(FORMAT))
+                log.error("%d events were read out of the damaged spool %s", rescued, aside)
+        before = meta(connection, "boot") if meta(connection, "closed") == "yes" else None
+        undo.pop_all()
+    return Opened(connection, before or boot, before is None, rescued)
 
 
-def meta(connection: sqlite3.Connection, key: str) -> str:
+def write_opened(connection: sqlite3.Connection, opened: Opened) -> None:
+    """With the first events: whose boot it is, and that it is not closed."""
+    if opened.fresh:
+        connection.execute("DELETE FROM count")
+    for key, value in (("format", str(FORMAT)), ("boot", opened.boot), ("closed", "no")):
+        set_row(connection, "meta", key, value)
+
+
+def is_written(connection: sqlite3.Connection, opened: Opened) -> bool:
+    """Whether `write_opened` has been done."""
+    return (meta(connection, "boot"), meta(connection, "closed")) == (opened.boot, "no")
+
+
+def meta(connection: sqlite3.Connection, key: str) -> str | None:
     """A value of the table ``meta``."""
-    return str(connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()[0])
+    row = connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
+    return None if row is None else str(row[0])
+
+
+def counts(connection: sqlite3.Connection) -> dict[str, int]:
+    """The highest seq that was given to each camera."""
+    return dict(connection.execute("SELECT camera, seq FROM count"))
 
 
 def acked(connection: sqlite3.Connection) -> dict[tuple[str, str], int]:

@@ -206,7 +206,7 @@ def test_any_operation_fails_in_a_file_of_its_own(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", FILES)
 def test_campaign_of_operations_that_fail(name: str, kind: Kind, quick_path: Path, disk_watch: Vfs) -> None:
-    steps, every = size("FAILS_STEPS", 500), size("FAILS_EVERY", 1)
+    steps, every = size("FAILS_STEPS", 500), size("FAILS_EVERY", 25)
     states = reference(FILES[name], steps, quick_path / "reference")
     points = refused = 0
     for first in itertools.count(1, every):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import random
 import sqlite3
+import time
 from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Protocol
@@ -114,8 +115,8 @@ class WrittenSpool:
     events_max, kept_max = 150, 40
 
     def __init__(self, directory: Path) -> None:
-        known = len(list(directory.glob("spool.db*")))
-        self.spool = Spool(directory / "spool.db", f"boot-{known}", self.events_max, kept_events_max=self.kept_max)
+        boot = f"boot-{time.monotonic_ns()}" if (directory / "spool.db").exists() else "boot-0"
+        self.spool = Spool(directory / "spool.db", boot, self.events_max, kept_events_max=self.kept_max)
         self.damaged = bool(self.spool.statistics()["damaged_files"])
         self._appended: tuple[int, list[Event]] = (0, [])
 
