@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camtopod.serve.streams import Streams
+from camtopod.serve.streams import JUMP_MAX, Streams
 
 KEY = ("lobby", "b1")
 
@@ -122,3 +122,80 @@ def test_losses_with_pulls_lose_nothing(data: st.DataObject) -> None:
     for seq in range(max(start, 1), spooled + 1):
         out += one.offer(KEY, seq, seq, 0.0)[1]
     assert out == list(range(1, total + 1))
+
+
+def test_what_a_spool_twice_does_not_have_is_nobody_s() -> None:
+    """A made-up seq would make all true ones below it duplicates."""
+    order = streams(stored={KEY: 4})
+    order.offer(KEY, 50, 50, 0.0)
+    order.answered(KEY, 5, [], more=False)
+    assert order.give_up(100.0, 5.0, has_spool={"lobby"}) == []
+    order.offer(KEY, 6, 6, 1.0)  # put before the next answer: the spool has it
+    order.answered(KEY, 5, [], more=False)
+    assert order.unknown == 1
+    assert order.offer(KEY, 5, 5, 2.0) == ("ready", [5, 6])
+    assert order.gaps == set()
+    order.offer(KEY, 60, 60, 3.0)
+    for _ in range(2):
+        order.answered(KEY, 7, [], more=False)
+    assert order.gaps == set()
+
+
+def test_a_spool_that_does_not_know_the_boot_says_nothing_about_what_is_held() -> None:
+    order = streams(stored={KEY: 4})
+    order.offer(KEY, 7, 7, 0.0)
+    for _ in range(2):
+        order.answered(KEY, 5, [], more=False, knows=False)
+    assert order.give_up(100.0, 5.0, has_spool={"lobby"}) == [7]
+
+
+def test_a_gap_is_skipped_to_where_the_spool_goes_on() -> None:
+    order = streams(held=1, stored={KEY: 4})
+    order.offer(KEY, 7, 7, 0.0)
+    assert order.offer(KEY, 6, 6, 0.0) == ("dropped", [])
+    order.answered(KEY, 5, [6, 7], more=False)
+    assert order.give_up(100.0, 5.0, has_spool={"lobby"}) == []
+    assert order.wanted("lobby") == ("b1", 6)
+    order.answered(KEY, 2, [2, 3], more=True)  # not as far as the gap
+    assert order.give_up(200.0, 5.0, has_spool={"lobby"}) == []
+
+
+def test_what_was_said_of_one_gap_does_not_hold_for_the_next() -> None:
+    order = streams(stored={KEY: 4})
+    order.offer(KEY, 7, 7, 0.0)
+    order.answered(KEY, 5, [7], more=False)
+    assert order.offer(KEY, 5, 5, 0.0) == ("ready", [5])
+    assert order.offer(KEY, 6, 6, 0.0) == ("ready", [6, 7])
+    order.offer(KEY, 9, 9, 0.0)
+    assert order.give_up(100.0, 5.0, has_spool={"lobby"}) == []
+
+
+def test_a_seq_too_far_ahead_is_no_gap() -> None:
+    order = streams(stored={KEY: 4})
+    assert order.offer(KEY, 2**62, 0, 0.0) == ("jump", [])
+    assert order.offer(KEY, 5 + JUMP_MAX, 0, 0.0) == ("held", [])
+    assert streams().offer(KEY, 2**62, 0, 0.0) == ("held", []), "a stream never seen may begin anywhere"
+
+
+def test_of_many_boots_those_heard_last_are_followed() -> None:
+    """Years of nightly reboots, and a camera that makes up boots."""
+    order = streams(boots_max=3)
+    for night in range(1000):
+        assert order.offer(("lobby", f"b{night}"), 1, night, 0.0) == ("ready", [night])
+        assert order.offer(("hall", "b1"), night, night, 0.0)[0] == "ready"
+    assert len(order) == 4
+    assert order.wanted("lobby") == ("b999", 2)
+    assert len(order.forgotten()) == 997
+    assert order.forgotten() == []
+    for boot in ("b997", "b998", "b999"):
+        assert order.offer(("lobby", boot), 9, 9, 0.0)[0] == "held"
+    assert order.offer(("lobby", "new"), 1, 1, 0.0) == ("refused", []), "a gap is not forgotten"
+    assert order.offer(("hall", "b2"), 1, 1, 0.0)[0] == "ready"
+
+
+def test_what_is_held_is_counted_by_camera() -> None:
+    order = streams(held=2)
+    assert [order.offer(("lobby", f"b{n}"), 5, n, 0.0)[0] for n in range(3)] == ["held", "held", "dropped"]
+    assert order.offer(("hall", "b1"), 5, 5, 0.0)[0] == "held"
+    order.begins_at(("lobby", "b0"), 5, 0.0)
+    assert order.offer(("lobby", "b3"), 5, 5, 0.0)[0] == "held"

@@ -1,0 +1,31 @@
+"""A camera gone wild: `flood.py ENDPOINT CAMERA PER_SECOND SECONDS` puts that many good events; prints how many."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from camtopod.codec import to_pack
+from camtopod.config import BusSettings, Config
+from camtopod.records import Event
+from camtopod.serve.bus import dial
+
+_STEP_SECONDS = 0.01
+
+
+def flood(endpoint: str, camera: str, per_second: int, seconds: float) -> int:
+    """Returns how many were put."""
+    began = time.monotonic()
+    count = 0
+    with dial(Config(bus=BusSettings(connect=(endpoint,)))) as bus:
+        while (elapsed := time.monotonic() - began) < seconds:
+            for count in range(count + 1, int(elapsed * per_second) + 1):  # noqa: B020
+                event = Event(camera, "entry", time.time(), 0.5, 0.5, str(count), "wild", count)
+                bus.put_raw(f"event/{camera}", to_pack(event), "event")
+            time.sleep(_STEP_SECONDS)
+    return count
+
+
+if __name__ == "__main__":
+    where, which, rate, lasts = sys.argv[1:]
+    print(flood(where, which, int(rate), float(lasts)), flush=True)

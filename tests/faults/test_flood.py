@@ -1,0 +1,160 @@
+"""A camera that sends far too much hurts only itself."""
+
+from __future__ import annotations
+
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from serving import camtopod, wait_for
+from site_of import HERE, free_endpoint
+from sizes import size
+
+from camtopod.config import BusSettings, Config
+from camtopod.records import Event
+from camtopod.serve.bus import Bus, dial
+from camtopod.serve.inbox import Inbox, Message
+
+QUIET = [f"quiet{number}" for number in range(19)]
+PER_SECOND = 10_000
+MEGABYTE = 1024**2
+
+
+class Flooded:
+    """The real daemon, a camera that floods it, and quiet ones that just put, without a spool to fall back on."""
+
+    def __init__(self, directory: Path) -> None:
+        self.endpoint = free_endpoint()
+        config = directory / "camtopod.toml"
+        config.write_text(f'[bus]\nlisten = ["{self.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n')
+        self.daemon = camtopod("--config", str(config), "run", stderr=subprocess.PIPE)
+        self.said: list[bytes] = []
+        ready: queue.SimpleQueue[None] = queue.SimpleQueue()
+
+        def read() -> None:
+            for line in self.daemon.stderr or ():
+                self.said.append(line)
+                if b"ready at" in line:
+                    ready.put(None)
+
+        self._reader = threading.Thread(target=read, daemon=True)
+        self._reader.start()
+        ready.get(timeout=60)
+        self.bus: Bus = dial(Config(bus=BusSettings(connect=(self.endpoint,))))
+        self.sent = 0
+
+    def quiet(self, times: int = 1) -> None:
+        """Each quiet camera has an event."""
+        for _ in range(times):
+            self.sent += 1
+            for camera in QUIET:
+                event = Event(camera, "entry", time.time(), 0.5, 0.5, boot="calm", seq=self.sent)
+                self.bus.put(f"event/{camera}", event, "event")
+
+    def flood(self, seconds: float) -> subprocess.Popen[bytes]:
+        """Begin to."""
+        path = os.pathsep.join(str(folder) for folder in (HERE.parent.parent, HERE))
+        return subprocess.Popen(
+            [sys.executable, str(HERE / "flood.py"), self.endpoint, "wild", str(PER_SECOND), str(seconds)],
+            env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.PIPE,
+        )  # fmt: skip
+
+    def status(self) -> dict[str, Any]:
+        """The daemon's."""
+        answers = self.bus.ask("status/daemon", seconds=10.0)
+        assert answers, "the daemon does not answer"
+        status: dict[str, Any] = msgspec.msgpack.decode(answers[0][1])
+        return status
+
+    def stored(self, camera: str) -> int:
+        """Events of a camera."""
+        return int(self.status()["cameras"].get(camera, {}).get("events", 0))
+
+    def resident_bytes(self) -> int:
+        """Memory of the daemon."""
+        pages = int(Path(f"/proc/{self.daemon.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGESIZE")
+
+    def close(self) -> None:
+        """End it."""
+        self.bus.close()
+        self.daemon.kill()
+        self.daemon.wait()
+        self._reader.join()
+        assert self.daemon.stderr is not None
+        self.daemon.stderr.close()
+
+
+@pytest.fixture
+def flooded(tmp_path: Path) -> Iterator[Flooded]:
+    one = Flooded(tmp_path)
+    yield one
+    one.close()
+
+
+def flood(one: Flooded, seconds: float) -> str:
+    """Quiet cameras beside one that floods; they lose nothing."""
+    one.quiet()
+    wait_for(lambda: one.stored(QUIET[-1]) == 1, "the quiet cameras to be known")
+    wild = one.flood(seconds)
+    slowest, sizes, began = 0.0, [], time.monotonic()
+    while wild.poll() is None:
+        put = time.monotonic()
+        one.quiet()
+        wait_for(lambda: one.stored(QUIET[-1]) == one.sent, "a quiet camera's event to be stored")
+        slowest = max(slowest, time.monotonic() - put)
+        sizes.append((time.monotonic() - began, one.resident_bytes()))
+        time.sleep(0.1)
+    assert wild.stdout is not None
+    with wild.stdout:
+        put_by_wild = int(wild.stdout.read())
+    status = one.status()
+    assert [status["cameras"][camera]["events"] for camera in QUIET] == [one.sent] * len(QUIET)
+    assert set(status["dropped"]) <= {"wild", ""}
+    assert sum("rejected" in line.decode() for line in one.said) <= 5, "the log does not flood either"
+    settled = next(resident for at, resident in sizes if at >= seconds / 3)
+    kept = status["cameras"]["wild"]["events"]
+    return (
+        f"{put_by_wild} put in {seconds:.0f} s, {kept} learned, {status['events']['flood']} too many, "
+        f"dropped {status['dropped']}; {one.sent * len(QUIET)} of the quiet cameras stored, slowest {slowest:.2f} s; "
+        f"memory {settled / MEGABYTE:.0f} MB after a third, {sizes[-1][1] / MEGABYTE:.0f} MB at the end"
+    )
+
+
+def test_a_flood_hurts_only_its_camera(flooded: Flooded) -> None:
+    flood(flooded, 2.0)
+    assert flooded.status()["events"]["flood"] > 0
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(3600)
+def test_a_long_flood(flooded: Flooded) -> None:
+    print(flood(flooded, size("FLOOD_SECONDS", 120)))
+
+
+def quiet_events_lost(known: bool) -> int:
+    """How many of the quiet cameras' events do not get through an inbox that is emptied too slowly."""
+    inbox = Inbox(2_000, 500, 100, lambda camera: known)
+    got = 0
+    for number in range(100):
+        for n in range(1_000):
+            inbox.put(Message("wild", b"%d" % n))
+        for camera in QUIET:
+            inbox.put(Message(camera, b"%d" % number))
+        got += sum(message.camera in QUIET for message in inbox.take(300))
+    while messages := inbox.take(1_000):
+        got += sum(message.camera in QUIET for message in messages)
+    return 100 * len(QUIET) - got
+
+
+def test_each_camera_has_its_turn() -> None:
+    assert quiet_events_lost(known=True) == 0
+    assert quiet_events_lost(known=False) > 0, "the canary: in one queue for all a flood starves the others"

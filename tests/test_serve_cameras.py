@@ -1,0 +1,222 @@
+"""Clocks that are wrong, floods, and too many cameras: who is believed, who waits, who is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from serving import T0, small_config, wait_for
+
+from camtopod.config import Limits
+from camtopod.records import Event
+from camtopod.serve import bus as buses
+from camtopod.serve.bus import BusError
+from camtopod.serve.cameras import EARLY_SECONDS_MAX, FLOOD_SECONDS_KEPT, IDLE_SECONDS, Cameras, Received
+from camtopod.serve.clock import steady_beside, wall
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.inbox import Inbox, Message
+from camtopod.serve.journal import Entry, Journal
+from camtopod.serve.receiver import Receiver
+from camtopod.serve.rejects import SAMPLES_MAX, Rejects
+from camtopod.serve.rivals import Rivals
+
+
+def at(camera: str, t: float) -> Event:
+    return Event(camera, "entry", t)
+
+
+def received(event: Event) -> Received:
+    return Received(Entry("event", event.camera, None, None, b""), event)
+
+
+def admitted(*names: str, **limits: float) -> Cameras:
+    cameras = Cameras(Limits(**limits))  # type: ignore[arg-type]
+    for name in names:
+        assert cameras.admit(name, 0.0)
+    return cameras
+
+
+# --- clocks ---------------------------------------------------------------------------------------
+
+
+def test_an_event_that_is_early_waits_and_so_does_what_its_camera_sends_after_it() -> None:
+    cameras = admitted("a", "b")
+    early, behind, other = received(at("a", T0 + 50)), received(at("a", T0)), received(at("b", T0))
+    assert cameras.in_time([early, behind, other], T0, 100.0) == [other]
+    assert cameras.waiting == 2
+    assert cameras.in_time([], T0 + 48, 148.9) == []
+    assert cameras.in_time([received(at("b", T0 + 49))], T0 + 49, 149.0) == [early, behind, received(at("b", T0 + 49))]
+    assert cameras.waiting == 0
+    assert cameras.in_time([received(at("a", T0 + 51))], T0 + 50, 150.0) == [
+        received(at("a", T0 + 50 + EARLY_SECONDS_MAX))
+    ]
+
+
+def test_an_early_event_waits_by_the_clock_that_does_not_step() -> None:
+    cameras = admitted("a")
+    early = received(at("a", T0 + 30))
+    assert cameras.in_time([early], T0, 0.0) == []
+    assert cameras.in_time([], T0 - 86_400, 28.0) == []
+    assert cameras.in_time([], T0 - 86_400, 29.0) == [early], "although the clock was set back by a day"
+
+
+def test_no_more_wait_than_may() -> None:
+    cameras = admitted("a", held_events_max=2)
+    cameras.in_time([received(at("a", T0 + 30 + n)) for n in range(2)], T0, 0.0)
+    assert cameras.full("a")
+
+
+def test_one_wild_camera_is_the_wild_one_and_many_mean_that_this_clock_is_behind() -> None:
+    cameras = admitted("a", "b", "c", "d")
+    assert not any(cameras.is_future(at(camera, T0), T0, 0.0, True) for camera in "abc")
+    assert cameras.is_future(at("d", T0 + 3600), T0, 2.0, True)
+    assert cameras.clock_behind == 0.0
+    for now in (4.0, 6.0):  # this machine's clock is set back by an hour
+        future = [cameras.is_future(at(camera, T0), T0 - 3600, now, True) for camera in "abc"]
+    assert future == [False] * 3
+    assert cameras.clock_behind == 3600.0
+    assert cameras.is_future(at("d", T0 + 3600), T0 - 3600, 8.0, True)
+    for now in (10.0, 12.0):  # and is right again
+        assert not any(cameras.is_future(at(camera, T0), T0, now, True) for camera in "abc")
+    assert cameras.clock_behind == 0.0
+
+
+def test_two_cameras_are_too_few_to_doubt_the_clock() -> None:
+    cameras = admitted("a", "b")
+    for now in (0.0, 2.0):
+        assert all(cameras.is_future(at(camera, T0), T0 - 3600, now, True) for camera in "ab")
+    assert not cameras.is_future(at("a", T0), T0, 4.0, True), "not for ever"
+
+
+def test_old_events_from_spools_say_nothing_about_clocks() -> None:
+    cameras = admitted(*"abcd")
+    for now in (0.0, 2.0):
+        for camera in "abc":
+            cameras.is_future(at(camera, T0), T0 - 3600, now, True)
+        cameras.is_future(at("d", T0 - 7200), T0 - 3600, now, False)
+    assert cameras.clock_behind == 3600.0
+
+
+def test_whoever_makes_up_the_time_makes_it_up_for_all() -> None:
+    def made_up() -> float:
+        return 5.0
+
+    assert steady_beside(made_up) is made_up
+    before = steady_beside(wall)()
+    assert before <= steady_beside(wall)()
+
+
+class Nowhere:
+    """A bus nobody is on."""
+
+    def put(self, key: str, noun: Any, schema: str) -> None:
+        """Nobody hears it."""
+
+
+def test_setting_the_clock_forward_does_not_move_event_time(tmp_path: Path) -> None:
+    """Or every event after it would be late, for as long as the step was."""
+    steady, step = 0.0, 0.0
+    journal = Journal(tmp_path)
+    receiver = Receiver(
+        journal, Nowhere(), Limits(), lambda: T0 + steady + step,  # type: ignore[arg-type]
+        lambda batch: None, lambda: 1000, lambda version: None, steady=lambda: steady,
+    )  # fmt: skip
+    receiver.cameras.admit("a", 0.0)
+    receiver._note(at("a", T0), T0, 0.0)
+    receiver.on_deadline(T0 + 5.0)
+    step = 3600.0
+    assert receiver._time_went_on(steady) == []
+    steady = 14.9
+    assert receiver._time_went_on(steady) == []
+    steady = 15.0
+    [went_on] = receiver._time_went_on(steady)
+    assert went_on.advance == T0 + 5.0
+    journal.close()
+
+
+# --- floods ---------------------------------------------------------------------------------------
+
+
+def test_a_camera_has_so_many_events_a_second_and_no_more() -> None:
+    cameras = admitted("a", "b", camera_events_per_second_max=3)
+    assert [cameras.is_flood(at("a", T0 + 0.1 * n)) for n in range(5)] == [False] * 3 + [True] * 2
+    assert not cameras.is_flood(at("b", T0))
+    assert not cameras.is_flood(at("a", T0 + 1))
+    for second in range(FLOOD_SECONDS_KEPT + 10):
+        cameras.is_flood(at("a", T0 + second))
+    assert len(cameras._cameras["a"].seconds) == FLOOD_SECONDS_KEPT
+
+
+def test_too_many_cameras_are_refused_until_one_has_been_silent_for_long() -> None:
+    cameras = admitted("a", "b", cameras_max=2)
+    assert not cameras.admit("c", 10.0)
+    assert cameras.admit("a", 10.0)
+    cameras.is_future(at("a", T0), T0, IDLE_SECONDS, True)
+    assert not cameras.admit("c", IDLE_SECONDS - 1)
+    assert cameras.admit("c", IDLE_SECONDS)
+    assert ("a" in cameras, "b" in cameras, "c" in cameras) == (True, False, True)
+
+
+def test_the_longest_queue_gives_way() -> None:
+    inbox = Inbox(6, 4, 2, known=lambda camera: camera in "abcd")
+    for n in range(6):
+        inbox.put(Message("a", b"%d" % n))
+    assert (len(inbox), inbox.dropped) == (4, {"a": 2})
+    for camera in ("b", "b", "c", "d"):
+        inbox.put(Message(camera, b""))
+    assert len(inbox) == 6
+    assert inbox.dropped == {"a": 4}
+    assert [message.camera for message in inbox.take(4)] == ["a", "a", "b", "b"]
+    assert [message.camera for message in inbox.take(4)] == ["c", "d"]
+    assert inbox.take(4) == []
+
+
+def test_made_up_names_share_one_queue() -> None:
+    inbox = Inbox(100, 3, 2, known=lambda camera: False)
+    for n in range(10):
+        inbox.put(Message(f"name{n}", b""))
+    assert (len(inbox), inbox.dropped) == (3, {"": 7})
+    inbox.wait(60.0)
+
+
+def test_a_few_of_each_reason_are_kept() -> None:
+    rejects = Rejects()
+    for n in range(10):
+        rejects.add("odd", "event/a", "why", f"rtsp://user:word@host {n}")
+    assert rejects.counts == {"odd": 10}
+    [kept] = rejects.samples().values()
+    assert len(kept) == SAMPLES_MAX
+    assert "9" in kept[-1]
+    assert "word" not in "".join(kept)
+
+
+# --- another daemon -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def meeting_point(tmp_path: Path) -> Iterator[buses.Bus]:
+    with buses.meet(small_config(tmp_path)) as bus:
+        yield bus
+
+
+def test_a_daemon_does_not_start_beside_another(meeting_point: buses.Bus, tmp_path: Path) -> None:
+    config = small_config(tmp_path / "one", meeting_point.endpoint)
+    quick = msgspec.structs.replace(config.bus, connect_seconds=0.3)
+    with Daemon(config):
+        other = msgspec.structs.replace(small_config(tmp_path / "two"), bus=quick)
+        with pytest.raises(BusError, match=r"another daemon .* serves site site on this bus"):
+            Daemon(other).start()
+    with Daemon(other) as after:
+        assert after.status()["reason"] == ""
+
+
+def test_two_that_find_each_other_later_both_say_so(meeting_point: buses.Bus, tmp_path: Path) -> None:
+    with Daemon(small_config(tmp_path / "one", meeting_point.endpoint)) as daemon:
+        other = Rivals(meeting_point, "other")
+        other.appear()
+        wait_for(lambda: "another daemon (other)" in daemon.status()["reason"], "the first to see it")
+        wait_for(lambda: other.reason != "", "the second to see it")
+        assert daemon.status()["state"] == "degraded"
