@@ -27,6 +27,8 @@ from camtopod.serve import database, spool_format
 log = logging.getLogger(__name__)
 
 _DEFAULT = Limits()
+_DELETED_MAX = 5_000
+"""Events deleted at a time, for the log takes what a transaction changes; a spool that is full adds fewer."""
 _INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw, crc) VALUES (?, ?, ?, ?, ?)"
 
 Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
@@ -224,10 +226,11 @@ class Spool:
     def _make_room(self, held: int) -> tuple[int, int]:
         """Within a transaction; returns how many acknowledged and how many other events were deleted."""
         surplus = 0 if self._kept <= self._kept_max * 9 // 8 else self._kept - self._kept_max
-        forgotten = self._forget(surplus)
-        surplus = max(self._surplus(held - forgotten), 0)
+        forgotten = self._forget(min(surplus, _DELETED_MAX))
+        surplus = min(self._surplus(held - forgotten), _DELETED_MAX)
         forgotten += self._forget(min(surplus, self._kept - forgotten))
-        dropped = max(self._surplus(held - forgotten), 0) if surplus else 0
+        only_others = surplus > 0 and forgotten == self._kept
+        dropped = min(self._surplus(held - forgotten), _DELETED_MAX) if only_others else 0
         if dropped:
             self._db.execute("DELETE FROM event WHERE id IN (SELECT id FROM event ORDER BY id LIMIT ?)", (dropped,))
             spool_format.set_row(self._db, "meta", "dropped", str(self.dropped + dropped))
@@ -256,7 +259,7 @@ class Spool:
         )
         used = (pages - free) * size
         too_large = -(-held * (used - self._bytes_max) // used) if used > self._bytes_max else 0
-        return min(held, max(held - self._events_max, too_large))
+        return min(held, max(held - self._events_max, too_large, 0))
 
     def _choose(self, camera: str, boot: str | None, from_seq: int) -> tuple[str, int]:
         """Which boot to answer from, and from which seq on."""
