@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -17,6 +18,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.serve import recovery
+from camtopod.serve.database import StateError
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.learning import Learning
 from camtopod.serve.receiver import Received, Version
@@ -31,6 +33,12 @@ class Installation:
 
     def __init__(self, directory: Path, settings: Settings = SETTINGS, snapshot_events: int = 10**9) -> None:
         self.journal = Journal(directory)
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.journal.close)
+            self._begin(settings, snapshot_events)
+            undo.pop_all()
+
+    def _begin(self, settings: Settings, snapshot_events: int) -> None:
         self.published: list[tuple[str, int, str]] = []
         self._snapshot: list[Snapshot] = []
         self._versions: list[Version] = []
@@ -92,12 +100,12 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
     def again(**given: Any) -> Installation:
         if running:
-            running.pop().close()
+            running[-1].close()
         running.append(Installation(tmp_path, **given))
         return running[-1]
 
     yield again
-    running.pop().close()
+    running[-1].close()
 
 
 def uninterrupted() -> list[tuple[str, int, str]]:
@@ -205,6 +213,20 @@ def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
     again.learn(EVENTS[160:])
     assert {epoch for epoch, _, _ in again.published} == {"F"}
     assert len(again.journal) == len(EVENTS)
+
+
+def test_what_a_newer_program_has_learned_is_not_thrown_away(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = start(snapshot_events=50)
+    one.learn(EVENTS[:100])
+    one.learn(EVENTS[100:150])
+    with monkeypatch.context() as newer:
+        newer.setattr("camtopod.learn.snapshot.FORMAT", 2)
+        one.learn(EVENTS[150:220])
+    with pytest.raises(StateError, match="a newer camtopod has saved what was learned"):
+        start()
+    with monkeypatch.context() as newer:
+        newer.setattr("camtopod.learn.snapshot.FORMAT", 2)
+        assert start().started_at == 220
 
 
 def test_a_journal_of_nothing_is_a_first_start(start: Start) -> None:

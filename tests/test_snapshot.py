@@ -10,7 +10,7 @@ import pytest
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import LearnerState, SnapshotError, pack, unpack
+from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import Event
 from camtopod.sim.network import SimSettings, simulate
 
@@ -136,7 +136,7 @@ def test_a_newer_snapshot_is_refused_by_its_number(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("camtopod.learn.snapshot.FORMAT", 2)
     blob = pack(Learner(SETTINGS, "s", "e").save())
     monkeypatch.undo()
-    with pytest.raises(SnapshotError, match="format 2, this program 1"):
+    with pytest.raises(NewerSnapshot, match="format is 2, this program's 1"):
         unpack(blob)
 
 

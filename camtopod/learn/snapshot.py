@@ -36,6 +36,10 @@ class SnapshotError(ValueError):
     """The bytes are no snapshot that this program can read; ``str()`` says why."""
 
 
+class NewerSnapshot(SnapshotError):
+    """A newer program wrote it."""
+
+
 class CameraState(Struct):
     """What is known of the places of one camera, see `Learner`."""
 
@@ -85,7 +89,8 @@ def unpack(blob: bytes) -> LearnerState:
             raise SnapshotError("the snapshot is cut short or too large")
         outer = msgspec.msgpack.decode(plain, type=_Snapshot)
         if outer.format != FORMAT:
-            raise SnapshotError(f"the snapshot has format {outer.format}, this program {FORMAT}")
+            newer = outer.format > FORMAT
+            raise (NewerSnapshot if newer else SnapshotError)(f"its format is {outer.format}, this program's {FORMAT}")
         state: LearnerState = _decoder.decode(outer.state)
     except (zlib.error, msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise error if isinstance(error, SnapshotError) else SnapshotError(str(error)) from None

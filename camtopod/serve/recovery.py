@@ -15,8 +15,9 @@ import msgspec
 from camtopod import codec
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import LearnerState, SnapshotError, unpack
+from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, unpack
 from camtopod.records import Event, Topology
+from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
 from camtopod.serve.receiver import decode
 
@@ -44,7 +45,7 @@ class Recovered(NamedTuple):
 
 
 def recover(journal: Journal, settings: Settings, site: str, new_epoch: Callable[[], str]) -> Recovered:
-    """The learner to go on with. ``new_epoch`` begins one and stores its name."""
+    """The learner to go on with. ``new_epoch`` begins one and stores its name. Raises `StateError`."""
     epoch = journal.meta("epoch")
     if epoch is None:
         epoch = new_epoch()
@@ -108,6 +109,8 @@ def _newest_state(journal: Journal) -> tuple[int, LearnerState] | None:
     for snapshot in journal.snapshots():
         try:
             return snapshot.position, unpack(snapshot.state)
+        except NewerSnapshot as error:
+            raise StateError(f"a newer camtopod has saved what was learned ({error}): use that one") from None
         except SnapshotError as error:
             log.error("the snapshot at entry %d cannot be used: %s", snapshot.position, error)
     return None
