@@ -8,6 +8,7 @@ import itertools
 import logging
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -118,6 +119,10 @@ def box(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Box]:
     yield one
     if one._thread is not None:
         one.stop()
+
+
+def with_path() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
 
 
 def there(pid: int) -> bool:
@@ -380,6 +385,38 @@ def test_many_signals_at_once_are_no_harm() -> None:
         assert told.reload.wait(WAIT_SECONDS)
         os.kill(os.getpid(), signal.SIGINT)
         assert told.stop.wait(WAIT_SECONDS)
+
+
+LEAVES = """
+import sys, threading
+from camtopod.cli.common import leaving, signals
+with signals() as told, leaving(told.stop, float(sys.argv[1])):
+    print("ready", flush=True)
+    lock = threading.Lock(); lock.acquire(); lock.acquire()
+"""
+
+
+def test_what_blocks_cannot_hold_up_the_end() -> None:
+    process = subprocess.Popen([sys.executable, "-c", LEAVES, "0.3"], stdout=subprocess.PIPE, env=with_path())
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"ready\n"
+    process.send_signal(signal.SIGHUP)
+    process.terminate()
+    assert process.wait(WAIT_SECONDS) == 0
+    process.stdout.close()
+
+
+def test_without_that_it_would() -> None:
+    """The canary."""
+    process = subprocess.Popen([sys.executable, "-c", LEAVES, "1000"], stdout=subprocess.PIPE, env=with_path())
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"ready\n"
+    process.terminate()
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(1.0)
+    process.kill()
+    process.wait()
+    process.stdout.close()
 
 
 def test_whoever_has_lost_its_parent_is_told_to_stop() -> None:

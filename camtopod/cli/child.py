@@ -165,7 +165,7 @@ class Child:
     def _allowed(self) -> float:
         if self._spoke:
             return self._health.hung_seconds
-        return self._health.start_seconds * min(2**self._slow_starts, START_FACTOR_MAX)
+        return self._health.start_seconds * min(1 << self._slow_starts, START_FACTOR_MAX)
 
     def _start(self, now: float, command: Command, config_fd: int) -> None:
         self._ear = ear = Ear()

@@ -64,10 +64,11 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Grab until the file ends or a signal comes."""
     start_logging(args)
+    faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
     with signals() as told:
         if args.camera is None:
             return _all(args, told)
-        faulthandler.register(signal.SIGUSR1, file=2, all_threads=True)  # to tell where it hangs before it is killed
+        faulthandler.register(signal.SIGUSR1, file=2)  # to tell where it hangs before it is killed
         with leaving(told.stop, LEAVE_SECONDS, args.with_parent):
             return _one(args, told)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import logging
 from typing import Any
 
@@ -37,6 +38,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM or SIGINT."""
     start_logging(args)
+    faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
     with signals() as told, leaving(told.stop, LEAVE_SECONDS):
         config = configuration(args)
         daemon = Daemon(config)

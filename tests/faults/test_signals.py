@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from serving import T0, WAIT_SECONDS, numbered, small_config, walkers
+from serving import T0, WAIT_SECONDS, numbered, small_config, wait_for, walkers
 from sizes import size
 
 from camtopod.records import Event
@@ -174,6 +174,14 @@ def test_the_daemon_at_a_few_moments(under: Under) -> None:
 def test_grabbers_at_a_few_moments(under: Under) -> None:
     moments(under, "grab", 2, random.Random(2))
     assert not left_behind(under)
+
+
+def test_grabbers_end_with_the_one_above_them(under: Under) -> None:
+    box = under.start("grab")
+    wait_for(lambda: len(left_behind(under)) == 3, "a process for each camera")
+    box.kill()
+    box.wait()
+    wait_for(lambda: not left_behind(under), "their end")
 
 
 @pytest.mark.campaign
