@@ -25,8 +25,8 @@ log = logging.getLogger(__name__)
 
 FAILURES_MAX = 2
 """When the learner has failed so often at one and the same entry it begins anew behind it."""
-RECENT_EVENTS = 4_000
-"""The newest events of before the start, which predictions remember."""
+RECENT_EVENTS, RECENT_SECONDS = 4_000, 600.0
+"""At most so many events of the last minutes before the start, which predictions remember."""
 
 
 class Failure(msgspec.Struct):
@@ -89,7 +89,9 @@ def newest_topology(journal: Journal, learner: Learner) -> Topology | None:
 def recent_events(journal: Journal) -> list[Event]:
     """The newest events of the journal, for predictions to remember."""
     entries = journal.entries(after=max(0, len(journal) - RECENT_EVENTS))
-    return [decode(entry.raw) for _, entry in entries if entry is not None and entry.kind == "event"]
+    events = [decode(entry.raw) for _, entry in entries if entry is not None and entry.kind == "event"]
+    newest = max((event.t for event in events), default=0.0)
+    return [event for event in events if event.t > newest - RECENT_SECONDS]
 
 
 def read_failure(journal: Journal) -> Failure | None:
