@@ -99,12 +99,15 @@ class Keys:
             str(self.folder / "authority" / "ca.pem"), str(folder / "certificate.pem"), str(folder / "private.key")
         )
 
-    def bus(self, own: str, endpoint: str = "", listen: str = "") -> BusSettings:
+    def bus(self, own: str, endpoint: str = "", listen: str = "", patience: float = 3.0) -> BusSettings:
         folder = self.folder / own
         files = [str(folder / name) for name in ("ca.pem", "certificate.pem", "private.key")]
         tls = TlsSettings(*files, access=str(self.folder / "daemon" / "access.json"))
         return BusSettings(
-            connect=(endpoint,) if endpoint else (), listen=(listen,) if listen else (), tls=tls, connect_seconds=2.0
+            connect=(endpoint,) if endpoint else (),
+            listen=(listen,) if listen else (),
+            tls=tls,
+            connect_seconds=patience,
         )
 
     def allow(self, path: Path, everything: str = "") -> Path:
@@ -193,7 +196,7 @@ def puppet(cleanup: contextlib.ExitStack) -> Puppet:
 
 def client(endpoint: str, mode: str = "client") -> dict[str, Any]:
     return rules.quiet(mode) | {
-        "connect/endpoints": [endpoint], "listen/endpoints": [], "connect/timeout_ms": 800,
+        "connect/endpoints": [endpoint], "listen/endpoints": [], "connect/timeout_ms": 500,
         "connect/exit_on_failure": True,
     }  # fmt: skip
 
@@ -256,6 +259,59 @@ def test_a_stolen_box_can_publish_its_own_events_and_nothing_else(
     assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
     effects = attack(thief, observer)
     assert effects == OWN | {f"thief heard put {HQ}/ack/cam1"}
+
+
+def test_a_stolen_box_that_poses_as_a_router_gains_and_breaks_nothing(
+    keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack
+) -> None:
+    thief, observer, other = puppet(cleanup), puppet(cleanup), puppet(cleanup)
+    assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
+    observer.do("subscribe", key=f"{HQ}/**")
+    observer.do("watch", key=f"{HQ}/alive/grabber/*")
+    assert thief.open(**client(guarded.endpoint, "router"), **keys.tls("camera/cam1"))
+    for what, key in STOLEN:
+        thief.do(what, key=key)
+    for key in ("topology", "spool/cam2", "**"):
+        thief.do("answer", key=f"{HQ}/{key}", payload="from the thief")
+    for key in ("event/*", "prediction/*", "**"):
+        thief.do("subscribe", key=f"{HQ}/{key}")
+    for camera in ("cam2", "cam1"):
+        thief.do("appear", key=f"{HQ}/alive/grabber/{camera}")
+    observer.hears(f"put {HQ}/alive/grabber/cam1")
+    assert other.open(**client(guarded.endpoint), **keys.tls("camera/cam2"))
+    other.do("answer", key=f"{HQ}/spool/cam2", payload="the real one")
+    other.do("put", key=f"{HQ}/event/cam2")
+    observer.hears(f"put {HQ}/event/cam2")
+    heard = [line for line in observer.do("heard") if "daemon" not in line]
+    assert sorted(heard) == [f"put {HQ}/alive/grabber/cam1", f"put {HQ}/event/cam2"]
+    wait_for(lambda: observer.do("ask", key=f"{HQ}/spool/cam2") == ["the real one"], "the other camera's spool")
+    assert observer.do("ask", key=f"{HQ}/topology") == ["nothing has been learned yet"]
+    observer.do("put", key=f"{HQ}/prediction/cam2")
+    assert thief.do("ask", key=f"{HQ}/status/daemon") == []
+    assert thief.do("heard") == []
+
+
+def test_the_file_for_a_router_of_its_own_enforces_the_same(keys: Keys, cleanup: contextlib.ExitStack) -> None:
+    with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
+        endpoint = bus.endpoint.replace("tcp/", "tls/")  # free again in a moment
+    folder = keys.folder / "daemon"
+    access = rules.read_access((folder / "access.json").read_bytes())
+    (folder / "router.json5").write_text(rules.router_json5(access, [endpoint], 1 << 24, 1000))
+    start = "import sys, zenoh; s = zenoh.open(zenoh.Config.from_file('router.json5')); print(1, flush=True); "
+    router = subprocess.Popen(
+        [sys.executable, "-c", start + "sys.stdin.read(); s.close()"],
+        cwd=folder,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    cleanup.callback(router.communicate, timeout=WAIT_SECONDS)
+    assert router.stdout is not None
+    assert router.stdout.readline() == b"1\n"
+    thief, observer = puppet(cleanup), puppet(cleanup)
+    assert thief.open(**client(endpoint), **keys.tls("camera/cam1"))
+    assert observer.open(**client(endpoint), **keys.tls("daemon"))
+    assert attack(thief, observer) == OWN | {f"thief heard put {HQ}/ack/cam1"}
+    assert not puppet(cleanup).open(**client(endpoint), **keys.tls("other/camera/cam1"))
 
 
 def test_the_same_box_allowed_everything_does_all_of_it(
@@ -348,7 +404,9 @@ def test_a_stolen_box_cannot_pass_for_the_daemon(keys: Keys, cleanup: contextlib
         listening = Config(bus=keys.bus(own, listen="tls/127.0.0.1:0"))
         listening = msgspec.structs.replace(listening, site=msgspec.structs.replace(listening.site, name="hq"))
         with meet(listening) as false_daemon:
-            config = msgspec.structs.replace(listening, bus=keys.bus("camera/cam1", false_daemon.endpoint))
+            config = msgspec.structs.replace(
+                listening, bus=keys.bus("camera/cam1", false_daemon.endpoint, patience=0.5)
+            )
             if accepted:
                 dial(config).close()
             else:
