@@ -13,11 +13,12 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from cryptography.x509.verification import PolicyBuilder, Store, VerificationError
 
-from camtopod import redact, secret_files
+from camtopod import codec, redact, secret_files
 from camtopod.cli import exits, main
-from camtopod.config import ConfigError, load, parse
+from camtopod.config import ConfigError, Limits, load, parse
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority, KeysError
+from camtopod.records import Event
 from camtopod.serve import guard
 
 NOW = 1_800_000_000.0
@@ -239,6 +240,16 @@ def test_the_router_s_file_has_the_same_rules(authority: Authority) -> None:
     assert router["transport"]["link"]["protocols"] == ["tls"]
     assert router["transport"]["link"]["rx"]["max_message_size"] == 1 << 24
     assert router["scouting"]["multicast"]["enabled"] is False
+
+
+def test_the_largest_valid_event_fits_everywhere() -> None:
+    wide = "\N{CAMERA}"  # four bytes
+    event = Event("c" * 64, "entry", -1.1e10, 0.1, 0.2, wide * 128, wide * 64, 2**63 - 1, 0.3)
+    size = len(codec.to_pack(event))
+    assert codec.event_from_pack(codec.to_pack(event)) == event
+    assert size + 64 < rules.SPOOLED_BYTES_MAX, "with what a spool's answer adds"
+    assert codec.EVENT_BYTES_MAX < rules.EVENT_BYTES_MAX, "so that there is something to count"
+    assert rules.spool_bytes_max(Limits().pull_events_max) < 2 * 1024 * 1024
 
 
 def test_what_expires_is_known_in_advance(authority: Authority) -> None:

@@ -19,7 +19,7 @@ SOON_SECONDS = 60 * 86400.0
 """A certificate that expires within this time is warned of."""
 EVENT_BYTES_MAX = 16 * 1024
 """A larger event is dropped by the bus; one that is too long for an event, but not for this, is counted."""
-STATUS_BYTES_MAX = 256 * 1024
+STATUS_BYTES_MAX = 1024 * 1024
 QUERY_BYTES_MAX = 4 * 1024
 """What a question may carry beside its parameters."""
 SPOOLED_BYTES_MAX = 1536

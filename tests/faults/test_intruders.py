@@ -444,6 +444,18 @@ def test_what_is_too_large_neither_arrives_nor_takes_memory(
     wait_for(lambda: status(observer)["rejects"].get("too-long") == 1, "what the bus lets pass to be counted")
 
 
+def test_no_message_of_any_kind_may_be_that_large(unguarded: RealDaemon, cleanup: contextlib.ExitStack) -> None:
+    """The filter knows the sizes of events; this is the limit of what the daemon puts together from pieces."""
+    flooder, observer = puppet(cleanup), puppet(cleanup)
+    assert observer.open(**client(unguarded.endpoint))
+    assert flooder.open(**client(unguarded.endpoint))
+    observer.do("subscribe", key=f"{HQ}/any/*")
+    flooder.do("put", key=f"{HQ}/any/large", repeat=BIG_BYTES)
+    flooder.do("put", key=f"{HQ}/any/fits", repeat=BIG_BYTES // 2)
+    observer.hears(f"put {HQ}/any/fits")
+    assert observer.do("heard") == [f"put {HQ}/any/fits"]
+
+
 def test_without_limits_the_same_arrives(cleanup: contextlib.ExitStack) -> None:
     with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
         endpoint = bus.endpoint  # free again in a moment
