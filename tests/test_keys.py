@@ -244,7 +244,7 @@ def test_the_router_s_file_has_the_same_rules(authority: Authority) -> None:
 
 def test_the_largest_valid_event_fits_everywhere() -> None:
     wide = "\N{CAMERA}"  # four bytes
-    event = Event("c" * 64, "entry", -1.1e10, 0.1, 0.2, wide * 128, wide * 64, 2**63 - 1, 0.3)
+    event = Event("c" * 64, "entry", 1.7e9 + 0.123456, 0.1, 0.2, wide * 128, wide * 64, 2**63 - 1, 0.3)
     size = len(codec.to_pack(event))
     assert codec.event_from_pack(codec.to_pack(event)) == event
     assert size + 64 < rules.SPOOLED_BYTES_MAX, "with what a spool's answer adds"
