@@ -311,3 +311,9 @@ def test_a_read_only_file_is_not_taken_for_a_damaged_one(tmp_path: Path) -> None
     assert not database.is_damage(error, tmp_path / "missing" / "one.db")
     error.sqlite_errorcode = sqlite3.SQLITE_FULL
     assert not database.is_damage(error, tmp_path / "one.db")
+
+
+def test_text_that_is_no_text_any_more_damages_its_row_alone(spool: Spool) -> None:
+    spool.append([event(1, "hall"), event(2), event(3)])
+    spool._db.execute("UPDATE event SET boot = CAST(x'62c3286f' AS TEXT) WHERE seq = 1 AND camera = 'lobby'")
+    assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [2]

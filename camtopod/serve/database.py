@@ -91,6 +91,7 @@ def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], Non
         _make_private(path)
         written = wal.read(path)
         database = sqlite3.connect(path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False)
+        database.text_factory = _text
         with contextlib.ExitStack() as undo:
             undo.callback(database.close)
             database.execute("PRAGMA synchronous=EXTRA")
@@ -205,6 +206,11 @@ def _sync_directory(directory: Path) -> None:
         os.close(fd)
 
 
+def _text(raw: bytes) -> str:
+    """A flipped bit can make any text no UTF-8: that row then has a wrong CRC, and its neighbours can be read."""
+    return raw.decode("utf-8", "replace")
+
+
 def _make_private(path: Path) -> None:
     """SQLite gives the log and the shared memory the mode of the file."""
     os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
@@ -271,6 +277,7 @@ def readable(path: Path, table: str, key: str) -> Iterator[tuple[int | float | s
     """
     try:
         with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            database.text_factory = _text
             for order in ("ASC", "DESC"):
                 try:
                     yield from database.execute(f"SELECT * FROM {table} NOT INDEXED ORDER BY {key} {order}")
