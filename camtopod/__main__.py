@@ -1,8 +1,6 @@
 """`python -m camtopod` is the console script."""
 
-import sys
-
-from camtopod.cli.main import main
+from camtopod.cli.main import console
 
 if __name__ == "__main__":
-    sys.exit(main())
+    console()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,6 +14,7 @@ import pytest
 import serving
 from serving import T0, small_config, wait_for
 
+from camtopod.cli.heartbeat import Ear
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
 from camtopod.records import Event
@@ -29,12 +31,12 @@ class FakeGrabber:
 
     made: ClassVar[list[FakeGrabber]] = []
     error: ClassVar[OSError | None] = None
+    overdue_seconds: ClassVar[float] = 0.0
     between: ClassVar[Callable[[], None]] = staticmethod(lambda: None)
 
     def __init__(self, camera: str, source: str, **options: Any) -> None:
         self.camera, self.source, self.options = camera, source, options
         self.state, self.reason, self.closed = "connecting", "rtsp://admin:p@ss@h is slow", False
-        self.overdue_seconds = 0.0
         FakeGrabber.made.append(self)
 
     def events(self) -> Iterator[Event | None]:
@@ -151,6 +153,29 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
         assert main(arguments) == 0
         assert daemon.status()["events"]["stored"] == 2 * len(EVENTS), "the spool's count goes on"
         client.close()
+
+
+@pytest.mark.parametrize(("overdue", "states"), [(0.0, ["running", "ended"]), (1.0, ["connecting", "ended"])])
+def test_it_tells_the_one_above_that_it_gets_on(
+    overdue: float, states: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unless a call of OpenCV does not come back, though the loop goes on."""
+    ear = Ear()
+    heard: list[str] = []
+    monkeypatch.setattr(FakeGrabber, "overdue_seconds", overdue)
+
+    def between() -> None:
+        said = ear.listen()
+        heard.extend([] if said is None else [said.state])
+
+    monkeypatch.setattr(FakeGrabber, "between", staticmethod(between))
+    with Daemon(small_config(tmp_path / "daemon")) as daemon:
+        arguments = ["--connect", daemon.endpoint, "grab", "--camera", "lobby", "x.mp4", "--state", str(tmp_path)]
+        assert main([*arguments, "--beat-fd", str(ear.child_fd), "--restarts", "2", "--last-end", "failed"]) == 0
+    between()
+    assert heard == states
+    os.close(ear.child_fd)
+    ear.close()
 
 
 def test_without_a_daemon_events_wait_in_the_spool(

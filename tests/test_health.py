@@ -62,7 +62,7 @@ def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None
 
 
 def strict(directory: Path, **health_settings: float) -> Config:
-    given = {"stall_seconds": 0.6, "learn_seconds": 0.6, **health_settings}
+    given = {"stall_seconds": 0.4, "learn_seconds": 0.4, **health_settings}
     return msgspec.structs.replace(small_config(directory), health=HealthSettings(**given))  # type: ignore[arg-type]
 
 
@@ -94,7 +94,7 @@ def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable
 
 
 def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
-    time.sleep(1.0)  # longer than any loop is allowed
+    time.sleep(0.7)  # longer than any loop is allowed
     assert (daemon.failing(), daemon.unready()) == ([], [])
     let_go = stuck_in(daemon._learning, "_learn", monkeypatch)
     put(daemon, Event("lobby", "entry", T0))
@@ -155,7 +155,7 @@ def test_a_full_disk_is_not_ready_but_starting_again_would_not_help(
     put(daemon, Event("lobby", "entry", T0))
     wait_for(lambda: daemon.unready() != [], "not ready")
     assert "disk is full" in daemon.unready()[0]
-    time.sleep(1.0)  # longer than any loop is allowed
+    time.sleep(0.7)  # longer than any loop is allowed
     assert daemon.failing() == []
     full = False
     wait_for(lambda: daemon.unready() == [], "ready again")
@@ -370,13 +370,13 @@ def test_a_daemon_whose_learner_hangs_does_not_feed_the_watchdog(
     daemon: Daemon, systemd_socket: Systemd, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with systemd.watchdog(daemon.failing, lambda: not daemon.started):
-        assert systemd_socket.hear(0.5).count("WATCHDOG=1") >= 5
+        assert systemd_socket.hear(0.4).count("WATCHDOG=1") >= 3
         assert not any(line.startswith("EXTEND") for line in systemd_socket.told)
         let_go = stuck_in(daemon._learning, "_learn", monkeypatch)
         put(daemon, Event("lobby", "entry", T0))
         wait_for(lambda: daemon.failing() != [], "it to be noticed")
-        systemd_socket.hear(0.3)
-        assert "WATCHDOG=1" not in systemd_socket.hear(1.0)
+        systemd_socket.hear(0.2)
+        assert "WATCHDOG=1" not in systemd_socket.hear(0.5)
         assert any(line.startswith("STATUS=learn has not got on") for line in systemd_socket.told)
         with caplog.at_level(logging.INFO):
             let_go()
@@ -387,8 +387,8 @@ def test_a_daemon_whose_learner_hangs_does_not_feed_the_watchdog(
 def test_a_start_that_gets_on_may_take_its_time(systemd_socket: Systemd) -> None:
     with systemd.watchdog(list, lambda: True):
         systemd_socket.wait_for("EXTEND_TIMEOUT_USEC=30000000")
-    assert systemd_socket.hear(0.3) is not None
-    assert systemd_socket.hear(0.3) == [], "nothing after the end"
+    systemd_socket.hear(0.1)
+    assert systemd_socket.hear(0.2) == [], "nothing after the end"
 
 
 # --- the real program -----------------------------------------------------------------------------
@@ -481,7 +481,7 @@ def test_a_grabber_under_systemd_and_one_that_is_stopped(program: Program) -> No
         wait_for(lambda: "start it again" in program.log, "what it says to SIGHUP")
         program.signal(signal.SIGSTOP)
         program.systemd.hear(0.2)
-        assert program.systemd.hear(1.0) == []
+        assert program.systemd.hear(0.5) == []
         program.signal(signal.SIGCONT)
         program.systemd.told.clear()
         program.systemd.wait_for("WATCHDOG=1")

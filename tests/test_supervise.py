@@ -425,4 +425,27 @@ def test_whoever_has_lost_its_parent_is_told_to_stop() -> None:
         assert stop.wait(WAIT_SECONDS)
     other = threading.Event()
     with leaving(other, 10.0, parent=os.getppid()):
-        assert not other.wait(1.2)
+        assert not other.wait(0.7)
+
+
+ENDS = """
+import sys, threading
+from camtopod.cli import main
+threading.Thread(target=threading.Event().wait).start()
+print("data")
+sys.argv = ["camtopod", *sys.argv[1:]]
+main.console()
+"""
+
+
+@pytest.mark.parametrize(("arguments", "status"), [(["--version"], 0), (["nonsense"], 2), (["check", "/nowhere"], 66)])
+def test_the_end_waits_for_no_thread(arguments: list[str], status: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", ENDS, *arguments],
+        env=with_path(),
+        capture_output=True,
+        timeout=WAIT_SECONDS,
+        check=False,
+    )
+    assert done.returncode == status
+    assert done.stdout.startswith(b"data\n")

@@ -132,7 +132,7 @@ def signals(reloads: bool = True) -> Iterator[Told]:
         while came := os.read(heard, 1):
             if came[0] == signal.SIGHUP and not (at_a_terminal and not os.isatty(0)):
                 told.reload.set()
-            else:
+            elif came[0] in numbers:  # others have handlers of their own
                 told.stop.set()
 
     with contextlib.ExitStack() as stack:

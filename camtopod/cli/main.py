@@ -11,14 +11,16 @@ has what several commands share.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import json
+import logging
 import os
 import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from camtopod import __version__
 from camtopod.cli import exits
@@ -73,6 +75,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _fail(*_os_error(error), form)
     return int(status)
+
+
+def console() -> NoReturn:
+    """The process: `main`, and then its end, at once.
+
+    The interpreter's own end waits for threads, and aborts the process (status -6, "exception not rethrown") when one
+    of zenoh's or OpenCV's comes back to it meanwhile. Whatever matters is closed by then, or safe on disk.
+    """
+    try:
+        status = main()
+    except SystemExit as error:  # argparse: --help, --version, usage
+        status = error.code if isinstance(error.code, int) else exits.FAILED
+    logging.shutdown()
+    with contextlib.suppress(OSError):  # nobody is there to read it
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(status)
 
 
 def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:

@@ -28,7 +28,7 @@ from camtopod.vision.complaints import Complaints, listening, reason_in
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings
 
-FILM_SECONDS = 18.0
+FILM_SECONDS = 14.0
 SPEED = 3.0
 QUICK = "[vision]\nopen_timeout_seconds = 0.7\nread_timeout_seconds = 0.7\nbackoff_min_seconds = 0.2\n"
 SETTINGS = VisionSettings(
@@ -131,7 +131,7 @@ def test_every_bad_camera_is_named_and_the_good_one_is_on_time(
     film: Path, hosts: dict[str, Host], tmp_path: Path
 ) -> None:
     expected = [e for e in Grabber("good", str(film), wall_clock=time.time).events() if e is not None]
-    assert len(expected) >= 6
+    assert len(expected) >= 4
     os.mkfifo(tmp_path / "fifo")  # opening it blocks for ever
     with socket.socket() as reserved:
         reserved.bind(("127.0.0.1", 0))  # bound, not listening: refuses
@@ -167,7 +167,7 @@ def _watched(daemon: Daemon, sources: dict[str, str], expected_events: int, dire
     config.write_text(
         f'[bus]\nconnect = ["{daemon.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n{QUICK}'
         "[limits]\nstatus_seconds = 0.2\n"
-        "[health]\nhung_seconds = 4\nrestart_seconds_min = 0.5\nrestart_seconds_max = 4\n"
+        "[health]\nhung_seconds = 3\nrestart_seconds_min = 0.5\nrestart_seconds_max = 4\n"
         + "".join(f'[cameras.{name}]\nsource = "{source}"\n' for name, source in sources.items())
     )
     config.chmod(0o600)
@@ -193,8 +193,8 @@ def _watched(daemon: Daemon, sources: dict[str, str], expected_events: int, dire
         assert gaps["good"] < 1.5, "it was held up"
         assert said["good"]["restarts"] == 0
         wait_for(lambda: daemon.status()["events"]["stored"] == expected_events, "all of its events")
-        wait_for(lambda: told("frozen", "hung for 4 s while connecting"), "frozen")
-        wait_for(lambda: told("blocked", "restarted once, last: hung for 4 s while connecting"), "blocked")
+        wait_for(lambda: told("frozen", "hung for 3 s while connecting"), "frozen")
+        wait_for(lambda: told("blocked", "restarted once, last: hung for 3 s while connecting"), "blocked")
         wait_for(lambda: said["frozen"]["state"] == "connecting" and said["frozen"]["restarts"] == 1, "its return")
         assert "p@ss" not in str(reasons) + (directory / "log").read_text()
 
@@ -221,6 +221,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.campaign
 def test_no_beat_while_opencv_does_not_come_back(tmp_path: Path) -> None:
     """The loop goes on, its capture does not: only ending the process helps, so it must not look alive."""
     config = tmp_path / "c.toml"
@@ -278,6 +279,7 @@ def test_a_call_of_opencv_that_takes_too_long_is_seen(monkeypatch: pytest.Monkey
     grabber.close()
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(missing() is not None, reason=f"needs an RTSP server: {missing()}")
 def test_a_stream_that_flaps_is_tried_with_patience_and_comes_back(film: Path, tmp_path: Path) -> None:
     transcode(film, tmp_path / "film.mp4", FPS)
