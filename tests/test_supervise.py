@@ -325,6 +325,25 @@ def test_a_start_that_takes_too_long_gets_more_time_the_next_time() -> None:
     assert allowed == [pytest.approx(10 * 2**n, abs=1.5) for n in range(3)]
 
 
+def test_silence_counts_only_while_somebody_listens() -> None:
+    """After a pause of the whole machine not every camera is killed."""
+    child = Child("lobby", CameraSettings("rtsp://h/x"), HealthSettings(start_seconds=10.0))
+    fd = os.open(os.devnull, os.O_RDONLY)
+    sleeping = [sys.executable, "-c", "import time; time.sleep(1000)"]
+    hung = []
+    for now in (100.0, 101.0, *(5000.0 + second for second in range(15))):
+        if not child._hung:
+            child.look_after(now, lambda *_: sleeping, fd)
+            hung.append(now)
+    process = child.process
+    assert process is not None
+    process.kill()
+    process.wait()
+    child.look_after(6000.0, lambda *_: sleeping, fd)
+    os.close(fd)
+    assert hung[-1] == 5011.0, "eleven seconds after somebody listened again"
+
+
 def test_heartbeats() -> None:
     ear = Ear()
     heart = Heart(ear.child_fd)

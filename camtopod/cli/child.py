@@ -30,6 +30,8 @@ STOP_SECONDS = 4.5
 START_FACTOR_MAX = 16
 """A process that took too long to be there gets twice the time when it is started again, up to this: many that start
 at once on a small machine would otherwise be killed for ever."""
+LOOK_SECONDS_MAX = 2.0
+"""A longer time between two looks says nothing about the process looked after."""
 _HOPELESS = (exits.USAGE, exits.CONFIG)
 """With these statuses starting again changes nothing."""
 _WORDS = {
@@ -95,7 +97,7 @@ class Child:
         self.again_at: float | None = 0.0
         """When to start, on the monotonic clock; None: it runs, has ended, or is hopeless."""
         self._backoff = health.restart_seconds_min
-        self._started = self._heard = 0.0
+        self._started = self._heard = self._looked = 0.0
         self._spoke = False
         self._slow_starts = 0
         self._ear: Ear | None = None
@@ -120,6 +122,9 @@ class Child:
                 self._start(now, command, config_fd)
             return
         assert self._ear is not None
+        if now - self._looked > LOOK_SECONDS_MAX:
+            self._heard = now  # whoever was not there, as the whole machine perhaps, cannot say what was to be heard
+        self._looked = now
         status = self.process.poll()  # first: what it said before it ended counts
         said = self._ear.listen()
         if said is not None:
@@ -168,7 +173,11 @@ class Child:
         return self._health.start_seconds * min(1 << self._slow_starts, START_FACTOR_MAX)
 
     def _start(self, now: float, command: Command, config_fd: int) -> None:
-        self._ear = ear = Ear()
+        try:
+            self._ear = ear = Ear()
+        except OSError as error:
+            self._again(now, 0.0, f"cannot be started: {error.strerror}")
+            return
         environment = {k: v for k, v in os.environ.items() if k not in (SOCKET_VARIABLE, "WATCHDOG_USEC")}
         line = command(self.camera, self.restarts, self.last_end, ear.child_fd)
         try:
@@ -180,7 +189,7 @@ class Child:
             ear.close()
             self._again(now, 0.0, f"cannot be started: {error.strerror}")
         else:
-            self._started = self._heard = now
+            self._started = self._heard = self._looked = now
             self._spoke = self._told = False
             self._kill_at, self._hung, self.again_at = None, "", None
             self.state, self.reason = "connecting", "the process is starting"
