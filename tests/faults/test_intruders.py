@@ -212,7 +212,7 @@ OWN = {f"put {HQ}/event/cam1", f"put {HQ}/status/cam1", f"put {HQ}/alive/grabber
 STOLEN = [
     ("put", f"{HQ}/event/cam2"), ("put", f"{HQ}/event/*"), ("put", f"{HQ}/event/cam1/x"), ("put", f"{HQ}/topology"),
     ("put", f"{HQ}/topology/delta"), ("put", f"{HQ}/prediction/cam1"), ("put", f"{HQ}/ack/cam1"),
-    ("put", f"{HQ}/ack/cam2"), ("put", f"{HQ}/status/cam2"), ("put", f"{HQ}/status/daemon"),
+    ("put", f"{HQ}/ack/cam2"), ("put", f"{HQ}/status/cam2"),
     ("delete", f"{HQ}/event/cam1"), ("delete", f"{HQ}/topology"),
 ]  # fmt: skip
 
