@@ -248,7 +248,7 @@ def assert_nothing_silent(counts: dict[str, collections.Counter[str]]) -> None:
 
 
 def test_flipped_bits_are_never_silent(installation: Installation, quick_path: Path) -> None:
-    assert_nothing_silent(flip(installation, 400, quick_path / "image", seed=2))
+    assert_nothing_silent(flip(installation, 240, quick_path / "image", seed=2))
 
 
 @pytest.mark.xfail(reason="journal_format.prepare takes it for the file of a newer program", strict=True)
@@ -267,7 +267,7 @@ def test_a_journal_whose_format_is_damaged_is_set_aside(installation: Installati
 
 
 def test_a_log_cut_anywhere_is_noticed_and_filled_in_again(installation: Installation, quick_path: Path) -> None:
-    assert_nothing_silent(cut(installation, 211, quick_path / "image"))
+    assert_nothing_silent(cut(installation, 401, quick_path / "image"))
 
 
 def test_a_snapshot_cut_at_any_byte_is_not_used(installation: Installation, quick_path: Path) -> None:
@@ -299,7 +299,7 @@ def test_the_harness_sees_silent_damage(
     connection.close()
     before = installation.spool._replace(content={"spool.db-wal": b""} | files_of(quick_path / "image"))
     monkeypatch.setattr("camtopod.serve.database.crc", lambda *columns: 0)
-    flips = (damaged(before, "spool.db", chance) for _ in range(150))
+    flips = (damaged(before, "spool.db", chance) for _ in range(100))
     verdicts = [verdict(before, look_into_spool(image, quick_path / "image")) for image in flips]
     assert any(one.startswith(("WRONG", "SILENT")) for one in verdicts)
 

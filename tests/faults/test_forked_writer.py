@@ -25,14 +25,14 @@ def killed(name: str, directory: Path, kills: int, *more: str) -> dict[str, int]
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_killed_writer_loses_nothing(name: str, quick_path: Path) -> None:
-    told = killed(name, quick_path, 30)
+    told = killed(name, quick_path, 20)
     assert told["lost"] == 0
-    assert told["durable"] > 30
+    assert told["durable"] > 20
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_harness_sees_a_writer_that_speaks_too_early(name: str, quick_path: Path) -> None:
-    assert killed(name, quick_path, 40, "early")["lost"] > 0
+    assert killed(name, quick_path, 25, "early")["lost"] > 0
 
 
 @pytest.mark.campaign
