@@ -21,6 +21,8 @@ import pytest
 from serving import T0, WAIT_SECONDS, numbered, small_config, wait_for, walkers
 from sizes import size
 
+from camtopod.cli.child import Child
+from camtopod.config import CameraSettings, HealthSettings
 from camtopod.records import Event
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.daemon import Daemon
@@ -51,7 +53,7 @@ class Under:
         )
         self.file.chmod(0o600)
         self._log = (directory / "log").open("ab")
-        self._started: list[subprocess.Popen[bytes]] = []
+        self.started: list[subprocess.Popen[bytes]] = []
 
     @property
     def log(self) -> str:
@@ -64,7 +66,7 @@ class Under:
             env={**os.environ, "PYTHONPATH": str(root)}, stderr=self._log,
             preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
         )  # fmt: skip
-        self._started.append(process)
+        self.started.append(process)
         return process
 
     def listens(self, process: subprocess.Popen[bytes]) -> bool:
@@ -76,7 +78,7 @@ class Under:
         return False
 
     def close(self) -> None:
-        for process in self._started:
+        for process in self.started:
             process.kill()
             process.wait()
         self._log.close()
@@ -174,6 +176,29 @@ def test_the_daemon_at_a_few_moments(under: Under) -> None:
 def test_grabbers_at_a_few_moments(under: Under) -> None:
     moments(under, "grab", 1, random.Random(2))
     assert not left_behind(under)
+
+
+def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> None:
+    """Before the interpreter has begun: it is blocked until the program can take it."""
+    child = Child("lobby", CameraSettings("rtsp://127.0.0.1:1/x"), HealthSettings())
+    fd = os.open(os.devnull, os.O_RDONLY)
+    line = [sys.executable, "-m", "camtopod", "--config", str(under.file), "grab", "--camera", "lobby", "--beat-fd"]
+
+    def look() -> None:
+        child.look_after(time.monotonic(), lambda camera, restarts, last_end, beat_fd: [*line, str(beat_fd)], fd)
+
+    look()
+    process = child.process
+    assert process is not None
+    under.started.append(process)
+    for _ in range(200):
+        process.send_signal(signal.SIGHUP)
+        time.sleep(0.001)
+    wait_for(lambda: look() is None and not child.silent, "it to be there")
+    assert (child.restarts, process.poll()) == (0, None)
+    child.tell_to_end(time.monotonic())
+    wait_for(lambda: look() is None and child.over, "its end")
+    os.close(fd)
 
 
 def test_grabbers_end_with_the_one_above_them(under: Under) -> None:
