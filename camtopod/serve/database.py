@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import logging
 import os
 import shutil
@@ -264,10 +265,15 @@ def _report_lost(path: Path, written: wal.Log) -> None:
 
 def _check_shape(database: sqlite3.Connection, schema: str, path: Path) -> None:
     """Raises `Damaged` if a table or an index is not as in ``schema``."""
+    if not _shape_of(schema) <= set(database.execute(_SHAPE)):
+        raise Damaged(f"{path} is damaged: its tables are not those of this program; it is left as it is")
+
+
+@functools.cache
+def _shape_of(schema: str) -> frozenset[tuple[object, ...]]:
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as wanted:
         _create(wanted, schema)
-        if not set(wanted.execute(_SHAPE)) <= set(database.execute(_SHAPE)):
-            raise Damaged(f"{path} is damaged: its tables are not those of this program; it is left as it is")
+        return frozenset(wanted.execute(_SHAPE))
 
 
 def readable(path: Path, table: str, key: str) -> Iterator[tuple[int | float | str | bytes | None, ...]]:
