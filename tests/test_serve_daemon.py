@@ -454,6 +454,11 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
     client = buses.dial(small_config(site.directory, bus.endpoint))
     view = TopologyView(client)
     assert view.wait_for(1, 10) == versions[0]
+    seen: list[str] = []
+    client.watch_alive("daemon", lambda name, alive: seen.append(name))
+    wait_for(lambda: bool(seen), "the daemon's token, on which a view fetches the whole, to have come")
+    wait_for(lambda: view.update() is None and time.monotonic() > view._ask_after, "the view to rest")
+    view.update()
     fetched = view.fetched
 
     def delta(old: Topology, new: Topology) -> Callable[[], bool]:

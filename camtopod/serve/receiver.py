@@ -23,6 +23,7 @@ from camtopod.serve.cameras import Received as Received
 from camtopod.serve.clock import Clock, steady_beside
 from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.merge import Merge
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.rejects import Rejects
 from camtopod.serve.spool import SpoolBatch
@@ -94,6 +95,7 @@ class Receiver:
             known=lambda camera: camera in self.cameras or camera in self.with_spool,
         )
         self._answers: collections.deque[Pulled] = collections.deque()
+        self._merge = Merge(limits.held_events_max)
         self._versions: collections.deque[Version] = collections.deque()
         self._snapshot: Snapshot | None = None
         self._stored = journal.streams()
@@ -120,6 +122,8 @@ class Receiver:
 
     def on_pulled(self, pulled: Pulled) -> bool:
         """The answer of a spool; False if there is no room for it now."""
+        if self._merge.full(pulled.batch.camera):
+            return False
         mine = sum(other.batch.camera == pulled.batch.camera for other in self._answers.copy())
         if len(self._answers) >= _PULLED_MAX or mine >= _PULLED_CAMERA_MAX:
             return False
@@ -166,7 +170,8 @@ class Receiver:
             else:
                 ready += self._published(message, wall, now)
         ready += self.streams.give_up(time.monotonic(), self._limits.gap_seconds, self.with_spool)
-        ready = self._without_floods(self.cameras.in_time(ready, wall, now))
+        ready = self._merge.release(self.cameras.in_time(ready, wall, now), time.monotonic())
+        ready = self._without_floods(ready)
         ready += self._time_went_on(now)
         self._store(ready, stopping)
         self._ack(time.monotonic())
@@ -215,17 +220,20 @@ class Receiver:
             return []
         self._notice_loss(batch)
         ready = self.streams.begins_at(key, batch.first, time.monotonic())
+        times = []
         for seq, raw in batch.events:
             received = Received(Entry("refused", batch.camera, batch.boot, seq, raw[: codec.EVENT_BYTES_MAX]))
             try:
                 event = decode(raw)
                 if (event.camera, event.boot, event.seq) == (batch.camera, batch.boot, seq):
                     received = self._judge(event, raw, wall, now, fresh=False)
+                    times.append(event.t)
                 else:
                     self.rejects.add("wrong-camera", f"spool/{batch.camera}", "says another stream", raw)
             except codec.Rejected as error:
                 self.rejects.add(error.reason, f"spool/{batch.camera}", str(error), raw)
             ready += self._order(batch.camera, batch.boot, seq, received)
+        self._merge.answered(batch.camera, times, batch.more, time.monotonic())
         seqs = [seq for seq, _ in batch.events]
         self.streams.answered(key, pulled.asked_from, seqs, batch.more, knows=batch.first > 0)
         if key in self._stored and batch.first <= self._stored[key] != batch.acked:
@@ -258,7 +266,7 @@ class Receiver:
         return Received(Entry("event", event.camera, event.boot, event.seq, raw), event)
 
     def _order(self, camera: str, boot: str, seq: int, received: Received) -> list[Received]:
-        if self.cameras.full(camera):
+        if self.cameras.full(camera) or self._merge.full(camera):
             self.counts["held_full"] += 1
             return []
         verdict, ready = self.streams.offer((camera, boot), seq, received, time.monotonic())

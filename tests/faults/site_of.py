@@ -127,9 +127,13 @@ class Site:
             self._bus.close()
 
     def await_flow(self) -> None:
-        """Until more events have been stored."""
+        """Until more events have been stored, or there are none any more."""
         before = self.status()["events"]["stored"]
-        wait_for(lambda: self.status()["events"]["stored"] > before, "events to get through", 60.0)
+
+        def flows() -> bool:
+            return bool(self.status()["events"]["stored"] > before) or not any(map(self.running, traffic.CAMERAS))
+
+        wait_for(flows, "events to get through", 60.0)
 
     def restart(self, name: str, seconds: float) -> None:
         """End it cleanly, and start it again some time later."""
@@ -228,7 +232,10 @@ def kill_and_restart(
     chance = random.Random(seed)
     killed: Counter[str] = Counter()
     while killed.total() < kills:
-        name = chance.choice([name for name in chance.choice(groups) if site.running(name)])
+        alive = [name for name in chance.choice(groups) if site.running(name)]
+        if not alive:
+            continue
+        name = chance.choice(alive)
         time.sleep(chance.uniform(0.0, 0.7))
         site.kill(name)
         killed[name] += 1

@@ -1,0 +1,111 @@
+"""Backlogs of several cameras come out by time, whoever gives its own first."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import msgspec
+from serving import T0, small_config, wait_for
+
+from camtopod.learn.settings import Settings
+from camtopod.records import Event
+from camtopod.serve import bus as buses
+from camtopod.serve.cameras import Received
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.journal import Entry
+from camtopod.serve.merge import HOLD_SECONDS_MAX, SETTLE_SECONDS, STUCK_SECONDS, Merge
+from camtopod.serve.publisher import Publisher
+from camtopod.serve.spool import Spool
+
+
+def at(camera: str, *times: float) -> list[Received]:
+    return [Received(Entry("event", camera, "b", int(t), b""), Event(camera, "entry", t)) for t in times]
+
+
+def times(released: list[Received]) -> list[float]:
+    return [one.event.t for one in released if one.event is not None]
+
+
+def test_live_events_go_straight_through() -> None:
+    merge = Merge(100)
+    assert merge.release(at("a", 5.0, 4.0), 0.0) == at("a", 5.0, 4.0)
+    merge.answered("a", [5.5], False, 0.0)
+    assert merge.release(at("a", 5.5), 0.0) == at("a", 5.5), "one event that got lost on the way is no backlog"
+
+
+def test_backlogs_are_merged_by_time() -> None:
+    merge = Merge(100)
+    merge.release(at("a", 1.0), 0.0)
+    merge.answered("a", [10.0, 30.0], False, 0.0)
+    assert merge.release(at("a", 10.0, 30.0), 0.0) == []
+    merge.answered("b", [5.0, 20.0], False, 1.0)
+    assert merge.release(at("b", 5.0, 20.0) + at("c", 40.0), 1.0) == []
+    assert merge.waiting == 5
+    assert merge.release([], SETTLE_SECONDS + 0.9) == []
+    assert times(merge.release([], SETTLE_SECONDS + 1.0)) == [5.0, 10.0, 20.0, 30.0, 40.0]
+    assert merge.waiting == 0
+    assert merge.release(at("a", 41.0), 3.0) == at("a", 41.0)
+
+
+def test_who_has_more_is_waited_for_unless_it_is_stuck() -> None:
+    merge = Merge(100)
+    merge.answered("a", [10.0, 30.0], True, 0.0)
+    merge.answered("b", [5.0, 20.0], True, 0.0)
+    assert merge.release(at("a", 10.0, 30.0) + at("b", 5.0, 20.0), 0.0) == [], "others may come"
+    assert times(merge.release([], SETTLE_SECONDS)) == [5.0, 10.0, 20.0]
+    assert merge.release([], STUCK_SECONDS + SETTLE_SECONDS - 0.1) == []
+    assert times(merge.release([], STUCK_SECONDS + SETTLE_SECONDS)) == [30.0]
+
+
+def test_a_backlog_that_is_late_anyway_is_not_waited_for() -> None:
+    merge = Merge(100)
+    merge.release(at("a", 100.0), 0.0)
+    merge.answered("b", [5.0, 20.0], True, 0.0)
+    assert merge.release(at("b", 5.0, 20.0) + at("a", 101.0), 0.0) == at("b", 5.0, 20.0) + at("a", 101.0)
+
+
+def test_nobody_waits_for_ever_nor_does_too_much() -> None:
+    merge = Merge(3)
+    merge.answered("a", [10.0, 30.0], True, 0.0)
+    merge.answered("b", [10.0, 40.0], True, 0.0)
+    merge.release(at("b", 40.0, 41.0, 42.0), 0.0)
+    assert merge.full("b")
+    assert not merge.full("a")
+    now = 0.0
+    while now < HOLD_SECONDS_MAX - 1:
+        now += 1.0
+        merge.answered("a", [30.0 + now / 1000], True, now)
+        assert merge.release([], now) == []
+    assert times(merge.release([], HOLD_SECONDS_MAX)) == [40.0, 41.0, 42.0]
+
+
+def test_what_has_no_time_keeps_its_place() -> None:
+    merge = Merge(100)
+    merge.answered("a", [10.0, 30.0], False, 0.0)
+    refused = Received(Entry("refused", "a", "b", 11, b""))
+    earlier = at("a", 9.0)
+    merge.release([*at("a", 10.0), refused, *earlier, *at("b", 9.5)], 0.0)
+    assert merge.release([], 9.0) == [*at("b", 9.5), *at("a", 10.0), refused, *earlier]
+
+
+def test_after_an_outage_of_the_daemon_nothing_is_late(tmp_path: Path) -> None:
+    """Three grabbers with an hour of events each; the learner allows for five seconds of disorder."""
+    config = small_config(tmp_path / "state", pull_events_max=200)
+    config = msgspec.structs.replace(config, learn=Settings())
+    chance = random.Random(1)
+    with Daemon(config) as daemon, buses.dial(small_config(tmp_path, daemon.endpoint)) as bus:
+        publishers = []
+        for camera in "abc":
+            spool = Spool(tmp_path / f"{camera}.db", f"boot-{camera}", 100_000)
+            publisher = Publisher(spool, 500)
+            events = sorted(T0 + chance.uniform(0, 3600) for _ in range(700))
+            publisher.publish(*(Event(camera, "entry", t, 0.5, 0.5) for t in events))
+            publishers.append((publisher, spool))
+        for publisher, _ in publishers:
+            publisher.attach(bus)
+        wait_for(lambda: all(publisher.drained(0.0) for publisher, _ in publishers), "everything to be stored")
+        wait_for(lambda: daemon.status()["learner"]["accepted"] == 2100, "everything to be learned")
+        assert daemon.status()["learner"]["late"] == 0
+        for _, spool in publishers:
+            spool.close()
