@@ -1,0 +1,102 @@
+"""A journal that came back shorter than it was is noticed, and filled again from the spools."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from serving import T0, small_config, wait_for
+
+from camtopod.records import Event
+from camtopod.serve import bus as buses
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.journal import Journal
+from camtopod.serve.publisher import Publisher
+from camtopod.serve.spool import Spool
+
+EVENTS = 60
+FILES = ("journal.db", "journal.db-wal")
+
+
+def raws(directory: Path) -> list[tuple[int | None, bytes]]:
+    """What is in a journal, in order."""
+    journal = Journal(directory)
+    found = [(entry.seq, entry.raw) for _, entry in journal.entries() if entry is not None]
+    journal.close()
+    return found
+
+
+def publish(publisher: Publisher, start: int, stop: int) -> None:
+    publisher.publish(*[Event("lobby", "entry", T0 + n) for n in range(start, stop)])
+    assert publisher.drained(20)
+
+
+def taken_back(state: Path, earlier: Path) -> None:
+    for name in FILES:
+        (state / name).unlink(missing_ok=True)
+        if (earlier / name).exists():
+            shutil.copyfile(earlier / name, state / name)
+
+
+def everything_lost(state: Path, earlier: Path) -> None:
+    for name in FILES:
+        (state / name).unlink(missing_ok=True)
+
+
+def rubbish(state: Path, earlier: Path) -> None:
+    (state / "journal.db").write_bytes(b"rubbish " * 5000)
+    (state / "journal.db-wal").unlink(missing_ok=True)
+
+
+def before_and_after(
+    damage: Callable[[Path, Path], None], directory: Path, kept_events_max: int
+) -> tuple[list[tuple[int | None, bytes]], list[tuple[int | None, bytes]], int]:
+    """The journal before ``damage`` and after another daemon went on with it; and how much that one got back."""
+    state, earlier = directory / "state", directory / "earlier"
+    spool = Spool(directory / "spool.db", "boot-1", 1000, kept_events_max=kept_events_max)
+    publisher = Publisher(spool, 100)
+    first = Daemon(small_config(state), clock=lambda: T0 + 100)
+    first.start()
+    bus = buses.dial(small_config(directory, first.endpoint))
+    publisher.attach(bus)
+    publish(publisher, 0, EVENTS // 2)
+    earlier.mkdir()
+    for name in FILES:
+        shutil.copyfile(state / name, earlier / name)
+    publish(publisher, EVENTS // 2, EVENTS)
+    publish(publisher, EVENTS, EVENTS + 1)
+    first.stop()
+    bus.close()
+    before = raws(state)
+    assert len(before) == EVENTS + 1
+    damage(state, earlier)
+    again = Publisher(spool, 100)
+    with Daemon(small_config(state), clock=lambda: T0 + 100) as second:
+        bus = buses.dial(small_config(directory, second.endpoint))
+        again.attach(bus, ["lobby"])
+        wait_for(lambda: second.status()["events"]["refilled"] > 0, "the journal to be filled again")
+        publish(again, EVENTS + 1, EVENTS + 2)
+        refilled = second.status()["events"]["refilled"]
+        bus.close()
+    spool.close()
+    return before, raws(state), refilled
+
+
+@pytest.mark.parametrize("damage", [taken_back, everything_lost, rubbish])
+def test_the_daemon_gets_back_what_its_journal_lost(
+    damage: Callable[[Path, Path], None], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.ERROR):
+        before, after, refilled = before_and_after(damage, tmp_path, 1000)
+    assert refilled > EVENTS // 2
+    assert "shorter than it was" in caplog.text
+    assert after[:-1] == before
+
+
+def test_a_spool_that_keeps_nothing_could_not(tmp_path: Path) -> None:
+    before, after, refilled = before_and_after(everything_lost, tmp_path, 0)
+    assert refilled < EVENTS
+    assert len(after) < len(before)
