@@ -27,7 +27,7 @@ class LongSpool(WrittenSpool):
 FILES = {"journal": WrittenJournal, "spool": LongSpool}
 NUMBER = struct.Struct("<Q")
 SECONDS_MAX = 0.03
-"""A writer lives for at most so long."""
+"""A writer goes on for at most so long."""
 
 
 def write(one: Written, start: int, pipe: int, early: bool) -> None:
@@ -42,8 +42,11 @@ def write(one: Written, start: int, pipe: int, early: bool) -> None:
         number += 1
 
 
-def killed_writer(name: str, directory: Path, start: int, early: bool, seconds: float) -> int:
-    """The last step that a writer, killed after ``seconds``, said to be durable; ``start - 1`` if none."""
+def killed_writer(name: str, directory: Path, start: int, early: bool, chance: random.Random) -> int:
+    """The last step that a writer said to be durable before it was killed; ``start - 1`` if none.
+
+    Most are killed a while after their first step, some while they open the file.
+    """
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -52,10 +55,10 @@ def killed_writer(name: str, directory: Path, start: int, early: bool, seconds: 
         finally:
             os._exit(1)
     os.close(writing)
-    time.sleep(seconds)
+    said = os.read(reading, NUMBER.size) if chance.random() < 0.8 else b""
+    time.sleep(chance.uniform(0, SECONDS_MAX))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    said = b""
     while more := os.read(reading, 65536):
         said += more
     os.close(reading)
@@ -70,7 +73,7 @@ def main() -> None:
     FILES[name](directory).close()  # how a file is made is another test's
     durable = lost = done = 0
     for _ in range(kills):
-        said = killed_writer(name, directory, done + 1, early, chance.uniform(0, SECONDS_MAX))
+        said = killed_writer(name, directory, done + 1, early, chance)
         one = FILES[name](directory)
         assert not one.damaged
         there = one.last()
