@@ -23,61 +23,74 @@ def at(camera: str, *times: float) -> list[Received]:
     return [Received(Entry("event", camera, "b", int(t), b""), Event(camera, "entry", t)) for t in times]
 
 
+def release(merge: Merge, ready: list[Received], now: float, most: int = 100) -> list[Received]:
+    return merge.release(ready, now, most)
+
+
 def times(released: list[Received]) -> list[float]:
     return [one.event.t for one in released if one.event is not None]
 
 
 def test_live_events_go_straight_through() -> None:
     merge = Merge(100)
-    assert merge.release(at("a", 5.0, 4.0), 0.0) == at("a", 5.0, 4.0)
+    assert release(merge, at("a", 5.0, 4.0), 0.0) == at("a", 5.0, 4.0)
     merge.answered("a", [5.5], False, 0.0)
-    assert merge.release(at("a", 5.5), 0.0) == at("a", 5.5), "one event that got lost on the way is no backlog"
+    assert release(merge, at("a", 5.5), 0.0) == at("a", 5.5), "one event that got lost on the way is no backlog"
 
 
 def test_backlogs_are_merged_by_time() -> None:
     merge = Merge(100)
-    merge.release(at("a", 1.0), 0.0)
+    release(merge, at("a", 1.0), 0.0)
     merge.answered("a", [10.0, 30.0], False, 0.0)
-    assert merge.release(at("a", 10.0, 30.0), 0.0) == []
+    assert release(merge, at("a", 10.0, 30.0), 0.0) == []
     merge.answered("b", [5.0, 20.0], False, 1.0)
-    assert merge.release(at("b", 5.0, 20.0) + at("c", 40.0), 1.0) == []
+    assert release(merge, at("b", 5.0, 20.0) + at("c", 40.0), 1.0) == []
     assert merge.waiting == 5
-    assert merge.release([], SETTLE_SECONDS + 0.9) == []
-    assert times(merge.release([], SETTLE_SECONDS + 1.0)) == [5.0, 10.0, 20.0, 30.0, 40.0]
+    assert release(merge, [], SETTLE_SECONDS + 0.9) == []
+    assert times(release(merge, [], SETTLE_SECONDS + 1.0)) == [5.0, 10.0, 20.0, 30.0, 40.0]
     assert merge.waiting == 0
-    assert merge.release(at("a", 41.0), 3.0) == at("a", 41.0)
+    assert release(merge, at("a", 41.0), 3.0) == at("a", 41.0)
 
 
 def test_who_has_more_is_waited_for_unless_it_is_stuck() -> None:
     merge = Merge(100)
     merge.answered("a", [10.0, 30.0], True, 0.0)
     merge.answered("b", [5.0, 20.0], True, 0.0)
-    assert merge.release(at("a", 10.0, 30.0) + at("b", 5.0, 20.0), 0.0) == [], "others may come"
-    assert times(merge.release([], SETTLE_SECONDS)) == [5.0, 10.0, 20.0]
-    assert merge.release([], STUCK_SECONDS + SETTLE_SECONDS - 0.1) == []
-    assert times(merge.release([], STUCK_SECONDS + SETTLE_SECONDS)) == [30.0]
+    assert release(merge, at("a", 10.0, 30.0) + at("b", 5.0, 20.0), 0.0) == [], "others may come"
+    assert times(release(merge, [], SETTLE_SECONDS)) == [5.0, 10.0, 20.0]
+    assert release(merge, [], STUCK_SECONDS + SETTLE_SECONDS - 0.1) == []
+    assert times(release(merge, [], STUCK_SECONDS + SETTLE_SECONDS)) == [30.0]
 
 
 def test_a_backlog_that_is_late_anyway_is_not_waited_for() -> None:
     merge = Merge(100)
-    merge.release(at("a", 100.0), 0.0)
+    release(merge, at("a", 100.0), 0.0)
     merge.answered("b", [5.0, 20.0], True, 0.0)
-    assert merge.release(at("b", 5.0, 20.0) + at("a", 101.0), 0.0) == at("b", 5.0, 20.0) + at("a", 101.0)
+    assert release(merge, at("b", 5.0, 20.0) + at("a", 101.0), 0.0) == at("b", 5.0, 20.0) + at("a", 101.0)
 
 
 def test_nobody_waits_for_ever_nor_does_too_much() -> None:
     merge = Merge(3)
     merge.answered("a", [10.0, 30.0], True, 0.0)
     merge.answered("b", [10.0, 40.0], True, 0.0)
-    merge.release(at("b", 40.0, 41.0, 42.0), 0.0)
+    release(merge, at("b", 40.0, 41.0, 42.0), 0.0)
     assert merge.full("b")
     assert not merge.full("a")
     now = 0.0
     while now < HOLD_SECONDS_MAX - 1:
         now += 1.0
         merge.answered("a", [30.0 + now / 1000], True, now)
-        assert merge.release([], now) == []
-    assert times(merge.release([], HOLD_SECONDS_MAX)) == [40.0, 41.0, 42.0]
+        assert release(merge, [], now) == []
+    assert times(release(merge, [], HOLD_SECONDS_MAX)) == [40.0, 41.0, 42.0]
+
+
+def test_no_more_than_may_is_released_at_a_time() -> None:
+    merge = Merge(100)
+    merge.answered("a", [10.0, 30.0], False, 0.0)
+    release(merge, at("a", *range(10, 31)), 0.0)
+    out = [one for _ in range(5) for one in release(merge, [], 9.0, 5)]
+    assert times(out) == list(range(10, 31))
+    assert release(merge, at("b", 1.0), 9.0) == at("b", 1.0)
 
 
 def test_what_has_no_time_keeps_its_place() -> None:
@@ -85,8 +98,8 @@ def test_what_has_no_time_keeps_its_place() -> None:
     merge.answered("a", [10.0, 30.0], False, 0.0)
     refused = Received(Entry("refused", "a", "b", 11, b""))
     earlier = at("a", 9.0)
-    merge.release([*at("a", 10.0), refused, *earlier, *at("b", 9.5)], 0.0)
-    assert merge.release([], 9.0) == [*at("b", 9.5), *at("a", 10.0), refused, *earlier]
+    release(merge, [*at("a", 10.0), refused, *earlier, *at("b", 9.5)], 0.0)
+    assert release(merge, [], 9.0) == [*at("b", 9.5), *at("a", 10.0), refused, *earlier]
 
 
 def test_after_an_outage_of_the_daemon_nothing_is_late(tmp_path: Path) -> None:

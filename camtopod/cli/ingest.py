@@ -27,7 +27,9 @@ FORMATS = ("jsonl",)
 UNACKNOWLEDGED_MAX = 50_000
 """Reading waits while this many events are not acknowledged."""
 PATIENCE_SECONDS = 10.0
-"""Without a single acknowledgement for this long there is no daemon."""
+"""Without a daemon in sight nor a single acknowledgement for this long there is none. One in sight is waited for: it
+may be fitting, or its disk be full, and says so in its status.
+"""
 _TICK_SECONDS = 0.2
 
 
@@ -73,11 +75,13 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(spool.close)
         publisher = Publisher(spool, config.limits.spool_batch_events)
         publisher.attach(bus)
+        daemons: set[str] = set()
+        bus.watch_alive("daemon", lambda name, alive: (daemons.add if alive else daemons.discard)(name))
         events = (line.event for line in reader.lines(args.file, file))
         for batch in batches(events, config.limits.spool_batch_events, stop):
             publisher.publish(*batch)
-            _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name)
-        _wait(publisher, 0, stop, config.site.name)
+            _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons)
+        _wait(publisher, 0, stop, config.site.name, daemons)
         log.info("%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged)
     if (summary := reader.summary()) is not None:
         log.warning("%s", summary)
@@ -115,13 +119,13 @@ def batches(events: Iterator[Event], most: int, stop: threading.Event) -> Iterat
         yield batch
 
 
-def _wait(publisher: Publisher, most: int, stop: threading.Event, site: str) -> None:
-    """Until at most ``most`` events are not acknowledged. Raises `CommandError` when nobody acknowledges."""
+def _wait(publisher: Publisher, most: int, stop: threading.Event, site: str, daemons: set[str]) -> None:
+    """Until at most ``most`` events are not acknowledged. Raises `CommandError` when there is nobody to do it."""
     patience, before = PATIENCE_SECONDS, publisher.unacknowledged
     while not stop.is_set() and not publisher.drained(_TICK_SECONDS, most):
         publisher.retry()
         now = publisher.unacknowledged
-        patience = PATIENCE_SECONDS if now < before else patience - _TICK_SECONDS
+        patience = PATIENCE_SECONDS if now < before or daemons else patience - _TICK_SECONDS
         before = now
         if patience <= 0:
             raise CommandError(

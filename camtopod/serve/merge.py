@@ -62,14 +62,14 @@ class Merge:
         backlog = self._backlogs.get(camera)
         return backlog is not None and len(backlog.waiting) >= self._events_max
 
-    def release(self, ready: list[Received], now: float) -> list[Received]:
-        """What goes on: of these, and of what waits. Each camera's in the order it came."""
+    def release(self, ready: list[Received], now: float, most: int) -> list[Received]:
+        """What goes on: of these, and of what waits, then at most ``most``. Each camera's in the order it came."""
         if self._began is not None:
             for received in ready:
                 waiting = self._backlogs.setdefault(received.entry.camera, _Backlog()).waiting
                 before = waiting[-1][0] if waiting else -math.inf
                 waiting.append((max(before, -math.inf if received.event is None else received.event.t), received))
-            ready = self._merged(self._horizon(now))
+            ready = self._merged(self._horizon(now), most)
         self._released = max([self._released, *(one.event.t for one in ready if one.event is not None)])
         return ready
 
@@ -92,20 +92,20 @@ class Merge:
             return min(come, default=math.inf)
         return math.inf if now >= self._settled else -math.inf
 
-    def _merged(self, horizon: float) -> list[Received]:
+    def _merged(self, horizon: float, most: int) -> list[Received]:
         if horizon == -math.inf:
             return []
         heap = [(one.waiting[0][0], camera) for camera, one in self._backlogs.items() if one.waiting]
         heapq.heapify(heap)
-        released = []
-        while heap and heap[0][0] <= horizon:
+        released: list[Received] = []
+        while heap and heap[0][0] <= horizon and len(released) < most:
             waiting = self._backlogs[heap[0][1]].waiting
             released.append(waiting.popleft()[1])
             if waiting:
                 heapq.heapreplace(heap, (waiting[0][0], heap[0][1]))
             else:
                 heapq.heappop(heap)
-        if horizon == math.inf:
+        if horizon == math.inf and not heap:
             self._backlogs.clear()
             self._began = None
         return released

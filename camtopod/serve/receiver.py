@@ -170,7 +170,8 @@ class Receiver:
             else:
                 ready += self._published(message, wall, now)
         ready += self.streams.give_up(time.monotonic(), self._limits.gap_seconds, self.with_spool)
-        ready = self._merge.release(self.cameras.in_time(ready, wall, now), time.monotonic())
+        most = min(self._limits.commit_events_max, self._room())
+        ready = self._merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), most)
         ready = self._without_floods(ready)
         ready += self._time_went_on(now)
         self._store(ready, stopping)

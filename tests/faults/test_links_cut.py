@@ -45,7 +45,7 @@ def test_silent_links(make_site: MakeSite) -> None:
 @pytest.mark.timeout(3600)
 def test_links_router_and_daemon_fail_in_turn(make_site: MakeSite) -> None:
     seconds, speed = size("SILENT_SECONDS", 30), 2000.0
-    lasts = 3.5 * seconds + 40.0
+    lasts = 3.5 * seconds + 90.0
     site = make_site(int(EVENTS_PER_SECOND * lasts / 4), lasts * speed, speed)
     for_publishers, for_daemon = behind_proxies(site)
     began = time.monotonic()
