@@ -13,7 +13,7 @@ from serving import Failing
 
 from camtopod import codec
 from camtopod.records import Event
-from camtopod.serve import database, spool_format
+from camtopod.serve import database, spool_format, wal
 from camtopod.serve.database import StateError
 from camtopod.serve.spool import Spool
 
@@ -317,3 +317,20 @@ def test_text_that_is_no_text_any_more_damages_its_row_alone(spool: Spool) -> No
     spool.append([event(1, "hall"), event(2), event(3)])
     spool._db.execute("UPDATE event SET boot = CAST(x'62c3286f' AS TEXT) WHERE seq = 1 AND camera = 'lobby'")
     assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [2]
+
+
+def test_a_damaged_log_is_copied_once(spool: Spool, tmp_path: Path, caplog: Any) -> None:
+    for n in range(6):
+        spool.append([event(n)])
+    path = copy_of(tmp_path / "spool.db", tmp_path / "killed")
+    log = bytearray((tmp_path / "spool.db-wal").read_bytes())
+    frame = wal.read(tmp_path / "spool.db").commits[3] - 1
+    log[32 + frame * (24 + 4096) + 1000] ^= 1
+    for _ in range(3):
+        path.with_name("spool.db-wal").write_bytes(log)
+        Spool(path, "boot-2", events_max=1000).close()
+        path.with_name("spool.db-wal").unlink(missing_ok=True)
+        shutil.copyfile(tmp_path / "spool.db", path)
+    assert database.damaged_files(path.with_name("spool.db-wal")) == [path.with_name("spool.db-wal.damaged-1")]
+    assert path.with_name("spool.db-wal.damaged-1").read_bytes() == log
+    assert "transactions cannot be read" in caplog.text

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import filecmp
 import functools
 import logging
 import os
@@ -191,6 +192,16 @@ def _name_aside(path: Path) -> Path:
     return path.with_name(f"{path.name}.damaged-{number}")
 
 
+def _copy_aside(path: Path) -> Path:
+    """Once, however often it is opened before it is written to again."""
+    for aside in damaged_files(path)[-1:]:
+        if filecmp.cmp(path, aside, shallow=False):
+            return aside
+    aside = _name_aside(path)
+    shutil.copyfile(path, aside)
+    return aside
+
+
 def _make_directory(directory: Path) -> None:
     """So that nobody else can read it, and so that it is still there after a power cut."""
     if not directory.is_dir():
@@ -250,8 +261,7 @@ def _report_lost(path: Path, written: wal.Log) -> None:
     """Say what SQLite left out of the log, and keep a copy of a log that was damaged."""
     lost = wal.lost(path, written)
     if lost.damaged:
-        aside = _name_aside(Path(f"{path}-wal"))
-        shutil.copyfile(f"{path}-wal", aside)
+        aside = _copy_aside(Path(f"{path}-wal"))
         log.error(
             "the log of %s is damaged: %s cannot be read; a copy is %s", path,
             "nothing of it" if lost.headless else f"{lost.transactions} transactions", aside,
