@@ -93,6 +93,15 @@ def test_no_more_than_may_is_released_at_a_time() -> None:
     assert release(merge, at("b", 1.0), 9.0) == at("b", 1.0)
 
 
+def test_small_backlogs_that_keep_coming_hold_nothing_up_for_long() -> None:
+    merge = Merge(100)
+    for now in range(int(STUCK_SECONDS)):
+        merge.answered("a", [10.0 * now, 10.0 * now + 9], False, float(now))
+        assert release(merge, at("a", 10.0 * now), float(now)) == []
+    merge.answered("a", [100.0, 109.0], False, STUCK_SECONDS)
+    assert len(release(merge, [], STUCK_SECONDS)) == STUCK_SECONDS
+
+
 def test_what_has_no_time_keeps_its_place() -> None:
     merge = Merge(100)
     merge.answered("a", [10.0, 30.0], False, 0.0)

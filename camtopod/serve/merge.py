@@ -22,7 +22,7 @@ BACKLOG_SECONDS = 2.0
 SETTLE_SECONDS = 1.5
 """After the first answer with a backlog, and after the last, so long is waited for others."""
 STUCK_SECONDS = 5.0
-"""A camera that has more, and has not given it for so long, is not waited for."""
+"""A camera that has more, and has not given it for so long, is not waited for; nor, when none has more, for others."""
 HOLD_SECONDS_MAX = 120.0
 """Nor is anything, longer than this altogether: a camera that floods may never come to its end."""
 
@@ -51,7 +51,7 @@ class Merge:
         backlog = self._backlogs.get(camera)
         if times and max(times) > self._released and max(times) - min(times) > BACKLOG_SECONDS:
             self._began = now if self._began is None else self._began
-            self._settled = now + SETTLE_SECONDS
+            self._settled = min(now + SETTLE_SECONDS, self._began + STUCK_SECONDS)
             backlog = self._backlogs.setdefault(camera, _Backlog())
         if backlog is not None:
             backlog.more, backlog.answered = more, now
