@@ -1,4 +1,7 @@
-"""kill -9 of the real daemon, of publishers and of the router while events flow."""
+"""kill -9 of the real daemon, of publishers and of the router while events flow.
+
+The quick form is in test_links_cut.py: one site that all of it is done to.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,6 @@ from site_of import MakeSite, check, kill_and_restart
 from sizes import size
 
 EVERYBODY = (("router",), ("daemon",), traffic.CAMERAS)
-
-
-def test_kills(make_site: MakeSite) -> None:
-    site = make_site(400, 2 * 3600.0, 1800.0)
-    site.start_all()
-    killed = kill_and_restart(site, 2, size("SEED", 3), (("router",), ("daemon",)), print)
-    assert killed.total() == 2
-    check(site)
 
 
 @pytest.mark.campaign

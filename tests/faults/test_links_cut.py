@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from site_of import MakeSite, Site, check
+from site_of import MakeSite, Site, check, kill_and_restart
 from sizes import size
 from streams import FaultProxy
 
@@ -29,13 +29,15 @@ def silent(proxy: FaultProxy, seconds: float, cut: bool = False) -> None:
     proxy.resume()
 
 
-def test_silent_links(make_site: MakeSite) -> None:
-    site = make_site(400, 2 * 3600.0, 1800.0)
+def test_silent_links_and_kills(make_site: MakeSite) -> None:
+    site = make_site(400, 2 * 3600.0, 1200.0)
     for_publishers, for_daemon = behind_proxies(site)
     site.start_all()
     site.await_flow()
     silent(for_publishers, 0.7, cut=True)
     silent(for_daemon, 0.7, cut=True)
+    kill_and_restart(site, 1, 1, (("router",),), print)
+    kill_and_restart(site, 1, 1, (("daemon",),), print)
     check(site)
     for_publishers.close()
     for_daemon.close()
