@@ -334,3 +334,17 @@ def test_a_damaged_log_is_copied_once(spool: Spool, tmp_path: Path, caplog: Any)
     assert database.damaged_files(path.with_name("spool.db-wal")) == [path.with_name("spool.db-wal.damaged-1")]
     assert path.with_name("spool.db-wal.damaged-1").read_bytes() == log
     assert "transactions cannot be read" in caplog.text
+
+
+def test_torn_frames_that_look_like_two_commits_are_no_damage(spool: Spool, tmp_path: Path) -> None:
+    spool.append([event(1)])
+    path = copy_of(tmp_path / "spool.db", tmp_path / "killed")
+    with path.with_name("spool.db-wal").open("r+b") as file:
+        salts = file.read(24)[16:]
+        file.seek(32 + max(wal.read(path).frames) * (24 + 4096))
+        for _ in range(2):
+            file.write(b"\0\0\0\1" + b"\0\0\0\5" + salts + bytes(8) + b"torn" * 1024)
+    assert len(wal.read(path).commits) >= 2
+    again = Spool(path, "boot-2", events_max=1000)
+    assert (len(again), again.statistics()["damaged_files"]) == (1, 0)
+    again.close()

@@ -78,12 +78,30 @@ def lost(path: Path, log: Log) -> Lost:
     with contextlib.suppress(FileNotFoundError), Path(f"{path}-shm").open("rb") as file:
         file.seek(_LAST_FRAME_AT)
         last = struct.unpack("=I", file.read(4))[0]
-    return Lost(sum(one > last for one in log.frames), sum(one > last for one in log.commits), log.headless)
+    transactions = sum(one > last and _is_whole(path, one) for one in log.commits)
+    return Lost(sum(one > last for one in log.frames), transactions, log.headless)
 
 
-def _checksum(data: bytes, big_endian: bool) -> tuple[int, int]:
+def _is_whole(path: Path, frame: int) -> bool:
+    """Whether a frame is as it was written, going by the one before it: two that were torn can look like one."""
+    with Path(f"{path}-wal").open("rb") as file:
+        head = file.read(_HEADER_BYTES)
+        magic, _, page_bytes = struct.unpack(">3I", head[:12])
+        if frame == 1:
+            before = head[24:]
+        else:
+            file.seek(_HEADER_BYTES + (frame - 2) * (_FRAME_HEADER_BYTES + page_bytes) + 16)
+            before = file.read(8)
+        file.seek(_HEADER_BYTES + (frame - 1) * (_FRAME_HEADER_BYTES + page_bytes))
+        own, page = file.read(_FRAME_HEADER_BYTES), file.read(page_bytes)
+    if len(page) < page_bytes:
+        return False
+    first, second = struct.unpack(">2I", before)
+    return _checksum(own[:8] + page, magic & 1 == 1, first, second) == struct.unpack(">2I", own[16:])
+
+
+def _checksum(data: bytes, big_endian: bool, first: int = 0, second: int = 0) -> tuple[int, int]:
     words = struct.unpack(f"{'>' if big_endian else '<'}{len(data) // 4}I", data)
-    first = second = 0
     for even, odd in zip(words[::2], words[1::2], strict=True):
         first = (first + even + second) & 0xFFFFFFFF
         second = (second + odd + first) & 0xFFFFFFFF
