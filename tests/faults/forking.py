@@ -19,9 +19,9 @@ from written import Written, WrittenJournal, WrittenSpool
 
 
 class LongSpool(WrittenSpool):
-    """Forgets nothing that was written since the last look."""
+    """Forgets nothing."""
 
-    events_max, kept_max = 2000, 2000
+    events_max, kept_max = 1_000_000, 1_000_000
 
 
 FILES = {"journal": WrittenJournal, "spool": LongSpool}

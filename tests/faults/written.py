@@ -137,9 +137,10 @@ class WrittenSpool:
         return 0 if row is None else int(codec.event_from_pack(row[0]).t) // 10
 
     def missing(self, start: int, stop: int) -> list[int]:
-        rows = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT ?", (self.events_max - 100,))
+        looked_at = min(self.events_max - 100, 2000)
+        rows = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT ?", (looked_at,))
         times = {codec.event_from_pack(raw).t for (raw,) in rows}
-        first = max(start, int(min(times, default=0.0)) // 10 + 1 if len(times) >= self.events_max - 100 else start)
+        first = max(start, int(min(times, default=0.0)) // 10 + 1 if len(times) >= looked_at else start)
         return [number for number in range(first, stop) if not {event.t for event in events_of(number)} <= times]
 
     def close(self) -> None:
