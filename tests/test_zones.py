@@ -27,6 +27,7 @@ from camtopod.learn.zones import (
     cells_of,
     find_zones,
     match_zones,
+    refresh_zones,
 )
 
 
@@ -257,3 +258,16 @@ def test_open_borders_of_a_real_plaza_are_several_zones() -> None:
         assert 2 <= len(zones.zones) <= 8
         assert max(zone.weight for zone in zones.zones) < 0.7
         assert (zones.cells[cells_of(*positions.T)] >= 0).mean() > 0.5  # one begins and ends tracks in mid-picture
+
+
+@pytest.mark.parametrize("seed", [5, 20, 33])
+def test_groups_around_one_point_are_no_trouble(seed: int) -> None:
+    """Events at exactly the same few places, as made-up or broken sources send them; warnings are errors here."""
+    chance = np.random.default_rng(seed)
+    count = chance.integers(5, 120)
+    places = [chance.choice([0.0, 1.0, 0.5], count) for _ in range(2)]
+    noise = chance.integers(0, 100)
+    x, y = (np.concatenate((place, chance.uniform(0.0, 1.0, noise))) for place in places)
+    half = count // 2
+    refresh_zones(cell_sums(x, y), find_zones(cell_sums(x[:half], y[:half])))
+    assert len(find_zones(cell_sums(x, y)).zones) > 0

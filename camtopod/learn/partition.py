@@ -264,6 +264,8 @@ class _Moves:
         line = _discriminant(cov_a + cov_b, difference)
         sd_a, sd_b = float(_sd_along(cov_a, line)), float(_sd_along(cov_b, line))
         apart = float(line @ difference)
+        if apart == 0.0:
+            return 0.0  # around one point there is nothing in between
         # Clutter in the tube between the two belongs to the valley.
         mean = self.cells.mean
         along = (mean - mean_a) @ line
