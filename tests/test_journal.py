@@ -129,6 +129,39 @@ def test_a_file_that_is_no_database_is_set_aside(tmp_path: Path) -> None:
         anew.commit([entry(1)])
 
 
+def test_what_can_be_read_of_a_damaged_journal_goes_on(journal: Journal, tmp_path: Path) -> None:
+    journal.set_meta("epoch", "E")
+    for number in range(1, 400):
+        journal.commit([entry(number)], [version(number)], Snapshot(number, "E", b"state %d" % number))
+    journal.close()
+    with closing(sqlite3.connect(tmp_path / "journal.db")) as file:
+        pages = dict(file.execute("SELECT name, rootpage FROM sqlite_schema"))
+        size = file.execute("PRAGMA page_size").fetchone()[0]
+    content = bytearray((tmp_path / "journal.db").read_bytes())
+    begin = (pages["stream"] - 1) * size
+    content[begin : begin + size] = b"\xaa" * size
+    (tmp_path / "journal.db").write_bytes(content)
+    with closing(Journal(tmp_path)) as anew:
+        assert anew.set_aside is not None
+        assert anew.set_aside.read_bytes() == content
+        assert [one for _, one in anew.entries()] == [entry(n) for n in range(1, 400)]
+        assert anew.snapshots()[0] == Snapshot(399, "E", b"state 399")
+        assert len(anew.versions("E")) == 399
+        assert anew.meta("epoch") is None, "another line of versions begins"
+        assert anew.streams() == {}, "publishers are asked for what they still have"
+        anew.commit([entry(400)])
+        assert kept(anew)[-1] == 400
+    with closing(Journal(tmp_path)) as again:
+        assert (again.set_aside, len(again)) == (None, 400)
+
+
+def test_entries_that_are_missing_are_noticed(journal: Journal) -> None:
+    journal.commit([entry(n) for n in range(1, 7)])
+    journal._db.execute("DELETE FROM entry WHERE id IN (1, 3, 4)")
+    assert list(journal.entries()) == [(2, entry(2)), (3, None), (4, None), (5, entry(5)), (6, entry(6))]
+    assert [number for number, _ in journal.entries(after=3)] == [4, 5, 6]
+
+
 def test_a_newer_format_is_refused(journal: Journal, tmp_path: Path) -> None:
     journal.set_meta("format", "99")
     journal.close()

@@ -21,7 +21,7 @@ from typing import Literal, NamedTuple
 from camtopod.config import KeepSettings
 from camtopod.serve import database
 from camtopod.serve.database import crc
-from camtopod.serve.journal_format import FORMAT, SCHEMA, meta_row, prepare
+from camtopod.serve.journal_format import SCHEMA, meta_row, prepare, rescue
 
 log = logging.getLogger(__name__)
 
@@ -80,8 +80,10 @@ class Journal:
         """Where a journal that was damaged is now; this one has begun anew."""
         try:
             self._db, self.set_aside = database.connect_or_begin_anew(self._path, SCHEMA, prepare)
-            if self.meta("format") is None:
-                self.set_meta("format", str(FORMAT))
+            if self.set_aside is not None:
+                with database.transaction(self._db):
+                    rescued = rescue(self._db, self.set_aside)
+                log.error("%d entries were read out of the damaged journal %s", rescued, self.set_aside)
             self._last = self._stored_last()
         except sqlite3.Error as error:
             self._lock.close()
@@ -150,9 +152,10 @@ class Journal:
 
     def entries(self, after: int = 0, up_to: int | None = None) -> Iterator[tuple[int, Entry | None]]:
         """The entries behind ``after`` in order as (id, entry); None in place of a damaged one, which is left where it
-        is. Read in chunks, so that more may be stored meanwhile.
+        is, and of one that is missing. Read in chunks, so that more may be stored meanwhile.
         """
         last = len(self) if up_to is None else up_to
+        after = max(after, self.first() - 1)  # what is older has been forgotten
         while after < last:
             with self._mutex:
                 rows = self._db.execute(
@@ -161,8 +164,9 @@ class Journal:
             if not rows:
                 return
             for row in rows:
+                yield from ((missing, None) for missing in range(after + 1, row[0]))
+                after = row[0]
                 yield row[0], Entry(*row[2:7]) if crc(*row[:7]) == row[7] else None
-            after = rows[-1][0]
 
     def streams(self) -> dict[tuple[str, str], int]:
         """The highest stored seq of each (camera, boot), those that stored last at the end.

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import sqlite3
 import zlib
+from pathlib import Path
 
-from camtopod.serve.database import StateError, crc
+from camtopod.serve.database import Damaged, StateError, crc, readable
 
 FORMAT = 2
 """Of the tables; an older one is migrated, a newer one refused."""
@@ -38,16 +39,43 @@ the learner has in it."""
 
 
 def prepare(database: sqlite3.Connection) -> None:
-    """Bring the tables of an older program up to date. Raises `StateError` for those of a newer one."""
+    """Make the tables, or bring those of an older program up to date. Raises `StateError` for those of a newer one and
+    `Damaged` if it cannot be told.
+    """
     tables = {name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
     if "meta" not in tables:
+        create(database)
         return
-    row = database.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
-    found = None if row is None else str(row[0])
-    if found == "1":
+    row = database.execute("SELECT * FROM meta WHERE key = 'format'").fetchone()
+    if row is None or (len(row) > 2 and row != meta_row(*row[:2])):
+        raise Damaged("the journal is damaged: it does not say its format")
+    if row[1] == "1":
         _from_1(database)
-    elif found != str(FORMAT):
-        raise StateError(f"the journal has format {found}, this program {FORMAT}: use the one that wrote it")
+    elif row[1] != str(FORMAT):
+        raise StateError(f"the journal has format {row[1]}, this program {FORMAT}: use the one that wrote it")
+
+
+def create(database: sqlite3.Connection) -> None:
+    """The tables of a journal that begins, and its format, in one transaction of the caller's."""
+    for statement in SCHEMA.split(";"):
+        database.execute(statement)
+    database.execute("INSERT INTO meta VALUES (?, ?, ?)", meta_row("format", str(FORMAT)))
+
+
+def rescue(database: sqlite3.Connection, aside: Path) -> int:
+    """Take over what can still be read of a journal set aside: entries, versions, snapshots; returns how many entries.
+
+    The epoch is not taken over, as the versions to come may be others than some that were published; nor how far the
+    publishers had come: what they still have comes again, fills the holes, and counts once.
+    """
+    entries = 0
+    for table, key, columns in (("entry", "id", 8), ("version", "id", 8), ("snapshot", "position", 5)):
+        places = ", ".join("?" * columns)
+        for row in readable(aside, table, key):
+            if len(row) == columns and crc(*row[:-1]) == row[-1]:
+                added = database.execute(f"INSERT OR IGNORE INTO {table} VALUES ({places})", row).rowcount
+                entries += added if table == "entry" else 0
+    return entries
 
 
 def meta_row(key: str, value: str) -> tuple[str, str, int]:

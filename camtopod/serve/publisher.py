@@ -88,6 +88,7 @@ class Publisher:
     def statistics(self) -> dict[str, int]:
         """Counters for the status."""
         return {
+            **self._spool.statistics(),
             "published": self.published,
             "unacknowledged": self.unacknowledged,
             "dropped": self.dropped + self._spool.dropped,

@@ -101,13 +101,7 @@ def test_no_power_cut_loses_what_was_durable(name: str, quick_path: Path, disk_w
     assert sum(outcome.images.values()) > 400
 
 
-_NO_FORMAT_YET = pytest.mark.xfail(
-    reason="journal_format.prepare refuses a file whose tables are made and whose format is not yet written",
-    strict=True,
-)
-
-
-@pytest.mark.parametrize("name", [pytest.param("journal", marks=_NO_FORMAT_YET), "spool"])
+@pytest.mark.parametrize("name", FILES)
 def test_no_power_cut_while_a_file_is_made_needs_help(name: str, quick_path: Path, disk_watch: Vfs) -> None:
     outcome = run(FILES[name], 0, 3, quick_path, disk_watch, opened=False)
     assert outcome.lost == []
