@@ -98,9 +98,7 @@ class Soak:
     """An installation and its days."""
 
     def __init__(self, folder: Path, cameras: int, events: int) -> None:
-        learn = Settings(
-            lateness_seconds=2 * BATCH_SECONDS, ahead_seconds_max=0.0, window_hours=24.0, refit_hours=4.0
-        )
+        learn = Settings(lateness_seconds=2 * BATCH_SECONDS, ahead_seconds_max=0.0, window_hours=24.0, refit_hours=4.0)
         keep = KeepSettings(journal_days=3.0, history_days=3.0, snapshot_events=2000)
         self._config = Config(
             bus=BusSettings(listen=(f"tcp/127.0.0.1:{_free_port()}",)), state=StateSettings(str(folder / "state")),

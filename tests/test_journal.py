@@ -147,7 +147,8 @@ def test_what_can_be_read_of_a_damaged_journal_goes_on(journal: Journal, tmp_pat
         assert [one for _, one in anew.entries()] == [entry(n) for n in range(1, 400)]
         assert anew.snapshots()[0] == Snapshot(399, "E", b"state 399")
         assert len(anew.versions("E")) == 399
-        assert anew.meta("epoch") is None, "another line of versions begins"
+        assert (anew.meta("epoch"), anew.meta("epoch before")) == (None, "E"), "a later line of versions begins"
+        assert anew.damaged_files() == [anew.set_aside]
         assert anew.streams() == {}, "publishers are asked for what they still have"
         anew.commit([entry(400)])
         assert kept(anew)[-1] == 400

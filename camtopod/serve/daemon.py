@@ -199,7 +199,7 @@ class Daemon:
                 "entries": len(self._journal),
                 "bytes": self._journal.size(),
                 "damaged": self._learning.damaged,
-                "set_aside": None if self._journal.set_aside is None else self._journal.set_aside.name,
+                "damaged_files": [path.name for path in self._journal.damaged_files()],
             },
             "cameras": {
                 camera: {**counters, "alive": camera in self._puller.alive}
@@ -221,7 +221,8 @@ class Daemon:
         self._journal.close()
 
     def _new_epoch(self) -> str:
-        epoch = clocks.ulid(self._clock(), after=self._journal.meta("epoch") or "")
+        before = max(self._journal.meta(key) or "" for key in ("epoch", "epoch before"))
+        epoch = clocks.ulid(self._clock(), after=before)
         self._journal.set_meta("epoch", epoch)
         return epoch
 

@@ -231,6 +231,11 @@ class Journal:
         with self._mutex:
             return self._pragma("page_size") * (self._pragma("page_count") - self._pragma("freelist_count"))
 
+    def damaged_files(self) -> list[Path]:
+        """What was set aside of the database and its log and is still there, for somebody to look at."""
+        log_path = self._path.with_name(f"{self._path.name}-wal")
+        return [*database.damaged_files(self._path), *database.damaged_files(log_path)]
+
     def close(self) -> None:
         """Close and let go of the directory; may be called twice."""
         with self._mutex:
