@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from camtopod.learn import window as module
 from camtopod.learn.intake import microseconds
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
-from camtopod.learn.window import NO_CELL, NO_MATE, Window, cells_of
+from camtopod.learn.window import FLOOD_CAMERAS_MIN, FLOOD_SHARE, NO_CELL, NO_MATE, Window, cells_of
 from camtopod.learn.zones import POSITION_ONE
 from camtopod.records import Event
 
@@ -33,6 +33,17 @@ def at(t: float, batch: list[Event]) -> list[tuple[int, Event]]:
     return [(microseconds(t), e) for e in batch]
 
 
+def bounded(kept: list[tuple[int, Event]], events_max: int, seen: list[Event]) -> list[tuple[int, Event]]:
+    """What stays of a window beyond its size: a camera that floods gives way first."""
+    cameras = list(dict.fromkeys(e.camera for e in seen))
+    held = [sum(e.camera == camera for _, e in kept) for camera in cameras]
+    wild = cameras[held.index(max(held))] if len(cameras) >= FLOOD_CAMERAS_MIN else ""
+    while len(kept) > events_max:
+        mine = [k for k, (_, e) in enumerate(kept) if e.camera == wild]
+        del kept[mine[0] if len(mine) > int(FLOOD_SHARE * events_max) else 0]
+    return kept
+
+
 @given(STEPS, st.integers(1, 25))
 def test_sums_equal_a_recount(steps: list[tuple[list[Event], int, bool]], events_max: int) -> None:
     window, kept, seen, now = Window(events_max), list[tuple[int, Event]](), list[Event](), 0
@@ -42,7 +53,7 @@ def test_sums_equal_a_recount(steps: list[tuple[list[Event], int, bool]], events
         kept += at(now, batch)
         seen += batch
         if forget:
-            remaining = [(t, e) for t, e in kept if t >= microseconds(now - age)][-events_max:]
+            remaining = bounded([(t, e) for t, e in kept if t >= microseconds(now - age)], events_max, seen)
             assert window.forget(microseconds(now - age)) == len(kept) - len(remaining)
             kept = remaining
         assert len(window) == len(kept)
@@ -140,3 +151,28 @@ def test_cells_hold_what_the_zones_see(x: float, y: float) -> None:
     assert row <= y * GRID_ROWS + 0.01 <= row + 1.02
     assert column <= x * GRID_COLUMNS + 0.01 <= column + 1.02
     assert cells_of(np.array([-1]), np.array([py])).tolist() == [NO_CELL]
+
+
+def test_a_camera_that_floods_displaces_only_itself() -> None:
+    window = Window(1000)
+    quiet = [(10 * k, Event("ab"[k % 2], "entry", k, 0.5, 0.5)) for k in range(100)]
+    flood = [(5 * k, Event("wild", "entry", k, 0.1, 0.1)) for k in range(4000)]
+    for first in range(0, 20_000, 500):
+        batch = [row for row in quiet + flood if first <= row[0] < first + 500]
+        window.append(sorted(batch, key=lambda row: row[0]))
+        window.forget(0)
+    assert len(window) == 1000
+    placed = {name: int(sums[0].sum()) for name, sums in zip(window.cameras, window.sums, strict=True)}
+    assert placed == {"a": 50, "b": 50, "wild": 900}
+    wild = window.column("camera") == window.cameras.index("wild")
+    assert window.column("t")[wild].tolist() == [t for t, _ in flood][-900:]
+
+
+def test_two_busy_cameras_and_a_busy_one_of_two_are_no_flood() -> None:
+    for names, share in (("abc", (0.6, 0.3, 0.1)), ("ab", (0.95, 0.05))):
+        window = Window(500)
+        chance = np.random.default_rng(1)
+        chosen = chance.choice(list(names), 2000, p=share)
+        window.append([(k, Event(str(name), "entry", k)) for k, name in enumerate(chosen)])
+        window.forget(0)
+        assert window.column("t").tolist() == list(range(1500, 2000))

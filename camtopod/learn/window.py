@@ -19,6 +19,8 @@ from camtopod.records import Event
 
 OPEN_PASSAGES_MAX = 100_000
 """Entries whose exit has not come, over all cameras; beyond, the oldest is forgotten."""
+FLOOD_SHARE, FLOOD_CAMERAS_MIN = 0.75, 3
+"""A camera floods that has more than this share of a full window, where there are at least so many cameras."""
 NO_CELL = -1
 NO_MATE = -1
 PLANES = ("count", "sx", "sy", "sxx", "sxy", "syy", "entries")
@@ -101,14 +103,33 @@ class Window:
         self._count(rows, 1)
 
     def forget(self, before_us: int) -> int:
-        """Drop what is older than ``before_us`` or beyond the size of the window; returns the number of rows."""
+        """Drop what is older than ``before_us`` or beyond the size of the window; returns the number of rows.
+
+        Of what is beyond, a camera that floods loses its own oldest, not everybody's.
+        """
         old = int(np.searchsorted(self.column("t"), before_us))
-        drop = max(old, len(self) - self.events_max)
+        self._forget_oldest(old)
+        beyond = max(len(self) - self.events_max, 0)
+        self._forget_oldest(beyond - self._forget_flood(beyond))
+        return old + beyond
+
+    def _forget_oldest(self, drop: int) -> None:
         if drop > 0:
             self._count(slice(self._start, self._start + drop), -1)
             self._start += drop
             self.base += drop
-        return max(drop, 0)
+
+    def _forget_flood(self, most: int) -> int:
+        """Drop up to ``most`` of the oldest rows of a camera that has more than `FLOOD_SHARE` of a full window; how many."""
+        if most == 0 or len(self.cameras) < FLOOD_CAMERAS_MIN:
+            return 0
+        count = np.bincount(self.column("camera"))
+        camera, allowed = int(count.argmax()), int(FLOOD_SHARE * self.events_max)
+        surplus = min(most, int(count[camera]) - allowed)
+        if surplus <= 0:
+            return 0
+        rows = np.flatnonzero(self.column("camera") == camera)
+        return self.forget_camera(camera, self.base + int(rows[surplus - 1]) + 1)
 
     def forget_camera(self, camera: int, before: int) -> int:
         """Drop the camera's rows older than row number ``before`` (absolute), whatever their age; returns how many.
