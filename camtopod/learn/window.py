@@ -120,7 +120,7 @@ class Window:
             self.base += drop
 
     def _forget_flood(self, most: int) -> int:
-        """Drop up to ``most`` of the oldest rows of a camera that has more than `FLOOD_SHARE` of a full window; how many."""
+        """Drop up to ``most`` of the oldest rows of a camera that floods; returns how many."""
         if most == 0 or len(self.cameras) < FLOOD_CAMERAS_MIN:
             return 0
         count = np.bincount(self.column("camera"))

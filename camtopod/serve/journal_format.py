@@ -65,8 +65,8 @@ def create(database: sqlite3.Connection) -> None:
 def rescue(database: sqlite3.Connection, aside: Path) -> int:
     """Take over what can still be read of a journal set aside: entries, versions, snapshots; returns how many entries.
 
-    The epoch is not gone on with, as the versions to come may be others than some that were published; nor is how far the
-    publishers had come: what they still have comes again, fills the holes, and counts once.
+    The epoch is not gone on with, as the versions to come may be others than some that were published. Nor is it taken
+    over how far the publishers had come: what they still have comes again, fills the holes, and counts once.
     """
     for row in readable(aside, "meta", "key"):
         if row[0] == "epoch" and row == meta_row("epoch", str(row[1])):
