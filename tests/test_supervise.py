@@ -440,7 +440,7 @@ def test_without_that_it_would() -> None:
 
 def test_whoever_has_lost_its_parent_is_told_to_stop() -> None:
     stop = threading.Event()
-    with leaving(stop, 10.0, parent=1):  # ours is another
+    with leaving(stop, 10.0, parent=os.getppid() + 1):  # ours is another
         assert stop.wait(WAIT_SECONDS)
     other = threading.Event()
     with leaving(other, 10.0, parent=os.getppid()):
