@@ -1,4 +1,6 @@
-"""Who was not let in: zenoh says so in its log only, which it writes to standard output; so read it from there."""
+"""Who was not let in, and what was not let through: zenoh says so in its log only, which it writes to standard output;
+so read it from there.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,10 @@ from collections.abc import Iterator
 
 log = logging.getLogger(__name__)
 
-FILTER = "zenoh_link_tls=warn"
-"""What of zenoh's log is wanted; the environment variable RUST_LOG asks for more."""
+FILTER = "zenoh_link_tls=warn,zenoh::net::routing::interceptor=trace"
+"""What of zenoh's log is wanted; the environment variable RUST_LOG asks for more. Of what access control decides there
+is no less than everything: a line a message.
+"""
 SAY_SECONDS = 60.0
 """Each reason is said at most this often."""
 LINE_BYTES_MAX = 4096
@@ -25,6 +29,8 @@ _REASONS = {
     "bad-certificate": r"invalid peer certificate|received fatal alert|signature",
     "not-tls": r"corrupt message|InvalidContentType|InvalidMessage",
 }
+_INTERCEPTOR = re.compile(r"(ThreadId\(\d+\)) zenoh::net::routing::interceptor\S* (.*)")
+_DENIED = re.compile(r"CertCommonName\(([^)]*)\).* is unauthorized to (\w+) \(ingress\) on (\S+)")
 _LINK = re.compile(r"zenoh_link_tls\S*: (.*)")
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
@@ -35,10 +41,15 @@ class Refusals:
     def __init__(self) -> None:
         self.counts: collections.Counter[str] = collections.Counter()
         self._said: dict[str, float] = {}
+        self._denied: set[str] = set()  # threads of zenoh's whose message in hand is not allowed
 
     def hear(self, line: str) -> None:
         """A line of zenoh's log."""
         line = _COLOUR.sub("", line).strip()
+        intercepted = _INTERCEPTOR.search(line)
+        if intercepted is not None:
+            self._intercepted(intercepted[1], intercepted[2])
+            return
         link = _LINK.search(line)
         if link is None:
             if line:
@@ -46,11 +57,29 @@ class Refusals:
             return
         what = link.group(1).partition(". Hint:")[0]
         reason = next((reason for reason, words in _REASONS.items() if re.search(words, what)), "other")
+        self._count(reason, f"somebody was not let onto the bus: {reason} ({what})")
+
+    def _intercepted(self, thread: str, what: str) -> None:
+        """What access control says of a message, or that a message is dropped: if it was allowed, for its size."""
+        if " is authorized to " in what:
+            self._denied.discard(thread)
+        elif " is unauthorized to " in what:
+            self._denied.add(thread)
+            if denied := _DENIED.search(what):
+                who, action, key = denied.groups()
+                self._count("denied", f"the certificate of {who} does not allow {action} on {key}")
+        elif what.startswith("Msg intercepted"):
+            if thread in self._denied:
+                self._denied.discard(thread)
+            else:
+                self._count("too-large", "a message was dropped for its size")
+
+    def _count(self, reason: str, what: str) -> None:
         self.counts[reason] += 1
         now = time.monotonic()
         if now - self._said.get(reason, -SAY_SECONDS) >= SAY_SECONDS:
             self._said[reason] = now
-            log.warning("somebody was not let onto the bus: %s (%s, %d so far)", reason, what, self.counts[reason])
+            log.warning("%s (%d so far)", what, self.counts[reason])
 
 
 refusals = Refusals()

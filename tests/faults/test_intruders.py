@@ -267,6 +267,10 @@ def test_a_stolen_box_can_publish_its_own_events_and_nothing_else(
     assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
     effects = attack(thief, observer)
     assert effects == OWN | {f"thief heard put {HQ}/ack/cam1"}
+    refused = status(observer)["refused"]
+    assert refused["denied"] >= len(STOLEN)
+    assert refused.get("too-large", 0) == 0
+    wait_for(lambda: any("certificate of cam1 does not allow" in line for line in guarded.said), "it to be said")
 
 
 def test_a_stolen_box_that_poses_as_a_router_gains_and_breaks_nothing(
@@ -451,6 +455,7 @@ def test_what_is_too_large_neither_arrives_nor_takes_memory(
     assert memory(unguarded.process.pid) - before < GROWTH_BYTES_MAX
     flooder.do("put", key=event, payload="x", repeat=rules.EVENT_BYTES_MAX)
     wait_for(lambda: status(observer)["rejects"].get("too-long") == 1, "what the bus lets pass to be counted")
+    wait_for(lambda: status(observer)["refused"].get("too-large", 0) >= 200, "what the bus drops to be counted")
 
 
 def test_no_message_of_any_kind_may_be_that_large(unguarded: RealDaemon, cleanup: contextlib.ExitStack) -> None:

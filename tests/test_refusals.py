@@ -1,0 +1,64 @@
+"""What zenoh's log says of who is refused."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+
+from camtopod.serve.refusals import Refusals
+
+STAMP = (
+    "\x1b[2m2026-11-21T19:07:34.914831Z\x1b[0m \x1b[35mTRACE\x1b[0m rx-1 ThreadId({}) zenoh::net::routing::interceptor"
+)
+SUBJECT = "a7fa79 on Interface(lo)+CertCommonName(lobby)+Transport(Tls)+a7fa79"
+
+
+def allowed(thread: int, direction: str = "ingress") -> str:
+    who = f"{STAMP.format(thread)}::access_control: {SUBJECT}"
+    return f"{who} is authorized to Put ({direction}) on camtopo/hq/event/lobby"
+
+
+def denied(thread: int, direction: str = "ingress") -> str:
+    who = f"{STAMP.format(thread)}::access_control: {SUBJECT}"
+    return f"{who} is unauthorized to Put ({direction}) on camtopo/hq/event/hall"
+
+
+def dropped(thread: int) -> str:
+    return f"{STAMP.format(thread)}: Msg intercepted!"
+
+
+def test_what_is_not_allowed_is_counted_and_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    refusals = Refusals()
+    for _ in range(5):
+        for line in (allowed(16), denied(16), dropped(16), allowed(16)):
+            refusals.hear(line)
+    assert refusals.counts == {"denied": 5}
+    with caplog.at_level(logging.INFO):
+        refusals.hear(denied(17))
+    assert caplog.text.count("the certificate of lobby does not allow Put on camtopo/hq/event/hall") == 1
+
+
+def test_what_is_allowed_and_dropped_is_too_large() -> None:
+    refusals = Refusals()
+    for line in (allowed(16), denied(17), dropped(16), dropped(17), dropped(18)):
+        refusals.hear(line)
+    assert refusals.counts == {"denied": 1, "too-large": 2}
+
+
+def test_what_may_not_go_out_to_somebody_is_nothing_to_count() -> None:
+    refusals = Refusals()
+    for line in (allowed(16), denied(16, "egress"), dropped(16)):
+        refusals.hear(line)
+    assert refusals.counts == {}
+
+
+def test_handshakes_by_reason_and_the_rest_as_it_is(caplog: pytest.LogCaptureFixture) -> None:
+    refusals = Refusals()
+    with caplog.at_level(logging.INFO):
+        refusals.hear("WARN zenoh_link_tls::unicast: peer sent no certificates. Hint: none")
+        refusals.hear("WARN zenoh_link_tls::unicast: invalid peer certificate: UnknownIssuer")
+        refusals.hear("something else")
+        refusals.hear("")
+    assert refusals.counts == {"no-certificate": 1, "wrong-authority": 1}
+    assert "zenoh: something else" in caplog.text
