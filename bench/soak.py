@@ -29,6 +29,7 @@ from camtopod.config import BusSettings, Config, KeepSettings, Limits, StateSett
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
+from camtopod.serve import memory
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.publisher import Publisher
@@ -66,6 +67,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--events", type=int, default=6000, help="events a day, about (default 6000)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="one line a day goes here")
     given = parser.parse_args(argv)
+    memory.limit_arenas()
     with tempfile.TemporaryDirectory() as folder:
         soak = Soak(Path(folder), given.cameras, given.events)
         print("day  resident MiB  journal MiB  spool MiB  version  start s  day s")
@@ -145,6 +147,7 @@ class Soak:
         self._stored += daemon.status()["events"]["stored"]
         daemon.stop()
         gc.collect()
+        memory.give_back()  # what the plain learner beside the daemon took
         self.days.append(
             Day(
                 day, _resident(), _bytes(self._folder / "state"), _bytes(self._folder, "spool"),

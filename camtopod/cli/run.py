@@ -11,7 +11,7 @@ from camtopod.cli import exits
 from camtopod.cli.common import Told, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import Config
-from camtopod.serve import health, systemd
+from camtopod.serve import health, memory, systemd
 from camtopod.serve.bus import BusError, refusals_heard
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.database import StateError
@@ -37,6 +37,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM or SIGINT."""
+    memory.limit_arenas()
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
     with signals() as told, leaving(told.stop, LEAVE_SECONDS):

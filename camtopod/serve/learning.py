@@ -13,6 +13,7 @@ from camtopod import codec
 from camtopod.learn.snapshot import pack
 from camtopod.learn.topology import make_delta
 from camtopod.records import Topology
+from camtopod.serve import memory
 from camtopod.serve.journal import Entry, Journal, Snapshot
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.receiver import Received, Version, decode
@@ -169,6 +170,8 @@ class Learning:
 
     def _tell(self) -> None:
         """Between batches: a snapshot if one is due, and how things are."""
+        if self._due:
+            memory.give_back()  # a fit takes a lot for a moment
         if self._due or self.position - self._saved >= self._snapshot_events:
             snapshot = self.snapshot()
             if snapshot is not None:
