@@ -1,0 +1,88 @@
+"""How soon a daemon that was killed is back: from its snapshot and the rest of the journal.
+
+    python -m bench restart [--events 50000] [--behind 2000] [--times 5]
+
+The journal of a made-up site of 12 cameras holds ``--events`` events, the snapshot all but the last ``--behind``. The real
+`camtopod run` is started on it, timed until it receives events, and killed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from camtopod.codec import to_json, to_pack
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
+from camtopod.learn.snapshot import pack
+from camtopod.records import Event
+from camtopod.serve.clock import ulid
+from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.sim.network import simulate
+from camtopod.sim.settings import SimSettings
+
+SETTINGS = Settings(refit_share=0.9, refit_hours=100.0)
+"""Few versions, to be ready to measure soon; the state is as large as with many."""
+OBJECTS_PER_SECOND, EVENTS_PER_HOUR = 0.12, 3500.0
+
+
+def main(argv: list[str]) -> int:
+    """Measure; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m bench restart", description="Time from a kill to being back.")
+    parser.add_argument("--events", type=int, default=50_000)
+    parser.add_argument("--behind", type=int, default=2_000)
+    parser.add_argument("--times", type=int, default=5)
+    given = parser.parse_args(argv)
+    with tempfile.TemporaryDirectory() as folder:
+        hours = given.events / EVENTS_PER_HOUR + 1.0
+        events, _ = simulate(SimSettings(seed=1, objects_per_second=OBJECTS_PER_SECOND, hours=hours))
+        size = lay_out(Path(folder), events[: given.events], given.behind)
+        config = Path(folder) / "camtopod.toml"
+        config.write_text(
+            f'[bus]\nlisten = ["tcp/127.0.0.1:0"]\n[state]\ndirectory = "{folder}/state"\n'
+            f"[learn]\nrefit_share = {SETTINGS.refit_share}\nrefit_hours = {SETTINGS.refit_hours}\n"
+        )
+        seconds = [start(config) for _ in range(given.times)]
+    print(f"snapshot {size / 1e6:.2f} MB, {given.behind} entries behind it")
+    print(f"ready after {statistics.median(seconds):.2f} s (median of {len(seconds)}), {max(seconds):.2f} s at most")
+    return 0
+
+
+def lay_out(folder: Path, events: Sequence[Event], behind: int) -> int:
+    """Write the journal of a daemon that has learned all but the last events; returns the bytes of the snapshot."""
+    epoch = ulid(events[0].t)
+    learner = Learner(SETTINGS, "site", epoch)
+    for event in events[: len(events) - behind]:
+        learner.receive(event)
+    journal = Journal(folder / "state")
+    journal.set_meta("epoch", epoch)
+    journal.commit([Entry("event", event.camera, None, None, to_pack(event)) for event in events])
+    made = learner.updates()
+    journal.commit([], [StoredVersion(one.epoch, one.version, one.digest, to_json(one)) for one in made])
+    state = pack(learner.save())
+    journal.commit([], snapshot=Snapshot(len(events) - behind, epoch, state))
+    journal.close()
+    return len(state)
+
+
+def start(config: Path) -> float:
+    """Seconds until `camtopod run` is ready; it is killed then."""
+    started = time.perf_counter()
+    command = [sys.executable, "-m", "camtopod", "--config", str(config), "run"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        said = b""
+        while b"ready at" not in said:
+            said = process.stderr.readline()
+            if not said:
+                raise RuntimeError("the daemon ended instead of becoming ready")
+        seconds = time.perf_counter() - started
+        process.send_signal(signal.SIGKILL)
+    return seconds
