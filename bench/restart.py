@@ -2,8 +2,8 @@
 
     python -m bench restart [--events 50000] [--behind 2000] [--times 5]
 
-The journal of a made-up site of 12 cameras holds ``--events`` events, the snapshot all but the last ``--behind``. The real
-`camtopod run` is started on it, timed until it receives events, and killed.
+The journal of a made-up site of 12 cameras holds ``--events`` events, the snapshot all but the last ``--behind``. The
+real `camtopod run` is started on it, timed until it receives events, and killed.
 """
 
 from __future__ import annotations
