@@ -128,8 +128,11 @@ def test_a_damaged_snapshot_is_refused() -> None:
     for _ in range(300):
         flipped = bytearray(blob)
         flipped[chance.randrange(len(blob))] ^= 1 << chance.randrange(8)
-        with pytest.raises(SnapshotError):
-            unpack(bytes(flipped))
+        try:
+            same = pack(unpack(bytes(flipped)))
+        except SnapshotError:
+            continue
+        assert same == blob  # a few bits fill up the last byte and mean nothing
 
 
 def test_a_newer_snapshot_is_refused_by_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
