@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from camtopod.learn.lags import LagBins
@@ -102,6 +102,7 @@ def test_what_is_left_over() -> None:
     assert 150 - UNCERTAINTY * 100 <= left[0, 3] < 110
 
 
+@example(183, 39, 20)
 @given(st.integers(0, 10**6), st.integers(0, 40), st.integers(0, 20))
 def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
     rng = np.random.default_rng(seed)
@@ -126,7 +127,9 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
     actual = list(zip(*ways[:4], strict=True))
     assert len(actual) == len(expected)
     if expected:
-        assert sorted(actual) == pytest.approx(np.array(sorted(expected)))
+        # to nine digits, as sums in another order may put equal ways in another one
+        rounded = [sorted(tuple(np.round(np.array(way, float), 9)) for way in ways) for ways in (actual, expected)]
+        assert np.array(rounded[0]) == pytest.approx(np.array(rounded[1]))
 
 
 def test_odds_of_one_camera_and_of_its_neighbours() -> None:
