@@ -153,19 +153,12 @@ def _to_bus(
     from camtopod.serve.bus import BusError, dial
     from camtopod.serve.database import StateError
     from camtopod.serve.publisher import Publisher
-    from camtopod.serve.spool import Spool
+    from camtopod.serve.spool import open_spool
 
     path = config.state_directory / f"spool-{args.camera}.db"
     with contextlib.ExitStack() as stack:
         try:
-            limits = config.limits
-            spool = Spool(
-                path,
-                clock.ulid(clock.wall()),
-                limits.spool_events_max,
-                limits.spool_bytes_max,
-                limits.spool_kept_events,
-            )
+            spool = open_spool(path, config.limits)
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         stack.callback(spool.close)

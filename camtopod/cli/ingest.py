@@ -15,11 +15,10 @@ from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
 from camtopod.cli.lines import LineReader, open_input
 from camtopod.records import Event
-from camtopod.serve import clock
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.database import StateError
 from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.spool import open_spool
 
 log = logging.getLogger(__name__)
 
@@ -62,14 +61,7 @@ def run(args: argparse.Namespace) -> int:
             raise CommandError(str(error), exits.BUS) from None
         stack.callback(bus.close)
         try:
-            limits = config.limits
-            spool = Spool(
-                path,
-                clock.ulid(clock.wall()),
-                limits.spool_events_max,
-                limits.spool_bytes_max,
-                limits.spool_kept_events,
-            )
+            spool = open_spool(path, config.limits)
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         stack.callback(spool.close)

@@ -22,7 +22,7 @@ from msgspec import Meta, Struct
 from camtopod import codec
 from camtopod.config import Limits
 from camtopod.records import CameraId, Event
-from camtopod.serve import database, spool_format
+from camtopod.serve import clock, database, spool_format
 
 log = logging.getLogger(__name__)
 
@@ -341,3 +341,9 @@ class Spool:
 def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
     raw = codec.to_pack(event)
     return event.camera, event.boot, event.seq, raw, database.crc(event.camera, event.boot, event.seq, raw)
+
+
+def open_spool(path: Path, limits: Limits) -> Spool:
+    """The spool of a publishing process, with its limits. Raises `database.StateError`."""
+    boot = clock.ulid(clock.wall())
+    return Spool(path, boot, limits.spool_events_max, limits.spool_bytes_max, limits.spool_kept_events)
