@@ -306,3 +306,51 @@ def test_run_says_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[st
     away = tmp_path / "away.toml"
     away.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n')
     assert main.main(["--config", str(away), "run", "--state", str(tmp_path / "s")]) == 69
+
+
+# --- no password in what is said -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["grab", "rtsp://u:hunter2@h/x", "rtsp://u:hunter2@h/y"],
+        ["rtsp://u:hunter2@h"],
+        ["ingest", "rtsp://u:hunter2@h"],
+        ["grab", "--speed", "rtsp://u:hunter2@h"],
+    ],
+)
+def test_a_command_line_that_is_wrong_keeps_its_password(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main(arguments)
+    assert caught.value.code == exits.USAGE
+    said = capsys.readouterr().err
+    assert "rtsp://***@h" in said
+    assert "hunter2" not in said
+
+
+@pytest.mark.parametrize("where", ["main", "thread"])
+def test_what_nobody_expects_keeps_a_password_and_ends_with_a_status(where: str) -> None:
+    crash = "ValueError('rtsp://u:hunter2@h/x is broken')"
+    root = Path(__file__).parent.parent
+    script = (
+        "import sys, threading, types\n"
+        "from camtopod.cli import main\n"
+        f"def fail(): raise {crash}\n"
+        "def run(args):\n"
+        f"    if {where == 'main'}: fail()\n"
+        "    thread = threading.Thread(target=fail); thread.start(); thread.join()\n"
+        "    return 0\n"
+        "probe = types.ModuleType('probe')\n"
+        "probe.add_parser, probe.run = lambda subparsers: subparsers.add_parser('probe') and None, run\n"
+        "sys.modules['probe'] = probe\n"
+        "main.COMMANDS['probe'] = ('probe', 'for this test')\n"
+        "sys.argv = ['camtopod', 'probe']\n"
+        "main.console()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=root)
+    assert done.returncode == (exits.FAILED if where == "main" else exits.DONE)
+    assert "ValueError: rtsp://***@h/x is broken" in done.stderr
+    assert "hunter2" not in done.stderr

@@ -18,6 +18,9 @@ import logging
 import os
 import signal
 import sys
+import threading
+import traceback
+import types
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -83,10 +86,16 @@ def console() -> NoReturn:
     The interpreter's own end waits for threads, and aborts the process (status -6, "exception not rethrown") when one
     of zenoh's or OpenCV's comes back to it meanwhile. Whatever matters is closed by then, or safe on disk.
     """
+    sys.excepthook = _crash
+    threading.excepthook = _crash_of_a_thread
     try:
         status = main()
     except SystemExit as error:  # argparse: --help, --version, usage
         status = error.code if isinstance(error.code, int) else exits.FAILED
+    _end(status)
+
+
+def _end(status: int) -> NoReturn:
     logging.shutdown()
     with contextlib.suppress(OSError):  # nobody is there to read it
         sys.stdout.flush()
@@ -94,9 +103,33 @@ def console() -> NoReturn:
     os._exit(status)
 
 
+def _crash(_: type[BaseException], error: BaseException, __: types.TracebackType | None) -> NoReturn:
+    """What nobody expected ends the process with its traceback."""
+    _tell(error)
+    _end(exits.FAILED)
+
+
+def _crash_of_a_thread(crash: threading.ExceptHookArgs) -> None:
+    if crash.exc_value is not None and crash.thread is not None:
+        print(f"in thread {crash.thread.name}:", file=sys.stderr)
+        _tell(crash.exc_value)
+
+
+def _tell(error: BaseException) -> None:
+    """The traceback, which may hold a source and its password, to standard error."""
+    print(redact("".join(traceback.format_exception(error))), end="", file=sys.stderr)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A command line that is wrong is quoted without the passwords in it."""
+
+    def error(self, message: str) -> NoReturn:
+        super().error(redact(message))
+
+
 def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
     name = _command_in(arguments)
-    parser = argparse.ArgumentParser(prog="camtopod", description=_DESCRIPTION)
+    parser = _Parser(prog="camtopod", description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"camtopod {__version__}")
     _add_common(parser, top=True)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
