@@ -152,6 +152,31 @@ def test_other_mistakes(authority: Authority, tmp_path: Path) -> None:
         Authority(authority.folder, NOW)
 
 
+def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "home"
+    (folder / "camera").mkdir(parents=True, mode=0o755)
+    folder.chmod(0o755)
+    (folder / "camera" / "holiday.jpg").write_bytes(b"x")
+    for replace in (False, True):
+        with pytest.raises(KeysError, match="holds other files; name an empty folder"):
+            Authority.make(folder, "hq", NOW, 7300, replace=replace)
+    assert (folder / "camera" / "holiday.jpg").read_bytes() == b"x"
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o755
+    assert not (folder / "authority").exists()
+
+
+def test_a_new_certificate_of_the_daemon_is_good_for_the_same_hosts(authority: Authority) -> None:
+    def hosts() -> list[str]:
+        names = certificate(authority.folder / "daemon").extensions.get_extension_for_class(x509.SubjectAlternativeName)
+        return [str(name.value) for name in names.value]
+
+    before = hosts()
+    authority.issue("daemon", "daemon", 10, replace=True)
+    assert hosts() == before, "or no box would find its daemon any more"
+    authority.issue("daemon", "daemon", 10, replace=True, hosts=["other.example"])
+    assert hosts() == ["other.example", "localhost", "127.0.0.1", "::1"]
+
+
 # --- the command ------------------------------------------------------------------------------------
 
 
@@ -180,6 +205,30 @@ def test_from_nothing_to_a_site(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert [c.name for c in rules.read_access(Path(keys, "daemon/access.json").read_bytes()).certificates] == [
         "daemon", "lobby", "reader:wall",
     ]  # fmt: skip
+
+
+def test_a_mistake_in_the_middle_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    keys = str(tmp_path / "keys")
+    for wrong in (["--host", "a b"], ["--days", "20", "--authority-days", "10"]):
+        assert run("--keys", keys, "init", *wrong) == exits.FAILED
+        assert run("--keys", keys, "list") == exits.FAILED, "an authority without a daemon"
+    assert run("--keys", keys, "init") == exits.DONE
+    assert run("--keys", keys, "camera", "lobby", "hall") == exits.DONE
+    before = {path: path.read_bytes() for path in Path(keys).rglob("*") if path.is_file()}
+    for wrong in (
+        ["camera", "new", "bad/name"], ["camera", "new", "lobby"], ["camera", "new", "new"],
+        ["revoke", "camera", "lobby", "nobody"], ["revoke", "camera", "lobby", "lobby"],
+    ):  # fmt: skip
+        assert run("--keys", keys, *wrong) == exits.FAILED, wrong
+        assert {path: path.read_bytes() for path in Path(keys).rglob("*") if path.is_file()} == before, wrong
+    assert "nobody" in capsys.readouterr().err
+
+
+def test_the_daemon_s_hosts_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--keys", str(tmp_path / "a"), "init") == exits.DONE
+    assert "good on its own machine only: name others with --host" in capsys.readouterr().err
+    assert run("--keys", str(tmp_path / "b"), "init", "--host", "hub.example") == exits.DONE
+    assert "to be dialled as hub.example" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("days", ["0", "-1", "x", "1e9", "99999999"])

@@ -14,7 +14,16 @@ from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config
 from camtopod.keys import rules
-from camtopod.keys.authority import ACCESS, DAEMON, Authority, KeysError, day, write_public
+from camtopod.keys.authority import (
+    ACCESS,
+    DAEMON,
+    LOCAL_HOSTS,
+    Authority,
+    KeysError,
+    check_hosts,
+    day,
+    write_public,
+)  # fmt: skip
 from camtopod.serve import clock
 
 DEFAULT_FOLDER = Path("camtopod-keys")
@@ -23,6 +32,9 @@ AUTHORITY_DAYS = 20 * 365
 _DAYS_MAX = 100 * 365
 _INSTALLED = "keys"
 """Where the folders are copied to, beside the configuration."""
+
+_ROLES: dict[str, rules.Role] = {"init": "daemon", "daemon": "daemon", "camera": "camera", "reader": "reader"}
+"""The certificates that a command gives out."""
 
 
 def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
@@ -45,10 +57,10 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
     revoke.add_argument("role", choices=("camera", "reader"))
     for named in (camera, reader, revoke):
         named.add_argument("names", nargs="+", metavar="NAME", help="the camera's id, or any name for a reader")
-    for hosted in (init, daemon):
+    for hosted, default in ((init, ""), (daemon, " (default: as before)")):
         hosted.add_argument(
             "--host", action="append", default=[], metavar="NAME",
-            help="name or address under which the others dial the daemon; may be repeated",
+            help=f"name or address under which the others dial the daemon; may be repeated{default}",
         )  # fmt: skip
     for made in (init, daemon, camera, reader):
         made.add_argument(
@@ -56,8 +68,8 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
         )
         made.add_argument("--replace", action="store_true", help="make it anew; the old one loses its rights")
     inner = [init, daemon, camera, reader, revoke, listing]
-    for its, default in [(parser, DEFAULT_FOLDER), *((each, argparse.SUPPRESS) for each in inner)]:
-        its.add_argument("--keys", type=Path, default=default, metavar="FOLDER", help=f"default: {DEFAULT_FOLDER}")
+    for its, folder in [(parser, DEFAULT_FOLDER), *((each, argparse.SUPPRESS) for each in inner)]:
+        its.add_argument("--keys", type=Path, default=folder, metavar="FOLDER", help=f"default: {DEFAULT_FOLDER}")
     return inner
 
 
@@ -75,6 +87,9 @@ def run(args: argparse.Namespace) -> int:
 def _run(args: argparse.Namespace, config: Config) -> int:
     what, folder, now = args.keys_command, args.keys, clock.wall()
     if what == "init":
+        check_hosts(args.host)
+        if args.days > args.authority_days:
+            raise KeysError("the daemon's certificate cannot outlive the authority: give fewer --days")
         authority = Authority.make(folder, config.site.name, now, args.authority_days, args.replace)
         _say(f"a new authority for site {authority.site} in {folder / 'authority'}: its key never has to leave it")
     else:
@@ -83,15 +98,22 @@ def _run(args: argparse.Namespace, config: Config) -> int:
             raise KeysError(f"{folder} is the authority of site {authority.site}, not of {args.site}")
     if what == "list":
         return _list(authority, now)
-    if what == "revoke":
-        for name in args.names:
-            authority.revoke(args.role, name)
-    elif what in ("init", "daemon"):
-        _give(authority, args, config, "daemon", DAEMON)
-    else:
-        for name in args.names:
-            _give(authority, args, config, what, name)
-    _write_access(authority, config)
+    names = [DAEMON] if what in ("init", "daemon") else args.names
+    if len(set(names)) < len(names):
+        raise KeysError("the same name is given twice")
+    for name in names:  # all or none
+        if what == "revoke":
+            authority.must_have(args.role, name)
+        else:
+            authority.next_name(_ROLES[what], name, args.days, args.replace)
+    try:
+        for name in names:
+            if what == "revoke":
+                authority.revoke(args.role, name)
+            else:
+                _give(authority, args, config, _ROLES[what], name)
+    finally:  # the list is never behind what has been given out or taken away
+        _write_access(authority, config)
     if what not in ("init", "daemon"):
         _say(f"now copy {folder / DAEMON / ACCESS} to the daemon and restart it")
     return exits.DONE
@@ -104,6 +126,14 @@ def _give(authority: Authority, args: argparse.Namespace, config: Config, role: 
     who = name if role == "daemon" else f"{role} {name}"
     expires = authority.issued[-1].certificate.expires
     _say(f"{who}: {folder}, until {day(expires)}; copy this folder, with camtopod.toml as an example")
+    if role == "daemon":
+        beyond = [host for host in authority.hosts if host not in LOCAL_HOSTS]
+        where = (
+            f"to be dialled as {', '.join(beyond)}"
+            if beyond
+            else "good on its own machine only: name others with --host"
+        )
+        _say(where)
 
 
 def _write_access(authority: Authority, config: Config) -> None:

@@ -76,6 +76,8 @@ class Authority:
     def make(cls, folder: Path, site: str, now: float, days: int, replace: bool) -> Authority:
         """A new authority. One that is there already stays unless ``replace``, and is then worth nothing."""
         secret = folder / "authority"
+        if not secret.exists() and any(path.is_file() for path in folder.rglob("*")):
+            raise KeysError(f"{folder} holds other files; name an empty folder, or none yet, with --keys")
         if (secret / "ca.key").exists() and not replace:
             raise KeysError(
                 f"{secret} holds an authority already; --replace makes a new one, and then every certificate "
@@ -117,12 +119,33 @@ class Authority:
         """The certificates that count."""
         return Access(self.site, [issued.certificate for issued in self._ledger.issued if issued.valid])
 
+    @property
+    def hosts(self) -> list[str]:
+        """The names and addresses for which the daemon's certificate is good."""
+        try:
+            raw = (self.folder / DAEMON / CERTIFICATE).read_bytes()
+        except FileNotFoundError:
+            return []
+        extensions = x509.load_pem_x509_certificate(raw).extensions
+        return [str(name.value) for name in extensions.get_extension_for_class(x509.SubjectAlternativeName).value]
+
     def issue(self, role: Role, name: str, days: int, replace: bool = False, hosts: Sequence[str] = ()) -> Path:
-        """A key and a certificate; returns their folder. ``replace`` withdraws the one that is there."""
+        """A key and a certificate; returns their folder. ``replace`` withdraws the one that is there.
+
+        ``hosts``: of the daemon; none given: those of the certificate that is replaced.
+        """
+        common_name = self.next_name(role, name, days, replace)
+        check_hosts(hosts)
+        folder = self._folder(role, name)
+        expires = self._sign(folder, common_name, days, (hosts or self.hosts) if role == "daemon" else None)
+        self._withdraw(role, name)
+        certificate = Certificate(common_name, role, expires, name if role == "camera" else "")
+        self._keep([*self.issued, Issued(certificate, name)])
+        return folder
+
+    def next_name(self, role: Role, name: str, days: int, replace: bool) -> str:
+        """What would stand in the certificate that `issue` makes; raises what it would raise."""
         check_name(role, name)
-        for host in hosts:
-            if not _HOST.match(host) and _address(host) is None:
-                raise KeysError(f"{host!r} is neither a host's name nor an address")
         old = [issued for issued in self.issued if (issued.certificate.role, issued.of) == (role, name)]
         if any(issued.valid for issued in old) and not replace:
             until = day(next(issued.certificate.expires for issued in old if issued.valid))
@@ -136,26 +159,38 @@ class Authority:
             raise KeysError(
                 f"{name!r} is too long for a certificate: {common_name!r} has over {_COMMON_NAME_MAX} characters"
             )
-        folder = self._folder(role, name)
-        expires = self._sign(folder, common_name, days, hosts if role == "daemon" else None)
-        self.revoke(role, name, missing_matters=False)
-        certificate = Certificate(common_name, role, expires, name if role == "camera" else "")
-        self._keep([*self.issued, Issued(certificate, name)])
-        return folder
+        ends = self._certificate().not_valid_after_utc
+        if self._now + 86400.0 * days > ends.timestamp():
+            raise KeysError(f"the authority itself ends on {ends:%Y-%m-%d}: give fewer --days")
+        return common_name
 
-    def revoke(self, role: Role, name: str, missing_matters: bool = True) -> None:
+    def revoke(self, role: Role, name: str) -> None:
         """What ``name`` was given counts no longer, as soon as the daemon has the new access list."""
-        mine = [issued.valid and (issued.certificate.role, issued.of) == (role, name) for issued in self.issued]
-        if missing_matters and not any(mine):
+        self.must_have(role, name)
+        self._withdraw(role, name)
+
+    def must_have(self, role: Role, name: str) -> None:
+        """Raises `KeysError` if there is nothing to `revoke`."""
+        if not any(issued.valid and (issued.certificate.role, issued.of) == (role, name) for issued in self.issued):
             raise KeysError(f"{role} {name} has no certificate; `camtopod keys list` shows who has")
-        pairs = zip(self.issued, mine, strict=True)
-        self._keep([msgspec.structs.replace(issued, valid=False) if it else issued for issued, it in pairs])
+
+    def _withdraw(self, role: Role, name: str) -> None:
+        theirs = (role, name)
+        self._keep(
+            [
+                msgspec.structs.replace(one, valid=one.valid and (one.certificate.role, one.of) != theirs)
+                for one in self.issued
+            ]
+        )
+
+    def _certificate(self) -> x509.Certificate:
+        return x509.load_pem_x509_certificate((self.folder / "authority" / CA).read_bytes())
 
     def _sign(self, folder: Path, common_name: str, days: int, server_hosts: Sequence[str] | None) -> float:
         """Write key, certificate and the authority's certificate into ``folder``; returns when it expires."""
-        secret = self.folder / "authority"
-        loaded = serialization.load_pem_private_key((secret / "ca.key").read_bytes(), password=None)
-        ca = x509.load_pem_x509_certificate((secret / CA).read_bytes())
+        secret = (self.folder / "authority" / "ca.key").read_bytes()
+        loaded = serialization.load_pem_private_key(secret, password=None)
+        ca = self._certificate()
         assert isinstance(loaded, ec.EllipticCurvePrivateKey)
         key = ec.generate_private_key(ec.SECP256R1())
         builder = _builder(_common_name(common_name), ca.subject, key.public_key(), self._now, days)
@@ -171,8 +206,6 @@ class Authority:
         builder = builder.add_extension(signer, critical=False)
         builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         made = builder.sign(loaded, hashes.SHA256())
-        if made.not_valid_after_utc > ca.not_valid_after_utc:
-            raise KeysError(f"the authority itself ends on {ca.not_valid_after_utc:%Y-%m-%d}: give fewer --days")
         _make_folder(folder)
         _write(folder / PRIVATE_KEY, _pem(key))
         _write(folder / CERTIFICATE, made.public_bytes(serialization.Encoding.PEM))
@@ -194,6 +227,13 @@ def check_name(role: Role, name: str) -> None:
         raise KeysError(f"{name!r} cannot be a {role}'s name: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
     if (role == "camera" and name == DAEMON) or name in (".", ".."):
         raise KeysError(f"{name!r} is taken; call the {role} otherwise")
+
+
+def check_hosts(hosts: Sequence[str]) -> None:
+    """Raises `KeysError` for what no certificate can be good for."""
+    for host in hosts:
+        if not _HOST.match(host) and _address(host) is None:
+            raise KeysError(f"{host!r} is neither a host's name nor an address")
 
 
 def day(seconds: float) -> str:
@@ -261,3 +301,8 @@ def _write(path: Path, content: bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     os.replace(new, path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)  # or a name could be given out twice after a power cut
+    finally:
+        os.close(folder)
