@@ -109,6 +109,8 @@ def test_a_file_that_cannot_be_read(error: OSError, said: str, capsys: pytest.Ca
         ["--camera", "daemon", "x"],
         ["--camera", "lobby"],
         ["--camera", "a", "x", "--speed", "0"],
+        ["--camera", "a", "x", "--speed", "nan"],
+        ["--camera", "a", "x", "--start", "inf"],
         ["--out", "-"],
     ],
 )

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import faulthandler
 import logging
+import math
 import os
 import re
 import signal
@@ -119,8 +120,10 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
         raise CommandError(f"camera {args.camera} has no SOURCE, and no configuration names it", exits.USAGE)
     given: dict[str, Any] = {name: getattr(args, name, None) for name in CameraSettings.__struct_fields__}
     given = {name: value for name, value in given.items() if value is not None}
-    if given.get("speed", 1.0) <= 0:
-        raise CommandError("--speed must be above 0", exits.USAGE)
+    if not 0 < given.get("speed", 1.0) < math.inf:
+        raise CommandError("--speed must be a number above 0", exits.USAGE)
+    if not math.isfinite(given.get("start", 0.0)):
+        raise CommandError("--start must be a number of seconds", exits.USAGE)
     return msgspec.structs.replace(known or CameraSettings(""), **given)
 
 

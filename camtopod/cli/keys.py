@@ -23,7 +23,7 @@ from camtopod.keys.authority import (
     check_hosts,
     day,
     write_public,
-)  # fmt: skip
+)
 from camtopod.serve import clock
 
 DEFAULT_FOLDER = Path("camtopod-keys")
@@ -127,13 +127,8 @@ def _give(authority: Authority, args: argparse.Namespace, config: Config, role: 
     expires = authority.issued[-1].certificate.expires
     _say(f"{who}: {folder}, until {day(expires)}; copy this folder, with camtopod.toml as an example")
     if role == "daemon":
-        beyond = [host for host in authority.hosts if host not in LOCAL_HOSTS]
-        where = (
-            f"to be dialled as {', '.join(beyond)}"
-            if beyond
-            else "good on its own machine only: name others with --host"
-        )
-        _say(where)
+        where = ", ".join(host for host in authority.hosts if host not in LOCAL_HOSTS)
+        _say(f"to be dialled as {where}" if where else "good on its own machine only: name others with --host")
 
 
 def _write_access(authority: Authority, config: Config) -> None:

@@ -59,9 +59,12 @@ class Complaints:
         said = b""
         while self._fd is not None:
             try:
-                said = (said + os.read(self._fd, _READ_BYTES))[-_READ_BYTES:]
+                heard = os.read(self._fd, _READ_BYTES)
             except BlockingIOError:
                 break
+            if not heard:  # nobody can say anything any more
+                break
+            said = (said + heard)[-_READ_BYTES:]
         return reason_in(said)
 
 

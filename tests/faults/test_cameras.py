@@ -344,3 +344,13 @@ def test_reasons_are_recognised_and_nothing_else_is_said(capfd: pytest.CaptureFi
         assert complaints.take() == ""
     os.write(1, b"data")
     assert capfd.readouterr().out == "data"
+
+
+@pytest.mark.timeout(5)
+def test_nobody_left_to_complain_is_no_reason_to_wait() -> None:
+    heard, written = os.pipe()
+    os.set_blocking(heard, False)
+    os.write(written, b"Connection refused\n")
+    os.close(written)
+    assert Complaints(heard).take() == "nothing listens at this address and port"
+    os.close(heard)
