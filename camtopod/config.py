@@ -128,7 +128,7 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     held_events_max: Count = 5_000
     """Events of one camera held back behind a gap; beyond it they are dropped and pulled later."""
     streams_max: Count = 20_000
-    """(camera, boot) pairs followed at a time, at most 16 of a camera; events of further ones are refused."""
+    """(camera, boot) pairs followed at a time, at most 16 of a camera; beyond, those not heard for longest give way."""
     gap_seconds: Positive = 5.0
     """A gap that no spool can fill is given up after this long."""
     pull_seconds: Positive = 1.0

@@ -265,3 +265,11 @@ def test_history_is_bounded_by_bytes_and_by_days(tmp_path: Path) -> None:
         assert 1 < len(journal.versions("E")) < before
         journal.prune(NOW + 100 * DAY_SECONDS)
         assert journal.version("E") == bytes(range(256)) * 8, "the newest stays whatever its age"
+
+
+def test_how_far_made_up_cameras_had_come_is_forgotten(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journals, "STREAMS_KEPT_MAX", 10)
+    for number in range(30):
+        journal.commit([Entry("event", f"name{number}", "b1", 1, b"raw")])
+    journal.prune(NOW)
+    assert journal.streams() == {(f"name{number}", "b1"): 1 for number in range(20, 30)}

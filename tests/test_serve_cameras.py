@@ -91,6 +91,41 @@ def test_two_cameras_are_too_few_to_doubt_the_clock() -> None:
     assert not cameras.is_future(at("a", T0), T0, 4.0, True), "not for ever"
 
 
+def test_a_clock_that_was_set_back_is_noticed_however_few_the_cameras_are() -> None:
+    for names in ("a", "ab", "abcd"):
+        cameras = admitted(*names)
+        assert not any(cameras.is_future(at(camera, T0), T0, 0.0, True) for camera in names)
+        future = [cameras.is_future(at(camera, T0 + 1), T0 - 3599, 1.0, True) for camera in names]
+        assert future == [False] * len(names), "not even the first event after it"
+        assert cameras.clock_behind == 3600.0
+        assert cameras.is_future(at("a", T0 + 200), T0 - 3598, 2.0, False), "but no more than it was set back"
+        assert not cameras.is_future(at("a", T0 + 3), T0 + 3, 3.0, True)
+        assert cameras.clock_behind == 0.0, "and is right again"
+
+
+def test_a_clock_that_was_wrong_and_is_set_back_to_the_right_time_is_believed() -> None:
+    cameras = admitted("a", "b")
+    assert not any(cameras.is_future(at(camera, T0), T0 + 3600, 0.0, True) for camera in "ab")
+    assert cameras.is_future(at("b", T0 + 3600), T0 + 1, 1.0, True)
+    assert not cameras.is_future(at("a", T0 + 1), T0 + 1, 1.0, True)
+    assert cameras.clock_behind == 0.0
+
+
+def test_who_has_not_been_heard_since_the_start_does_not_vote() -> None:
+    cameras = admitted(*"abcdefgh")
+    for camera in "abc":
+        cameras.is_future(at(camera, T0), T0 - 3600, 1.0, True)
+    cameras.is_future(at("a", T0), T0 - 3600, 3.0, True)
+    assert cameras.clock_behind == 3600.0
+
+
+def test_who_is_heard_through_its_spool_keeps_its_place() -> None:
+    cameras = admitted("a", "b", cameras_max=2)
+    assert cameras.admit("a", IDLE_SECONDS)
+    assert cameras.admit("c", IDLE_SECONDS)
+    assert ("a" in cameras, "b" in cameras, "c" in cameras) == (True, False, True)
+
+
 def test_old_events_from_spools_say_nothing_about_clocks() -> None:
     cameras = admitted(*"abcd")
     for now in (0.0, 2.0):

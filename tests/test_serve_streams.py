@@ -199,3 +199,17 @@ def test_what_is_held_is_counted_by_camera() -> None:
     assert order.offer(("hall", "b1"), 5, 5, 0.0)[0] == "held"
     order.begins_at(("lobby", "b0"), 5, 0.0)
     assert order.offer(("lobby", "b3"), 5, 5, 0.0)[0] == "held"
+
+
+def test_of_very_many_cameras_those_heard_last_are_followed() -> None:
+    """Names that were made up long ago keep nobody out."""
+    order = streams(streams_max=3, stored={(f"name{n}", "b1"): 7 for n in range(10)})
+    assert order.wanted("name9") == ("b1", 8)
+    assert order.wanted("name0") is None
+    assert order.offer(KEY, 1, 1, 0.0) == ("ready", [1])
+    assert len(order) == 3
+    assert ("name7", "b1") in order.forgotten()
+    assert order.offer(("name8", "b1"), 9, 9, 0.0)[0] == "held"
+    assert order.offer(("x", "b1"), 1, 1, 0.0) == ("ready", [1])
+    assert order.offer(("y", "b1"), 1, 1, 0.0) == ("ready", [1])
+    assert order.wanted("name8") == ("b1", 8), "a gap is not forgotten"

@@ -3,13 +3,14 @@
 Clocks are not trusted. An event stamped far ahead of this machine's clock is set aside. One stamped a little ahead
 would make everybody else's late, as the learner's time is that of the newest event; so it, and what its camera sends
 after it, waits here until its time has come: a wild camera delays itself. When most cameras are ahead it is this
-machine's clock that is behind, and time is taken from them. A camera that has more events within a second than any
-view can show floods; what is too much is not learned.
+machine's clock that is behind, and time is taken from them; of few cameras only as far as it has been set back. A
+camera that has more events within a second than any view can show floods; what is too much is not learned.
 """
 
 from __future__ import annotations
 
 import collections
+import math
 import statistics
 from typing import Any, NamedTuple
 
@@ -22,11 +23,13 @@ from camtopod.serve.journal import Entry
 EARLY_SECONDS_MAX = 1.0
 """An event this far ahead of the clock is taken at once; far below the lateness that the learner allows for."""
 LEADS_MIN = 3
-"""Cameras heard lately that have to agree before this machine's clock is doubted."""
+"""Cameras heard lately that have to agree before this machine's clock is doubted without having been set back."""
 LEADS_SECONDS = 60.0
 """Heard lately."""
 LOOK_SECONDS = 1.0
 """How often it is asked again whether this machine's clock is behind."""
+STEP_SECONDS_MIN = 5.0
+"""This machine's clock is set when it moves so much against the one that does not step."""
 FLOOD_SECONDS_KEPT = 128
 """Seconds of event time in which a camera's events are counted."""
 IDLE_SECONDS = 3600.0
@@ -42,10 +45,13 @@ class Received(NamedTuple):
 
 
 class Camera(Struct):
-    """``lead``: seconds its newest event was ahead of the clock on arrival; ``heard``: when that was (steady)."""
+    """``heard``: when something of it came last (steady). ``lead``: seconds by which what came fresh from it was ahead
+    of this machine's clock, and ``lead_at``: when that was.
+    """
 
     heard: float
     lead: float = 0.0
+    lead_at: float = -math.inf
     events: int = 0
     newest: float = 0.0
     seconds: dict[int, int] = field(default_factory=dict)
@@ -60,6 +66,8 @@ class Cameras:
         self._cameras: dict[str, Camera] = {}
         self._waiting: set[str] = set()
         self._next_look = 0.0
+        self._beside: float | None = None  # this machine's clock less the one that does not step
+        self._set_back = 0.0
         self.clock_behind = 0.0
         """Seconds by which most cameras are ahead of this machine's clock."""
 
@@ -67,34 +75,33 @@ class Cameras:
         return name in self._cameras
 
     def admit(self, name: str, now: float) -> bool:
-        """Whether there is room for this camera; it has a place from now on."""
-        camera = self._cameras.get(name)
-        if camera is not None:
-            return True
-        if len(self._cameras) >= self.limits.cameras_max:
+        """Whether there is room for this camera, of which something came; it has a place from now on."""
+        if name not in self._cameras and len(self._cameras) >= self.limits.cameras_max:
             silent = min(self._cameras, key=lambda other: self._cameras[other].heard)
             if now - self._cameras[silent].heard < IDLE_SECONDS or silent in self._waiting:
                 return False
             del self._cameras[silent]
-        self._cameras[name] = Camera(now)
+        self._place(name).heard = now
         return True
 
     def is_future(self, event: Event, wall: float, now: float, fresh: bool) -> bool:
         """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too far ahead to be
         believed.
         """
-        camera = self._cameras[event.camera]
+        self._notice_step(wall - now)
         if fresh:
-            camera.lead, camera.heard = event.t - wall, now
+            camera = self._place(event.camera)
+            camera.lead, camera.lead_at = event.t - wall, now
         if now >= self._next_look:
             self._next_look = now + LOOK_SECONDS
-            leads = [one.lead for one in self._cameras.values() if now - one.heard <= LEADS_SECONDS]
-            self.clock_behind = max(0.0, statistics.median_low(leads)) if len(leads) >= LEADS_MIN else 0.0
+            leads = [one.lead for one in self._cameras.values() if now - one.lead_at <= LEADS_SECONDS]
+            behind = max(0.0, statistics.median_low(leads)) if leads else 0.0
+            self.clock_behind = behind if len(leads) >= LEADS_MIN else min(behind, self._set_back)
         return event.t - wall > self.clock_behind + self.limits.future_seconds_max
 
     def is_flood(self, event: Event) -> bool:
         """Whether its camera has had too many events in this second; counts it if not."""
-        seconds = self._cameras[event.camera].seconds
+        seconds = self._place(event.camera).seconds
         second = int(event.t)
         count = seconds.get(second, 0)
         if count >= self.limits.camera_events_per_second_max:
@@ -106,14 +113,14 @@ class Cameras:
 
     def full(self, name: str) -> bool:
         """Whether no more of this camera's events can wait for their time."""
-        return len(self._cameras[name].waiting) >= self.limits.held_events_max
+        return len(self._place(name).waiting) >= self.limits.held_events_max
 
     def in_time(self, ready: list[Received], wall: float, now: float) -> list[Received]:
         """Those whose time has come, of these and of what waits; in order for each camera."""
         due = [received for name in sorted(self._waiting) for received in self._due(name, now)]
         wall += self.clock_behind
         for received in ready:
-            camera, event = self._cameras[received.entry.camera], received.event
+            camera, event = self._place(received.entry.camera), received.event
             early = 0.0 if event is None else event.t - wall - EARLY_SECONDS_MAX
             if early > 0.0 or camera.waiting:
                 camera.waiting.append((now + early, received))
@@ -124,19 +131,37 @@ class Cameras:
 
     def note(self, event: Event) -> None:
         """It is stored."""
-        camera = self._cameras[event.camera]
+        camera = self._place(event.camera)
         camera.newest = max(camera.newest, event.t) if camera.events else event.t
         camera.events += 1
 
     @property
     def waiting(self) -> int:
         """Events that wait for their time."""
-        return sum(len(self._cameras[name].waiting) for name in self._waiting.copy())
+        cameras = self._cameras.copy()
+        return sum(len(cameras[name].waiting) for name in self._waiting.copy() if name in cameras)
 
     def status(self) -> dict[str, dict[str, Any]]:
         """For each camera what the status says. Any thread."""
         cameras = self._cameras.copy()
         return {name: {"events": one.events, "newest": one.newest} for name, one in cameras.items() if one.events}
+
+    def _place(self, name: str) -> Camera:
+        """A camera's; made anew if it was given away while something of the camera was still under way."""
+        camera = self._cameras.get(name)
+        if camera is None:
+            camera = self._cameras[name] = Camera(-math.inf)
+        return camera
+
+    def _notice_step(self, beside: float) -> None:
+        """This machine's clock may have been set; ``beside``: it less the one that does not step, now."""
+        step = beside - (beside if self._beside is None else self._beside)
+        self._beside = beside
+        if abs(step) >= STEP_SECONDS_MIN:
+            self._set_back = max(0.0, self._set_back - step)
+            self._next_look = -math.inf
+            for camera in self._cameras.values():
+                camera.lead -= step
 
     def _due(self, name: str, now: float) -> list[Received]:
         waiting = self._cameras[name].waiting

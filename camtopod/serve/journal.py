@@ -29,6 +29,8 @@ SNAPSHOTS_KEPT = 2
 """Should the newest be damaged there is another."""
 BOOTS_KEPT_MAX = 16
 """Of each camera; of the publisher's older incarnations nothing is expected any more."""
+STREAMS_KEPT_MAX = 100_000
+"""Of all cameras: names can be made up."""
 PRUNED_ROWS_MAX = 5_000
 """At most this many entries are forgotten at a time, so that a transaction stays short."""
 CHUNK_ENTRIES = 1_000
@@ -132,8 +134,10 @@ class Journal:
                     self._add_snapshot(snapshot, int(now))
             self._last += len(entries)
 
-    def prune(self, now: float) -> None:
-        """Forget some of what is older than is to be kept (``now``: Unix seconds); to be called now and then."""
+    def prune(self, now: float) -> bool:
+        """Forget some of what is older than is to be kept (``now``: Unix seconds); to be called now and then, and again
+        if there is more. Raises `sqlite3.Error`.
+        """
         with self._mutex:
             keep, oldest = self._keep, self._oldest_snapshot()
             size, free, pages = (self._pragma(name) for name in ("page_size", "freelist_count", "page_count"))
@@ -142,13 +146,18 @@ class Journal:
             until = min(first + PRUNED_ROWS_MAX, oldest + 1)
             kept_from = math.inf if too_large else now - keep.journal_days * DAY_SECONDS
             with database.transaction(self._db):
-                self._db.execute("DELETE FROM entry WHERE id < ? AND stored < ?", (until, kept_from))
+                gone = self._db.execute("DELETE FROM entry WHERE id < ? AND stored < ?", (until, kept_from)).rowcount
+                self._db.execute(
+                    "DELETE FROM stream WHERE entry <= (SELECT entry FROM stream ORDER BY entry DESC LIMIT 1 OFFSET ?)",
+                    (STREAMS_KEPT_MAX,),
+                )
                 self._db.execute(
                     "DELETE FROM version WHERE stored < ? AND id < (SELECT MAX(id) FROM version)",
                     (now - keep.history_days * DAY_SECONDS,),
                 )
                 while self._history_bytes() > keep.history_bytes_max and self._forget_oldest_version():
                     pass
+            return gone == PRUNED_ROWS_MAX
 
     def entries(self, after: int = 0, up_to: int | None = None) -> Iterator[tuple[int, Entry | None]]:
         """The entries behind ``after`` in order as (id, entry); None in place of a damaged one, which is left where it

@@ -97,13 +97,13 @@ class Receiver:
         self._answers: collections.deque[Pulled] = collections.deque()
         self._merge = Merge(limits.held_events_max)
         self._versions: collections.deque[Version] = collections.deque()
-        self._snapshot: Snapshot | None = None
+        self._snapshots: collections.deque[Snapshot] = collections.deque(maxlen=1)
         self._stored = journal.streams()
         self._dirty: set[tuple[str, str]] = set(self._stored)
         self._next_ack = 0.0
         self._live: tuple[float, float, float] | None = None  # newest event time in step; wall and steady clock then
         self.streams: Streams[Received] = Streams(self._stored, limits.held_events_max, limits.streams_max, BOOTS_MAX)
-        for camera, _ in self._stored:
+        for camera, _ in reversed(self._stored):  # those heard last first, should there be too many
             self.cameras.admit(camera, self._steady())
         self.with_spool: set[str] = set()
         """Cameras whose publisher has been seen alive, so that it has a spool."""
@@ -112,6 +112,7 @@ class Receiver:
         self.reason = ""
         """Why nothing is stored at the moment; "" if all is well."""
         self.counts = dict.fromkeys(("received", "stored", "duplicate", "future", "flood", "held_full", "refilled"), 0)
+        self._too_old = False  # whether the journal has more than is to be kept
         self.gap = threading.Event()
         """Set when a gap appears: time to pull."""
         self._beat: Beat = no_beat
@@ -137,7 +138,7 @@ class Receiver:
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
         """The learner's state, to be stored no earlier than the versions handed over before. Never blocks."""
-        self._snapshot = snapshot
+        self._snapshots.append(snapshot)
 
     def on_deadline(self, deadline: float | None) -> None:
         """Event time at which the learner wants to be told that time went on."""
@@ -153,15 +154,21 @@ class Receiver:
         return dict(self._inbox.dropped)
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
-        """Store until ``stopping``, then what is in the inbox already."""
+        """Store until ``stopping``, then what is in the inbox already.
+
+        Nothing after what could not be stored: an ack says that everything up to its seq is.
+        """
         self._beat = beat
-        while not stopping.is_set():
-            self._round(self._take(), stopping)
+        stored = True
+        while stored and not stopping.is_set():
+            stored = self._round(self._take(), stopping)
             beat()
-        self._round(self._take(), stopping)
+        if stored:
+            self._round(self._take(), stopping)
         self._ack(now=float("inf"))
 
-    def _round(self, messages: list[Message | Pulled], stopping: threading.Event) -> None:
+    def _round(self, messages: list[Message | Pulled], stopping: threading.Event) -> bool:
+        """From messages to acks; False if they could not be stored."""
         now, wall = self._steady(), self._clock()
         ready: list[Received] = []
         for message in messages:
@@ -174,10 +181,14 @@ class Receiver:
         ready = self._merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), most)
         ready = self._without_floods(ready)
         ready += self._time_went_on(now)
-        self._store(ready, stopping)
+        if not self._store(ready, stopping):
+            return False
         self._ack(time.monotonic())
         if self.streams.gaps:
             self.gap.set()
+        if self._too_old:
+            self._forget_old()
+        return True
 
     def _take(self) -> list[Message | Pulled]:
         """What came in, at most a transaction's worth and no more than the learner has room for."""
@@ -209,10 +220,7 @@ class Receiver:
             return []
         if not self._admitted(camera, now, raw):
             return []
-        received = self._judge(event, raw, wall, now, fresh=True)
-        if event.boot is None or event.seq is None:
-            return [received]
-        return self._order(camera, event.boot, event.seq, received)
+        return self._order(self._judge(event, raw, wall, now, fresh=True))
 
     def _pulled(self, pulled: Pulled, wall: float, now: float) -> list[Received]:
         batch = pulled.batch
@@ -233,7 +241,7 @@ class Receiver:
                     self.rejects.add("wrong-camera", f"spool/{batch.camera}", "says another stream", raw)
             except codec.Rejected as error:
                 self.rejects.add(error.reason, f"spool/{batch.camera}", str(error), raw)
-            ready += self._order(batch.camera, batch.boot, seq, received)
+            ready += self._order(received)
         self._merge.answered(batch.camera, times, batch.more, time.monotonic())
         seqs = [seq for seq, _ in batch.events]
         self.streams.answered(key, pulled.asked_from, seqs, batch.more, knows=batch.first > 0)
@@ -266,19 +274,23 @@ class Receiver:
             return Received(Entry("future", event.camera, event.boot, event.seq, raw))
         return Received(Entry("event", event.camera, event.boot, event.seq, raw), event)
 
-    def _order(self, camera: str, boot: str, seq: int, received: Received) -> list[Received]:
+    def _order(self, received: Received) -> list[Received]:
+        """What is ready now; what has no count is at once."""
+        _, camera, boot, seq, raw = received.entry
         if self.cameras.full(camera) or self._merge.full(camera):
             self.counts["held_full"] += 1
             return []
+        if boot is None or seq is None:
+            return [received]
         verdict, ready = self.streams.offer((camera, boot), seq, received, time.monotonic())
         if verdict == "duplicate":
             self.counts["duplicate"] += 1
         elif verdict == "dropped":
             self.counts["held_full"] += 1
         elif verdict == "refused":
-            self.rejects.add("too-many-streams", f"event/{camera}", "limits.streams_max is reached", received.entry.raw)
+            self.rejects.add("too-many-streams", f"event/{camera}", "limits.streams_max is reached", raw)
         elif verdict == "jump":
-            self.rejects.add("seq-jump", f"event/{camera}", f"seq {seq} is too far ahead", received.entry.raw)
+            self.rejects.add("seq-jump", f"event/{camera}", f"seq {seq} is too far ahead", raw)
         return ready
 
     def _without_floods(self, ready: list[Received]) -> list[Received]:
@@ -310,9 +322,9 @@ class Receiver:
         entry = Entry("advance", "", None, None, repr(advanced).encode())
         return [Received(entry, advance=advanced)]
 
-    def _store(self, ready: list[Received], stopping: threading.Event) -> None:
-        """Commit, however often it takes; then hand on. Gives up only when the daemon stops."""
-        snapshot, self._snapshot = self._snapshot, None  # before the versions: it must not get ahead of them
+    def _store(self, ready: list[Received], stopping: threading.Event) -> bool:
+        """Commit, however often it takes; then hand on. Gives up, and returns False, only when the daemon stops."""
+        snapshot = self._snapshots.popleft() if self._snapshots else None  # before the versions, which it must not pass
         versions = [self._versions.popleft() for _ in range(len(self._versions))]
         stored = [
             StoredVersion(topology.epoch, topology.version, topology.digest, codec.to_json(topology))
@@ -328,7 +340,8 @@ class Receiver:
                 self.reason = f"cannot write the journal: {error}"
                 self._beat()  # starting again would not help
                 if stopping.wait(_RETRY_SECONDS):
-                    return
+                    self._versions.extendleft(reversed(versions))  # the next snapshot has them in it
+                    return False
         if self.reason:
             log.info("the journal can be written again")
             self.reason = ""
@@ -343,18 +356,21 @@ class Receiver:
             self._learn(ready)
         for version in versions:
             self._publish(version)
-        if snapshot is not None:
-            self._forget_old()
+        self._too_old = self._too_old or snapshot is not None
+        return True
 
     def _forget_old(self) -> None:
+        """A part of it; the rest in the rounds to come."""
+        self._too_old = False
         try:
-            self._journal.prune(self._clock())
+            self._too_old = self._journal.prune(self._clock())
         except sqlite3.Error as error:
             log.warning("cannot forget what is old in the journal: %s", error)
 
     def last_words(self, snapshot: Snapshot | None) -> None:
         """Store what the learner has handed over to the end. Only after `work` and the learner have ended."""
-        self._snapshot = snapshot
+        if snapshot is not None:
+            self.on_snapshot(snapshot)
         ended = threading.Event()
         ended.set()
         self._store([], ended)

@@ -16,6 +16,8 @@ FIRST_SEQS = (0, 1)
 """A stream seen for the first time may begin with one of these; a higher one is a gap."""
 JUMP_MAX = 1_000_000
 """A seq further ahead than this is no gap but damage: believing it would make everything below it a duplicate."""
+COUNT_MAX = 2**63 - 1
+"""A spool may say anything; larger numbers have no place in a status."""
 
 Verdict = Literal["ready", "duplicate", "held", "dropped", "refused", "jump"]
 Key = tuple[str, str]
@@ -41,7 +43,8 @@ class Streams(Generic[T]):
     """``stored``: the highest seq of each (camera, boot) in the journal, those heard last at the end.
 
     At most ``held_max`` items of one camera wait behind gaps. At most ``boots_max`` streams of one camera are
-    followed, and ``streams_max`` altogether. Items are of the caller's kind.
+    followed, and ``streams_max`` altogether; one that is complete and has not been heard for longest gives way.
+    Items are of the caller's kind.
     """
 
     def __init__(self, stored: dict[Key, int], held_max: int, streams_max: int, boots_max: int) -> None:
@@ -166,16 +169,21 @@ class Streams(Generic[T]):
         boots[key[1]] = None
 
     def _room_for(self, key: Key) -> bool:
-        """Make room for one more, by forgetting the camera's complete stream that has not been heard for longest."""
-        camera = key[0]
-        boots = self._boots.get(camera, {})
-        if len(boots) < self._boots_max:
-            return len(self._streams) < self._streams_max
-        oldest = next((boot for boot in boots if not self._streams[camera, boot].held), None)
+        """Make room for one more, by forgetting the complete stream that has not been heard for longest: of the camera
+        if it has too many, else of all.
+        """
+        boots = self._boots.get(key[0], {})
+        if len(boots) < self._boots_max and len(self._streams) < self._streams_max:
+            return True
+        of_camera = len(boots) >= self._boots_max
+        others = [(key[0], boot) for boot in boots] if of_camera else self._streams
+        oldest = next((other for other in others if not self._streams[other].held), None)
         if oldest is None:
             return False
-        del self._streams[camera, oldest], boots[oldest]
-        self._forgotten.append((camera, oldest))
+        del self._streams[oldest], self._boots[oldest[0]][oldest[1]]
+        if not self._boots[oldest[0]]:
+            del self._boots[oldest[0]]
+        self._forgotten.append(oldest)
         return True
 
     def _hold(self, key: Key, stream: _Stream, seq: int, item: T) -> None:
@@ -193,7 +201,7 @@ class Streams(Generic[T]):
         early = sorted(held for held in stream.held if held < seq)
         ready = [self._let_go(key, stream, held) for held in early]
         if stream.next is not None or ready:
-            self.lost += max(0, seq - (stream.next or 0) - len(ready))
+            self.lost = min(self.lost + max(0, seq - (stream.next or 0) - len(ready)), COUNT_MAX)
         stream.next = seq
         return ready + self._release(key, stream, now)
 

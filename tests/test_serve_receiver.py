@@ -1,0 +1,199 @@
+"""The receiver without a bus: what is acknowledged is stored, whatever fails when; nothing waits without a limit."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from serving import T0, closing_event, numbered, walkers
+
+from camtopod.codec import to_pack
+from camtopod.config import Limits
+from camtopod.learn.learner import Learner
+from camtopod.records import Ack, Event
+from camtopod.serve.cameras import Received
+from camtopod.serve.journal import Journal, Snapshot
+from camtopod.serve.receiver import Pulled, Receiver, Version
+from camtopod.serve.spool import SpoolBatch
+
+
+class Acks:
+    """A bus that remembers what was acknowledged."""
+
+    def __init__(self) -> None:
+        self.seen: list[Ack] = []
+
+    def put(self, key: str, noun: Any, schema: str) -> None:
+        if schema == "ack":
+            self.seen.append(noun)
+
+
+class Bench:
+    """A receiver on a journal; time stands still at `T0`."""
+
+    def __init__(self, directory: Path, **limits: float) -> None:
+        self.journal, self.bus = Journal(directory), Acks()
+        self.learned: list[Received] = []
+        self.published: list[Version] = []
+        self.receiver = Receiver(
+            self.journal, self.bus, Limits(**limits), lambda: T0,  # type: ignore[arg-type]
+            self.learned.extend, lambda: 10_000, self.published.append, steady=lambda: 0.0,
+        )  # fmt: skip
+        self.stopping = threading.Event()
+
+    def hear(self, *events: Event) -> None:
+        for event in events:
+            self.receiver.on_event(f"event/{event.camera}", to_pack(event))
+
+    def round(self) -> None:
+        self.receiver._round(self.receiver._take(), self.stopping)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    one = Bench(tmp_path, held_events_max=50)
+    yield one
+    one.journal.close()
+
+
+def events(first: int, last: int, camera: str = "lobby", boot: str = "b") -> list[Event]:
+    return [Event(camera, "entry", T0 - 1000 + n, boot=boot, seq=n) for n in range(first, last + 1)]
+
+
+# --- the end --------------------------------------------------------------------------------------
+
+
+def test_what_could_not_be_stored_at_the_end_is_not_acknowledged_with_what_could(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An ack says that everything up to its seq is stored; a disk may take the last event and not those before."""
+    commit, refused = bench.journal.commit, [False]
+
+    def full(entries: Any, *rest: Any) -> None:
+        if entries and not refused[0]:
+            refused[0] = True
+            bench.hear(*events(4, 4))
+            bench.stopping.set()
+            raise sqlite3.OperationalError("database or disk is full")
+        commit(entries, *rest)
+
+    monkeypatch.setattr(bench.journal, "commit", full)
+    bench.hear(*events(1, 3))
+    bench.receiver.work(bench.stopping)
+    assert refused == [True]
+    stored = {entry.seq for _, entry in bench.journal.entries() if entry is not None}
+    for ack in bench.bus.seen:
+        assert set(range(1, ack.seq + 1)) <= stored
+
+
+def first_version() -> Version:
+    learner = Learner(epoch="E")
+    for event in [*numbered(walkers(20)), closing_event()]:
+        learner.receive(event)
+    return Version(learner.updates()[0], None)
+
+
+def test_a_version_that_could_not_be_stored_at_the_end_is_stored_before_a_snapshot_that_has_it(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commit, full = bench.journal.commit, True
+
+    def failing(*given: Any) -> None:
+        if full:
+            bench.stopping.set()
+            raise sqlite3.OperationalError("database or disk is full")
+        commit(*given)
+
+    monkeypatch.setattr(bench.journal, "commit", failing)
+    bench.receiver.on_version(first_version())
+    bench.receiver.work(bench.stopping)
+    full = False
+    bench.receiver.last_words(Snapshot(0, "E", b"state"))
+    assert bench.journal.snapshots() == [Snapshot(0, "E", b"state")]
+    assert list(bench.journal.versions("E")) == [1]
+
+
+def test_the_last_snapshot_handed_over_is_stored_though_nothing_was_learned_since(bench: Bench) -> None:
+    bench.receiver.on_snapshot(Snapshot(0, "E", b"state"))
+    bench.receiver.last_words(None)
+    assert len(bench.journal.snapshots()) == 1
+
+
+# --- limits ---------------------------------------------------------------------------------------
+
+
+def test_early_events_of_a_publisher_without_a_count_wait_within_the_limit(bench: Bench) -> None:
+    for _ in range(20):
+        bench.hear(*(Event("lobby", "entry", T0 + 30 + n / 1000) for n in range(50)))
+        bench.round()
+    assert bench.receiver.cameras.waiting <= 100, "the limit, and what came with the last"
+    assert bench.receiver.counts["held_full"] == 1000 - bench.receiver.cameras.waiting
+
+
+def test_an_answer_that_begins_beyond_all_measure_is_counted_as_far_as_counts_go(bench: Bench) -> None:
+    """A status that cannot be written would end the daemon."""
+    for boot in "abc":
+        bench.hear(*events(1, 1, boot=boot))
+        bench.round()
+        batch = SpoolBatch("lobby", boot, 2**63 - 1, 0, False, [])
+        assert bench.receiver.on_pulled(Pulled(batch, 2))
+        bench.round()
+    assert bench.receiver.streams.lost > 2**62
+    assert to_pack(bench.receiver.streams.lost)
+
+
+def test_a_camera_whose_place_was_given_away_may_still_have_something_under_way(tmp_path: Path) -> None:
+    """Held behind a gap for long, and then given up: it is stored."""
+    bench = Bench(tmp_path, cameras_max=1, gap_seconds=0.001)
+    bench.hear(*events(5, 6))
+    bench.receiver._limits = Limits(gap_seconds=1e6)
+    bench.round()
+    assert bench.receiver.cameras.admit("other", 1e9), "it has been silent for long"
+    bench.receiver._limits = Limits(gap_seconds=1e-9)
+    bench.round()
+    assert [entry.seq for _, entry in bench.journal.entries() if entry is not None] == [5, 6]
+    bench.journal.close()
+
+
+def test_after_a_start_the_cameras_heard_last_have_their_places(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    for camera in ("old", "older", "new", "newer"):
+        bench.hear(*events(1, 1, camera))
+        bench.round()
+    bench.journal.close()
+    again = Bench(tmp_path, cameras_max=2, streams_max=2)
+    assert "new" in again.receiver.cameras
+    assert "newer" in again.receiver.cameras
+    again.hear(*events(1, 2, "newer"))
+    again.round()
+    assert again.receiver.counts["duplicate"] == 1
+    assert again.receiver.counts["stored"] == 1
+    again.journal.close()
+
+
+def test_a_journal_over_its_size_is_back_within_it_however_much_is_stored_between_two_snapshots(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("camtopod.serve.journal.PRUNED_ROWS_MAX", 10)
+    bench = Bench(tmp_path)
+    bench.journal._keep = type(bench.journal._keep)(journal_bytes_max=1)
+    for snapshots in range(1, 4):
+        bench.hear(*events(100 * snapshots - 99, 100 * snapshots))
+        bench.round()
+        bench.receiver.on_snapshot(Snapshot(100 * snapshots, "E", b""))
+        for _ in range(12):
+            bench.round()
+    assert bench.journal.first() == 201, "up to the older snapshot"
+    bench.journal.close()
+
+
+def test_a_version_is_published_after_it_is_stored(bench: Bench) -> None:
+    one = first_version()
+    bench.receiver.on_version(one)
+    bench.round()
+    assert bench.published == [one]
+    assert bench.journal.versions("E") == {1: one.topology.digest}
