@@ -12,22 +12,37 @@ from pathlib import Path
 import cv2
 import msgspec
 import pytest
+from serving import small_config, wait_for
 
 from camtopod.cli import demo
 from camtopod.cli.main import main
 from camtopod.records import Topology
+from camtopod.serve import bus as buses
 from camtopod.sim.score import score
 from camtopod.sim.truth import TRUTH_SCHEMA, Truth
 
+UNEVEN = """
+import sys
+from camtopod.cli import demo, main
+demo.LATENESS_SECONDS = 100.0
+sys.executable = sys.argv.pop(1)
+main.console()
+"""
+"""The demo with another interpreter for its grabbers; more than half of the three minutes apart is late."""
 
-def test_demo_works_in_an_empty_directory(tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent), "TMPDIR": str(tmp_path)}
-    command = [sys.executable, "-m", "camtopod", "demo", "--minutes", "3", "--out", "here"]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100)
+
+def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: Path) -> None:
+    slow, empty = tmp_path / "python", tmp_path / "empty"
+    slow.write_text(f'#!/bin/sh\ncase " $* " in *" hall "*) sleep 4 ;; esac\nexec {sys.executable} "$@"\n')
+    slow.chmod(0o755)
+    empty.mkdir()
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent), "TMPDIR": str(empty)}
+    command = [sys.executable, "-c", UNEVEN, str(slow), "demo", "--minutes", "3", "--out", "here"]
+    done = subprocess.run(command, cwd=empty, env=environment, capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["here"], "nothing is left over"
-    topology = msgspec.json.decode((tmp_path / "here" / "topology.json").read_bytes(), type=Topology)
-    truth = msgspec.json.decode((tmp_path / "here" / "truth.json").read_bytes(), type=Truth)
+    assert [path.name for path in empty.iterdir()] == ["here"], "nothing is left over"
+    topology = msgspec.json.decode((empty / "here" / "topology.json").read_bytes(), type=Topology)
+    truth = msgspec.json.decode((empty / "here" / "truth.json").read_bytes(), type=Truth)
     result = score(topology, truth)
     assert result.text() in done.stdout
     assert result.zones_matched >= 12
@@ -37,9 +52,45 @@ def test_demo_works_in_an_empty_directory(tmp_path: Path) -> None:
     assert re.search(r"^entrance - hall +overlapped +-\d", done.stdout, re.M)
     assert re.search(r"^5 cameras, \d+ events", done.stderr, re.M)
     assert "\r" not in done.stderr
-    picture = cv2.imread(str(tmp_path / "here" / "map.png"))
+    assert "too late" not in done.stderr
+    assert "camtopod keys" not in done.stderr, "nothing to be afraid of"
+    assert done.stderr.count("no certificates") == 1
+    picture = cv2.imread(str(empty / "here" / "map.png"))
     assert picture is not None
     assert picture.shape[1] > 1200
+
+
+def test_those_that_are_ahead_wait_for_the_last(tmp_path: Path) -> None:
+    def state(camera: str) -> str:
+        return Path(f"/proc/{grabbers[camera].pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+
+    bus = buses.meet(small_config(tmp_path))
+    grabbers = {camera: subprocess.Popen(["sleep", "60"]) for camera in "abc"}
+    together = demo._Together(bus, grabbers, 1000.0)
+
+    def say(**reached: float) -> None:
+        for camera, t in reached.items():
+            bus.put(f"status/{camera}", {"camera": camera, "last_frame_t": t}, "status")
+        wait_for(lambda: {camera: together._reached[camera] for camera in reached} == reached, "the statuses")
+        assert not together()
+
+    bus.put("status/a", {"camera": "a"}, "status")  # not one frame yet
+    bus.put("status/daemon", {"state": "running"}, "status")
+    say(a=1031.0, b=1029.0)
+    wait_for(lambda: [state(camera) for camera in "abc"] == ["T", "S", "S"], "a to be held, and nobody else")
+    say(c=1005.0)
+    wait_for(lambda: [state(camera) for camera in "abc"] == ["S", "S", "S"], "a to go on")
+    say(a=1060.0, b=1060.0)
+    wait_for(lambda: [state(camera) for camera in "abc"] == ["T", "T", "S"], "both to be held")
+    grabbers["c"].kill()
+    grabbers["c"].wait()
+    assert not together()
+    wait_for(lambda: [state(camera) for camera in "ab"] == ["S", "S"], "nobody to wait for one that has ended")
+    for grabber in grabbers.values():
+        grabber.kill()
+        grabber.wait()
+    assert together()
+    bus.close()
 
 
 def test_a_terminated_demo_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -2,13 +2,15 @@
 
 Made-up people walk past five rendered cameras. One real grabber a camera, each a process of its own, watches
 its video at many times its pace; the real daemon, in this process, learns from their events over a real bus.
-The daemon's clock is the demo's, so that it looks like an ordinary recording that began a while ago.
+On a slow or busy machine they take longer, and those that are ahead wait for the others. The daemon's clock is
+the demo's, so that it looks like an ordinary recording that began a while ago.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -16,21 +18,25 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from camtopod.cli import exits
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
+from camtopod.serve import bus as buses
 from camtopod.serve import clock as clocks
-from camtopod.serve.bus import BusError
+from camtopod.serve import guard
+from camtopod.serve.bus import Bus, BusError, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.sim.floor import Plan, Walk, passages, site, stroll, truth_of
 from camtopod.sim.picture import Times, camera_times, write_map
@@ -43,14 +49,17 @@ MINUTES = 18.0
 SITE = "demo"
 SPEED = 60.0
 """The videos are played at this many times their pace, if the machine is fast enough."""
-LATENESS_SECONDS = 120.0
-"""Event time by which the grabbers may be apart: two seconds of the demo."""
+AHEAD_SECONDS = 30.0
+"""A grabber that is this much further than the last one, in event time, waits for it."""
+LATENESS_SECONDS = 180.0
+"""Event time by which the grabbers may be apart: what they may be ahead, what they do until that is known, and the
+time after which a tracker gives up somebody it has lost."""
 AFTERWARDS_SECONDS = 3600.0
 """When the recording is over the demo's clock jumps this far, so that nothing is waited for any more."""
 QUIET_SECONDS = 1.0
 """So long nothing has to change before all is taken as learned."""
-PATIENCE_SECONDS = 120.0
-"""The demo gives up waiting after this long."""
+PATIENCE_SECONDS = 60.0
+"""The demo gives up when nothing has got on for this long."""
 _TICK_SECONDS = 0.1
 _LINE_SECONDS = 2.0
 """Between two lines of progress where standard error is no terminal."""
@@ -176,15 +185,16 @@ def _watch(recording: Recording, work: Path) -> Topology:
     )
     try:
         with (
+            _openness_said(config),
             Daemon(config, clock=clock) as daemon,
+            dial(replace(config, bus=BusSettings(connect=(daemon.endpoint,)))) as bus,
             _grabbers(recording, start, daemon.endpoint, work) as grabbers,
         ):
             _say(f"watching them at {SPEED:g} times their pace")
-            deadline = time.monotonic() + PATIENCE_SECONDS
-            _until(daemon, deadline, lambda: all(grabber.poll() is not None for grabber in grabbers.values()))
+            _until(daemon, _Together(bus, grabbers, start))
             _check(grabbers, work)
             clock.skip(AFTERWARDS_SECONDS + recording.seconds)
-            _until(daemon, deadline, _Quiet(daemon))
+            _until(daemon, _Quiet(daemon))
             topology = daemon.topology
             late = daemon.status()["learner"]["late"]
             if late:
@@ -194,6 +204,23 @@ def _watch(recording: Recording, work: Path) -> Topology:
     if topology is None:
         raise exits.CommandError("demo: nothing was learned")
     return topology
+
+
+@contextlib.contextmanager
+def _openness_said(config: Config) -> Iterator[None]:
+    """In the block the daemon does not warn of a bus without certificates: said here, for a bus that soon ends."""
+    warning = guard.openness(config)
+    log = logging.getLogger(buses.__name__)
+
+    def other(record: logging.LogRecord) -> bool:
+        return record.getMessage() != warning
+
+    _say("the bus is for programs of this machine only, any of them, as it has no certificates; it ends with the demo")
+    log.addFilter(other)
+    try:
+        yield
+    finally:
+        log.removeFilter(other)
 
 
 @contextlib.contextmanager
@@ -223,6 +250,7 @@ def _grabbers(
         for grabber in running.values():
             if grabber.poll() is None:
                 grabber.terminate()
+                grabber.send_signal(signal.SIGCONT)
         for grabber in running.values():
             try:
                 grabber.wait(5.0)
@@ -239,6 +267,34 @@ def _check(grabbers: dict[str, subprocess.Popen[bytes]], work: Path) -> None:
             raise exits.CommandError(f"{what}: {' | '.join(said[-3:])}")
 
 
+class _Together:
+    """Whether all grabbers have ended; until then those that are ahead are held, or the others' events came late."""
+
+    def __init__(self, bus: Bus, grabbers: dict[str, subprocess.Popen[bytes]], start: float) -> None:
+        self._grabbers = grabbers
+        self._reached = dict.fromkeys(grabbers, start)
+        self._held: set[str] = set()
+        bus.subscribe("status/*", self._heard)
+
+    def _heard(self, key: str, payload: bytes) -> None:
+        camera = key.removeprefix("status/")
+        if camera in self._reached:
+            self._reached[camera] = msgspec.msgpack.decode(payload).get("last_frame_t", self._reached[camera])
+
+    def __call__(self) -> bool:
+        running = [camera for camera, grabber in self._grabbers.items() if grabber.poll() is None]
+        last = min((self._reached[camera] for camera in running), default=0.0)
+        for camera in running:
+            ahead = self._reached[camera] > last + AHEAD_SECONDS
+            if ahead and camera not in self._held:
+                self._held.add(camera)
+                self._grabbers[camera].send_signal(signal.SIGSTOP)
+            elif not ahead and camera in self._held:
+                self._held.remove(camera)
+                self._grabbers[camera].send_signal(signal.SIGCONT)
+        return not running
+
+
 class _Quiet:
     """Whether for `QUIET_SECONDS` nothing has come in, been learned or been published."""
 
@@ -253,20 +309,23 @@ class _Quiet:
         return time.monotonic() - self._since >= QUIET_SECONDS
 
 
-def _until(daemon: Daemon, deadline: float, done: Any) -> None:
-    """Show progress until ``done()``; raises when it takes too long or the daemon fails."""
+def _until(daemon: Daemon, done: Callable[[], bool]) -> None:
+    """Show progress until ``done()``; raises when there is none for too long or the daemon fails."""
     terminal = sys.stderr.isatty()
     begin, end, pause = ("\r\033[K", "", _TICK_SECONDS) if terminal else ("", "\n", _LINE_SECONDS)
-    shown, last = 0.0, ""
+    shown, line, moved = 0.0, "", time.monotonic()
+    said = line
     while not done():
-        if time.monotonic() > deadline:
-            raise exits.CommandError(f"demo: not done after {PATIENCE_SECONDS:g} s; is the machine busy?")
+        if time.monotonic() > moved + PATIENCE_SECONDS:
+            raise exits.CommandError(f"demo: nothing got on for {PATIENCE_SECONDS:g} s; is the machine busy?")
         if daemon.wait(_TICK_SECONDS):
             raise exits.CommandError("demo: the daemon has failed")
-        line = _progress(daemon)
-        if line != last and time.monotonic() - shown > pause:
+        before, line = line, _progress(daemon)
+        if line != before:
+            moved = time.monotonic()
+        if line != said and time.monotonic() - shown > pause:
             print(f"{begin}{line}", end=end, file=sys.stderr, flush=True)
-            shown, last = time.monotonic(), line
+            shown, said = time.monotonic(), line
     if terminal:
         print(file=sys.stderr)
 
