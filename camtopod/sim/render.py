@@ -61,13 +61,14 @@ def plan_corner(plan: Plan) -> tuple[float, float, float, float]:
 def floor_picture(plan: Plan) -> Picture:
     """The floor from above, `PIXELS_PER_METRE`, north up: slabs, stains, the ways worn lighter."""
     west, south, east, north = plan_corner(plan)
+    corner = west, north
     shape = round((north - south) * PIXELS_PER_METRE), round((east - west) * PIXELS_PER_METRE), 3
     picture: Picture = np.zeros(shape, dtype=np.uint8)
     for area in plan.areas:
-        _pave(picture, plan, area)
+        _pave(picture, corner, area)
     ways = picture.copy()
     for a, b in plan.ways:
-        begin, end = (_on_plan(plan, plan.places[name]) for name in (a, b))
+        begin, end = (_on_plan(corner, plan.places[name]) for name in (a, b))
         cv2.line(ways, begin, end, (214, 220, 224), round(2.6 * PIXELS_PER_METRE), cv2.LINE_AA)
     mixed = cv2.addWeighted(picture, 0.55, ways, 0.45, 0)
     coarse = np.random.default_rng(7).normal(0, 7, (shape[0] // 30 + 1, shape[1] // 30 + 1))
@@ -80,27 +81,28 @@ def _grey_levels(values: NDArray[Any]) -> Picture:
     return result
 
 
-def _pave(picture: Picture, plan: Plan, area: Area) -> None:
+def _pave(picture: Picture, corner: tuple[float, float], area: Area) -> None:
     """Slabs with seams, every other row half a slab on."""
     west, south, east, north = area.box
     colour, seam, (length, depth) = _FLOORS[area.floor]
-    cv2.rectangle(picture, _on_plan(plan, (west, north)), _on_plan(plan, (east, south)), colour, -1)
+    cv2.rectangle(picture, _on_plan(corner, (west, north)), _on_plan(corner, (east, south)), colour, -1)
     for row, y in enumerate(np.arange(south, north, depth)):
         top = float(min(y + depth, north))
-        cv2.line(picture, _on_plan(plan, (west, float(y))), _on_plan(plan, (east, float(y))), seam, 1)
+        cv2.line(picture, _on_plan(corner, (west, float(y))), _on_plan(corner, (east, float(y))), seam, 1)
         for x in np.arange(west + length * (0.5 if row % 2 else 1.0), east, length):
-            cv2.line(picture, _on_plan(plan, (float(x), float(y))), _on_plan(plan, (float(x), top)), seam, 1)
+            cv2.line(picture, _on_plan(corner, (float(x), float(y))), _on_plan(corner, (float(x), top)), seam, 1)
 
 
-def _on_plan(plan: Plan, place: tuple[float, float]) -> tuple[int, int]:
-    west, _, _, north = plan_corner(plan)
-    return round((place[0] - west) * PIXELS_PER_METRE), round((north - place[1]) * PIXELS_PER_METRE)
+def _on_plan(corner: tuple[float, float], place: tuple[float, float]) -> tuple[int, int]:
+    """Pixels of a place in metres; ``corner``: west and north end of the picture."""
+    return round((place[0] - corner[0]) * PIXELS_PER_METRE), round((corner[1] - place[1]) * PIXELS_PER_METRE)
 
 
 def scene(plan: Plan, view: View) -> Picture:
     """What a camera sees when nobody is there, (HEIGHT, WIDTH, 3) BGR: the floor through its homography."""
+    west, _, _, north = plan_corner(plan)
     corners = np.array(view.target) + np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], dtype=float)
-    there = np.array([_on_plan(plan, (float(x), float(y))) for x, y in corners], dtype=np.float32)
+    there = np.array([_on_plan((west, north), (float(x), float(y))) for x, y in corners], dtype=np.float32)
     here = (view.feet(corners)[:, :2] * (2 * WIDTH, 2 * HEIGHT)).astype(np.float32)
     homography = cv2.getPerspectiveTransform(there, here)
     size = 2 * WIDTH, 2 * HEIGHT
