@@ -156,6 +156,33 @@ def test_what_can_be_read_of_a_damaged_journal_goes_on(journal: Journal, tmp_pat
         assert (again.set_aside, len(again)) == (None, 400)
 
 
+def test_a_damaged_journal_is_read_out_though_the_first_try_fails(
+    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A kill or a full disk between setting it aside and reading it out."""
+    journal.commit([entry(n) for n in range(1, 400)])
+    journal.close()
+    content = bytearray((tmp_path / "journal.db").read_bytes())
+    content[100] ^= 0xFF  # the kind of the first page
+    (tmp_path / "journal.db").write_bytes(content)
+
+    def full(*_: object) -> int:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as failing:
+        failing.setattr(journals, "rescue", full)
+        with pytest.raises(StateError, match="disk is full"):
+            Journal(tmp_path)
+    aside = tmp_path / "journal.db.damaged-1"
+    content[100] ^= 0xFF
+    aside.write_bytes(content)  # so that there is something to be read
+    with closing(Journal(tmp_path)) as anew:
+        assert kept(anew) == list(range(1, 400))
+        anew.commit([entry(400)])
+    with closing(Journal(tmp_path)) as again:
+        assert kept(again) == list(range(1, 401))
+
+
 def test_entries_that_are_missing_are_noticed(journal: Journal) -> None:
     journal.commit([entry(n) for n in range(1, 7)])
     journal._db.execute("DELETE FROM entry WHERE id IN (1, 3, 4)")

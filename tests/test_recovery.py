@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sqlite3
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -16,9 +17,9 @@ from serving import closing_event, numbered, small_config, walkers
 from camtopod.codec import to_json, to_pack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.records import Event
+from camtopod.records import Event, Topology
 from camtopod.serve import recovery
-from camtopod.serve.database import StateError
+from camtopod.serve.database import StateError, crc
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.learning import Learning
 from camtopod.serve.receiver import Received, Version
@@ -213,6 +214,86 @@ def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
     again.learn(EVENTS[160:])
     assert {epoch for epoch, _, _ in again.published} == {"F"}
     assert len(again.journal) == len(EVENTS)
+    later = start()
+    assert (later.started_at, later.learning.epoch) == (len(EVENTS), "F"), "it has got beyond that"
+
+
+def test_a_disk_that_fails_is_no_failure_of_the_learner(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or what was learned would be thrown away for it."""
+    one = start(snapshot_events=50)
+    one.learn(EVENTS[:120])
+    one.store(EVENTS[120:])
+
+    def unreadable(*_: object, **__: object) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    for _ in range(recovery.FAILURES_MAX):
+        failing = start()
+        with monkeypatch.context() as broken:
+            broken.setattr(failing.journal, "entries", unreadable)
+            with pytest.raises(sqlite3.OperationalError):
+                failing.run()
+    again = start()
+    again.run()
+    assert one.published + again.published == uninterrupted()
+
+
+def test_a_version_that_is_not_kept_any_more_does_not_come_after_newer_ones(start: Start) -> None:
+    one = start(snapshot_events=60)
+    one.learn(EVENTS[:60])
+    first = len(one.published)
+    one.learn(EVENTS[60:])
+    newest = one.published[-1][1]
+    assert newest > first + 1
+    older, newer = (snapshot.position for snapshot in reversed(one.journal.snapshots()))
+    one.journal._db.execute("UPDATE snapshot SET state = x'00' WHERE position = ?", (newer,))
+    one.journal._db.execute("DELETE FROM version WHERE version < ?", (newest,))
+    again = start()
+    assert again.started_at == older
+    again.run()
+    assert again.published == []
+
+
+def test_of_an_epoch_that_has_ended_no_version_comes(start: Start) -> None:
+    """Several versions made in one step, the first of them another than was published: so are those after it."""
+    one = start()
+    one.learn(EVENTS)
+    assert len(one.published) > 2
+    one.journal._db.execute("DELETE FROM snapshot")
+    rows = one.journal._db.execute("SELECT * FROM version WHERE version = 1").fetchone()
+    changed = (*rows[:4], "another digest", *rows[5:7])
+    one.journal._db.execute("UPDATE version SET digest = ?, crc = ? WHERE version = 1", (changed[4], crc(*changed)))
+    again = start()
+    learner, step = again.learning._learner, Learner.updates
+
+    def all_at_once(self: Learner) -> list[Topology]:
+        return step(self) if self is not learner or len(self._updates) != 1 or self.epoch != "E" else []
+
+    with pytest.MonkeyPatch.context() as slow:
+        slow.setattr(Learner, "updates", all_at_once)
+        again.run()
+    assert {epoch for epoch, _, _ in again.published} == {"F"}
+
+
+def test_a_journal_without_entries_and_snapshots_but_with_versions_begins_an_epoch(start: Start) -> None:
+    one = start()
+    one.learn(EVENTS)
+    for table in ("snapshot", "entry"):
+        one.journal._db.execute(f"DELETE FROM {table}")
+    one.journal._db.execute("DELETE FROM version WHERE version < 3")
+    again = start()
+    assert again.learning.epoch == "F"
+
+
+def test_an_event_that_cannot_be_read_any_more_holds_no_start_up(start: Start) -> None:
+    """As an older program may have accepted it."""
+    one = start()
+    one.learn(EVENTS[:50])
+    one.journal.commit([Entry("event", "a", None, None, b"{}")])
+    again = start()
+    again.run()
+    last = EVENTS[49].t
+    assert recovery.recent_events(again.journal) == [e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS]
 
 
 def test_what_a_newer_program_has_learned_is_not_thrown_away(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,10 +82,8 @@ class Journal:
         """Where a journal that was damaged is now; this one has begun anew."""
         try:
             self._db, self.set_aside = database.connect_or_begin_anew(self._path, SCHEMA, prepare)
-            if self.set_aside is not None:
-                with database.transaction(self._db):
-                    rescued = rescue(self._db, self.set_aside)
-                log.error("%d entries were read out of the damaged journal %s", rescued, self.set_aside)
+            if self._stored_last() == 0:
+                self._rescue()
             self._last = self._stored_last()
         except sqlite3.Error as error:
             self._lock.close()
@@ -93,6 +91,13 @@ class Journal:
         except database.StateError:
             self._lock.close()
             raise
+
+    def _rescue(self) -> None:
+        """Into a journal that is empty; the one before it may have been set aside in an earlier try."""
+        for aside in database.damaged_files(self._path)[-1:]:
+            with database.transaction(self._db):
+                rescued = rescue(self._db, aside)
+            log.error("%d entries were read out of the damaged journal %s", rescued, aside)
 
     def meta(self, key: str) -> str | None:
         """A value kept by `set_meta`; None also if it is damaged."""

@@ -6,18 +6,18 @@ from __future__ import annotations
 
 import logging
 import queue
+import sqlite3
 import threading
 from collections.abc import Callable
 
-from camtopod import codec
 from camtopod.learn.snapshot import pack
 from camtopod.learn.topology import make_delta
 from camtopod.records import Topology
 from camtopod.serve import memory
-from camtopod.serve.journal import Entry, Journal, Snapshot
+from camtopod.serve.journal import Journal, Snapshot
 from camtopod.serve.progress import Beat, no_beat
-from camtopod.serve.receiver import Received, Version, decode
-from camtopod.serve.recovery import Recovered, note_failure
+from camtopod.serve.receiver import Received, Version
+from camtopod.serve.recovery import Recovered, note_failure, received
 
 log = logging.getLogger(__name__)
 
@@ -47,6 +47,7 @@ class Learning:
         self._on_version, self._on_snapshot, self._on_deadline = on_version, on_snapshot, on_deadline
         self._new_epoch = new_epoch
         self._stored = journal.versions(self.epoch)
+        self._newest_stored = max(self._stored, default=0)
         self._replay_until = len(journal)
         self._saved = self.position
         self._due = False
@@ -82,13 +83,16 @@ class Learning:
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Learn until ``stopping``; what is not learned by then is in the journal."""
-        done = False
+        failed = True
         try:
             self._catch_up(stopping, beat)
             self._go_on(stopping, beat)
-            done = True
+            failed = False
+        except sqlite3.Error:  # the disk's failure, not the learner's
+            failed = False
+            raise
         finally:
-            if not done:
+            if failed:
                 note_failure(self._journal, self.position + 1)
 
     def snapshot(self) -> Snapshot | None:
@@ -110,7 +114,7 @@ class Learning:
             if entry is None:
                 self.damaged += 1
             else:
-                self._learn(_received(entry))
+                self._learn(received(entry))
             self.position = number
             beat()
             if (number - begun) % _PROGRESS_ENTRIES == 0:
@@ -127,8 +131,8 @@ class Learning:
             except queue.Empty:
                 beat()
                 continue
-            for received in batch:
-                self._learn(received)
+            for one in batch:
+                self._learn(one)
                 self.position += 1
                 beat()
                 if stopping.is_set():
@@ -137,12 +141,12 @@ class Learning:
                 self._waiting -= len(batch)
             self._tell()
 
-    def _learn(self, received: Received) -> None:
+    def _learn(self, one: Received) -> None:
         """One committed entry into the learner, new versions out."""
-        if received.event is not None:
-            self._learner.receive(received.event)
-        elif received.advance is not None:
-            self._learner.advance(received.advance)
+        if one.event is not None:
+            self._learner.receive(one.event)
+        elif one.advance is not None:
+            self._learner.advance(one.advance)
         self._take_versions()
 
     def _take_versions(self) -> None:
@@ -151,10 +155,14 @@ class Learning:
                 self._hand_out(topology)
 
     def _hand_out(self, topology: Topology) -> None:
-        """A version that is stored already must come out as it was; a new one is handed on."""
+        """A version that is stored already must come out as it was, one that was and is not kept any more is passed
+        over; a new one is handed on.
+        """
+        if topology.epoch != self.epoch:
+            return  # made in the same step as the one that ended its epoch
         stored = self._stored.pop(topology.version, None)
         if stored is not None and stored != topology.digest:
-            self.epoch, self._stored, self._topology = self._new_epoch(), {}, None
+            self.epoch, self._stored, self._newest_stored, self._topology = self._new_epoch(), {}, 0, None
             log.warning(
                 "version %d comes out otherwise than it was (another program or processor?): epoch %s begins",
                 topology.version, self.epoch,
@@ -164,7 +172,7 @@ class Learning:
             return
         delta = None if self._topology is None else make_delta(self._topology, topology)
         self._topology = topology
-        if stored is None:
+        if topology.version > self._newest_stored:
             self._due = True
             self._on_version(Version(topology, delta))
 
@@ -179,14 +187,3 @@ class Learning:
                 self._saved, self._due = self.position, False
         self.statistics = self._learner.statistics()
         self._on_deadline(self._learner.next_deadline())
-
-
-def _received(entry: Entry) -> Received:
-    if entry.kind == "event":
-        try:
-            return Received(entry, decode(entry.raw))
-        except codec.Rejected as error:  # a newer program accepted it
-            log.error("an entry of the journal cannot be read any more: %s", error)
-    elif entry.kind == "advance":
-        return Received(entry, advance=float(entry.raw))
-    return Received(entry)

@@ -18,8 +18,8 @@ from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, unpack
 from camtopod.records import Event, Topology
 from camtopod.serve.database import StateError
-from camtopod.serve.journal import Journal
-from camtopod.serve.receiver import decode
+from camtopod.serve.journal import Entry, Journal
+from camtopod.serve.receiver import Received, decode
 
 log = logging.getLogger(__name__)
 
@@ -49,17 +49,17 @@ def recover(journal: Journal, settings: Settings, site: str, new_epoch: Callable
     epoch = journal.meta("epoch")
     if epoch is None:
         epoch = new_epoch()
-    failure = read_failure(journal)
-    if failure is not None and failure.times >= FAILURES_MAX:
+    failure, found = read_failure(journal), _newest_state(journal)
+    beyond = 0 if found is None else found[0]
+    if failure is not None and failure.times >= FAILURES_MAX and beyond < failure.at:
         epoch = new_epoch()
         log.error(
             "the learner has failed %d times at entry %d of the journal: it begins anew behind it, in epoch %s; "
             "the entries up to there are still in the journal, please report this", failure.times, failure.at, epoch,
         )  # fmt: skip
         return Recovered(Learner(settings, site, epoch), failure.at, epoch)
-    found = _newest_state(journal)
     if found is None:
-        if journal.first() > 1 and journal.versions(epoch):
+        if journal.first() != 1 and journal.versions(epoch):
             epoch = new_epoch()
             log.warning("the oldest events are not kept any more and there is no snapshot: epoch %s begins", epoch)
         return Recovered(Learner(settings, site, epoch), max(journal.first() - 1, 0), epoch)
@@ -86,16 +86,28 @@ def newest_topology(journal: Journal, learner: Learner) -> Topology | None:
         return learner.topology
 
 
+def received(entry: Entry) -> Received:
+    """An entry as it came; without its event if that cannot be read any more."""
+    if entry.kind == "advance":
+        return Received(entry, advance=float(entry.raw))
+    if entry.kind == "event":
+        try:
+            return Received(entry, decode(entry.raw))
+        except codec.Rejected as error:  # another program accepted it
+            log.error("an entry of the journal cannot be read any more: %s", error)
+    return Received(entry)
+
+
 def recent_events(journal: Journal) -> list[Event]:
     """The newest events of the journal, for predictions to remember."""
     entries = journal.entries(after=max(0, len(journal) - RECENT_EVENTS))
-    events = [decode(entry.raw) for _, entry in entries if entry is not None and entry.kind == "event"]
+    events = [event for _, entry in entries if entry is not None and (event := received(entry).event) is not None]
     newest = max((event.t for event in events), default=0.0)
     return [event for event in events if event.t > newest - RECENT_SECONDS]
 
 
 def read_failure(journal: Journal) -> Failure | None:
-    """Where the learner failed last, if it has not got beyond that since."""
+    """Where the learner failed last; it may have got beyond that since."""
     kept = journal.meta("failure")
     return None if kept is None else codec.read(Failure, kept.encode())
 
