@@ -1,0 +1,68 @@
+"""The files of deploy/ fit each other, the program, and systemd where it is there to ask."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+from camtopod.cli.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
+from camtopod.cli.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
+from camtopod.cli.speaker import CLOSE_SECONDS
+from camtopod.config import HealthSettings
+
+DEPLOY = Path(__file__).parent.parent / "deploy"
+UNITS = {"camtopod.service": "camtopod.service", "camtopod-grab@.service": "camtopod-grab@lobby.service"}
+"""File -> the unit it is started as."""
+README = (DEPLOY / "README.md").read_text()
+
+
+def directives(path: Path) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for line in path.read_text().splitlines():
+        if (match := re.match(r"(\w+)=(.*)", line)) is not None:
+            found.setdefault(match[1], []).append(match[2])
+    return found
+
+
+def test_what_the_configuration_names_is_handed_to_the_service() -> None:
+    daemons, boxes = (
+        re.findall(r'"\$CREDENTIALS_DIRECTORY/([^"]+)"', part.split("END\n```")[0])
+        for part in README.split("The daemon's machine:")[1].split("Each box, here")
+    )
+    for file, named in zip(UNITS, (daemons, boxes), strict=True):
+        drop_ins = [directives(path) for path in (DEPLOY / f"{file}.d").iterdir()]
+        handed = {value.split(":")[0] for drop_in in drop_ins for value in drop_in["LoadCredential"]}
+        assert handed == set(named)
+
+
+def test_services_can_read_the_configuration_that_is_installed() -> None:
+    """Their users own nothing in /etc and are in no group of it."""
+    modes = re.findall(r"install -Dm (\d+) \S+ /etc/camtopod/camtopod.toml", README)
+    assert modes == ["644"]
+
+
+def test_no_service_shares_its_user_or_gives_up() -> None:
+    for file in UNITS:
+        unit = directives(DEPLOY / file)
+        assert unit["DynamicUser"] == ["yes"]
+        assert "User" not in unit or "@" not in file, "cameras would read each other's keys through /proc"
+        assert unit["StartLimitIntervalSec"] == ["0"]
+        assert unit["RestartPreventExitStatus"] == ["2 78"]
+        assert (unit["NoNewPrivileges"], unit["UMask"], unit["CapabilityBoundingSet"]) == (["yes"], ["0077"], [""])
+        assert float(unit["WatchdogSec"][0]) > HealthSettings().stall_seconds
+        assert float(unit["TimeoutStopSec"][0]) > max(RUN_LEAVE_SECONDS, GRAB_LEAVE_SECONDS + CLOSE_SECONDS)
+
+
+def test_systemd_takes_the_units(tmp_path: Path) -> None:
+    for file, name in UNITS.items():
+        text = (DEPLOY / file).read_text()
+        assert text.count("/opt/camtopod/bin/camtopod ") == 1
+        (tmp_path / name).write_text(text.replace("/opt/camtopod/bin/camtopod ", "/bin/true "))
+        shutil.copytree(DEPLOY / f"{file}.d", tmp_path / f"{name}.d")
+        if shutil.which("systemd-analyze") is None:  # elsewhere the other tests have to do
+            continue
+        verify = ["systemd-analyze", "verify", "--man=no", str(tmp_path / name)]
+        done = subprocess.run(verify, capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (0, "")
