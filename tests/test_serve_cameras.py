@@ -21,7 +21,7 @@ from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.receiver import Receiver
 from camtopod.serve.rejects import SAMPLES_MAX, Rejects
-from camtopod.serve.rivals import Rivals
+from camtopod.serve.rivals import NAMED_MAX, Rivals
 
 
 def at(camera: str, t: float) -> Event:
@@ -255,3 +255,31 @@ def test_two_that_find_each_other_later_both_say_so(meeting_point: buses.Bus, tm
         wait_for(lambda: "another daemon (other)" in daemon.status()["reason"], "the first to see it")
         wait_for(lambda: other.reason != "", "the second to see it")
         assert daemon.status()["state"] == "degraded"
+
+
+class Watched:
+    """A bus on which somebody makes up daemons."""
+
+    site = "site"
+
+    def __init__(self) -> None:
+        self.on_change: Any = None
+
+    def watch_alive(self, role: str, on_change: Any) -> None:
+        self.on_change = on_change
+
+    def appear(self, role: str, name: str) -> None:
+        """Nobody sees it."""
+
+
+def test_made_up_daemons_fill_neither_memory_nor_log(caplog: pytest.LogCaptureFixture) -> None:
+    bus = Watched()
+    rivals = Rivals(bus, "mine")  # type: ignore[arg-type]
+    rivals.appear()
+    for number in range(1000):
+        bus.on_change(f"other{number}", True)
+    assert len(rivals.reason) < 1000
+    assert len(caplog.records) == NAMED_MAX
+    for number in range(1000):
+        bus.on_change(f"other{number}", False)
+    assert rivals.reason == ""

@@ -21,10 +21,11 @@ from camtopod.learn.topology import digest_of, make_delta
 from camtopod.records import Ack, Event, Prediction, Topology
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus, BusError, QueryError
+from camtopod.serve.cameras import Received
 from camtopod.serve.clock import ulid
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.database import crc
-from camtopod.serve.journal import Journal
+from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
 from camtopod.serve.subscriber import TopologyView
@@ -404,6 +405,38 @@ def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(site: Site, monkeyp
     assert publisher.drained(20)
     assert daemon.status()["state"] == "running"
     stored(daemon, 20)
+
+
+def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    put(bus, *numbered(walkers(40)), closing_event())
+    wait_for(lambda: daemon.topology is not None and daemon.topology.version > 1, "two versions")
+    assert daemon.topology is not None
+    older = {"version": daemon.topology.version - 1}
+
+    def unreadable(*_: Any) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    with monkeypatch.context() as disk:
+        for name in ("size", "version"):
+            disk.setattr(daemon._journal, name, unreadable)
+        assert daemon.status()["journal"]["reason"] == "disk I/O error"
+        assert not daemon.wait(1.0), "no part of it has failed"
+        with pytest.raises(QueryError, match="disk I/O error"):
+            bus.ask("topology", older)
+    assert daemon.status()["journal"]["bytes"] > 0
+    assert bus.ask("topology", older)
+
+
+def test_what_waits_for_other_backlogs_is_in_the_status(site: Site) -> None:
+    daemon = site.daemon()
+    receiver = daemon._receiver
+    assert daemon.status()["events"]["merging"] == 0
+    receiver.merge.answered("lobby", [T0, T0 + 60], True, 0.0)
+    receiver.merge.release([Received(Entry("refused", "lobby", "b", 1, b""))], 0.0, 10)
+    assert receiver.merge.waiting == 1
+    assert daemon.status()["events"]["merging"] == 1
 
 
 # --- the bus itself -------------------------------------------------------------------------------

@@ -319,13 +319,21 @@ def test_text_that_is_no_text_any_more_damages_its_row_alone(spool: Spool) -> No
     assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [2]
 
 
-def test_a_damaged_log_is_copied_once(spool: Spool, tmp_path: Path, caplog: Any) -> None:
+def damaged_log(spool: Spool, tmp_path: Path) -> Path:
+    """A copy of the spool as after a kill, whose log has a flipped bit in front of whole transactions."""
     for n in range(6):
         spool.append([event(n)])
     path = copy_of(tmp_path / "spool.db", tmp_path / "killed")
-    log = bytearray((tmp_path / "spool.db-wal").read_bytes())
+    log = bytearray(path.with_name("spool.db-wal").read_bytes())
     frame = wal.read(tmp_path / "spool.db").commits[3] - 1
     log[32 + frame * (24 + 4096) + 1000] ^= 1
+    path.with_name("spool.db-wal").write_bytes(log)
+    return path
+
+
+def test_a_damaged_log_is_copied_once(spool: Spool, tmp_path: Path, caplog: Any) -> None:
+    path = damaged_log(spool, tmp_path)
+    log = path.with_name("spool.db-wal").read_bytes()
     for _ in range(3):
         path.with_name("spool.db-wal").write_bytes(log)
         Spool(path, "boot-2", events_max=1000).close()
@@ -333,7 +341,36 @@ def test_a_damaged_log_is_copied_once(spool: Spool, tmp_path: Path, caplog: Any)
         shutil.copyfile(tmp_path / "spool.db", path)
     assert database.damaged_files(path.with_name("spool.db-wal")) == [path.with_name("spool.db-wal.damaged-1")]
     assert path.with_name("spool.db-wal.damaged-1").read_bytes() == log
-    assert "transactions cannot be read" in caplog.text
+    assert "transactions cannot be read; a copy is" in caplog.text
+
+
+def test_the_copy_of_a_damaged_log_is_nobody_elses_to_read(spool: Spool, tmp_path: Path) -> None:
+    path = damaged_log(spool, tmp_path)
+    Spool(path, "boot-2", events_max=1000).close()
+    [aside] = database.damaged_files(path.with_name("spool.db-wal"))
+    assert aside.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_log_that_cannot_be_copied_leaves_no_part_of_a_copy(
+    spool: Spool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Or a disk that is full for a while would count as one that damages every file."""
+    path = damaged_log(spool, tmp_path)
+
+    def full(source: Any, target: Any) -> None:
+        target.write(source.read(1000))
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(shutil, "copyfileobj", full)
+    Spool(path, "boot-2", events_max=1000).close()
+    assert database.damaged_files(path.with_name("spool.db-wal")) == []
+    assert "transactions cannot be read; there is no copy: No space left on device" in caplog.text
+
+
+def test_an_index_of_the_log_without_content_is_no_trouble(tmp_path: Path) -> None:
+    """As a power cut leaves it, and somebody has moved the file away."""
+    (tmp_path / "spool.db-shm").write_bytes(b"")
+    Spool(tmp_path / "spool.db", "b", events_max=10).close()
 
 
 def test_torn_frames_that_look_like_two_commits_are_no_damage(spool: Spool, tmp_path: Path) -> None:

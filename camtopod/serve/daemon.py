@@ -185,6 +185,7 @@ class Daemon:
                 "lost": receiver.streams.lost,
                 "waiting": learning.waiting,
                 "early": receiver.cameras.waiting,
+                "merging": receiver.merge.waiting,
             },
             "rejects": dict(receiver.rejects.counts),
             "refused": {} if self._bus is None else self._bus.refused,
@@ -195,17 +196,21 @@ class Daemon:
             "score": None if self.topology is None else self.topology.score,
             "alarms": [] if self.topology is None else (self.topology.alarms or [])[-STATUS_ALARMS:],
             "pulls": self._puller.pulls,
-            "journal": {
-                "entries": len(self._journal),
-                "bytes": self._journal.size(),
-                "damaged": self._learning.damaged,
-                "damaged_files": [path.name for path in self._journal.damaged_files()],
-            },
+            "journal": self._journal_status(),
             "cameras": {
                 camera: {**counters, "alive": camera in self._puller.alive}
                 for camera, counters in sorted(receiver.cameras.status().items())
             },
         }
+
+    def _journal_status(self) -> dict[str, Any]:
+        """Of a disk that cannot be read the reason."""
+        known: dict[str, Any] = {"entries": len(self._journal), "damaged": self._learning.damaged}
+        try:
+            files = [path.name for path in self._journal.damaged_files()]
+            return {**known, "bytes": self._journal.size(), "damaged_files": files}
+        except (sqlite3.Error, OSError) as error:
+            return {**known, "reason": str(error)}
 
     def __enter__(self) -> Daemon:
         self.start()
@@ -278,10 +283,13 @@ class Daemon:
         epoch = parameters.get("epoch", self.topology.epoch)
         if (epoch, wanted) == (self.topology.epoch, str(self.topology.version)):
             return self.topology
-        content = self._journal.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
-        if content is None:
-            raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
-        return codec.read(Topology, content)
+        try:
+            content = self._journal.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
+            if content is not None:
+                return codec.read(Topology, content)
+        except (sqlite3.Error, codec.Rejected) as error:
+            raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
+        raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
 
     def _learn(self, batch: list[Received]) -> None:
         for received in batch:

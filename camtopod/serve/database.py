@@ -137,13 +137,7 @@ def set_aside(path: Path) -> Path:
 
     The log first: should the power go in between, an old log must not be taken for the new file's.
     """
-    before = damaged_files(path)
-    if len(before) >= DAMAGED_FILES_MAX:
-        raise StateError(
-            f"{path} is damaged, and {len(before)} times before: see to the disk, and move those files away"
-        )
-    number = int(before[-1].name.rpartition("-")[2]) + 1 if before else 1
-    aside = path.with_name(f"{path.name}.damaged-{number}")
+    aside = _name_aside(path)
     try:
         for suffix in (*_SIDE_FILES, ""):
             with contextlib.suppress(FileNotFoundError):
@@ -183,6 +177,7 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
 
 
 def _name_aside(path: Path) -> Path:
+    """What is set aside next is called so. Raises `StateError` if there are too many."""
     before = damaged_files(path)
     if len(before) >= DAMAGED_FILES_MAX:
         raise StateError(
@@ -193,12 +188,20 @@ def _name_aside(path: Path) -> Path:
 
 
 def _copy_aside(path: Path) -> Path:
-    """Once, however often it is opened before it is written to again."""
+    """Once, however often it is opened before it is written to again; whole or not at all."""
     for aside in damaged_files(path)[-1:]:
         if filecmp.cmp(path, aside, shallow=False):
             return aside
     aside = _name_aside(path)
-    shutil.copyfile(path, aside)
+    with contextlib.ExitStack() as undo, path.open("rb") as source:
+        fd = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        undo.callback(aside.unlink)
+        with open(fd, "wb") as target:
+            shutil.copyfileobj(source, target)
+            target.flush()
+            os.fsync(target.fileno())
+        undo.pop_all()
+    _sync_directory(path.parent)
     return aside
 
 
@@ -261,10 +264,15 @@ def _report_lost(path: Path, written: wal.Log) -> None:
     """Say what SQLite left out of the log, and keep a copy of a log that was damaged."""
     lost = wal.lost(path, written)
     if lost.damaged:
-        aside = _copy_aside(Path(f"{path}-wal"))
+        try:
+            copy = f"a copy is {_copy_aside(Path(f'{path}-wal'))}"
+        except StateError:
+            raise
+        except OSError as error:  # SQLite throws the log away on closing, so that giving up would not save it
+            copy = f"there is no copy: {error.strerror}"
         log.error(
-            "the log of %s is damaged: %s cannot be read; a copy is %s", path,
-            "nothing of it" if lost.headless else f"{lost.transactions} transactions", aside,
+            "the log of %s is damaged: %s cannot be read; %s", path,
+            "nothing of it" if lost.headless else f"{lost.transactions} transactions", copy,
         )  # fmt: skip
     elif lost.frames:
         log.warning(

@@ -95,7 +95,7 @@ class Receiver:
             known=lambda camera: camera in self.cameras or camera in self.with_spool,
         )
         self._answers: collections.deque[Pulled] = collections.deque()
-        self._merge = Merge(limits.held_events_max)
+        self.merge = Merge(limits.held_events_max)
         self._versions: collections.deque[Version] = collections.deque()
         self._snapshots: collections.deque[Snapshot] = collections.deque(maxlen=1)
         self._stored = journal.streams()
@@ -123,7 +123,7 @@ class Receiver:
 
     def on_pulled(self, pulled: Pulled) -> bool:
         """The answer of a spool; False if there is no room for it now."""
-        if self._merge.full(pulled.batch.camera):
+        if self.merge.full(pulled.batch.camera):
             return False
         mine = sum(other.batch.camera == pulled.batch.camera for other in self._answers.copy())
         if len(self._answers) >= _PULLED_MAX or mine >= _PULLED_CAMERA_MAX:
@@ -178,7 +178,7 @@ class Receiver:
                 ready += self._published(message, wall, now)
         ready += self.streams.give_up(time.monotonic(), self._limits.gap_seconds, self.with_spool)
         most = min(self._limits.commit_events_max, self._room())
-        ready = self._merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), most)
+        ready = self.merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), most)
         ready = self._without_floods(ready)
         ready += self._time_went_on(now)
         if not self._store(ready, stopping):
@@ -242,7 +242,7 @@ class Receiver:
             except codec.Rejected as error:
                 self.rejects.add(error.reason, f"spool/{batch.camera}", str(error), raw)
             ready += self._order(received)
-        self._merge.answered(batch.camera, times, batch.more, time.monotonic())
+        self.merge.answered(batch.camera, times, batch.more, time.monotonic())
         seqs = [seq for seq, _ in batch.events]
         self.streams.answered(key, pulled.asked_from, seqs, batch.more, knows=batch.first > 0)
         if key in self._stored and batch.first <= self._stored[key] != batch.acked:
@@ -277,7 +277,7 @@ class Receiver:
     def _order(self, received: Received) -> list[Received]:
         """What is ready now; what has no count is at once."""
         _, camera, boot, seq, raw = received.entry
-        if self.cameras.full(camera) or self._merge.full(camera):
+        if self.cameras.full(camera) or self.merge.full(camera):
             self.counts["held_full"] += 1
             return []
         if boot is None or seq is None:

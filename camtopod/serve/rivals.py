@@ -17,6 +17,8 @@ log = logging.getLogger(__name__)
 
 ROLE = "daemon"
 _LOOK_SECONDS = 0.1
+NAMED_MAX = 20
+"""Others that are remembered by name."""
 
 
 class Rivals:
@@ -52,6 +54,8 @@ class Rivals:
     def _on_change(self, name: str, alive: bool) -> None:
         if name == self._name:
             return
-        if alive and name not in self._there:
+        if not alive:
+            self._there.discard(name)
+        elif name not in self._there and len(self._there) < NAMED_MAX:
+            self._there.add(name)
             log.error("another daemon (%s) serves site %s on this bus: stop one of them", name, self._bus.site)
-        (self._there.add if alive else self._there.discard)(name)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -77,7 +78,7 @@ def lost(path: Path, log: Log) -> Lost:
     last = 0
     with contextlib.suppress(FileNotFoundError), Path(f"{path}-shm").open("rb") as file:
         file.seek(_LAST_FRAME_AT)
-        last = struct.unpack("=I", file.read(4))[0]
+        last = int.from_bytes(file.read(4), sys.byteorder)  # 0 if it is empty, as of a log that has gone
     transactions = sum(one > last and _is_whole(path, one) for one in log.commits)
     return Lost(sum(one > last for one in log.frames), transactions, log.headless)
 
