@@ -485,13 +485,17 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
     bus.answer("topology", lambda key, parameters: whole, "topology")
     bus.appear("daemon", "site")
     client = buses.dial(small_config(site.directory, bus.endpoint))
-    view = TopologyView(client)
+    told: list[str] = []
+
+    class View(TopologyView):
+        def _on_daemon(self, name: str, alive: bool) -> None:
+            super()._on_daemon(name, alive)
+            told.append(name)
+
+    view = View(client)
     assert view.wait_for(1, 10) == versions[0]
-    seen: list[str] = []
-    client.watch_alive("daemon", lambda name, alive: seen.append(name))
-    wait_for(lambda: bool(seen), "the daemon's token, on which a view fetches the whole, to have come")
-    wait_for(lambda: view.update() is None and time.monotonic() > view._ask_after, "the view to rest")
-    view.update()
+    wait_for(lambda: bool(told), "the view to have been told of the daemon, on which it fetches the whole")
+    wait_for(lambda: view.update() is None and not view._stale, "the view to rest")
     fetched = view.fetched
 
     def delta(old: Topology, new: Topology) -> Callable[[], bool]:
