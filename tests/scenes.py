@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -64,6 +65,14 @@ class Scene:
         self.front(picture)
         picture = picture * self.light(t) + self.rng.normal(0, self.noise, picture.shape)
         return np.clip(picture, 0, 255).astype(np.uint8)
+
+    def film(self, path: Path, seconds: float) -> Path:
+        """Write a video of the first ``seconds``; returns ``path``."""
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (WIDTH, HEIGHT))
+        for k in range(round(seconds * FPS)):
+            writer.write(cv2.cvtColor(self.picture(k / FPS), cv2.COLOR_GRAY2BGR))
+        writer.release()
+        return path
 
     def events(self, seconds: float, settings: VisionSettings | None = None) -> list[Event]:
         """What a watcher says about the first ``seconds``."""

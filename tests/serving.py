@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -28,6 +29,13 @@ def wait_for(condition: Callable[[], bool], what: str, seconds: float = WAIT_SEC
     while not condition():
         assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
         time.sleep(0.02)
+
+
+def free_endpoint() -> str:
+    """A TCP endpoint on this machine that is free now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def small_config(state: Path, connect: str | None = None, **limits: float) -> Config:

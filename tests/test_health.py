@@ -19,7 +19,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from serving import T0, WAIT_SECONDS, camtopod, small_config, wait_for
+from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 
 from camtopod.config import Config, HealthSettings, parse
 from camtopod.records import Event
@@ -399,9 +399,7 @@ class Program:
 
     def __init__(self, directory: Path, systemd_socket: Systemd) -> None:
         self.directory, self.systemd = directory, systemd_socket
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        self.endpoint = free_endpoint()
         self.file = directory / "c.toml"
         self.process: subprocess.Popen[bytes] | None = None
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -17,7 +16,7 @@ from typing import Any
 import msgspec
 import pytest
 import serving
-from serving import camtopod, closing_event, small_config, wait_for, walkers
+from serving import camtopod, closing_event, free_endpoint, small_config, wait_for, walkers
 
 from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
@@ -33,9 +32,7 @@ class Installation:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        self.endpoint = free_endpoint()
         self.config = directory / "camtopod.toml"
         self.config.write_text(
             f'[bus]\nlisten = ["{self.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n'

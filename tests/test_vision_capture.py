@@ -35,13 +35,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Person(line(3.5, (-0.05, 0.7), (1.05, 0.6), 5.0)),
         Person(line(5.0, (1.05, 0.85), (-0.05, 0.9), 6.0), seed=4),
     ]
-    scene = Scene(people)
-    path = tmp_path_factory.mktemp("film") / "film.mp4"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (WIDTH, HEIGHT))
-    for k in range(round(SECONDS * FPS)):
-        writer.write(cv2.cvtColor(scene.picture(k / FPS), cv2.COLOR_GRAY2BGR))
-    writer.release()
-    return path
+    return Scene(people).film(tmp_path_factory.mktemp("film") / "film.mp4", SECONDS)
 
 
 @pytest.fixture(scope="module")

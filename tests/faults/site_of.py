@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import queue
 import random
-import socket
 import subprocess
 import sys
 import threading
@@ -17,7 +16,7 @@ from typing import Any
 
 import msgspec
 import traffic
-from serving import camtopod, wait_for
+from serving import camtopod, free_endpoint, wait_for
 
 from camtopod import codec
 from camtopod.config import BusSettings, Config, parse
@@ -30,13 +29,6 @@ HERE = Path(__file__).parent
 OUTAGE_SECONDS_MAX = 60.0
 """No fault makes anything later than this, so the result does not depend on the order of arrival."""
 READY_SECONDS = 60.0
-
-
-def free_endpoint() -> str:
-    """A TCP endpoint on this machine that is free now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 class Site:

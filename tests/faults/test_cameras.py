@@ -14,10 +14,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import msgspec
 import pytest
-from scenes import FPS, HEIGHT, WIDTH, Person, Scene, line
+from scenes import FPS, Person, Scene, line
 from serving import WAIT_SECONDS, camtopod, small_config, wait_for
 from streams import FaultProxy, missing, served, transcode
 
@@ -42,13 +41,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     people = [
         Person(line(3.5 + 3.0 * n, (-0.05, 0.7), (1.05, 0.65), 4.0), seed=n) for n in range(round(FILM_SECONDS / 3) - 2)
     ]
-    scene = Scene(people)
-    path = tmp_path_factory.mktemp("film") / "film.mp4"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (WIDTH, HEIGHT))
-    for k in range(round(FILM_SECONDS * FPS)):
-        writer.write(cv2.cvtColor(scene.picture(k / FPS), cv2.COLOR_GRAY2BGR))
-    writer.release()
-    return path
+    return Scene(people).film(tmp_path_factory.mktemp("film") / "film.mp4", FILM_SECONDS)
 
 
 class Host:

@@ -9,7 +9,6 @@ import contextlib
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -18,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from serving import T0, WAIT_SECONDS, numbered, small_config, wait_for, walkers
+from serving import T0, WAIT_SECONDS, free_endpoint, numbered, small_config, wait_for, walkers
 from sizes import size
 
 from camtopod.cli.child import Child
@@ -41,9 +40,7 @@ class Under:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        self.endpoint = free_endpoint()
         self.file = directory / "c.toml"
         self.file.write_text(
             f'[bus]\nlisten = ["{self.endpoint}"]\nconnect_seconds = 0.3\n[state]\ndirectory = "{directory}/state"\n'
