@@ -7,13 +7,18 @@ import sys
 
 import pytest
 
-PROGRAM = """
-import threading, sys
+RESIDENT = """
+import os, threading, sys
 from pathlib import Path
 from camtopod.serve import memory
 if sys.argv[1] == "limited":
     memory.limit_arenas()
 
+def resident_bytes():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+"""
+
+COME_AND_GO = f"""{RESIDENT}
 def work(kept):
     mine = [bytearray(3000) for _ in range(20000)]
     kept.append(mine[::100])
@@ -25,14 +30,41 @@ for _ in range(6):
     [thread.join() for thread in threads]
 if sys.argv[1] == "limited":
     memory.give_back()
-print(int(Path("/proc/self/statm").read_text().split()[1]))
+print(resident_bytes())
 """
+
+FIT = f"""{RESIDENT}
+def work():
+    fitted = [bytearray(60_000) for _ in range(300)]
+    del fitted
+    all_done.wait()  # as long as others live, a thread that ends leaves its arena to nobody
+
+bytearray(30_000_000)  # from now on glibc keeps as much in hand
+before, all_done = resident_bytes(), threading.Barrier(3)
+threads = [threading.Thread(target=work) for _ in range(3)]
+[thread.start() for thread in threads]
+[thread.join() for thread in threads]
+memory.give_back()
+print(resident_bytes() - before)
+"""
+
+
+def measured(program: str) -> dict[str, int]:
+    """What the program prints with the arenas limited, and with as many as glibc likes: bytes."""
+    return {
+        how: int(subprocess.run([sys.executable, "-c", program, how], capture_output=True, check=True).stdout)
+        for how in ("limited", "as it is")
+    }
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
 def test_threads_that_come_and_go_leave_less_behind() -> None:
-    pages = {
-        how: int(subprocess.run([sys.executable, "-c", PROGRAM, how], capture_output=True, check=True).stdout)
-        for how in ("limited", "as it is")
-    }
-    assert pages["limited"] < 0.8 * pages["as it is"]
+    resident = measured(COME_AND_GO)
+    assert resident["limited"] < 0.8 * resident["as it is"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
+def test_what_a_fit_took_in_any_thread_is_given_back() -> None:
+    kept = measured(FIT)
+    assert kept["limited"] < 2_000_000
+    assert kept["as it is"] > 5_000_000, "the canary: the end of another arena than the first stays"

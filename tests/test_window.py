@@ -176,3 +176,18 @@ def test_two_busy_cameras_and_a_busy_one_of_two_are_no_flood() -> None:
         window.append([(k, Event(str(name), "entry", k)) for k, name in enumerate(chosen)])
         window.forget(0)
         assert window.column("t").tolist() == list(range(1500, 2000))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_passages_whose_entry_is_forgotten_are_no_longer_open(turned: bool) -> None:
+    window = Window(1000)
+    for t in range(50):
+        window.append(at(t, [Event(camera, "entry", t, 0.5, 0.5, str(t)) for camera in "ab"]))
+        window.append(at(t, [Event("a", "entry", t, 0.5, 0.5, "again")]))
+        window.forget(microseconds(t - 10))
+        if turned and t == 25:
+            window.forget_camera(0, window.base + len(window) - 4)
+    passages = window.save().open
+    assert [row for _, _, row in passages] == sorted(row for _, _, row in passages)
+    assert window.base <= passages[0][2]
+    assert len(passages) == 23, "11 seconds of two cameras, and one that came again and again"

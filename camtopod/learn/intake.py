@@ -11,7 +11,6 @@ nobody up. An event with (camera, boot, seq) counts once however often it comes.
 from __future__ import annotations
 
 from bisect import bisect_right
-from operator import itemgetter
 
 from msgspec import Struct
 
@@ -24,7 +23,6 @@ GAPS_PER_BOOT_MAX = 1024
 
 MICROSECONDS = 1_000_000
 _Key = tuple[int, str, str, float, float, str, str, int]
-_order = itemgetter(0)
 
 
 def microseconds(t: float) -> int:
@@ -89,7 +87,8 @@ class Intake:
         self._second_us: int | None = None  # the newest of another camera than the one that has come furthest ...
         self._leader: str | None = None  # ... which is this one
         self.counts = {"accepted": 0, "duplicate": 0, "late": 0, "refused": 0}
-        self._held: list[tuple[_Key, Event]] = []
+        self._held: list[Event] = []
+        self._oldest_us: int | None = None  # of those held
         self._seen: dict[str, dict[str, Sequence]] = {}
 
     def save(self) -> IntakeState:
@@ -99,16 +98,16 @@ class Intake:
             for camera, boots in self._seen.items()
             for boot, sequence in boots.items()
         ]
-        held = [event for _, event in self._held]
         return IntakeState(
-            self.newest_us, self._second_us, self._leader, self.watermark_us, self.counts, held, list(self._seen), seen
+            self.newest_us, self._second_us, self._leader, self.watermark_us, self.counts, list(self._held),
+            list(self._seen), seen,
         )  # fmt: skip
 
     def load(self, state: IntakeState) -> None:
         """Go on from there."""
         self.newest_us, self._second_us, self._leader = state.newest_us, state.second_us, state.leader
         self.watermark_us, self.counts = state.watermark_us, state.counts
-        self._held = [(_key(microseconds(event.t), event), event) for event in state.held]
+        self._hold(state.held)
         self._seen = {camera: {} for camera in state.cameras}
         for camera, boot, starts, ends in state.seen:
             sequence = self._seen[camera][boot] = Sequence()
@@ -139,7 +138,8 @@ class Intake:
         if self.watermark_us is not None and t_us < self.watermark_us:
             return "late"
         self._note(t_us, event.camera)
-        self._held.append((_key(t_us, event), event))
+        self._held.append(event)
+        self._oldest_us = t_us if self._oldest_us is None else min(self._oldest_us, t_us)
         return "accepted"
 
     def _note(self, t_us: int, camera: str) -> None:
@@ -170,16 +170,19 @@ class Intake:
     def take(self, until_us: int) -> list[tuple[int, Event]]:
         """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical
         order."""
-        self._held.sort(key=_order)
-        cut = bisect_right(self._held, until_us, key=lambda held: held[0][0])
-        taken = [(key[0], event) for key, event in self._held[:cut]]
-        del self._held[:cut]
-        return taken
+        due = [event for event in self._held if microseconds(event.t) <= until_us]
+        self._hold([event for event in self._held if microseconds(event.t) > until_us])
+        due.sort(key=_order)
+        return [(microseconds(event.t), event) for event in due]
+
+    def _hold(self, events: list[Event]) -> None:
+        self._held = events
+        self._oldest_us = min((microseconds(event.t) for event in events), default=None)
 
     @property
     def oldest_held_us(self) -> int | None:
         """Time of the oldest event still held."""
-        return min((key[0] for key, _ in self._held), default=None)
+        return self._oldest_us
 
     @property
     def held(self) -> int:
@@ -187,10 +190,10 @@ class Intake:
         return len(self._held)
 
 
-def _key(t_us: int, event: Event) -> _Key:
+def _order(event: Event) -> _Key:
     """Total order of events: by time, then by everything else, so that ties do not depend on the order of
     arrival."""
     x, y = (-1.0, -1.0) if event.x is None or event.y is None else (event.x, event.y)
     seq = -1 if event.seq is None else event.seq
     track = "" if event.track is None else f"={event.track}"
-    return (t_us, event.camera, event.kind, x, y, track, event.boot or "", seq)
+    return (microseconds(event.t), event.camera, event.kind, x, y, track, event.boot or "", seq)

@@ -7,6 +7,8 @@ and camera, so a zone's mean and covariance are exact whatever has come and gone
 
 from __future__ import annotations
 
+from itertools import takewhile
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -50,7 +52,7 @@ class Window:
         self.seen: list[int] = []
         """Events with positions of each camera that have ever come in."""
         self._index: dict[str, int] = {}
-        self._open: dict[tuple[int, str], int] = {}
+        self._open: dict[tuple[int, str], int] = {}  # (camera, track): row, by row; all in the window
         self._columns: dict[str, NDArray[Any]] = {name: np.zeros(1024, dtype) for name, dtype in _COLUMNS.items()}
         self._start = 0
         self._stop = 0
@@ -69,7 +71,8 @@ class Window:
         for name in state.cameras:
             self._camera(name)
         self.base = state.base
-        self._open = {(camera, track): row for camera, track, row in state.open}
+        by_row = sorted(state.open, key=itemgetter(2))
+        self._open = {(camera, track): row for camera, track, row in by_row if row >= self.base}
         self._columns = dict(state.columns)
         self._start, self._stop = 0, len(state.columns["t"])
         self._count(slice(0, self._stop), 1)
@@ -118,6 +121,9 @@ class Window:
             self._count(slice(self._start, self._start + drop), -1)
             self._start += drop
             self.base += drop
+            gone = [key for key, _ in takewhile(lambda passage: passage[1] < self.base, self._open.items())]
+            for key in gone:
+                del self._open[key]
 
     def _forget_flood(self, most: int) -> int:
         """Drop up to ``most`` of the oldest rows of a camera that floods; returns how many."""
@@ -145,7 +151,7 @@ class Window:
         mate = self.column("mate")
         renumbered = np.where(mate >= self.base, number[np.maximum(mate - self.base, 0)], mate)
         self._columns["mate"][self._start : self._stop] = renumbered
-        self._open = {key: int(number[row - self.base]) if row >= self.base else row for key, row in self._open.items()}
+        self._open = {key: int(number[row - self.base]) for key, row in self._open.items() if not gone[row - self.base]}
         for column in self._columns.values():
             column[self._start + drop : self._stop] = column[self._start : self._stop][~gone]
         self._start += drop
@@ -174,9 +180,9 @@ class Window:
         if event.track is None:
             return NO_MATE
         key = (camera, str(event.track))
+        mate = self._open.pop(key, NO_MATE)
         if event.kind == "exit":
-            mate = self._open.pop(key, NO_MATE)
-            return mate if mate >= self.base else NO_MATE
+            return mate
         self._open[key] = row
         if len(self._open) > OPEN_PASSAGES_MAX:
             del self._open[next(iter(self._open))]

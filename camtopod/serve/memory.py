@@ -1,12 +1,13 @@
-"""Memory given back. glibc keeps an arena for each thread and seldom returns what was freed in it, so that a process
-that fits a model now and then seems to grow for ever. Elsewhere than on glibc these do nothing.
+"""Memory given back. glibc has several arenas for threads, and of all but the first it does not return what is free
+at the end, even when asked: each that the learner's thread once came to would keep as much as a fit takes, so that the
+process seems to grow for weeks. Elsewhere than on glibc these do nothing.
 """
 
 from __future__ import annotations
 
 import ctypes
 
-ARENAS_MAX = 2
+ARENAS_MAX = 1
 """More would be faster only for many threads that allocate at the same time."""
 _M_ARENA_MAX = -8
 
