@@ -12,8 +12,9 @@ import pytest
 from serving import Failing
 
 from camtopod.config import KeepSettings
+from camtopod.serve import database
 from camtopod.serve import journal as journals
-from camtopod.serve.database import StateError
+from camtopod.serve.database import Damaged, StateError
 from camtopod.serve.journal import BOOTS_KEPT_MAX, DAY_SECONDS, Entry, Journal, Snapshot, StoredVersion
 
 OLD = """
@@ -300,3 +301,30 @@ def test_how_far_made_up_cameras_had_come_is_forgotten(journal: Journal, monkeyp
         journal.commit([Entry("event", f"name{number}", "b1", 1, b"raw")])
     journal.prune(NOW)
     assert journal.streams() == {(f"name{number}", "b1"): 1 for number in range(20, 30)}
+
+
+def test_damage_in_a_journal_too_large_to_be_looked_through_is_found_out_at_the_next_start(
+    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(database, "SCAN_BYTES_MAX", 0)
+    journal.set_meta("epoch", "E")
+    journal.commit([entry(n) for n in range(1, 2000)], snapshot=Snapshot(1, "E", b"state"))
+    journal.close()
+    content = bytearray((tmp_path / "journal.db").read_bytes())
+    with closing(sqlite3.connect(tmp_path / "journal.db")) as file:
+        size = file.execute("PRAGMA page_size").fetchone()[0]
+    begin = content.index(b"raw 1000") // size * size
+    content[begin : begin + size] = b"\xaa" * size
+    (tmp_path / "journal.db").write_bytes(content)
+    with closing(Journal(tmp_path)) as unsuspecting:
+        assert unsuspecting.set_aside is None
+        with pytest.raises(Damaged, match="is damaged: database disk image is malformed"):
+            list(unsuspecting.entries())
+    with closing(Journal(tmp_path)) as anew:
+        assert anew.set_aside is not None
+        read = {number for number, one in anew.entries() if one is not None}
+        assert 1800 < len(read) < 1999
+        assert {1, 1999} <= read
+        assert anew.snapshots() == [Snapshot(1, "E", b"state")]
+    with closing(Journal(tmp_path)) as again:
+        assert again.set_aside is None

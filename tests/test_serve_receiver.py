@@ -16,6 +16,7 @@ from camtopod.config import Limits
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event
 from camtopod.serve.cameras import Received
+from camtopod.serve.database import Damaged
 from camtopod.serve.journal import Journal, Snapshot
 from camtopod.serve.receiver import Pulled, Receiver, Version
 from camtopod.serve.spool import SpoolBatch
@@ -197,3 +198,20 @@ def test_a_version_is_published_after_it_is_stored(bench: Bench) -> None:
     bench.round()
     assert bench.published == [one]
     assert bench.journal.versions("E") == {1: one.topology.digest}
+
+
+def test_a_journal_that_turns_out_to_be_damaged_ends_the_work_and_holds_up_no_end(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The next start sets it aside; trying again would not help."""
+
+    def damaged(*_: Any) -> None:
+        raise Damaged("the journal is damaged")
+
+    monkeypatch.setattr(bench.journal, "commit", damaged)
+    bench.hear(*events(1, 1))
+    with pytest.raises(Damaged):
+        bench.receiver.work(bench.stopping)
+    assert bench.bus.seen == []
+    bench.receiver.last_words(Snapshot(0, "E", b"state"))
+    assert "what was learned last is not stored: the journal is damaged" in caplog.text

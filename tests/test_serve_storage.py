@@ -385,3 +385,24 @@ def test_torn_frames_that_look_like_two_commits_are_no_damage(spool: Spool, tmp_
     again = Spool(path, "boot-2", events_max=1000)
     assert (len(again), again.statistics()["damaged_files"]) == (1, 0)
     again.close()
+
+
+def test_damage_in_a_spool_too_large_to_be_scanned_is_found_out_at_the_next_start(
+    spool: Spool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(database, "SCAN_BYTES_MAX", 0)
+    spool.append([event(n) for n in range(900)])
+    spool.close()
+    path = tmp_path / "spool.db"
+    content = bytearray(path.read_bytes())
+    begin = content.index(codec.to_pack(event(450).t)) // 4096 * 4096
+    content[begin : begin + 4096] = b"\xaa" * 4096
+    path.write_bytes(content)
+    unsuspecting = Spool(path, "boot-2", events_max=1000)
+    with pytest.raises(database.Damaged, match="it is set aside at the next start"):
+        unsuspecting.batch("lobby", "boot-1", 0, 1000)
+    unsuspecting.close()
+    again = Spool(path, "boot-3", events_max=1000)
+    assert 800 < again.rescued < 900
+    again.append([event(900)])
+    again.close()

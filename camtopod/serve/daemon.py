@@ -287,7 +287,7 @@ class Daemon:
             content = self._journal.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
             if content is not None:
                 return codec.read(Topology, content)
-        except (sqlite3.Error, codec.Rejected) as error:
+        except (sqlite3.Error, StateError, codec.Rejected) as error:
             raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
 

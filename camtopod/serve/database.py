@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 DAMAGED_FILES_MAX = 8
 """Set aside beside one file; with more the disk is to be seen to before anything is begun anew."""
 SCAN_BYTES_MAX = 64 * 2**20
-"""Larger files are not scanned on opening, which may take a second for this much; their rows have their CRC."""
+"""Larger files are not scanned on opening, which may take a second for this much, unless they have shown damage."""
 
 _AUTOCHECKPOINT_PAGES = 200
 _LOG_BYTES_MAX = 2**20
@@ -156,6 +156,19 @@ def damaged_files(path: Path) -> list[Path]:
     return [path.with_name(f"{start}{number}") for number in sorted(int(name) for name in names if name.isdecimal())]
 
 
+@contextlib.contextmanager
+def damage_noticed(path: Path) -> Iterator[None]:
+    """Raises `Damaged` if the block finds that ``path`` is; at the next start it is then scanned, however large."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        if not is_damage(error, path):
+            raise
+        with contextlib.suppress(OSError):
+            _suspicion(path).touch(mode=0o600)
+        raise Damaged(f"{path} is damaged: {error}; it is set aside at the next start") from None
+
+
 def is_damage(error: sqlite3.Error, path: Path) -> bool:
     """Whether ``error`` says that the content of ``path`` is wrong, not that the disk is full or the file busy."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
@@ -254,10 +267,17 @@ def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
 def _scan(database: sqlite3.Connection, path: Path) -> None:
     """Raises `Damaged` if pages, rows and indices do not hang together."""
     pages = database.execute("PRAGMA page_count").fetchone()[0]
-    if pages * database.execute("PRAGMA page_size").fetchone()[0] <= SCAN_BYTES_MAX:
+    small = pages * database.execute("PRAGMA page_size").fetchone()[0] <= SCAN_BYTES_MAX
+    if small or _suspicion(path).exists():
         found = database.execute("PRAGMA integrity_check(1)").fetchone()[0]
         if found != "ok":
             raise Damaged(f"{path} is damaged: {found}; it is left as it is")
+    _suspicion(path).unlink(missing_ok=True)
+
+
+def _suspicion(path: Path) -> Path:
+    """Is there when reading or writing ``path`` has shown damage."""
+    return path.with_name(f"{path.name}.suspect")
 
 
 def _report_lost(path: Path, written: wal.Log) -> None:

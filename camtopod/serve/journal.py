@@ -9,6 +9,7 @@ What is older than the retention and than both snapshots is forgotten.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import sqlite3
@@ -71,7 +72,9 @@ class Snapshot(NamedTuple):
 
 
 class Journal:
-    """Any thread may call; one at a time is served. Raises `database.StateError` if the directory cannot be used."""
+    """Any thread may call; one at a time is served. Raises `database.StateError` if the directory cannot be used, and
+    `database.Damaged` as soon as damage shows.
+    """
 
     def __init__(self, directory: Path, keep: KeepSettings | None = None) -> None:
         self._keep = keep or KeepSettings()
@@ -80,17 +83,18 @@ class Journal:
         self._path = directory / "journal.db"
         self.set_aside: Path | None = None
         """Where a journal that was damaged is now; this one has begun anew."""
-        try:
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._lock.close)
             self._db, self.set_aside = database.connect_or_begin_anew(self._path, SCHEMA, prepare)
-            if self._stored_last() == 0:
-                self._rescue()
-            self._last = self._stored_last()
-        except sqlite3.Error as error:
-            self._lock.close()
-            raise database.StateError(f"cannot read {self._path}: {error}; it is left as it is") from None
-        except database.StateError:
-            self._lock.close()
-            raise
+            undo.callback(self._db.close)
+            try:
+                with database.damage_noticed(self._path):
+                    if self._stored_last() == 0:
+                        self._rescue()
+                    self._last = self._stored_last()
+            except sqlite3.Error as error:
+                raise database.StateError(f"cannot read {self._path}: {error}; it is left as it is") from None
+            undo.pop_all()
 
     def _rescue(self) -> None:
         """Into a journal that is empty; the one before it may have been set aside in an earlier try."""
@@ -101,7 +105,7 @@ class Journal:
 
     def meta(self, key: str) -> str | None:
         """A value kept by `set_meta`; None also if it is damaged."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             row = self._db.execute("SELECT key, value, crc FROM meta WHERE key = ?", (key,)).fetchone()
             if row is not None and row != meta_row(*row[:2]):
                 log.error("the journal's %s is damaged and not used", key)
@@ -110,7 +114,7 @@ class Journal:
 
     def set_meta(self, key: str, value: str) -> None:
         """Keep a value. Raises `sqlite3.Error`."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", meta_row(key, value))
 
     def commit(
@@ -125,7 +129,7 @@ class Journal:
 
         A commit can fail although its rows are durable; so a repetition first asks the file.
         """
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             if entries and self._stored_last() == self._last + len(entries):
                 self._last += len(entries)
                 entries = ()
@@ -143,7 +147,7 @@ class Journal:
         """Forget some of what is older than is to be kept (``now``: Unix seconds); to be called now and then, and again
         if there is more. Raises `sqlite3.Error`.
         """
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             keep, oldest = self._keep, self._oldest_snapshot()
             size, free, pages = (self._pragma(name) for name in ("page_size", "freelist_count", "page_count"))
             too_large = (pages - free) * size > keep.journal_bytes_max
@@ -171,7 +175,7 @@ class Journal:
         last = len(self) if up_to is None else up_to
         after = max(after, self.first() - 1)  # what is older has been forgotten
         while after < last:
-            with self._mutex:
+            with self._mutex, database.damage_noticed(self._path):
                 rows = self._db.execute(
                     "SELECT * FROM entry WHERE id > ? AND id <= ? ORDER BY id LIMIT ?", (after, last, CHUNK_ENTRIES)
                 ).fetchall()
@@ -187,7 +191,7 @@ class Journal:
 
         A damaged row is left out: its publisher's events come again, as far as it has them, and count once.
         """
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             rows = self._db.execute("SELECT camera, boot, seq, entry, crc FROM stream ORDER BY entry").fetchall()
         damaged = sum(crc(*row[:4]) != row[4] for row in rows)
         if damaged:
@@ -196,14 +200,14 @@ class Journal:
 
     def versions(self, epoch: str) -> dict[int, str]:
         """Version -> digest of the newest versions of an epoch that may have been published."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             return dict(
                 self._db.execute("SELECT version, digest FROM version WHERE epoch = ? ORDER BY version", (epoch,))
             )
 
     def version(self, epoch: str, version: int | None = None) -> bytes | None:
         """The topology of a version, or of the newest, as JSON; None if it is not kept or damaged."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             row = self._db.execute(
                 "SELECT * FROM version WHERE epoch = ? AND version = COALESCE(?, "
                 "(SELECT MAX(version) FROM version WHERE epoch = ?)) AND size > 0",
@@ -218,13 +222,13 @@ class Journal:
 
     def newest_version(self) -> bytes | None:
         """The topology stored last, of whatever epoch, as JSON; None if there is none."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             row = self._db.execute("SELECT epoch, version FROM version WHERE size > 0 ORDER BY id DESC").fetchone()
         return None if row is None else self.version(*row)
 
     def snapshots(self) -> list[Snapshot]:
         """Newest first; damaged ones are left out and reported."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             rows = self._db.execute("SELECT * FROM snapshot ORDER BY position DESC").fetchall()
         for row in rows:
             if crc(*row[:4]) != row[4]:
@@ -233,7 +237,7 @@ class Journal:
 
     def first(self) -> int:
         """The oldest entry that is kept; 0 if there is none."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             return int(self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0])
 
     def __len__(self) -> int:
@@ -242,7 +246,7 @@ class Journal:
 
     def size(self) -> int:
         """Bytes in use in the database."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             return self._pragma("page_size") * (self._pragma("page_count") - self._pragma("freelist_count"))
 
     def damaged_files(self) -> list[Path]:
@@ -252,7 +256,7 @@ class Journal:
 
     def close(self) -> None:
         """Close and let go of the directory; may be called twice."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             self._db.close()
             self._lock.close()
 

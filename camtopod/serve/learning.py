@@ -88,7 +88,7 @@ class Learning:
             self._catch_up(stopping, beat)
             self._go_on(stopping, beat)
             failed = False
-        except sqlite3.Error:  # the disk's failure, not the learner's
+        except (sqlite3.Error, OSError):  # the disk's failure, not the learner's
             failed = False
             raise
         finally:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from camtopod import codec
 from camtopod.records import Ack, Event
 from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.database import StateError
 from camtopod.serve.rejects import Rejects
 from camtopod.serve.spool import Spool, SpoolBatch
 
@@ -21,7 +22,7 @@ SEQ_MAX = 2**63 - 1
 
 
 class Publisher:
-    """Publishes the events of some cameras. `publish`, `retry` and `close` from one thread.
+    """Publishes the events of some cameras. `publish` and `retry` from one thread; they raise `database.Damaged`.
 
     Works without a bus: events then wait in the spool until `attach`. The spool belongs to the caller.
     """
@@ -113,7 +114,7 @@ class Publisher:
         camera = key.removeprefix("spool/")
         try:
             return self._spool.batch(camera, parameters.get("boot"), start, max(1, min(most, 10_000)))
-        except sqlite3.Error as error:
+        except (sqlite3.Error, StateError) as error:
             raise QueryError(f"the spool cannot be read: {error}") from None
 
     def _refusal(self, key: str, parameters: dict[str, str], what: str) -> QueryError:
@@ -131,7 +132,7 @@ class Publisher:
         except codec.Rejected as error:
             self.rejects.add(error.reason, key, str(error), payload)
             return
-        except sqlite3.Error as error:
+        except (sqlite3.Error, StateError) as error:
             log.debug("cannot write the spool: %s; the ack will come again", error)
             return
         with self._acked:

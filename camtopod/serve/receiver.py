@@ -21,6 +21,7 @@ from camtopod.serve.bus import Bus
 from camtopod.serve.cameras import Cameras
 from camtopod.serve.cameras import Received as Received
 from camtopod.serve.clock import Clock, steady_beside
+from camtopod.serve.database import StateError
 from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.merge import Merge
@@ -373,7 +374,10 @@ class Receiver:
             self.on_snapshot(snapshot)
         ended = threading.Event()
         ended.set()
-        self._store([], ended)
+        try:
+            self._store([], ended)
+        except StateError as error:
+            log.error("what was learned last is not stored: %s", error)
 
     def _note(self, event: Event, wall: float, now: float) -> None:
         self.counts["stored"] += 1

@@ -9,6 +9,7 @@ daemon whose journal came back shorter than it was notices, and gets them again.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sqlite3
 import threading
@@ -55,7 +56,8 @@ class SpoolBatch(Struct, frozen=True):
 
 
 class Spool:
-    """A spool file, for one publishing process. Thread-safe. Raises `database.StateError` on opening.
+    """A spool file, for one publishing process. Thread-safe. Raises `database.StateError` on opening, and
+    `database.Damaged` as soon as damage shows.
 
     At most ``events_max`` events and ``bytes_max`` bytes of file; of these at most ``kept_events_max`` that
     are acknowledged. A damaged file is set aside, and what can be read of it goes on in the new one.
@@ -73,17 +75,18 @@ class Spool:
         self._path = path
         self._events_max, self._bytes_max, self._kept_max = events_max, bytes_max, kept_events_max
         self._lock = database.Lock(path.with_suffix(".lock"))
-        try:
-            self._opened = spool_format.open_file(path, boot)
-            self._db = self._opened.connection
-            self._acked = spool_format.acked(self._db)
-            self._recount()
-        except sqlite3.Error as error:
-            self._lock.close()
-            raise database.StateError(f"cannot read {path}: {error}; it is left as it is") from None
-        except database.StateError:
-            self._lock.close()
-            raise
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._lock.close)
+            try:
+                with database.damage_noticed(path):
+                    self._opened = spool_format.open_file(path, boot)
+                    self._db = self._opened.connection
+                    undo.callback(self._db.close)
+                    self._acked = spool_format.acked(self._db)
+                    self._recount()
+            except sqlite3.Error as error:
+                raise database.StateError(f"cannot read {path}: {error}; it is left as it is") from None
+            undo.pop_all()
         self.boot = self._opened.boot
         """This spool's incarnation: the one given when its file was made, or after it was not closed."""
         self.rescued = self._opened.rescued
@@ -101,7 +104,7 @@ class Spool:
         An event that is in the spool already (same camera, boot and seq) is stored once. After an error the
         same call may be repeated: whether its events were durable after all is asked of the file.
         """
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             if not self._sure:
                 self._ask_the_file(self._number(events)[0])
             numbered, seqs = self._number(events)
@@ -128,7 +131,7 @@ class Spool:
         It is written with the next events, or on closing. Should it be lost before that, the daemon is told of
         these events once more, and acknowledges them again.
         """
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             before = self._acked.get((camera, boot), -1)
             newly = self._count("camera = ? AND boot = ? AND seq > ? AND seq <= ?", camera, boot, before, seq)
             if newly:
@@ -140,7 +143,7 @@ class Spool:
         """Events of ``camera`` from ``from_seq`` of ``boot`` on, acknowledged or not; if there are none, those
         not acknowledged of the oldest other boot. Should there be both, by turns. No ``boot``: of the oldest.
         """
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             chosen, start = self._choose(camera, boot, from_seq)
             acked = self._acked.get((camera, chosen))
             rows, more = self._good_rows(camera, chosen, start, events_max)
@@ -156,13 +159,13 @@ class Spool:
 
     def cameras(self) -> list[str]:
         """The cameras with events that are not acknowledged."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             cameras = self._db.execute("SELECT DISTINCT camera FROM event").fetchall()
             return [camera for (camera,) in cameras if self._waiting(camera)]
 
     def statistics(self) -> dict[str, int]:
         """Counters for the status."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             return {
                 "unacknowledged": self._held - self._kept,
                 "kept": self._kept,
@@ -174,12 +177,12 @@ class Spool:
 
     def __len__(self) -> int:
         """Events not acknowledged."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             return self._held - self._kept
 
     def close(self) -> None:
         """Close the file; what is in it stays for the next time."""
-        with self._mutex:
+        with self._mutex, database.damage_noticed(self._path):
             try:
                 with database.transaction(self._db):
                     self._write_down()
