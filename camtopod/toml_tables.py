@@ -15,6 +15,8 @@ from camtopod import toml_lines
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 Endpoint = str
+FLOAT_MAX = 9e9
+"""No system waits for longer, in seconds; and a time before the year 2255."""
 _SYNTAX_ERRORS_MAX = 20
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream|vsock|serial)/\S+\Z")
 _T = TypeVar("_T", bound=Struct)
@@ -122,6 +124,8 @@ def _check_number(value: Any, default: Any) -> None:
         raise ValueError("expected a finite number")
     if isinstance(default, int | float) and default >= 0 and value < 0:
         raise ValueError("must not be negative")
+    if isinstance(value, float) and value > FLOAT_MAX:
+        raise ValueError(f"expected at most {FLOAT_MAX:g}")
 
 
 def did_you_mean(key: str, known: list[str]) -> str:

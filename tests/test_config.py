@@ -290,3 +290,11 @@ def test_every_setting_says_what_it_is(kind: type[msgspec.Struct]) -> None:
 def test_the_deployed_example_is_the_program_s() -> None:
     load(EXAMPLE)
     assert EXAMPLE.read_text(encoding="utf-8") == example(), "camtopod check --example > deploy/camtopod.toml"
+
+
+def test_numbers_that_would_end_the_daemon_later_are_refused_here() -> None:
+    assert mistakes("[learn]\nversion_seconds = 0\n[limits]\npull_seconds = 1e15\ncommit_seconds = -1") == [
+        (2, "learn.version_seconds: expected a number > 0.0"),
+        (4, "limits.pull_seconds: expected at most 9e+09"),
+        (5, "limits.commit_seconds: must not be negative"),
+    ]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from msgspec import Struct
+from typing import Annotated
+
+from msgspec import Meta, Struct
 
 GRID_ROWS = 30
 GRID_COLUMNS = 24
@@ -16,7 +18,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """How much out of order events may come; later ones are counted, not learned."""
     ahead_seconds_max: float = 60.0
     """A single camera whose clock is up to this much ahead makes nobody else late."""
-    version_seconds: float = 60.0
+    version_seconds: Annotated[float, Meta(gt=0)] = 60.0
     """Event time between two looks at whether a new version is due."""
     refit_share: float = 0.2
     """A version is due when the events since the last are this share of the window ..."""
