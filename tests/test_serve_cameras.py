@@ -126,6 +126,17 @@ def test_who_is_heard_through_its_spool_keeps_its_place() -> None:
     assert ("a" in cameras, "b" in cameras, "c" in cameras) == (True, False, True)
 
 
+def test_the_status_says_how_far_ahead_a_camera_is() -> None:
+    """One that is behind is stored and not learned: somebody has to see it."""
+    cameras = admitted("a", "b")
+    cameras.is_future(at("a", T0 - 20), T0, 0.0, True)
+    cameras.is_future(at("b", T0 - 3600), T0, 0.0, False)
+    for camera in "ab":
+        cameras.note(at(camera, T0 - 20))
+    ahead = {name: status["ahead"] for name, status in cameras.status().items()}
+    assert ahead == {"a": -20.0, "b": None}, "what comes out of a spool says nothing about a clock"
+
+
 def test_old_events_from_spools_say_nothing_about_clocks() -> None:
     cameras = admitted(*"abcd")
     for now in (0.0, 2.0):

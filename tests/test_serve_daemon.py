@@ -514,3 +514,31 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
     assert view.topology == renamed[1]
     client.close()
     bus.close()
+
+
+class Answering:
+    """A bus on which a daemon starts anew while it is asked for the topology."""
+
+    def __init__(self, versions: list[Topology]) -> None:
+        self._versions = versions
+        self.on_daemon: Any = None
+
+    def subscribe(self, key: str, on_message: Any) -> None:
+        """No deltas come."""
+
+    def watch_alive(self, role: str, on_change: Any) -> None:
+        self.on_daemon = on_change
+
+    def ask(self, key: str) -> list[tuple[str, bytes]]:
+        answer = self._versions.pop(0)
+        if self._versions:
+            self.on_daemon("daemon", True)
+        return [(key, codec.to_pack(answer))]
+
+
+def test_a_daemon_that_comes_back_while_a_view_asks_is_asked_again() -> None:
+    old = learned([*walkers(20), closing_event()])
+    new = msgspec.structs.replace(old, epoch="later")
+    view = TopologyView(Answering([old, new]))  # type: ignore[arg-type]
+    assert view.update() == old
+    wait_for(lambda: view.update() == new, "the whole to be fetched again", 5.0)

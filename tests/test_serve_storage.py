@@ -95,7 +95,7 @@ def test_an_event_with_its_own_boot_and_seq_keeps_them_and_is_spooled_once(spool
     assert len(spool) == 1
 
 
-def test_a_full_spool_drops_the_oldest_and_says_so(tmp_path: Path) -> None:
+def test_a_full_spool_drops_the_oldest_and_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     spool = Spool(tmp_path / "small.db", "b", events_max=10)
     spool.append([event(n) for n in range(8)])
     spool.append([event(n) for n in range(8)])
@@ -103,6 +103,10 @@ def test_a_full_spool_drops_the_oldest_and_says_so(tmp_path: Path) -> None:
     batch = spool.batch("lobby", "b", 0, 100)
     assert [seq for seq, _ in batch.events] == list(range(7, 17))
     assert (batch.first, batch.dropped, spool.dropped) == (7, 6, 6)
+    spool.append([event(n) for n in range(8)])
+    assert [one.getMessage() for one in caplog.records] == [
+        f"the spool {tmp_path}/small.db is full: its oldest events are dropped, 6 so far"
+    ]
     spool.close()
 
 

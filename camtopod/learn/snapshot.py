@@ -26,7 +26,7 @@ from camtopod.learn.zones import ZoneMap, ZoneShape
 from camtopod.records import Topology
 
 FORMAT = 1
-"""Of the snapshot: one with a higher number is refused, a lower one is migrated."""
+"""Of the snapshot: one with a higher number is refused. There is no lower one yet; whoever raises this migrates it."""
 BYTES_MAX = 1 << 30
 """A snapshot that unpacks to more is damaged."""
 _COMPRESSION = 1

@@ -142,9 +142,16 @@ class Cameras:
         return sum(len(cameras[name].waiting) for name in self._waiting.copy() if name in cameras)
 
     def status(self) -> dict[str, dict[str, Any]]:
-        """For each camera what the status says. Any thread."""
-        cameras = self._cameras.copy()
-        return {name: {"events": one.events, "newest": one.newest} for name, one in cameras.items() if one.events}
+        """For each camera what the status says; ``ahead``: of this machine's clock, in seconds, or None. Any thread."""
+        return {
+            name: {
+                "events": one.events,
+                "newest": one.newest,
+                "ahead": None if one.lead_at == -math.inf else round(one.lead, 3),
+            }
+            for name, one in self._cameras.copy().items()
+            if one.events
+        }
 
     def _place(self, name: str) -> Camera:
         """A camera's; made anew if it was given away while something of the camera was still under way."""

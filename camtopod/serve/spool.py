@@ -96,6 +96,7 @@ class Spool:
         self._unwritten: set[Stream] = set()
         self._damaged: set[int] = set()
         self._sure = True
+        self._said_full = False
         self._asked_last = False
 
     def append(self, events: Sequence[Event]) -> list[Event]:
@@ -119,6 +120,9 @@ class Spool:
             self._held += added - forgotten - dropped
             self._kept -= forgotten
             self.dropped += dropped
+            if dropped and not self._said_full:
+                self._said_full = True
+                log.error("the spool %s is full: its oldest events are dropped, %d so far", self._path, self.dropped)
             self._opened_written = True
             self._unwritten.clear()
             if forgotten:

@@ -93,10 +93,12 @@ class TopologyView:
 
     def _fetch(self) -> None:
         self._ask_after = time.monotonic() + _ASK_AGAIN_SECONDS
+        self._stale = False  # before asking: a daemon may come back meanwhile
         try:
             answers = self._bus.ask("topology")
-        except QueryError:
-            return  # nothing learned yet: the first version comes whole, see below
+        except QueryError:  # nothing learned yet
+            answers = []
+        current = False
         for _, payload in answers:
             try:
                 found = codec.read(Topology, payload, pack=True)
@@ -104,7 +106,9 @@ class TopologyView:
                 log.warning("a topology that cannot be read: %s", error)
                 continue
             self.fetched += 1
-            self._stale = False
+            current = True
             held = self.topology
             if held is None or (found.epoch, found.version) > (held.epoch, held.version):
                 self.topology = found
+        if not current:
+            self._stale = True
