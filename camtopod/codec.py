@@ -47,7 +47,7 @@ def event_from_pack(payload: bytes) -> Event:
 
 def _event(decoder: Any, raw: bytes) -> Event:
     if len(raw) > EVENT_BYTES_MAX:
-        raise Rejected("too-long", f"{len(raw)} bytes, at most {EVENT_BYTES_MAX}")
+        raise Rejected("too-long", f"more than {EVENT_BYTES_MAX} bytes")
     event: Event = _decode(decoder, raw)
     if not T_MIN <= event.t < T_MAX:  # not-a-number is neither
         raise Rejected("bad-value", "t is not a time between 1970 and 3000 - at `$.t`")

@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
 
-CAMERA_PATTERN = r"^[A-Za-z0-9_.-]{1,64}\Z"
+CAMERA_CHARACTERS_MAX = 64
+CAMERA_PATTERN = rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}\Z"
 TOPOLOGY_SCHEMA = "camtopod/topology/1"
 DELTA_SCHEMA = "camtopod/topology-delta/1"
 

@@ -215,3 +215,14 @@ def test_a_journal_that_turns_out_to_be_damaged_ends_the_work_and_holds_up_no_en
     assert bench.bus.seen == []
     bench.receiver.last_words(Snapshot(0, "E", b"state"))
     assert "what was learned last is not stored: the journal is damaged" in caplog.text
+
+
+def test_what_waits_is_no_larger_than_an_event_may_be(bench: Bench) -> None:
+    """Whoever is on the bus may publish a megabyte, under a name of any length."""
+    for name in ("lobby", "x" * 60_000):
+        bench.receiver.on_event(f"event/{name}", b"\x00" * 1_000_000)
+    assert all(len(camera) + len(raw) < 5000 for camera, raw in bench.receiver._inbox.take(10))
+    for name in ("lobby", "x" * 60_000):
+        bench.receiver.on_event(f"event/{name}", b"\x00" * 1_000_000)
+    bench.round()
+    assert bench.receiver.rejects.counts == {"too-long": 2}

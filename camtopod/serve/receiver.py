@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.config import Limits
-from camtopod.records import Ack, Delta, Event, Topology
+from camtopod.records import CAMERA_CHARACTERS_MAX, Ack, Delta, Event, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.cameras import Cameras
 from camtopod.serve.cameras import Received as Received
@@ -120,7 +120,8 @@ class Receiver:
 
     def on_event(self, key: str, payload: bytes) -> None:
         """A publication on ``event/{camera}``. Never blocks: what does not fit is left to the spool."""
-        self._inbox.put(Message(key.removeprefix("event/"), payload))
+        name = key.removeprefix("event/")[: CAMERA_CHARACTERS_MAX + 1]  # so much says that it is too long
+        self._inbox.put(Message(name, payload[: codec.EVENT_BYTES_MAX + 1]))
 
     def on_pulled(self, pulled: Pulled) -> bool:
         """The answer of a spool; False if there is no room for it now."""
