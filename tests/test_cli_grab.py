@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -14,12 +15,13 @@ import pytest
 import serving
 from serving import T0, small_config, wait_for
 
-from camtopod.cli.heartbeat import Ear
+from camtopod.cli.heartbeat import Ear, Said
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.publisher import Publisher
 from camtopod.vision import grabber as grabbers
 from camtopod.vision.errors import SourceError
 
@@ -202,6 +204,40 @@ def test_without_a_daemon_events_wait_in_the_spool(
         assert main(arguments) == 0
         assert daemon.status()["events"]["stored"] == 2 * len(EVENTS)
     meeting.close()
+
+
+@pytest.mark.parametrize("above", ["supervisor", "systemd"])
+def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
+    above: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ended as failed it would be started again, and all events be there twice."""
+    monkeypatch.setattr("camtopod.cli.grab.DRAIN_SECONDS", 0.05)
+    ear, said, looks = Ear(), [], 0
+    really_drained = Publisher.drained
+
+    def drained(publisher: Publisher, seconds: float, most: int = 0) -> bool:
+        nonlocal looks
+        looks += 1
+        said.append(ear.listen())
+        if looks == 4:
+            daemon.start()
+        return really_drained(publisher, serving.WAIT_SECONDS if looks >= 4 else seconds, most)
+
+    monkeypatch.setattr(Publisher, "drained", drained)
+    with contextlib.ExitStack() as stack:
+        meeting = stack.enter_context(buses.meet(small_config(tmp_path)))
+        daemon = Daemon(small_config(tmp_path / "daemon"), meeting)
+        stack.callback(daemon.stop)
+        arguments = ["--connect", meeting.endpoint, "grab", "--camera", "lobby", "x.mp4", "--state", str(tmp_path)]
+        if above == "supervisor":
+            arguments += ["--beat-fd", str(ear.child_fd)]
+        else:
+            monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
+        assert main(arguments) == 0
+        assert daemon.status()["events"]["stored"] == len(EVENTS)
+    assert (Said("ended", "20 events wait for the daemon") in said) == (above == "supervisor")
+    os.close(ear.child_fd)
+    ear.close()
 
 
 def test_a_live_source_goes_on_while_the_bus_is_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ import ctypes
 import itertools
 import logging
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -176,6 +177,31 @@ def test_the_worst_status_when_all_have_ended(box: Box) -> None:
     assert {camera: box.starts(camera) for camera in ("ends", "hopeless", "ends-2")} == {
         "ends": 1, "hopeless": 1, "ends-2": 1,
     }  # fmt: skip
+
+
+def test_a_file_that_was_begun_is_not_begun_again(box: Box, caplog: pytest.LogCaptureFixture) -> None:
+    """Its events would be there twice, each time with numbers of their own."""
+    files = ("recovers", "hangs", "crashes")
+    box.configure(*files, "hangs-live", **dict.fromkeys(files, "film.mp4"))
+    with caplog.at_level(logging.INFO):
+        box.start()
+        wait_for(lambda: box.starts("hangs-live") >= 3, "a stream to be started again and again")
+        wait_for(lambda: box.starts("crashes") >= 3, "a file that never got to its first frame, too")
+        wait_for(lambda: not there(box.pid("recovers")) and not there(box.pid("hangs")), "both to have ended")
+    assert box.stop() == 0
+    assert (box.starts("recovers"), box.starts("hangs")) == (1, 1)
+    for camera, why in (("recovers", r"failed \(status 3\)"), ("hangs", "hung for 1 s while running")):
+        said = re.compile(rf"camera {camera}: {why}; a file is not begun again, or its events would count twice")
+        assert any(said.search(text) for text in caplog.messages), caplog.messages
+
+
+def test_a_signal_s_number_is_no_exit_status(box: Box) -> None:
+    box.configure("good", good="film.mp4")
+    box.start()
+    wait_for(lambda: bool(box.beats("good")), "it to run")
+    os.kill(box.pid("good"), signal.SIGKILL)
+    wait_for(lambda: bool(box.statuses), "the end")
+    assert box.statuses == [1]
 
 
 def test_one_that_will_not_end_is_killed(box: Box, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ from camtopod.cli import exits
 from camtopod.cli.heartbeat import Ear
 from camtopod.config import CameraSettings, HealthSettings
 from camtopod.serve.systemd import SOCKET_VARIABLE
+from camtopod.vision.source import kind_of
 
 log = logging.getLogger(__name__)
 
@@ -93,7 +94,7 @@ class Child:
         self.last_end = ""
         """Why the last process ended."""
         self.status = 0
-        """The last exit status, without its sign."""
+        """The last exit status; 1 after a signal."""
         self.again_at: float | None = 0.0
         """When to start, on the monotonic clock; None: it runs, has ended, or is hopeless."""
         self._backoff = health.restart_seconds_min
@@ -199,7 +200,7 @@ class Child:
     def _ended(self, status: int, now: float) -> None:
         assert self._ear is not None
         self._ear.close()
-        self.process, self.status = None, abs(status)
+        self.process, self.status = None, status if status >= 0 else exits.FAILED
         if self._told:
             self.status = 0
             self.state, self.reason = "ended", ""
@@ -210,7 +211,11 @@ class Child:
             log.error("camera %s %s", self.camera, self.reason)
         else:
             why = self._hung or ("ended by itself" if status == exits.DONE else in_words(status))
-            self._again(now, now - self._started, why)
+            if self.state in ("running", "ended") and kind_of(self.settings.source) == "file":
+                self.state, self.reason = "failed", f"{why}; a file is not begun again, or its events would count twice"
+                log.error("camera %s: %s", self.camera, self.reason)
+            else:
+                self._again(now, now - self._started, why)
 
     def _again(self, now: float, ran: float, why: str) -> None:
         wait, self._backoff = backoff_after(self._backoff, ran, self._health)

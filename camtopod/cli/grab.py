@@ -25,8 +25,9 @@ from camtopod.cli.exits import CommandError
 from camtopod.cli.heartbeat import Heart
 from camtopod.config import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
-from camtopod.serve import clock
+from camtopod.serve import clock, systemd
 from camtopod.vision import complaints
+from camtopod.vision.source import kind_of
 
 if TYPE_CHECKING:
     from camtopod.serve.bus import Bus
@@ -36,7 +37,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DRAIN_SECONDS = 10.0
-"""How long a file's grabber waits at the end for its last events to be acknowledged."""
+"""How long a file's grabber waits at the end for its last events to be acknowledged, if nobody looks after it."""
+_DRAIN_LOOK_SECONDS = 0.2
 LEAVE_SECONDS = 4.0
 """After a signal, how long a source that blocks may hold up the end."""
 
@@ -168,7 +170,7 @@ def _to_bus(
         publisher = Publisher(spool, config.limits.spool_batch_events)
         connection = _Connection(config, grabber, publisher, args)
         stack.callback(connection.close)
-        if _is_live(settings.source):
+        if kind_of(settings.source) != "file":  # it goes on whether the bus is there or not; a file can wait
             connection.keep_dialling()
         else:
             try:
@@ -176,11 +178,11 @@ def _to_bus(
             except BusError as error:
                 raise CommandError(str(error), exits.BUS) from None
         _publish_all(grabber, publisher, connection, config, told, heart)
-        if not told.stop.is_set() and not publisher.drained(DRAIN_SECONDS):
-            left = publisher.unacknowledged
+        _drain(grabber, publisher, connection, args, told, heart)
+        if publisher.unacknowledged and not told.stop.is_set():
             raise CommandError(
-                f"{left} events are not acknowledged: is `camtopod run` running for site {config.site.name}? "
-                f"They wait in {path} and go out when this camera is grabbed again"
+                f"{publisher.unacknowledged} events are not acknowledged: is `camtopod run` running for site "
+                f"{config.site.name}? They wait in {path} and go out when this camera is grabbed again"
             )
     return exits.DONE
 
@@ -196,6 +198,8 @@ def _publish_all(
     state, next_status = "", 0.0
     heart.beat(grabber.state, grabber.reason)
     for event in grabber.events():
+        if grabber.overdue_seconds == 0.0:  # else whoever hears no beat ends this process
+            heart.beat(grabber.state, grabber.reason)  # before the event: from then on a file has been begun
         if event is not None:
             publisher.publish(event)
         else:
@@ -207,8 +211,6 @@ def _publish_all(
         if now >= next_status:
             next_status = now + config.limits.status_seconds
             connection.tell_status()
-        if grabber.overdue_seconds == 0.0:  # else whoever hears no beat ends this process
-            heart.beat(grabber.state, grabber.reason)
         if told.reload.is_set():
             told.reload.clear()
             log.warning("camera %s: the configuration is read at the start only; start it again", grabber.camera)
@@ -217,6 +219,28 @@ def _publish_all(
     publisher.retry()
     connection.tell_status()
     heart.beat(grabber.state, grabber.reason)
+
+
+def _drain(
+    grabber: Grabber,
+    publisher: Publisher,
+    connection: _Connection,
+    args: argparse.Namespace,
+    told: Told,
+    heart: Heart,
+) -> None:
+    """At a file's end, wait until its events are acknowledged, for `DRAIN_SECONDS`.
+
+    Whoever is looked after waits for as long as it takes: it would be started again, and its events count twice.
+    """
+    looked_after = args.beat_fd is not None or systemd.SOCKET_VARIABLE in os.environ
+    deadline = time.monotonic() + DRAIN_SECONDS
+    while not told.stop.is_set() and not publisher.drained(_DRAIN_LOOK_SECONDS):
+        if not looked_after and time.monotonic() >= deadline:
+            return
+        publisher.retry()
+        connection.tell_status()
+        heart.beat(grabber.state, f"{publisher.unacknowledged} events wait for the daemon")
 
 
 class _Connection:
@@ -281,8 +305,3 @@ class _Connection:
         with self._mutex:
             if self._bus is not None:
                 self._bus.close()
-
-
-def _is_live(source: str) -> bool:
-    """A stream or a device, which goes on whether the bus is there or not; a file can wait."""
-    return "://" in source or source.isdigit()
