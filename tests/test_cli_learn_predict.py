@@ -20,7 +20,7 @@ from camtopod.learn.topology import apply_delta, digest_of, make_delta
 from camtopod.records import Event, Prediction, Topology
 from camtopod.sim.network import SimSettings, simulate
 
-EVENTS, TRUTH = simulate(SimSettings(cameras=3, hours=0.4, seed=1))
+EVENTS, TRUTH = simulate(SimSettings(cameras=3, hours=0.25, seed=1))
 Run = Callable[..., tuple[int, bytes, str]]
 
 
