@@ -19,11 +19,12 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve import recovery
+from camtopod.serve.cameras import Received
 from camtopod.serve.database import StateError, crc
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.learning import Learning
-from camtopod.serve.receiver import Received, Version
 from camtopod.serve.recovery import recover
+from camtopod.serve.storing import Version
 
 SETTINGS = msgspec.structs.replace(small_config(Path()).learn, lateness_seconds=5.0)
 EVENTS = [*sorted(numbered(walkers(60)), key=lambda event: event.t), closing_event()]

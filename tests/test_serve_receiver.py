@@ -18,8 +18,9 @@ from camtopod.records import Ack, Event
 from camtopod.serve.cameras import Received
 from camtopod.serve.database import Damaged
 from camtopod.serve.journal import Journal, Snapshot
-from camtopod.serve.receiver import Pulled, Receiver, Version
+from camtopod.serve.receiver import Pulled, Receiver
 from camtopod.serve.spool import SpoolBatch
+from camtopod.serve.storing import Version
 
 
 class Acks:
@@ -110,17 +111,17 @@ def test_a_version_that_could_not_be_stored_at_the_end_is_stored_before_a_snapsh
         commit(*given)
 
     monkeypatch.setattr(bench.journal, "commit", failing)
-    bench.receiver.on_version(first_version())
+    bench.receiver.storing.on_version(first_version())
     bench.receiver.work(bench.stopping)
     full = False
-    bench.receiver.last_words(Snapshot(0, "E", b"state"))
+    bench.receiver.storing.last_words(Snapshot(0, "E", b"state"))
     assert bench.journal.snapshots() == [Snapshot(0, "E", b"state")]
     assert list(bench.journal.versions("E")) == [1]
 
 
 def test_the_last_snapshot_handed_over_is_stored_though_nothing_was_learned_since(bench: Bench) -> None:
-    bench.receiver.on_snapshot(Snapshot(0, "E", b"state"))
-    bench.receiver.last_words(None)
+    bench.receiver.storing.on_snapshot(Snapshot(0, "E", b"state"))
+    bench.receiver.storing.last_words(None)
     assert len(bench.journal.snapshots()) == 1
 
 
@@ -185,7 +186,7 @@ def test_a_journal_over_its_size_is_back_within_it_however_much_is_stored_betwee
     for snapshots in range(1, 4):
         bench.hear(*events(100 * snapshots - 99, 100 * snapshots))
         bench.round()
-        bench.receiver.on_snapshot(Snapshot(100 * snapshots, "E", b""))
+        bench.receiver.storing.on_snapshot(Snapshot(100 * snapshots, "E", b""))
         for _ in range(12):
             bench.round()
     assert bench.journal.first() == 201, "up to the older snapshot"
@@ -194,7 +195,7 @@ def test_a_journal_over_its_size_is_back_within_it_however_much_is_stored_betwee
 
 def test_a_version_is_published_after_it_is_stored(bench: Bench) -> None:
     one = first_version()
-    bench.receiver.on_version(one)
+    bench.receiver.storing.on_version(one)
     bench.round()
     assert bench.published == [one]
     assert bench.journal.versions("E") == {1: one.topology.digest}
@@ -213,7 +214,7 @@ def test_a_journal_that_turns_out_to_be_damaged_ends_the_work_and_holds_up_no_en
     with pytest.raises(Damaged):
         bench.receiver.work(bench.stopping)
     assert bench.bus.seen == []
-    bench.receiver.last_words(Snapshot(0, "E", b"state"))
+    bench.receiver.storing.last_words(Snapshot(0, "E", b"state"))
     assert "what was learned last is not stored: the journal is damaged" in caplog.text
 
 

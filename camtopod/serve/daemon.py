@@ -25,6 +25,7 @@ from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
 from camtopod.serve.bus import Bus, QueryError, meet
+from camtopod.serve.cameras import Received
 from camtopod.serve.changes import changes
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
@@ -32,9 +33,10 @@ from camtopod.serve.learning import Learning
 from camtopod.serve.live import Live
 from camtopod.serve.progress import Mark, Progress
 from camtopod.serve.puller import Puller
-from camtopod.serve.receiver import Received, Receiver, Version
+from camtopod.serve.receiver import Receiver
 from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover
 from camtopod.serve.rivals import Rivals
+from camtopod.serve.storing import Version
 
 log = logging.getLogger(__name__)
 
@@ -138,7 +140,7 @@ class Daemon:
         running = {thread.name for thread in self._threads if thread.is_alive()}
         if "receive" not in running:
             if self.started and "learn" not in running:
-                self._receiver.last_words(None if self._failed.is_set() else self._learning.snapshot())
+                self._receiver.storing.last_words(None if self._failed.is_set() else self._learning.snapshot())
             self._journal.close()
 
     def failing(self) -> list[str]:
@@ -151,7 +153,7 @@ class Daemon:
             return ["the daemon is stopping"]
         if not self.started or self._bus is None:
             return ["the daemon is starting"]
-        reasons = [self._receiver.reason] if self._receiver.reason else []
+        reasons = [self._receiver.storing.reason] if self._receiver.storing.reason else []
         if self._learning.replaying:
             reasons.append(f"{self._learning.replaying} entries of the journal are still to be learned")
         if not self._config.listens and not self._bus.connected:
@@ -172,7 +174,7 @@ class Daemon:
     def status(self) -> dict[str, Any]:
         """What ``status/daemon`` says: state, reason, counters."""
         receiver, learning = self._receiver, self._learning
-        reason = receiver.reason or self._rivals.reason or "; ".join(self.failing())
+        reason = receiver.storing.reason or self._rivals.reason or "; ".join(self.failing())
         return {
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
@@ -242,9 +244,10 @@ class Daemon:
             self._journal, bus, limits, self._clock,
             learn=self._learn, room=lambda: self._learning.room(), publish=self._publish,
         )  # fmt: skip
+        storing = self._receiver.storing
         self._learning = Learning(
             recovered, self._journal, limits.learn_events_max, self._config.keep.snapshot_events,
-            self._receiver.on_version, self._receiver.on_snapshot, self._receiver.on_deadline, self._new_epoch,
+            storing.on_version, storing.on_snapshot, self._receiver.on_deadline, self._new_epoch,
         )  # fmt: skip
         receiver = self._receiver
         self._puller = Puller(bus, limits, receiver.streams.wanted, receiver.on_pulled, receiver.gap, receiver.rejects)

@@ -14,10 +14,11 @@ from camtopod.learn.snapshot import pack
 from camtopod.learn.topology import make_delta
 from camtopod.records import Topology
 from camtopod.serve import memory
+from camtopod.serve.cameras import Received
 from camtopod.serve.journal import Journal, Snapshot
 from camtopod.serve.progress import Beat, no_beat
-from camtopod.serve.receiver import Received, Version
 from camtopod.serve.recovery import Recovered, note_failure, received
+from camtopod.serve.storing import Version
 
 log = logging.getLogger(__name__)
 

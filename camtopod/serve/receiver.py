@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import collections
 import logging
-import sqlite3
 import threading
 import time
 from collections.abc import Callable
@@ -16,24 +15,22 @@ from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.config import Limits
-from camtopod.records import CAMERA_CHARACTERS_MAX, Ack, Delta, Event, Topology
+from camtopod.records import CAMERA_CHARACTERS_MAX, Ack, Event
 from camtopod.serve.bus import Bus
-from camtopod.serve.cameras import Cameras
-from camtopod.serve.cameras import Received as Received
+from camtopod.serve.cameras import Cameras, Received
 from camtopod.serve.clock import Clock, steady_beside
-from camtopod.serve.database import StateError
 from camtopod.serve.inbox import Inbox, Message
-from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.merge import Merge
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.rejects import Rejects
 from camtopod.serve.spool import SpoolBatch
+from camtopod.serve.storing import Storing, Version
 from camtopod.serve.streams import Streams
 
 log = logging.getLogger(__name__)
 
 _TICK_SECONDS = 0.05
-_RETRY_SECONDS = 0.5
 _PULLED_MAX = 16
 """Answers of spools that wait at a time ..."""
 _PULLED_CAMERA_MAX = 2
@@ -44,13 +41,6 @@ BOOTS_MAX = 16
 """Incarnations of one camera's publisher that are followed; the one not heard for longest is forgotten."""
 _JSON_STARTS = b"{ \t\r\n"
 """An event that begins with one of these is JSON: a MessagePack map begins above 0x7f."""
-
-
-class Version(NamedTuple):
-    """A new version on its way into the journal and then onto the bus."""
-
-    topology: Topology
-    delta: Delta | None
 
 
 class Pulled(NamedTuple):
@@ -85,8 +75,9 @@ class Receiver:
         publish: Callable[[Version], None],
         steady: Clock | None = None,
     ) -> None:
-        self._journal, self._bus, self._limits, self._clock = journal, bus, limits, clock
-        self._learn, self._room, self._publish = learn, room, publish
+        self._bus, self._limits, self._clock = bus, limits, clock
+        self._learn, self._room = learn, room
+        self.storing = Storing(journal, clock, publish)
         self._steady = steady or steady_beside(clock)
         self.cameras = Cameras(limits)
         self._inbox = Inbox(
@@ -97,8 +88,6 @@ class Receiver:
         )
         self._answers: collections.deque[Pulled] = collections.deque()
         self.merge = Merge(limits.held_events_max)
-        self._versions: collections.deque[Version] = collections.deque()
-        self._snapshots: collections.deque[Snapshot] = collections.deque(maxlen=1)
         self._stored = journal.streams()
         self._dirty: set[tuple[str, str]] = set(self._stored)
         self._next_ack = 0.0
@@ -110,10 +99,7 @@ class Receiver:
         """Cameras whose publisher has been seen alive, so that it has a spool."""
         self._deadline: float | None = None
         self.rejects = Rejects()
-        self.reason = ""
-        """Why nothing is stored at the moment; "" if all is well."""
         self.counts = dict.fromkeys(("received", "stored", "duplicate", "future", "flood", "held_full", "refilled"), 0)
-        self._too_old = False  # whether the journal has more than is to be kept
         self.gap = threading.Event()
         """Set when a gap appears: time to pull."""
         self._beat: Beat = no_beat
@@ -133,14 +119,6 @@ class Receiver:
         self._answers.append(pulled)
         self._inbox.poke()
         return True
-
-    def on_version(self, version: Version) -> None:
-        """A version from the learner, to be stored and then published. Never blocks."""
-        self._versions.append(version)
-
-    def on_snapshot(self, snapshot: Snapshot) -> None:
-        """The learner's state, to be stored no earlier than the versions handed over before. Never blocks."""
-        self._snapshots.append(snapshot)
 
     def on_deadline(self, deadline: float | None) -> None:
         """Event time at which the learner wants to be told that time went on."""
@@ -188,8 +166,7 @@ class Receiver:
         self._ack(time.monotonic())
         if self.streams.gaps:
             self.gap.set()
-        if self._too_old:
-            self._forget_old()
+        self.storing.forget_old()
         return True
 
     def _take(self) -> list[Message | Pulled]:
@@ -325,28 +302,9 @@ class Receiver:
         return [Received(entry, advance=advanced)]
 
     def _store(self, ready: list[Received], stopping: threading.Event) -> bool:
-        """Commit, however often it takes; then hand on. Gives up, and returns False, only when the daemon stops."""
-        snapshot = self._snapshots.popleft() if self._snapshots else None  # before the versions, which it must not pass
-        versions = [self._versions.popleft() for _ in range(len(self._versions))]
-        stored = [
-            StoredVersion(topology.epoch, topology.version, topology.digest, codec.to_json(topology))
-            for topology, _ in versions
-        ]
-        while True:
-            try:
-                self._journal.commit([received.entry for received in ready], stored, snapshot, self._clock())
-                break
-            except sqlite3.Error as error:
-                if not self.reason:
-                    log.error("cannot write the journal, so nothing is acknowledged: %s", error)
-                self.reason = f"cannot write the journal: {error}"
-                self._beat()  # starting again would not help
-                if stopping.wait(_RETRY_SECONDS):
-                    self._versions.extendleft(reversed(versions))  # the next snapshot has them in it
-                    return False
-        if self.reason:
-            log.info("the journal can be written again")
-            self.reason = ""
+        """Into the journal, then on to the learner; False if it could not be stored."""
+        if not self.storing.store([received.entry for received in ready], stopping, self._beat):
+            return False
         wall, now = self._clock() + self.cameras.clock_behind, self._steady()
         for entry, event, _ in ready:
             if entry.boot is not None and entry.seq is not None:
@@ -356,29 +314,7 @@ class Receiver:
                 self._note(event, wall, now)
         if ready:
             self._learn(ready)
-        for version in versions:
-            self._publish(version)
-        self._too_old = self._too_old or snapshot is not None
         return True
-
-    def _forget_old(self) -> None:
-        """A part of it; the rest in the rounds to come."""
-        self._too_old = False
-        try:
-            self._too_old = self._journal.prune(self._clock())
-        except sqlite3.Error as error:
-            log.warning("cannot forget what is old in the journal: %s", error)
-
-    def last_words(self, snapshot: Snapshot | None) -> None:
-        """Store what the learner has handed over to the end. Only after `work` and the learner have ended."""
-        if snapshot is not None:
-            self.on_snapshot(snapshot)
-        ended = threading.Event()
-        ended.set()
-        try:
-            self._store([], ended)
-        except StateError as error:
-            log.error("what was learned last is not stored: %s", error)
 
     def _note(self, event: Event, wall: float, now: float) -> None:
         self.counts["stored"] += 1

@@ -17,9 +17,10 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, unpack
 from camtopod.records import Event, Topology
+from camtopod.serve.cameras import Received
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Entry, Journal
-from camtopod.serve.receiver import Received, decode
+from camtopod.serve.receiver import decode
 
 log = logging.getLogger(__name__)
 

@@ -1,0 +1,103 @@
+"""Into the journal: what is ready, versions and snapshots, all in one transaction; what follows from it comes after.
+
+Nothing is acknowledged, learned or published before it is stored, so a disk that cannot be written is tried again and
+again. One thread stores; the learner's hands over versions and snapshots.
+"""
+
+from __future__ import annotations
+
+import collections
+import logging
+import sqlite3
+import threading
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from camtopod import codec
+from camtopod.records import Delta, Topology
+from camtopod.serve.clock import Clock
+from camtopod.serve.database import StateError
+from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.progress import Beat, no_beat
+
+log = logging.getLogger(__name__)
+
+_RETRY_SECONDS = 0.5
+
+
+class Version(NamedTuple):
+    """A new version on its way into the journal and then onto the bus."""
+
+    topology: Topology
+    delta: Delta | None
+
+
+class Storing:
+    """``publish``: called with each version after it is stored."""
+
+    def __init__(self, journal: Journal, clock: Clock, publish: Callable[[Version], None]) -> None:
+        self._journal, self._clock, self._publish = journal, clock, publish
+        self._versions: collections.deque[Version] = collections.deque()
+        self._snapshots: collections.deque[Snapshot] = collections.deque(maxlen=1)
+        self._too_much = False  # whether the journal may have more than is to be kept
+        self.reason = ""
+        """Why nothing is stored at the moment; "" if all is well."""
+
+    def on_version(self, version: Version) -> None:
+        """A version from the learner, to be stored and then published. Never blocks."""
+        self._versions.append(version)
+
+    def on_snapshot(self, snapshot: Snapshot) -> None:
+        """The learner's state, to be stored no earlier than the versions handed over before. Never blocks."""
+        self._snapshots.append(snapshot)
+
+    def store(self, entries: Sequence[Entry], stopping: threading.Event, beat: Beat = no_beat) -> bool:
+        """Commit, however often it takes, and publish. Gives up, and returns False, only when the daemon stops: nothing
+        may then be stored behind ``entries``. Raises `database.Damaged`, as trying again would not help.
+        """
+        snapshot = self._snapshots.popleft() if self._snapshots else None  # before the versions, which it must not pass
+        versions = [self._versions.popleft() for _ in range(len(self._versions))]
+        stored = [
+            StoredVersion(topology.epoch, topology.version, topology.digest, codec.to_json(topology))
+            for topology, _ in versions
+        ]
+        while True:
+            try:
+                self._journal.commit(entries, stored, snapshot, self._clock())
+                break
+            except sqlite3.Error as error:
+                if not self.reason:
+                    log.error("cannot write the journal, so nothing is acknowledged: %s", error)
+                self.reason = f"cannot write the journal: {error}"
+                beat()  # starting again would not help
+                if stopping.wait(_RETRY_SECONDS):
+                    self._versions.extendleft(reversed(versions))  # the next snapshot has them in it
+                    return False
+        if self.reason:
+            log.info("the journal can be written again")
+            self.reason = ""
+        for version in versions:
+            self._publish(version)
+        self._too_much = self._too_much or snapshot is not None
+        return True
+
+    def forget_old(self) -> None:
+        """After a snapshot, a part of what the journal need not keep; the rest in the calls to come."""
+        if not self._too_much:
+            return
+        self._too_much = False
+        try:
+            self._too_much = self._journal.prune(self._clock())
+        except sqlite3.Error as error:
+            log.warning("cannot forget what is old in the journal: %s", error)
+
+    def last_words(self, snapshot: Snapshot | None) -> None:
+        """Store what the learner has handed over to the end. Only after both threads have ended."""
+        if snapshot is not None:
+            self.on_snapshot(snapshot)
+        ended = threading.Event()
+        ended.set()
+        try:
+            self.store([], ended)
+        except StateError as error:
+            log.error("what was learned last is not stored: %s", error)
