@@ -281,6 +281,42 @@ def test_rules_name_exact_keys_only(authority: Authority) -> None:
     assert [subject["cert_common_names"] for subject in control["subjects"]] == [["daemon"], ["lobby"], ["reader:wall"]]
 
 
+def test_one_certificate_for_several_cameras(authority: Authority) -> None:
+    """For events of another program; a box with one camera has no use for it."""
+    for name, cameras in (("nvr", ["a/b"]), ("nvr", ["daemon"]), ("nvr", ["hall", "hall"])):
+        with pytest.raises(KeysError, match=r"cannot be a camera's name|taken|twice"):
+            authority.issue("camera", name, 10, cameras=cameras)
+    authority.issue("camera", "nvr", 10, cameras=["hall", "door.1"])
+    for name in ("nvr", "nvr~2"):
+        control = rules.access_control(authority.access)["access_control"]
+        theirs = [rule for rule in control["rules"] if rule["id"].startswith(f"{name} ")]
+        assert {key for rule in theirs for key in rule["key_exprs"]} == {
+            f"camtopo/hq/{key}/{camera}"
+            for key in ("event", "status", "spool", "ack", "alive/grabber")
+            for camera in ("hall", "door.1")
+        }
+        assert len({rule["id"] for rule in control["rules"]}) == len(control["rules"])
+        authority.issue("camera", "nvr", 10, replace=True)  # for the same cameras
+    authority.issue("camera", "nvr", 10, replace=True, cameras=["hall"])
+    assert authority.access.certificates[-1].cameras == ["hall"]
+
+
+def test_a_certificate_for_several_cameras_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    keys = str(tmp_path / "keys")
+    assert run("--keys", keys, "init") == exits.DONE
+    assert run("--keys", keys, "camera", "nvr", "other", "--for", "hall") == exits.FAILED
+    assert run("--keys", keys, "camera", "nvr", "--for", "hall", "--for", "yard") == exits.DONE
+    access = rules.read_access(Path(keys, "daemon/access.json").read_bytes())
+    assert access.certificates[-1].cameras == ["hall", "yard"]
+    box = tmp_path / "keys" / "camera" / "nvr"
+    config = load(box / "camtopod.toml")
+    assert config.bus.tls.private_key == str(box / "keys/nvr/private.key")
+    assert config.cameras == {}
+    capsys.readouterr()
+    assert run("--keys", keys, "list") == exits.DONE
+    assert "for hall, yard" in capsys.readouterr().out
+
+
 def test_the_router_s_file_has_the_same_rules(authority: Authority) -> None:
     text = rules.router_json5(authority.access, ["tls/[::]:7447"], 1 << 24, 1000)
     router = json.loads(text.partition("\n")[2])

@@ -20,6 +20,7 @@ from camtopod.keys.authority import (
     LOCAL_HOSTS,
     Authority,
     KeysError,
+    check_cameras,
     check_hosts,
     day,
     write_public,
@@ -51,6 +52,11 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
     init.add_argument("--authority-days", type=_days, default=AUTHORITY_DAYS, metavar="N", help="default: %(default)s")
     daemon = commands.add_parser("daemon", help="a new certificate for the daemon, or for a router")
     camera = commands.add_parser("camera", help="a certificate for each camera")
+    camera.add_argument(
+        "--for", dest="cameras", action="append", default=[], metavar="CAMERA",
+        help="NAME is no camera but a program with events of several (`camtopod ingest`), of which this is one; "
+        "may be repeated",
+    )  # fmt: skip
     reader = commands.add_parser("reader", help="a certificate for a program that reads topology and predictions")
     revoke = commands.add_parser("revoke", help="take a camera's or a reader's rights away")
     listing = commands.add_parser("list", help="who has what, and until when")
@@ -101,6 +107,10 @@ def _run(args: argparse.Namespace, config: Config) -> int:
     names = [DAEMON] if what in ("init", "daemon") else args.names
     if len(set(names)) < len(names):
         raise KeysError("the same name is given twice")
+    if what == "camera" and args.cameras:
+        check_cameras(args.cameras)
+        if len(names) > 1:
+            raise KeysError("--for goes with one NAME: that of the program which has the events")
     for name in names:  # all or none
         if what == "revoke":
             authority.must_have(args.role, name)
@@ -121,8 +131,10 @@ def _run(args: argparse.Namespace, config: Config) -> int:
 
 def _give(authority: Authority, args: argparse.Namespace, config: Config, role: rules.Role, name: str) -> None:
     hosts = args.host if role == "daemon" else []
-    folder = authority.issue(role, name, args.days, args.replace, hosts)
-    write_public(folder / "camtopod.toml", _example(authority.site, config, role, name))
+    cameras = args.cameras if role == "camera" else []
+    folder = authority.issue(role, name, args.days, args.replace, hosts, cameras)
+    several = bool(authority.issued[-1].certificate.cameras)
+    write_public(folder / "camtopod.toml", _example(authority.site, config, role, name, several))
     who = name if role == "daemon" else f"{role} {name}"
     expires = authority.issued[-1].certificate.expires
     _say(f"{who}: {folder}, until {day(expires)}; copy this folder, with camtopod.toml as an example")
@@ -140,9 +152,9 @@ def _write_access(authority: Authority, config: Config) -> None:
     write_public(folder / "router.json5", text)
 
 
-def _example(site: str, config: Config, role: rules.Role, name: str) -> str:
-    """A configuration for where the folder is copied to."""
-    own = {"daemon": DAEMON, "camera": "{camera}", "reader": name}[role]
+def _example(site: str, config: Config, role: rules.Role, name: str, several: bool) -> str:
+    """A configuration for where the folder is copied to; ``several``: of a program with several cameras."""
+    own = {"daemon": DAEMON, "camera": name if several else "{camera}", "reader": name}[role]
     lines = [f'[site]\nname = "{site}"\n', "[bus]"]
     if role == "daemon":
         lines.append('listen = ["tls/0.0.0.0:7447"]   # or the address of one interface')
@@ -156,7 +168,7 @@ def _example(site: str, config: Config, role: rules.Role, name: str) -> str:
     ]
     if role == "daemon":
         lines.append(f'access = "{_INSTALLED}/{own}/{ACCESS}"')
-    if role == "camera":
+    if role == "camera" and not several:
         lines.append(
             f'\n[cameras.{_toml_key(name)}]\nsource_file = "secrets/{name}"   # holds the rtsp:// URL; mode 600'
         )
@@ -185,7 +197,8 @@ def _list(authority: Authority, now: float) -> int:
         line = (
             f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} {day(certificate.expires):<10} {days:>6.0f}"
         )
-        print(f"{line} {remark}".rstrip())
+        several = f"for {', '.join(certificate.cameras)}" if certificate.cameras else ""
+        print(" ".join(filter(None, (line, several, remark))))
     return exits.DONE
 
 

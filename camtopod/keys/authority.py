@@ -129,17 +129,30 @@ class Authority:
         extensions = x509.load_pem_x509_certificate(raw).extensions
         return [str(name.value) for name in extensions.get_extension_for_class(x509.SubjectAlternativeName).value]
 
-    def issue(self, role: Role, name: str, days: int, replace: bool = False, hosts: Sequence[str] = ()) -> Path:
+    def issue(
+        self,
+        role: Role,
+        name: str,
+        days: int,
+        replace: bool = False,
+        hosts: Sequence[str] = (),
+        cameras: Sequence[str] = (),
+    ) -> Path:
         """A key and a certificate; returns their folder. ``replace`` withdraws the one that is there.
 
-        ``hosts``: of the daemon; none given: those of the certificate that is replaced.
+        ``hosts``: of the daemon; ``cameras``: for whom a program called ``name`` speaks, not being a camera itself.
+        None given: those of the certificate that is replaced.
         """
         common_name = self.next_name(role, name, days, replace)
         check_hosts(hosts)
+        check_cameras(cameras)
         folder = self._folder(role, name)
         expires = self._sign(folder, common_name, days, (hosts or self.hosts) if role == "daemon" else None)
+        before = [one.certificate for one in self.issued if (one.certificate.role, one.of) == (role, name)]
+        several = list(cameras) or (before[-1].cameras if before else [])
         self._withdraw(role, name)
-        certificate = Certificate(common_name, role, expires, name if role == "camera" else "")
+        camera = name if role == "camera" and not several else ""
+        certificate = Certificate(common_name, role, expires, camera, several)
         self._keep([*self.issued, Issued(certificate, name)])
         return folder
 
@@ -227,6 +240,14 @@ def check_name(role: Role, name: str) -> None:
         raise KeysError(f"{name!r} cannot be a {role}'s name: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
     if (role == "camera" and name == DAEMON) or name in (".", ".."):
         raise KeysError(f"{name!r} is taken; call the {role} otherwise")
+
+
+def check_cameras(cameras: Sequence[str]) -> None:
+    """Raises `KeysError` for what no certificate can speak for."""
+    for camera in cameras:
+        check_name("camera", camera)
+    if len(set(cameras)) < len(cameras):
+        raise KeysError("the same camera is given twice")
 
 
 def check_hosts(hosts: Sequence[str]) -> None:

@@ -46,6 +46,8 @@ class Certificate(Struct, frozen=True, omit_defaults=True):
     expires: float
     camera: str = ""
     """The camera whose events it may publish."""
+    cameras: list[str] = []
+    """Instead of one: those of another program that speaks for several."""
 
 
 class Access(Struct, frozen=True):
@@ -179,15 +181,18 @@ def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
             rule("watches", come, ("declare_liveliness_subscriber", "liveliness_query"), "alive/daemon/*"),
             rule("sees", go, ("liveliness_token",), "alive/daemon/*"),
         ]
-    camera = certificate.camera
-    answered = (f"spool/{camera}", f"status/{camera}")
+    cameras = certificate.cameras or [certificate.camera]
+
+    def of_each(*keys: str) -> list[str]:
+        return [f"{key}/{camera}" for camera in cameras for key in keys]
+
     return [
-        rule("says", come, ("put",), f"event/{camera}", f"status/{camera}"),
-        rule("is asked", go, ("query",), *answered),
-        rule("answers", come, ("declare_queryable", "reply"), *answered),
-        rule("listens", come, ("declare_subscriber",), f"ack/{camera}"),
-        rule("hears", go, ("put",), f"ack/{camera}"),
-        rule("is there", come, ("liveliness_token",), f"alive/grabber/{camera}"),
+        rule("says", come, ("put",), *of_each("event", "status")),
+        rule("is asked", go, ("query",), *of_each("spool", "status")),
+        rule("answers", come, ("declare_queryable", "reply"), *of_each("spool", "status")),
+        rule("listens", come, ("declare_subscriber",), *of_each("ack")),
+        rule("hears", go, ("put",), *of_each("ack")),
+        rule("is there", come, ("liveliness_token",), *of_each("alive/grabber")),
     ]
 
 

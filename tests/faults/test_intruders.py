@@ -20,8 +20,10 @@ from typing import Any
 
 import msgspec
 import pytest
-from serving import WAIT_SECONDS, camtopod, closing_event, small_config, wait_for, walkers
+from serving import T0, WAIT_SECONDS, camtopod, closing_event, small_config, wait_for, walkers
 
+from camtopod.cli import exits
+from camtopod.cli.main import main
 from camtopod.config import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority
@@ -554,3 +556,33 @@ def test_an_authenticated_site_works_as_one_without(keys: Keys, tmp_path: Path, 
     assert daemon.status()["events"]["stored"] == len(events)
     assert [key for key, _ in reader.ask("predict/a", {"x": 0.9, "y": 0.5})] == ["predict/a"]
     assert "status/daemon" in [key for key, _ in reader.ask("status/*")]
+
+
+def test_one_certificate_for_the_cameras_of_another_program(
+    keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys.authority.issue("camera", "nvr", 100, cameras=["door", "yard"])
+    keys.allow(keys.folder / "daemon" / "access.json")
+    plain = small_config(tmp_path / "state")
+    plain = msgspec.structs.replace(plain, site=msgspec.structs.replace(plain.site, name="hq"))
+    daemon = Daemon(msgspec.structs.replace(plain, bus=keys.bus("daemon", listen="tls/127.0.0.1:0")))
+    daemon.start()
+    cleanup.callback(daemon.stop)
+    config = tmp_path / "nvr.toml"
+    tls = msgspec.structs.asdict(keys.bus("camera/nvr").tls)
+    config.write_text(
+        f'[site]\nname = "hq"\n[bus]\nconnect = ["{daemon.endpoint}"]\n[bus.tls]\n'
+        + "".join(f'{key} = "{path}"\n' for key, path in tls.items())
+    )
+
+    def ingest(*cameras: str) -> int:
+        lines = [{"camera": camera, "kind": "entry", "t": T0 + n} for n in range(50) for camera in cameras]
+        path = tmp_path / "events.jsonl"
+        path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+        return main(["--config", str(config), "ingest", "jsonl", str(path), "--state", str(tmp_path / cameras[0])])
+
+    assert ingest("door", "yard") == exits.DONE
+    assert daemon.status()["events"]["stored"] == 100
+    monkeypatch.setattr("camtopod.cli.ingest.PATIENCE_SECONDS", 1.0)
+    assert ingest("hall") == exits.BUS
+    assert daemon.status()["events"]["stored"] == 100
