@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -90,6 +91,53 @@ def test_what_could_not_be_stored_at_the_end_is_not_acknowledged_with_what_could
     stored = {entry.seq for _, entry in bench.journal.entries() if entry is not None}
     for ack in bench.bus.seen:
         assert set(range(1, ack.seq + 1)) <= stored
+
+
+class Disk:
+    """Some commits succeed; then they do, fail, or fail and are durable all the same; at the last failure all stops."""
+
+    def __init__(self, bench: Bench, chance: random.Random, failures: int) -> None:
+        self._bench, self._chance, self._failures = bench, chance, failures
+        self._commit, self._good = bench.journal.commit, chance.randint(1, 4)
+
+    def commit(self, entries: Any, *rest: Any) -> None:
+        self._good -= bool(entries)
+        broken = entries and self._failures and self._good < 0
+        fate = self._chance.choice(("succeed", "fail", "durable")) if broken else "succeed"
+        if fate != "succeed":
+            self._failures -= 1
+            if not self._failures:
+                self._bench.stopping.set()
+        if fate != "fail":
+            self._commit(entries, *rest)
+            if fate == "durable":
+                self._bench.journal._last -= len(entries)  # as a commit leaves it that raises
+        if fate != "succeed":
+            raise sqlite3.OperationalError("disk I/O error")
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_whatever_the_disk_does_until_the_end_what_is_acknowledged_is_there_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    monkeypatch.setattr("camtopod.serve.storing._RETRY_SECONDS", 0.0)
+    chance = random.Random(seed)
+    bench = Bench(tmp_path, commit_events_max=1, ack_seconds=1e-9)
+    monkeypatch.setattr(bench.journal, "commit", Disk(bench, chance, chance.randint(1, 6)).commit)
+    coming = [event for camera in "ab" for event in events(1, 250, camera) for _ in range(chance.choice((1, 1, 2)))]
+    chance.shuffle(coming)
+    coming.sort(key=lambda event: event.t + chance.uniform(0, 9))
+    bench.hear(*coming)
+    while not bench.stopping.is_set() and len(bench.receiver._inbox):
+        bench.receiver.work(bench.stopping, beat=lambda: None if len(bench.receiver._inbox) else bench.stopping.set())
+    entries = [entry for _, entry in bench.journal.entries()]
+    stored = [(entry.camera, entry.seq) for entry in entries if entry is not None]
+    assert len(set(stored)) == len(stored)
+    assert bench.bus.seen
+    for ack in bench.bus.seen:
+        assert {(ack.camera, seq) for seq in range(1, ack.seq + 1)} <= set(stored)
+    assert [one.entry for one in bench.learned] == entries[: len(bench.learned)], "learned in the journal's order"
+    bench.journal.close()
 
 
 def first_version() -> Version:
