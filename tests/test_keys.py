@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import stat
 from pathlib import Path
@@ -15,6 +16,8 @@ from cryptography.x509.verification import PolicyBuilder, Store, VerificationErr
 
 from camtopod import codec, redact, secret_files
 from camtopod.cli import exits, main
+from camtopod.cli.common import configuration
+from camtopod.cli.exits import CommandError
 from camtopod.config import ConfigError, Limits, load, parse
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority, KeysError
@@ -404,6 +407,30 @@ def test_secrets_that_others_can_read_are_warned_of(tmp_path: Path, capsys: pyte
     main.main(["check", str(path)])
     assert "holds a secret" not in capsys.readouterr().err
     assert secret_files.exposed([tmp_path / "none"]) == []
+
+
+def test_a_camera_s_process_leaves_warnings_to_the_one_above(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('[cameras.a]\nsource = "rtsp://u:pw@h/x"\n')
+    path.chmod(0o644)
+    args = argparse.Namespace(config=path, site=None, connect=[], config_fd=None)
+    configuration(args)
+    assert caplog.text.count("holds a secret") == 1
+    with path.open("rb") as file:
+        args.config_fd = file.fileno()
+        assert configuration(args).cameras["a"].source == "rtsp://u:pw@h/x"
+    assert caplog.text.count("holds a secret") == 1, "once a camera"
+
+
+def test_a_plain_endpoint_beside_certificates_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('[bus]\nconnect = ["tls/h:1"]\n[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\n')
+    args = argparse.Namespace(config=path, site=None, connect=["tls/h:2", "tcp/h:1"])
+    with pytest.raises(CommandError, match=r"--connect 'tcp/h:1': write tls/\.\.\., as \[bus.tls\] is set") as caught:
+        configuration(args)
+    assert caught.value.status == exits.USAGE
+    args.connect = ["tls/h:2"]
+    assert configuration(args).dials == ("tls/h:2",)
 
 
 # --- what is open is said ---------------------------------------------------------------------------

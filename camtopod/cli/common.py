@@ -44,8 +44,9 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> config.
     ``raw``: the file's content as it was read before, which a process that was started with ``--config-fd`` gets
     from the one above it.
     """
-    if raw is None and getattr(args, "config_fd", None) is not None:
-        raw = Path(f"/proc/self/fd/{args.config_fd}").read_bytes()
+    above = getattr(args, "config_fd", None)
+    if raw is None and above is not None:
+        raw = Path(f"/proc/self/fd/{above}").read_bytes()
     loaded = config.Config()
     if args.config is not None:
         try:
@@ -54,8 +55,9 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> config.
             raise CommandError(f"the configuration is wrong:\n{error}", exits.CONFIG) from None
         except OSError as error:
             raise InputError(f"cannot read {args.config}: {error.strerror}") from None
-        for sentence in secret_files.exposed(loaded.secrets(args.config)):
-            log.warning("%s", sentence)
+        if above is None:  # or that one has said it, once for all cameras
+            for sentence in secret_files.exposed(loaded.secrets(args.config)):
+                log.warning("%s", sentence)
     if args.site is not None:
         if not re.match(CAMERA_PATTERN, args.site):
             raise CommandError(f"--site {args.site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
@@ -64,6 +66,8 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> config.
         for endpoint in args.connect:
             if not is_endpoint(endpoint):
                 raise CommandError(f"--connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}", exits.USAGE)
+            if loaded.bus.tls.ca and not endpoint.startswith("tls/"):
+                raise CommandError(f"--connect {endpoint!r}: write tls/..., as [bus.tls] is set", exits.USAGE)
         bus = msgspec.structs.replace(loaded.bus, connect=tuple(args.connect), listen=())
         loaded = msgspec.structs.replace(loaded, bus=bus)
     if getattr(args, "state", None):

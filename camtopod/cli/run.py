@@ -9,7 +9,7 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.common import Told, configuration, leaving, signals, start_logging
-from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.exits import CommandError
 from camtopod.config import Config
 from camtopod.serve import health, memory, systemd
 from camtopod.serve.bus import BusError, refusals_heard
@@ -85,7 +85,7 @@ def _reloaded(daemon: Daemon, args: argparse.Namespace, config: Config) -> Confi
     """The configuration from now on; a wrong one is reported and changes nothing."""
     try:
         new = configuration(args)
-    except (CommandError, InputError) as error:
+    except CommandError as error:
         log.error("the old configuration stays: %s", error)
         return config
     waiting = daemon.reconfigure(new)
