@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
@@ -18,7 +19,7 @@ from camtopod.codec import to_json, to_pack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
-from camtopod.serve import recovery
+from camtopod.serve import recovery, wal
 from camtopod.serve.cameras import Received
 from camtopod.serve.database import StateError, crc
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
@@ -274,6 +275,26 @@ def test_of_an_epoch_that_has_ended_no_version_comes(start: Start) -> None:
         slow.setattr(Learner, "updates", all_at_once)
         again.run()
     assert {epoch for epoch, _, _ in again.published} == {"F"}
+
+
+def test_what_a_damaged_log_has_lost_may_have_been_published(tmp_path: Path) -> None:
+    """So an epoch begins, once: the same versions made anew may be others."""
+    state = tmp_path / "state"
+    with closing(Installation(state)) as one:
+        for first in range(0, 150, 30):
+            one.learn(EVENTS[first : first + 30])
+        log = bytearray((state / "journal.db-wal").read_bytes())
+        begin = 32 + (wal.read(state / "journal.db").commits[-4] - 1) * (24 + 4096)
+        log[begin + 1000] ^= 1
+        killed = tmp_path / "killed"
+        killed.mkdir()
+        shutil.copyfile(state / "journal.db", killed / "journal.db")
+        (killed / "journal.db-wal").write_bytes(log)
+    with closing(Installation(killed)) as again:
+        assert again.learning.epoch == "F"
+        again.run()
+    with closing(Installation(killed)) as later:
+        assert later.learning.epoch == "F"
 
 
 def test_a_journal_without_entries_and_snapshots_but_with_versions_begins_an_epoch(start: Start) -> None:

@@ -251,8 +251,11 @@ class Journal:
 
     def damaged_files(self) -> list[Path]:
         """What was set aside of the database and its log and is still there, for somebody to look at."""
-        log_path = self._path.with_name(f"{self._path.name}-wal")
-        return [*database.damaged_files(self._path), *database.damaged_files(log_path)]
+        return [*database.damaged_files(self._path), *self.damaged_logs()]
+
+    def damaged_logs(self) -> list[Path]:
+        """Of its log alone, the newest last: transactions that had been committed are not in the database."""
+        return database.damaged_files(self._path.with_name(f"{self._path.name}-wal"))
 
     def close(self) -> None:
         """Close and let go of the directory; may be called twice."""

@@ -50,6 +50,11 @@ def recover(journal: Journal, settings: Settings, site: str, new_epoch: Callable
     epoch = journal.meta("epoch")
     if epoch is None:
         epoch = new_epoch()
+    for damaged in journal.damaged_logs()[-1:]:
+        if journal.meta("damaged log") != damaged.name:
+            epoch = new_epoch()
+            log.warning("what the damaged log had in it may have been published: epoch %s begins", epoch)
+            journal.set_meta("damaged log", damaged.name)
     failure, found = read_failure(journal), _newest_state(journal)
     beyond = 0 if found is None else found[0]
     if failure is not None and failure.times >= FAILURES_MAX and beyond < failure.at:
