@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from camtopod.learn.snapshot import pack
 from camtopod.learn.topology import make_delta
-from camtopod.records import Topology
+from camtopod.records import Event, Topology
 from camtopod.serve import memory
 from camtopod.serve.cameras import Received
 from camtopod.serve.journal import Journal, Snapshot
@@ -24,6 +24,9 @@ log = logging.getLogger(__name__)
 
 _TICK_SECONDS = 0.2
 _PROGRESS_ENTRIES = 200_000
+
+Lesson = Event | float | None
+"""What an entry of the journal teaches: an event, that event time has come so far, nothing."""
 
 
 class Learning:
@@ -52,7 +55,7 @@ class Learning:
         self._replay_until = len(journal)
         self._saved = self.position
         self._due = False
-        self._queue: queue.SimpleQueue[list[Received]] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[list[Lesson]] = queue.SimpleQueue()
         self._waiting = 0
         self._mutex = threading.Lock()
         self._topology = self._learner.topology
@@ -66,7 +69,7 @@ class Learning:
         """Learn these, in this order, soon. Any thread."""
         with self._mutex:
             self._waiting += len(batch)
-        self._queue.put(batch)
+        self._queue.put([_lesson(one) for one in batch])
 
     def room(self) -> int:
         """How many events may be fed at the moment."""
@@ -115,7 +118,7 @@ class Learning:
             if entry is None:
                 self.damaged += 1
             else:
-                self._learn(received(entry))
+                self._learn(_lesson(received(entry)))
             self.position = number
             beat()
             if (number - begun) % _PROGRESS_ENTRIES == 0:
@@ -132,8 +135,8 @@ class Learning:
             except queue.Empty:
                 beat()
                 continue
-            for one in batch:
-                self._learn(one)
+            for lesson in batch:
+                self._learn(lesson)
                 self.position += 1
                 beat()
                 if stopping.is_set():
@@ -142,12 +145,12 @@ class Learning:
                 self._waiting -= len(batch)
             self._tell()
 
-    def _learn(self, one: Received) -> None:
+    def _learn(self, lesson: Lesson) -> None:
         """One committed entry into the learner, new versions out."""
-        if one.event is not None:
-            self._learner.receive(one.event)
-        elif one.advance is not None:
-            self._learner.advance(one.advance)
+        if isinstance(lesson, Event):
+            self._learner.receive(lesson)
+        elif lesson is not None:
+            self._learner.advance(lesson)
         self._take_versions()
 
     def _take_versions(self) -> None:
@@ -188,3 +191,8 @@ class Learning:
                 self._saved, self._due = self.position, False
         self.statistics = self._learner.statistics()
         self._on_deadline(self._learner.next_deadline())
+
+
+def _lesson(one: Received) -> Lesson:
+    """Without the entry and its bytes, which are stored: thousands wait while a version is made."""
+    return one.advance if one.event is None else one.event
