@@ -12,13 +12,14 @@ from typing import Any
 import pytest
 from serving import T0, closing_event, numbered, walkers
 
-from camtopod.codec import to_pack
+from camtopod.codec import Rejected, to_pack
 from camtopod.config import Limits
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event
 from camtopod.serve.cameras import Received
 from camtopod.serve.database import Damaged
 from camtopod.serve.journal import Journal, Snapshot
+from camtopod.serve.puller import read_batch
 from camtopod.serve.receiver import Pulled, Receiver
 from camtopod.serve.spool import SpoolBatch
 from camtopod.serve.storing import Version
@@ -275,3 +276,19 @@ def test_what_waits_is_no_larger_than_an_event_may_be(bench: Bench) -> None:
         bench.receiver.on_event(f"event/{name}", b"\x00" * 1_000_000)
     bench.round()
     assert bench.receiver.rejects.counts == {"too-long": 2}
+
+
+@pytest.mark.parametrize(
+    ("batch", "what"),
+    [
+        (SpoolBatch("lobby", "b", 1, 0, False, [(1, b""), (2, b""), (3, b"")]), "3 events, asked for 2"),
+        (SpoolBatch("lobby", "b", 1, 0, False, [(2, b""), (2, b"")]), "not by rising seq"),
+        (SpoolBatch("lobby", "b", 2, 0, False, [(1, b"")]), "begins behind"),
+        (SpoolBatch("hall", "b", 1, 0, False, []), "camera 'hall'"),
+    ],
+)
+def test_an_answer_that_is_none_to_the_question_is_rejected(batch: SpoolBatch, what: str) -> None:
+    with pytest.raises(Rejected, match=what):
+        read_batch(to_pack(batch), "lobby", 2)
+    good = SpoolBatch("lobby", "b", 1, 0, True, [(1, b""), (2, b"")])
+    assert read_batch(to_pack(good), "lobby", 2) == good

@@ -99,7 +99,8 @@ class Puller:
             self._asking[camera] = time.monotonic()
         if not _BOOT.match(boot):
             boot, start = "", 0
-        given: dict[str, object] = {"from": start, "max": self._limits.pull_events_max}
+        most = self._limits.pull_events_max
+        given: dict[str, object] = {"from": start, "max": most}
         try:
             answers = self._bus.ask(f"spool/{camera}", given | ({"boot": boot} if boot else {}))
         except QueryError as error:
@@ -109,7 +110,7 @@ class Puller:
         for _, payload in answers:
             self.pulls += 1
             try:
-                batch = read_batch(payload, camera)
+                batch = read_batch(payload, camera, most)
             except codec.Rejected as error:
                 self._rejects.add(error.reason, f"spool/{camera}", str(error), payload)
                 continue
@@ -119,12 +120,16 @@ class Puller:
         return following
 
 
-def read_batch(payload: bytes, camera: str) -> SpoolBatch:
-    """The answer of a camera's spool. Raises `codec.Rejected` also for one that contradicts itself."""
+def read_batch(payload: bytes, camera: str, most: int) -> SpoolBatch:
+    """The answer of a camera's spool, of at most ``most`` events. Raises `codec.Rejected` also for one that contradicts
+    itself.
+    """
     batch = codec.read(SpoolBatch, payload, pack=True)
     if batch.camera != camera:
         raise codec.Rejected("wrong-camera", f"answers for camera {batch.camera!r}")
     seqs = [seq for seq, _ in batch.events]
+    if len(seqs) > most:
+        raise codec.Rejected("bad-batch", f"{len(seqs)} events, asked for {most}")
     if any(seq >= following for seq, following in itertools.pairwise(seqs)):
         raise codec.Rejected("bad-batch", "its events are not by rising seq")
     if seqs and batch.first > seqs[0]:
