@@ -278,6 +278,21 @@ def test_the_file_stays_within_its_size(tmp_path: Path, monkeypatch: pytest.Monk
         assert len(kept(journal)) > 1000
 
 
+def test_what_is_left_to_forget_is_said_whatever_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journals, "PRUNED_ROWS_MAX", 10)
+    with closing(Journal(tmp_path, KeepSettings(journal_days=2.0))) as journal:
+        journal.commit([entry(n) for n in range(1, 61)], now=NOW)
+        journal.commit([entry(n) for n in range(61, 71)], now=NOW + 9 * DAY_SECONDS)
+        for position in (65, 70):
+            journal.commit([], snapshot=Snapshot(position, "E", b""))
+        journal._db.execute("DELETE FROM entry WHERE id % 7 = 3")
+        calls = 1
+        while journal.prune(NOW + 9 * DAY_SECONDS):
+            calls += 1
+        assert kept(journal)[0] == 61
+        assert calls < 10
+
+
 def test_history_is_bounded_by_bytes_and_by_days(tmp_path: Path) -> None:
     keep = KeepSettings(history_days=10.0, history_bytes_max=3000)
     with closing(Journal(tmp_path, keep)) as journal:

@@ -166,7 +166,7 @@ class Journal:
                 )
                 while self._history_bytes() > keep.history_bytes_max and self._forget_oldest_version():
                     pass
-            return gone == PRUNED_ROWS_MAX
+            return gone > 0 and until <= oldest
 
     def entries(self, after: int = 0, up_to: int | None = None) -> Iterator[tuple[int, Entry | None]]:
         """The entries behind ``after`` in order as (id, entry); None in place of a damaged one, which is left where it
