@@ -26,6 +26,8 @@ SPOOLED_BYTES_MAX = 1536
 """More than a valid event takes in a spool's answer: ids of 64 and 128 characters of at most 4 bytes."""
 RECEIVED_BYTES_MIN = 1024 * 1024
 """The meeting point takes messages of this size at least."""
+RECONNECT_MILLISECONDS = (250, 1000)
+"""How long a box waits before it dials again, first and at most: a daemon that restarts is soon found."""
 
 Role = Literal["daemon", "camera", "reader"]
 Settings = dict[str, Any]
@@ -126,12 +128,14 @@ def spool_bytes_max(pull_events_max: int) -> int:
 
 
 def quiet(mode: str) -> Settings:
-    """Nobody is looked for or answered by multicast or gossip; no shared memory."""
+    """Nobody is looked for or answered by multicast or gossip; no shared memory; lost links are soon dialled again."""
     return {
         "mode": mode,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        "scouting/delay": 0,  # milliseconds: by default half a second is waited for those whom nobody looks for
         "transport/shared_memory/enabled": False,
+        "connect/retry": {"period_init_ms": RECONNECT_MILLISECONDS[0], "period_max_ms": RECONNECT_MILLISECONDS[1]},
     }
 
 
