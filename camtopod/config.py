@@ -218,14 +218,18 @@ class Config(Struct, frozen=True):
 
         Raises `OSError` if the file cannot be read.
         """
-        tls = _with_paths(self.bus.tls, lambda path: path.replace("{camera}", camera))
         cameras = self.cameras
         if camera in cameras and cameras[camera].source_file:
             source = secret_files.read(Path(cameras[camera].source_file))
             redact.remember(source)
             filled = replace(cameras[camera], source=source, source_file="")
             cameras = {**cameras, camera: filled}
-        return replace(self, bus=replace(self.bus, tls=tls), cameras=cameras)
+        return replace(self.certified(camera), cameras=cameras)
+
+    def certified(self, camera: str) -> Config:
+        """With the certificate of ``camera``, for who speaks for it on the bus."""
+        tls = _with_paths(self.bus.tls, lambda path: path.replace("{camera}", camera))
+        return replace(self, bus=replace(self.bus, tls=tls))
 
 
 TABLES: dict[str, type[Struct]] = {

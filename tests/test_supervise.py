@@ -269,8 +269,11 @@ def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
     meeting.subscribe("status/*", lambda key, raw: said.append(msgspec.msgpack.decode(raw)))
     box.head = box.head.replace("tcp/127.0.0.1:1", meeting.endpoint).replace("max = 0.4", "max = 4")
     box.configure("crashes", "good", "hopeless")
+    with box.file.open("a") as file:
+        file.write('[cameras.crashes-2]\nsource_file = "nowhere"\n')
     box.start()
     wait_for(lambda: any(s["camera"] == "crashes" and s["restarts"] >= 2 for s in said), "the restarts")
+    wait_for(lambda: any(s["camera"] == "crashes-2" for s in said), "one whose source cannot be read")
     wait_for(lambda: any(s["state"] == "failed" for s in said), "the hopeless one")
     status = next(s for s in said if s["restarts"] >= 2)
     assert f"restarted {status['restarts']} times, last: failed (status 1)" in status["reason"]

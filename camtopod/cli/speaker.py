@@ -52,10 +52,10 @@ class Speaker:
             for camera in statuses:
                 try:
                     if camera not in buses:
-                        buses[camera] = bus = dial(self._config.for_camera(camera))
+                        buses[camera] = bus = dial(self._config.certified(camera))
                         bus.answer(f"status/{camera}", lambda key, _: self._of(key), "status")
                     buses[camera].put(f"status/{camera}", self._of(f"status/{camera}"), "status")
-                except OSError as error:  # the bus is away, which the cameras' own processes say, or a file is
+                except OSError as error:  # the bus is away, which the cameras' own processes say, or a key is
                     log.debug("the status of camera %s cannot be published: %s", camera, error)
             self._closed.wait(self._config.limits.status_seconds)
         for bus in buses.values():
