@@ -269,8 +269,9 @@ def test_lines_agree_with_the_parser(top: dict[str, Any], tables: dict[str, dict
 
 
 def test_the_example_is_right_and_says_every_default() -> None:
-    assert parse(example()).site.name == "hq"
-    commented_in = re.sub(r"(?m)^# (\w+ = )", r"\1", example())
+    text = example()
+    assert parse(text).site.name == "hq"
+    commented_in = re.sub(r"(?m)^# (\w+ = )", r"\1", text)
     config = parse(commented_in)
     defaults = Config()
     for name in TABLES:
@@ -279,7 +280,7 @@ def test_the_example_is_right_and_says_every_default() -> None:
     for name, kind in TABLES.items():
         for field in kind.__struct_fields__:
             if f"{name}.{field}" not in TABLES:
-                assert re.search(rf"(?m)^(# )?{field} = ", example()), f"{name}.{field}"
+                assert re.search(rf"(?m)^(# )?{field} = ", text), f"{name}.{field}"
 
 
 @pytest.mark.parametrize("kind", [*TABLES.values(), CameraSettings])
