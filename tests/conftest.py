@@ -9,9 +9,13 @@ import os
 from collections.abc import Generator
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 DATA = "CAMTOPOD_TEST_DATA"
 """A skip for want of the data names this variable in its reason."""
+
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")  # that a busy machine is slow says nothing about what is tested
 
 
 @pytest.hookimpl(wrapper=True)
