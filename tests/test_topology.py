@@ -127,6 +127,14 @@ def test_digest_is_of_the_content_alone(topology: Topology) -> None:
 EMPTY = stamp(Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 0, "", [], [], [], [], []))
 
 
+def test_a_zero_that_changes_its_sign_is_in_the_delta() -> None:
+    """The digest sees it, so without it a subscriber could not follow."""
+    old = stamp(replace(EMPTY, cameras=[Camera("a", [], 0.0)]))
+    new = stamp(replace(EMPTY, version=2, cameras=[Camera("a", [], -0.0)]))
+    assert old.digest != new.digest
+    assert apply_delta(old, make_delta(old, new)) == new
+
+
 @pytest.mark.parametrize("other", [{"version": 3}, {"version": 1}, {"epoch": "02", "version": 2}])
 def test_only_the_next_version_follows(other: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="does not follow"):

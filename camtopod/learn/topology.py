@@ -98,10 +98,10 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
 
 
 def _changes(old: Iterable[_Item], new: Iterable[_Item], key: Callable[[_Item], Any]) -> tuple[list[_Item], list[Any]]:
-    """Items that are new or differ, and keys of items that are gone."""
-    before = {key(item): item for item in old}
+    """Items that are new or differ as the digest sees them (-0.0 is not 0.0), and keys of items that are gone."""
+    before = {key(item): msgspec.json.encode(item) for item in old}
     after = {key(item): item for item in new}
-    changed = [item for k, item in after.items() if before.get(k) != item]
+    changed = [item for k, item in after.items() if before.get(k) != msgspec.json.encode(item)]
     return changed, [k for k in before if k not in after]
 
 
