@@ -229,7 +229,7 @@ class JointFitter:
 
     def _leave(self, hazard: Floats) -> Floats:
         """Probability (n,) that the object of each departure is not seen again."""
-        again = np.bincount(self.candidates.source, self._appears(hazard), minlength=self.zones)
+        again = np.bincount(self.candidates.source, self._appears(hazard).sum(axis=1), minlength=self.zones)
         left: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)[self.departures.zone]
         return left
 
@@ -267,11 +267,11 @@ class JointFitter:
         return lent
 
     def _appears(self, hazard: Floats) -> Floats:
-        """Probability (P,) that an object leaving at the source appears next at the target."""
+        """Probability (P, bins) that an object leaving at the source appears next at the target in that lag bin."""
         n = np.maximum(self.exposure.max(axis=1, keepdims=True), 1.0)
         share = np.where(self.bins.edges[1:] > 0, 1.0, self.exposure / n)[self.candidates.source]
-        total: Floats = (hazard * self.bins.widths * share).sum(axis=1)
-        return total
+        appears: Floats = hazard * self.bins.widths * share
+        return appears
 
     def flatness(self, hazard: Floats) -> Floats:
         """Hazard without its dependence on the lag over the hazard, of each candidate (M,): as many transitions are

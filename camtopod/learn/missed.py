@@ -12,7 +12,7 @@ makes is a way itself.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,8 +103,8 @@ def find_ways(between: LinkTable, through: LinkTable, links: Rows, camera: Rows)
         np.bincount(ends[passages], through.transit.total[passages], minlength=zones)
         for ends in (through.source, through.target)
     )
-    first, middle = _joined(between.target[links], through.source[passages])
-    step, last = _joined(through.target[passages][middle], between.source[links])
+    first, middle = joined(between.target[links], through.source[passages])
+    step, last = joined(through.target[passages][middle], between.source[links])
     k, j, m = links[first[step]], passages[middle[step]], links[last]
     total = between.transit.total
     expected = total[k] * through.transit.total[j] / entered[through.source[j]] * total[m] / left[through.target[j]]
@@ -170,7 +170,7 @@ def _rows(keys: Rows, wanted: Rows) -> tuple[Rows, NDArray[np.bool_]]:
     return order[at], keys[order[at]] == wanted
 
 
-def _joined(left: NDArray[np.int32], right: NDArray[np.int32]) -> tuple[Rows, Rows]:
+def joined(left: NDArray[np.signedinteger[Any]], right: NDArray[np.signedinteger[Any]]) -> tuple[Rows, Rows]:
     """Every pair of rows that have the same key, as rows of ``left`` and of ``right``."""
     order = np.argsort(right, kind="stable")
     low, high = (np.searchsorted(right[order], left, side=side) for side in ("left", "right"))

@@ -7,8 +7,10 @@ Beside the hazards of the joint fit this one has
   one, whenever it will leave it. The hazard of an appearance before the exit is the sum of one that counts from the
   entry, by zone of entry, and one that counts from the exit. Both start from what exceeds chance: started from the exit
   alone, views that end where another begins would take each other's arrivals from the views between;
+* *skipped views* (`skipped`): whoever a camera misses is seen next where that camera would have led;
 * *contexts* of a departure (`contexts`), and leaving the network as an outcome like the others;
-* a test of whether two views overlap at all: without it what is seen elsewhere by chance counts for something.
+* a test of whether two views overlap at all: without it what is seen elsewhere by chance counts for something;
+* *sampling* at the end (`sampling`): what is believed is half of the fit and half of what its samples say.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ from camtopod.learn.contexts import Contexts, Level, multipliers
 from camtopod.learn.joint import LEAVE_FLOOR, START_FLOOR, Fit, JointFitter, smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import chance_rates
+from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.significance import RESPONSIBILITY_MAX
+from camtopod.learn.skipped import skip_hazards, ways_through
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -42,6 +46,17 @@ NEGLIGIBLE = 1e-4
 """Candidates with a smaller responsibility after the first few iterations are left out of the others."""
 ITERATIONS = 8
 """With contexts, which are learned in every other one."""
+SWEEPS, SETTLING_SWEEPS = 30, 15
+"""Draws of who came from where, and those of them that do not count yet."""
+SAMPLES_SHARE = 0.5
+"""Of what is believed in the end; the rest is what the fit said."""
+SAMPLING_SEED = 2011
+SKIPS_EVERY = 10
+"""Sweeps until skipped views are looked at again."""
+SKIP_ODDS_FIRST, SKIP_ODDS_MAX = 0.1, 2.0 / 3.0
+"""Passages that a camera misses for each that it records."""
+SKIP_ODDS_PASSAGES = 20.0
+"""The first odds count as much as this many passages recorded on ways that may be skipped."""
 
 
 class Posterior(NamedTuple):
@@ -73,12 +88,11 @@ def fit_posterior(
     """
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
     scout.look()
+    scout.skip()
     fitter = PosteriorFitter(departures, arrivals, scout.worth_following(), bins, zones, until)
     fitter.learn()
-    fit = Fit(
-        fitter.hazard, fitter.counts, fitter.responsibility, fitter.flatness(fitter.hazard), fitter.outside,
-        fitter.candidates, fitter.persistence,
-    )  # fmt: skip
+    fitter.sample()
+    fit = fitter.result()
     return Posterior(
         fit, fitter.share, fitter.leave, fitter.doubt(fit.flat), fitter.entry_source, fitter.entry_target,
         fitter.entry_hazard, fitter.levels,
@@ -99,6 +113,9 @@ class PosteriorFitter(JointFitter):
         self.contexts = Contexts(departures, arrivals, zones, int(self._camera.max(initial=0)) + 1)
         self._left = np.bincount(departures.zone, minlength=zones).astype(float)
         self._leaving = np.zeros(0)  # (n,) of each departure, once contexts are known
+        self._through = ways_through(departures, self.contexts.entry, self._camera)
+        self._skip_unit, self._skip_odds = np.zeros((self.pairs, bins.size)), SKIP_ODDS_FIRST
+        self._skip_part, self._entry_part = np.zeros(len(candidates.lag)), np.zeros(0)
         self._multiplier = np.ones(len(candidates.lag))
         self._find_early()
 
@@ -141,13 +158,55 @@ class PosteriorFitter(JointFitter):
         result[ahead] = ~overlapping[pair]
         return result
 
+    def skip(self) -> None:
+        """See to it that what appears after a skipped view is worth following, too."""
+        self._find_skips(self.hazard)
+        self._expect(self.hazard)
+
     def learn(self) -> None:
         """The whole fit."""
         self.entry_hazard, hazard = self._start_entry(), self.start(FIRST_NOISE_SD)
         for _ in range(FIRST_ROUNDS):
             hazard = self._iterate(hazard, FIRST_ITERATIONS, contexts=False)
             hazard = self.use_slowness(self._as_fit(hazard))
+            self._find_skips(hazard)
         self._iterate(hazard, ITERATIONS, contexts=True)
+
+    def sample(self) -> None:
+        """Weigh what the fit says with what is believed on average over draws of who came from where."""
+        fitted, early = self._responsibility, self._early
+        sources = Sources(self.candidates.arrival, len(self.arrivals.t), SAMPLING_SEED)
+        believed, skipped, entered = np.zeros(len(fitted)), np.zeros(len(fitted)), np.zeros(len(early))
+        for sweep in range(SWEEPS):
+            self._responsibility = sources.draw(self._responsibility)
+            hazard = self._with_faint(self._learn_hazards())
+            if (sweep + 1) % SKIPS_EVERY == 0:
+                self._find_skips(hazard)
+            self._expect(hazard)
+            if sweep % 2 == 0:
+                self._learn_contexts()
+            if sweep >= SETTLING_SWEEPS:
+                believed += self._responsibility
+                skipped += self._responsibility * self._skip_part
+                entered += self._responsibility[early] * self._entry_part
+        self._skip_part = skipped / np.maximum(believed, 1e-300)
+        self._entry_part = entered / np.maximum(believed[early], 1e-300)
+        on_average = believed / (SWEEPS - SETTLING_SWEEPS)
+        self._responsibility = SAMPLES_SHARE * on_average + (1.0 - SAMPLES_SHARE) * fitted
+        self.hazard = self._with_faint(self._learn_hazards())
+        self._learn_contexts()
+
+    def _with_faint(self, hazard: Floats) -> Floats:
+        source = self.candidates.source
+        return with_faint(hazard, np.maximum(self.exposure[source], 1.0), source, self.bins)
+
+    def result(self) -> Fit:
+        """All that leaves a view and appears in the next; ``hazard`` and ``counts`` are those counted from the exit."""
+        hazard = self.hazard + self._skip_odds * self._skip_unit
+        return Fit(
+            hazard, self.counts, self._responsibility, self.flatness(hazard), self.outside, self.candidates,
+            self.persistence,
+        )  # fmt: skip
 
     def _as_fit(self, hazard: Floats) -> Fit:
         nothing = np.zeros(0)
@@ -156,30 +215,51 @@ class PosteriorFitter(JointFitter):
     def _iterate(self, hazard: Floats, iterations: int, contexts: bool) -> Floats:
         for iteration in range(iterations):
             self._expect(hazard)
-            self._at_exit = self._responsibility.copy()
-            self._at_exit[self._early] *= 1.0 - self._entry_part
-            self._learn_entry()
-            self._look_outside()
-            self.counts = self._count(self._at_exit)
-            hazard = self._hazards(self.counts)
+            hazard = self._learn_hazards()
             if contexts and iteration % 2 == 0:
                 self._learn_contexts()
         self.hazard = hazard
         return hazard
 
+    def _learn_hazards(self) -> Floats:
+        """M step: hazards (P, bins) counted from the exit without those of skipped views; and all other tables."""
+        other = self._skip_part.copy()
+        other[self._early] += self._entry_part
+        self._at_exit = self._responsibility * np.maximum(1.0 - other, 0.0)
+        self._learn_entry()
+        self._learn_odds()
+        self._look_outside()
+        self.counts = self._count(self._at_exit)
+        return self._hazards(self.counts)
+
+    def _find_skips(self, hazard: Floats) -> None:
+        """Hazards of skipped views, by the links and passages as they are known now."""
+        self._skip_unit = skip_hazards(self._appears(hazard), self.candidates, self._through, self.bins, self.zones)
+
+    def _learn_odds(self) -> None:
+        """M step of the odds of a skipped view, which all views have in common."""
+        recorded = float((self._skip_unit * self.bins.widths).sum(axis=1) @ self._left[self.candidates.source])
+        skipped = float(self._responsibility @ self._skip_part)
+        odds = (skipped + SKIP_ODDS_FIRST * SKIP_ODDS_PASSAGES) / (recorded + SKIP_ODDS_PASSAGES)
+        self._skip_odds = min(odds, SKIP_ODDS_MAX)
+
     def _weights(self, hazard: Floats) -> Floats:
         """Hazard (M,) of each candidate that the others make."""
         weight = super()._weights(hazard)
         own = self._responsibility[self._early] * self._entry_own[self._entry_cell]
-        part = self.entry_hazard.ravel()[self._entry_cell] * np.maximum(1.0 - own, 0.0) * self._agreement[self._early]
-        total = weight[self._early] + part
-        self._entry_part = part / np.maximum(total, 1e-300)
-        weight[self._early] = total
+        entered = self.entry_hazard.ravel()[self._entry_cell] * np.maximum(1.0 - own, 0.0)
+        entered *= self._agreement[self._early]
+        skipped = self._skip_odds * self._skip_unit.ravel()[self._cell] * self._agreement
+        weight[self._early] += entered
+        weight += skipped
+        self._entry_part = entered / np.maximum(weight[self._early], 1e-300)
+        self._skip_part = skipped / np.maximum(weight, 1e-300)
         weight *= self._multiplier
         return weight
 
     def _leave(self, hazard: Floats) -> Floats:
-        return self._leaving if len(self._leaving) else super()._leave(hazard)
+        """Probability (n,) that the object of each departure is not seen again."""
+        return self._leaving if len(self._leaving) else super()._leave(hazard + self._skip_odds * self._skip_unit)
 
     def _learn_contexts(self) -> None:
         """Shares and leaving by zone, then by context."""

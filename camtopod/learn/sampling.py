@@ -1,0 +1,50 @@
+"""Monte Carlo over who came from where (thesis section 4.1; Marinakis and Dudek 2005 sample the same).
+
+Where there is little to go by, a fit that has settled is surer than it may be: it believes in its own first guesses. A
+sampler draws one source for each arrival, learns from the draw as if it were the truth, and draws again; what it
+believes on average is what the events say.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.lags import LagBins
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+FAINT_TRANSITIONS = 0.2
+"""Every pair of zones that is followed has this many transitions beforehand, at any lag after the exit: what has not
+been drawn may still happen.
+"""
+
+
+class Sources:
+    """Draws of one source, or the outside, for each of ``n`` arrivals; ``arrival`` (M,) is that of each candidate."""
+
+    def __init__(self, arrival: Ints, n: int, seed: int) -> None:
+        self._order = np.argsort(arrival, kind="stable")
+        self._start = np.searchsorted(arrival[self._order], np.arange(n + 1))
+        self._random = np.random.default_rng(seed)
+
+    def draw(self, responsibility: Floats) -> Floats:
+        """1 for each candidate (M,) that is drawn, else 0, with these probabilities."""
+        reached = np.cumsum(responsibility[self._order])
+        before = np.concatenate(([0.0], reached))[self._start[:-1]]
+        at = np.searchsorted(reached, before + self._random.random(len(before)))
+        drawn = np.zeros(len(responsibility))
+        drawn[self._order[at[at < self._start[1:]]]] = 1.0
+        return drawn
+
+
+def with_faint(hazard: Floats, exposed: Floats, source: Ints, bins: LagBins) -> Floats:
+    """Hazards (P, bins) as they are with the faint transitions that every pair has; ``exposed`` (P, bins) departures,
+    ``source`` (P,).
+    """
+    after = bins.edges[1:] > 0
+    diluted = exposed + FAINT_TRANSITIONS * np.bincount(source)[source][:, None]
+    faint = FAINT_TRANSITIONS * after / (after.sum() * bins.widths)
+    mixed: Floats = (hazard * exposed + faint) / diluted
+    return mixed

@@ -1,0 +1,122 @@
+"""Skipped views: an object that a camera on its way did not record appears next where that camera would have led it.
+
+Who takes u -> a, passes that view from a to b and takes b -> v is seen at u and next at v when the camera missed the
+passage: for every one that it recorded there are ``odds = m / (1 - m)`` such, m being the share that it misses. There
+are far more such pairs (u, v) than links, each with a percent or so of the departures, too few to be found one by one;
+but the links and the passages say how likely and how late each of them is, and only the odds have to be learned.
+
+`missed` uses the same ways to publish no link that they explain.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.candidates import Candidates, Departures
+from camtopod.learn.lags import LagBins, smoother
+from camtopod.learn.missed import joined
+
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
+
+PASSAGE_SHARE_MIN = 0.02
+"""Less likely ways through a view are not followed; nor are ..."""
+LINK_SHARE_MIN = 0.05
+"""... next appearances of a smaller share of the departures; nor ..."""
+WAY_SHARE_MIN = 1e-3
+"""... ways that fewer take."""
+TIED_SHARE_MIN = 0.5
+"""Of a camera that ties a smaller share of its exits to entries, any entry may lead to any exit."""
+UNKNOWN_STAY_SECONDS = 10.0
+LEG_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+SPREAD_SD_BINS = 2.0
+"""The lags of a way are those of its legs at these quantiles, spread over this many bins."""
+
+
+class Through(NamedTuple):
+    """Ways through views, (n,) each: zones of entry and exit, share of those who enter there, usual seconds."""
+
+    entry: Longs
+    exit: Longs
+    share: Floats
+    seconds: Floats
+
+
+def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through:
+    """The likely ways through all views. ``entry`` (departures,): zone where the passage began, -1 unknown; ``camera``
+    (zones,).
+    """
+    zones, d = len(camera), departures
+    tied = entry >= 0
+    of_camera = np.bincount(camera[d.zone], minlength=zones)
+    ties = np.bincount(camera[d.zone], tied, minlength=zones) >= TIED_SHARE_MIN * np.maximum(of_camera, 1)
+    key, n, seconds = _medians(entry[tied] * zones + d.zone[tied], (d.t - d.since)[tied])
+    came, left = key // zones, key % zones
+    share = n / np.bincount(came, n, minlength=zones)[came]
+    known = ties[camera[came]] & (share >= PASSAGE_SHARE_MIN)
+    guessed = _any_to_any(departures, camera, ~ties & (of_camera > 0))
+    return Through(
+        *(
+            np.concatenate((ours[known], theirs))
+            for ours, theirs in zip((came, left, share, seconds), guessed, strict=True)
+        )
+    )
+
+
+def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]) -> Through:
+    """The ways through the views of the cameras ``wanted`` (zones,; by index) as if all who enter left alike."""
+    d, zones = departures, len(camera)
+    timed = np.isfinite(d.since)
+    where, _, stay = _medians(camera[d.zone[timed]], (d.t - d.since)[timed])
+    seconds = np.full(zones, UNKNOWN_STAY_SECONDS)
+    seconds[where] = stay
+    left = np.bincount(d.zone, minlength=zones)
+    share = left / np.maximum(np.bincount(camera, left, minlength=zones)[camera], 1.0)
+    mine = np.flatnonzero(wanted[camera])
+    entry, ends = joined(camera[mine], camera[mine])
+    kept = share[mine[ends]] >= PASSAGE_SHARE_MIN
+    came, gone = mine[entry][kept], mine[ends][kept]
+    return Through(came, gone, share[gone], seconds[camera[gone]])
+
+
+def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
+    """The keys that occur, how often, and the (upper) median of their seconds."""
+    present, number, n = np.unique(key, return_inverse=True, return_counts=True)
+    order = np.lexsort((seconds, number))
+    return present.astype(np.int64), n.astype(np.int64), seconds[order][np.cumsum(n) - n + n // 2]
+
+
+def skip_hazards(appears: Floats, candidates: Candidates, through: Through, bins: LagBins, zones: int) -> Floats:
+    """Hazard (P, bins) of appearing next at a target because the view between was skipped, if it skipped every second.
+
+    ``appears`` (P, bins): probability that who leaves at the source appears next at the target in that lag bin.
+    """
+    c = candidates
+    share = appears.sum(axis=1)
+    link = np.flatnonzero(share >= LINK_SHARE_MIN)
+    first, way = joined(c.target[link], through.entry)
+    step, last = joined(through.exit[way], c.source[link])
+    k, j, m = link[first[step]], way[step], link[last]
+    taken = share[k] * through.share[j] * share[m]
+    pair, known = _pairs(c, c.source[k].astype(np.int64) * zones + c.target[m], zones)
+    kept = known & (taken >= WAY_SHARE_MIN)
+    first, last, j, pair, taken = first[step][kept], last[kept], j[kept], pair[kept], taken[kept]
+    reached = np.cumsum(appears[link], axis=1) / share[link][:, None]
+    legs = bins.centres[np.minimum((reached[:, :, None] < LEG_QUANTILES).sum(axis=1), bins.size - 1)]
+    lag = legs[first][:, :, None] + through.seconds[j][:, None, None] + legs[last][:, None, :]
+    at = bins.index(lag)
+    cell = pair[:, None, None] * bins.size + at
+    weight = np.broadcast_to((taken / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
+    mass = np.bincount(cell[at >= 0], weight[at >= 0], minlength=len(share) * bins.size).reshape(-1, bins.size)
+    hazard: Floats = mass @ smoother(bins.size, SPREAD_SD_BINS).T / bins.widths
+    return hazard
+
+
+def _pairs(candidates: Candidates, wanted: Longs, zones: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Numbers of the pairs of zones with the keys ``wanted`` (source * zones + target), and whether there are such."""
+    present = candidates.source.astype(np.int64) * zones + candidates.target  # ascending
+    at = np.minimum(np.searchsorted(present, wanted), max(len(present) - 1, 0))
+    return at, present[at] == wanted if len(present) else np.zeros(len(wanted), bool)
