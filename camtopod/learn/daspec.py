@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,11 @@ BANDWIDTH_MIN = 0.75
 """Grid steps. Below it the kernel sees the grid instead of the points."""
 EIGENVECTORS_MAX = 48
 """At most this many eigenvectors are looked at, so there are at most as many groups."""
-_CHI = float(np.sqrt(chi2.ppf(0.95, 2)))
+
+
+def _chi_95(d: int) -> float:
+    """Root of the 95 % quantile of chi-squared with ``d`` degrees of freedom (`scipy.stats` takes long to load)."""
+    return float(np.sqrt(2.0 * gammaincinv(d / 2.0, 0.95)))
 
 
 class Spectrum(NamedTuple):
@@ -119,7 +123,7 @@ def authors_bandwidth(points: Floats) -> float:
     """
     distances = np.sqrt(((points[:, None, :] - points[None, :, :]) ** 2).sum(axis=2))
     near = np.quantile(distances, 0.05, axis=1)
-    return float(np.quantile(near, 0.95) / np.sqrt(chi2.ppf(0.95, points.shape[1])))
+    return float(np.quantile(near, 0.95) / _chi_95(points.shape[1]))
 
 
 def bandwidth(counts: NDArray[np.generic]) -> float:
@@ -141,4 +145,4 @@ def bandwidth(counts: NDArray[np.generic]) -> float:
     radius = np.sqrt(np.take_along_axis(distances, order, axis=1)[np.arange(len(cells)), last])
     by_radius = radius.argsort(kind="stable")
     share = np.cumsum(weights[by_radius]) / weights.sum()
-    return max(float(radius[by_radius[(share >= 0.95 - 1e-9).argmax()]]) / _CHI, BANDWIDTH_MIN)
+    return max(float(radius[by_radius[(share >= 0.95 - 1e-9).argmax()]]) / _chi_95(2), BANDWIDTH_MIN)

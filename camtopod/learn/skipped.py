@@ -49,10 +49,10 @@ def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through
     """The likely ways through all views. ``entry`` (departures,): zone where the passage began, -1 unknown; ``camera``
     (zones,).
     """
-    zones, d = len(camera), departures
+    zones, cameras, d = len(camera), int(camera.max(initial=-1)) + 1, departures
     tied = entry >= 0
-    of_camera = np.bincount(camera[d.zone], minlength=zones)
-    ties = np.bincount(camera[d.zone], tied, minlength=zones) >= TIED_SHARE_MIN * np.maximum(of_camera, 1)
+    of_camera = np.bincount(camera[d.zone], minlength=cameras)
+    ties = np.bincount(camera[d.zone], tied, minlength=cameras) >= TIED_SHARE_MIN * np.maximum(of_camera, 1)
     key, n, seconds = _medians(entry[tied] * zones + d.zone[tied], (d.t - d.since)[tied])
     came, left = key // zones, key % zones
     share = n / np.bincount(came, n, minlength=zones)[came]
@@ -67,14 +67,14 @@ def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through
 
 
 def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]) -> Through:
-    """The ways through the views of the cameras ``wanted`` (zones,; by index) as if all who enter left alike."""
-    d, zones = departures, len(camera)
+    """The ways through the views of the cameras ``wanted`` (cameras,) as if all who enter left alike."""
+    d = departures
     timed = np.isfinite(d.since)
     where, _, stay = _medians(camera[d.zone[timed]], (d.t - d.since)[timed])
-    seconds = np.full(zones, UNKNOWN_STAY_SECONDS)
+    seconds = np.full(len(wanted), UNKNOWN_STAY_SECONDS)
     seconds[where] = stay
-    left = np.bincount(d.zone, minlength=zones)
-    share = left / np.maximum(np.bincount(camera, left, minlength=zones)[camera], 1.0)
+    left = np.bincount(d.zone, minlength=len(camera))
+    share = left / np.maximum(np.bincount(camera, left)[camera], 1.0)
     mine = np.flatnonzero(wanted[camera])
     entry, ends = joined(camera[mine], camera[mine])
     kept = share[mine[ends]] >= PASSAGE_SHARE_MIN
