@@ -1,0 +1,146 @@
+"""Whoever a camera misses is seen next where it would have led; how many, the ways around say."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from foretold import foretold
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made import Views
+
+from bench.regimes import REGIMES
+from camtopod.learn import posterior
+from camtopod.learn import skipped as module
+from camtopod.learn.candidates import Candidates, Departures, find_candidates
+from camtopod.learn.lags import LagBins
+from camtopod.learn.posterior import Posterior, fit_posterior
+from camtopod.learn.skipped import Through, skip_hazards, ways_through
+
+BINS = LagBins(-60.0, 120.0)
+CAMERA = np.array([0, 1, 1, 2, 2, 3], np.int64)
+SITE = Views([0, 1, 1, 2, 2, 3])
+
+
+def walks(seed: int, objects: int, missed: float, span: float = 30_000.0) -> Views:
+    """0 -> (1 2) -> (3 4) -> 5, or off after the first view; each view in between misses some."""
+    rng = np.random.default_rng(seed)
+    views = Views(SITE.camera.tolist())
+    for t in rng.uniform(0, span, objects):
+        legs = [(0, 0), (1, 2), (3, 4), (5, 5)]
+        for k, (entry, leave) in enumerate(legs[: 4 if rng.random() < 0.7 else 1]):
+            stay = rng.uniform(4, 6)
+            if k in (0, 3) or rng.random() >= missed:
+                views.through(t, t + stay, entry, leave)
+            t += stay + rng.normal(10, 1)
+    return views
+
+
+def learned(views: Views) -> Posterior:
+    departures, arrivals = views.columns()
+    zones = len(views.camera)
+    until = float(max(departures.t[-1], arrivals.t[-1]))
+    candidates = find_candidates(departures, arrivals, BINS, zones)
+    return fit_posterior(departures, arrivals, candidates, BINS, zones, until)
+
+
+def share(found: Posterior, source: int, target: int) -> float:
+    c = found.fit.candidates
+    return float(found.share[(c.source == source) & (c.target == target)].sum())
+
+
+# --- what it is for ---
+
+
+def test_a_tenth_missed_is_seen_after_the_next_view() -> None:
+    few = learned(walks(3, 900, 0.1))
+    assert share(few, 0, 3) == pytest.approx(0.07, abs=0.03)
+    assert share(few, 2, 5) == pytest.approx(0.1, abs=0.04)
+    c = few.fit.candidates
+    (row,) = np.flatnonzero((c.source == 0) & (c.target == 3))
+    assert BINS.centres[np.argmax(few.fit.hazard[row])] == pytest.approx(25.0, abs=3.0)
+
+
+def test_nothing_missed_nothing_skipped() -> None:
+    found = learned(walks(4, 900, 0.0))
+    assert share(found, 0, 3) < 0.02
+    assert share(found, 2, 5) < 0.02
+
+
+@pytest.mark.parametrize("missed", [0.05, 0.2, 0.35])
+def test_as_many_as_are_missed(missed: float) -> None:
+    found = learned(walks(5, 1500, missed, 60_000.0))
+    assert share(found, 0, 3) == pytest.approx(0.7 * missed * (1 - missed), abs=0.03)
+    assert share(found, 0, 5) == pytest.approx(0.7 * missed**2, abs=0.03)
+
+
+def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A site of 12 cameras that miss a tenth, an hour and a half."""
+    networks = [REGIMES["short"].make(seed, 0.5) for seed in (20, 21)]
+    with_ways = [foretold(*network) for network in networks]
+    monkeypatch.setattr(posterior, "skip_hazards", lambda appears, *_: np.zeros_like(appears))
+    without = [foretold(*network) for network in networks]
+    loss, top3 = (
+        np.mean([one[figure] - other[figure] for one, other in zip(with_ways, without, strict=True)])
+        for figure in ("log_loss", "top3")
+    )
+    assert loss < -0.02
+    assert top3 > -0.005
+
+
+# --- its slow twins ---
+
+
+@given(st.integers(0, 10**6), st.integers(0, 60), st.floats(0.0, 1.0))
+@settings(max_examples=60)
+def test_ways_through_equal_loops(seed: int, n: int, tied: float) -> None:
+    rng = np.random.default_rng(seed)
+    zone = rng.integers(0, len(CAMERA), n).astype(np.int32)
+    t = np.sort(rng.uniform(0, 1000, n))
+    alone = np.array([np.flatnonzero(CAMERA[z] == CAMERA)[rng.integers(0, (CAMERA[z] == CAMERA).sum())] for z in zone])
+    entry = np.where(rng.random(n) < tied, alone, -1).astype(np.int64)
+    since = np.where((entry >= 0) | (rng.random(n) < 0.3), t - rng.uniform(1, 30, n).round(2), -np.inf)
+    departures = Departures.untold(t, zone, CAMERA[zone].astype(np.int32), since, np.full(n, np.nan))
+    fast = ways_through(departures, entry, CAMERA)
+    slow = naive.ways_through(
+        departures, entry, CAMERA, module.PASSAGE_SHARE_MIN, module.TIED_SHARE_MIN, module.UNKNOWN_STAY_SECONDS
+    )
+    found = {(a, b): (p, s) for a, b, p, s in zip(*(column.tolist() for column in fast), strict=True)}
+    assert len(found) == len(fast.entry)
+    assert found.keys() == slow.keys()
+    for way, figures in slow.items():
+        assert found[way] == pytest.approx(figures)
+
+
+@given(st.integers(0, 10**6), st.integers(1, 20), st.integers(0, 8))
+@settings(max_examples=40)
+def test_skip_hazards_equal_loops(seed: int, pairs: int, passages: int) -> None:
+    rng = np.random.default_rng(seed)
+    zones = len(CAMERA)
+    key = np.sort(rng.choice(zones * zones, pairs, replace=False))
+    source, target = (key // zones).astype(np.int32), (key % zones).astype(np.int32)
+    appears = rng.dirichlet(np.full(BINS.size, 0.05), pairs) * rng.uniform(0.0, 0.6, (pairs, 1))
+    ways = sorted({(int(rng.integers(zones)), int(rng.integers(zones))) for _ in range(passages)})
+    through = {way: (float(rng.uniform(0.02, 1.0)), float(rng.uniform(1, 40))) for way in ways}
+    none = np.zeros(0, np.int32)
+    came, left = (np.array([way[k] for way in ways], np.int64) for k in (0, 1))
+    passes, seconds = (np.array([through[way][k] for way in ways]) for k in (0, 1))
+    fast = skip_hazards(
+        appears, Candidates(none, none, none, np.zeros(0), source, target), Through(came, left, passes, seconds),
+        BINS, zones,
+    )  # fmt: skip
+    slow = naive.skip_hazards(
+        appears, source.tolist(), target.tolist(), through, BINS, module.LEG_QUANTILES, module.SPREAD_SD_BINS,
+        module.LINK_SHARE_MIN, module.WAY_SHARE_MIN,
+    )  # fmt: skip
+    assert fast == pytest.approx(slow, abs=1e-12)
+
+
+def test_without_pairs_or_passages_nothing() -> None:
+    none, nothing = np.zeros(0, np.int32), np.zeros(0)
+    nowhere = Through(np.zeros(0, np.int64), np.zeros(0, np.int64), nothing, nothing)
+    empty = Candidates(none, none, none, nothing, none, none)
+    assert skip_hazards(np.zeros((0, BINS.size)), empty, nowhere, BINS, 3).shape == (0, BINS.size)
+    one = empty._replace(source=np.array([0], np.int32), target=np.array([1], np.int32))
+    assert not skip_hazards(np.full((1, BINS.size), 0.01), one, nowhere, BINS, 3).any()
