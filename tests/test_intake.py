@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import random
 
+import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from camtopod.learn import intake as module
-from camtopod.learn.intake import MICROSECONDS, Intake, Sequence, microseconds
+from camtopod.learn.intake import BEHIND_EVENTS, MICROSECONDS, Intake, IntakeState, Sequence, microseconds
 from camtopod.records import Event
 
 
@@ -217,3 +218,56 @@ def test_event_time_is_where_a_second_camera_has_come_to(events: list[Event]) ->
         reached = sorted(newest.values())[-2 if len(newest) > 1 else -1]
         wanted = microseconds(max(reached, max(newest.values()) - 60.0) - 5.0)
         assert intake.watermark_us == (wanted if before is None else max(wanted, before))
+
+
+def test_a_clock_that_is_behind_is_waited_for() -> None:
+    """Camera b is 30 s behind: its events are late until that is known, then no more; put right, nobody waits."""
+    intake = Intake(5.0, 9, 60.0)
+    verdicts = []
+    for t in range(400):
+        intake.receive(event(t, "a"))
+        intake.receive(event(t, "c"))
+        verdicts.append(intake.receive(event(t - (30.0 if t < 300 else 0.0), "b")))
+        if t == 299:
+            assert intake.lateness_us == microseconds(5 + 30)
+    known = BEHIND_EVENTS + 30
+    assert set(verdicts[:known]) == {"accepted", "late"}
+    assert set(verdicts[known:]) == {"accepted"}
+    assert intake.lateness_us == microseconds(5)
+
+
+def test_what_is_late_for_once_is_not_waited_for() -> None:
+    intake = Intake(5.0, 9, 60.0)
+    for t in range(0, 1000, 10):
+        intake.receive(event(t, "a"))
+        intake.receive(event(t, "c"))
+        if t % 20:
+            intake.receive(event(t - 30.0, "b"))
+        else:
+            intake.receive(event(t, "b"))
+    for t in range(50):
+        assert intake.receive(event(200 + t, "b")) == "late", "a backlog says nothing of a clock"
+    assert intake.lateness_us == microseconds(5)
+
+
+def test_how_far_clocks_are_behind_is_part_of_the_state() -> None:
+    intake, other = Intake(5.0, 9, 60.0), Intake(5.0, 9, 60.0)
+    for t in range(75):
+        for camera, behind in (("a", 0.0), ("c", 0.0), ("b", 20.0)):
+            intake.receive(event(t - behind, camera))
+    other.load(msgspec.msgpack.decode(msgspec.msgpack.encode(intake.save()), type=IntakeState))
+    assert other.lateness_us == intake.lateness_us == microseconds(5 + 20)
+    for t in range(75, 120):
+        for camera, behind in (("a", 0.0), ("b", 0.0), ("c", 0.0)):
+            assert other.receive(event(t - behind, camera)) == intake.receive(event(t - behind, camera))
+        assert other.watermark_us == intake.watermark_us
+    assert other.lateness_us == microseconds(5)
+
+
+@given(EVENTS, st.randoms(use_true_random=False))
+def test_within_the_lateness_nobody_is_waited_for_longer(events: list[Event], chance: random.Random) -> None:
+    intake = Intake(20.0, 9, 60.0)
+    for e in sorted(events, key=lambda e: e.t + chance.uniform(0.0, 19.0)):
+        if intake.receive(e) == "late":
+            break
+        assert intake.lateness_us == microseconds(20)

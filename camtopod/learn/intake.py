@@ -4,8 +4,9 @@ time.
 Theory of operation. The watermark trails event time by the lateness. An event at or above the watermark is held
 until the watermark has passed it; one below is late: counted, not learned. So any order of arrival within the
 lateness gives the same sequence out. Event time is where a second camera has come to, so that a single one whose
-clock is ahead makes nobody else late; but it is at most ``ahead`` behind the first, so that silent cameras hold
-nobody up. An event with (camera, boot, seq) counts once however often it comes.
+clock is ahead makes nobody else late; but it is at most ``apart`` behind the first, so that silent cameras hold
+nobody up. A camera whose events are mostly late, but by no more than ``apart``, has a clock that is behind: from then
+on it is waited for. An event with (camera, boot, seq) counts once however often it comes.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ BOOTS_PER_CAMERA_MAX = 16
 GAPS_PER_BOOT_MAX = 1024
 """Gaps in one incarnation's count that are remembered; beyond, the oldest gap counts as delivered."""
 
+BEHIND_EVENTS = 20
+"""Of so many events in a row, most have to be late to tell of a clock that is behind."""
+
 MICROSECONDS = 1_000_000
 _Key = tuple[int, str, str, float, float, str, str, int]
 
@@ -28,6 +32,28 @@ _Key = tuple[int, str, str, float, float, str, str, int]
 def microseconds(t: float) -> int:
     """Event time as an integer, so that equal times are equal and sums can be undone."""
     return round(t * MICROSECONDS)
+
+
+class Behind(Struct):
+    """How far one camera's events come behind event time, in microseconds."""
+
+    known: int = 0
+    """The most that one of the last `BEHIND_EVENTS` was behind; 0 when most of them were not late."""
+    events: int = 0
+    """Since then, ..."""
+    late: int = 0
+    """... how many of these were late, ..."""
+    most: int = 0
+    """... and the most that one of them was behind."""
+
+    def note(self, behind_us: int, lateness_us: int) -> None:
+        """One more event."""
+        self.events += 1
+        self.late += behind_us > lateness_us
+        self.most = max(self.most, behind_us)
+        if self.events == BEHIND_EVENTS:
+            self.known = self.most if 2 * self.late > BEHIND_EVENTS else 0
+            self.events = self.late = self.most = 0
 
 
 class IntakeState(Struct):
@@ -41,6 +67,7 @@ class IntakeState(Struct):
     held: list[Event]
     cameras: list[str]
     seen: list[tuple[str, str, list[int], list[int]]]
+    behind: dict[str, Behind] = {}
 
 
 class Sequence:
@@ -77,9 +104,9 @@ class Sequence:
 class Intake:
     """Events in any order in, events by time out."""
 
-    def __init__(self, lateness_seconds: float, cameras_max: int, ahead_seconds_max: float = 0.0) -> None:
-        self.lateness_us = microseconds(lateness_seconds)
-        self.ahead_us = microseconds(ahead_seconds_max)
+    def __init__(self, lateness_seconds: float, cameras_max: int, clocks_apart_seconds: float = 0.0) -> None:
+        self._lateness_us = microseconds(lateness_seconds)
+        self._apart_us = microseconds(clocks_apart_seconds)
         self.cameras_max = cameras_max
         self.newest_us: int | None = None
         self.watermark_us: int | None = None
@@ -90,6 +117,9 @@ class Intake:
         self._held: list[Event] = []
         self._oldest_us: int | None = None  # of those held
         self._seen: dict[str, dict[str, Sequence]] = {}
+        self._behind: dict[str, Behind] = {}
+        self.lateness_us = self._lateness_us
+        """By how much the watermark trails event time: the setting, and the clock that is furthest behind."""
 
     def save(self) -> IntakeState:
         """Everything `load` needs to go on from here."""
@@ -100,7 +130,7 @@ class Intake:
         ]
         return IntakeState(
             self.newest_us, self._second_us, self._leader, self.watermark_us, self.counts, list(self._held),
-            list(self._seen), seen,
+            list(self._seen), seen, self._behind,
         )  # fmt: skip
 
     def load(self, state: IntakeState) -> None:
@@ -112,6 +142,8 @@ class Intake:
         for camera, boot, starts, ends in state.seen:
             sequence = self._seen[camera][boot] = Sequence()
             sequence.starts, sequence.ends = starts, ends
+        self._behind = state.behind
+        self._wait_for_the_last()
 
     def receive(self, event: Event) -> str:
         """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many
@@ -135,6 +167,7 @@ class Intake:
             if not sequence.add(event.seq):
                 return "duplicate"
         t_us = microseconds(event.t)
+        self._look_behind(t_us, event.camera)
         if self.watermark_us is not None and t_us < self.watermark_us:
             return "late"
         self._note(t_us, event.camera)
@@ -152,11 +185,32 @@ class Intake:
             self._second_us = t_us
         self._raise_watermark()
 
+    def _look_behind(self, t_us: int, camera: str) -> None:
+        """How far an event is behind event time; one that is further than clocks may be apart tells of no clock."""
+        come = self._come_to()
+        if come is None or come - t_us > self._apart_us:
+            return
+        behind = self._behind.setdefault(camera, Behind())
+        known = behind.known
+        behind.note(come - t_us, self._lateness_us)
+        if behind.known != known:
+            self._wait_for_the_last()
+
+    def _wait_for_the_last(self) -> None:
+        self.lateness_us = self._lateness_us + max((behind.known for behind in self._behind.values()), default=0)
+
+    def _come_to(self) -> int | None:
+        """Event time, in microseconds."""
+        if self.newest_us is None:
+            return None
+        second = self.newest_us if self._second_us is None else self._second_us
+        return max(second, self.newest_us - self._apart_us)
+
     def _raise_watermark(self) -> None:
         """It only rises: what has been passed has been learned."""
-        assert self.newest_us is not None
-        second = self.newest_us if self._second_us is None else self._second_us
-        watermark = max(second, self.newest_us - self.ahead_us) - self.lateness_us
+        come = self._come_to()
+        assert come is not None
+        watermark = come - self.lateness_us
         if self.watermark_us is None or watermark > self.watermark_us:
             self.watermark_us = watermark
 

@@ -17,7 +17,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     lateness_seconds: float = 5.0
     """How much out of order events may come; later ones are counted, not learned."""
     ahead_seconds_max: float = 60.0
-    """A single camera whose clock is up to this much ahead makes nobody else late."""
+    """A single camera whose clock is up to this much ahead makes nobody else late; one as much behind is waited for."""
     version_seconds: Annotated[float, Meta(gt=0)] = 60.0
     """Event time between two looks at whether a new version is due."""
     refit_share: float = 0.2
