@@ -15,6 +15,7 @@ from camtopod.learn import posterior
 from camtopod.learn import skipped as module
 from camtopod.learn.candidates import Candidates, Departures, find_candidates
 from camtopod.learn.lags import LagBins
+from camtopod.learn.passages import UNKNOWN_STAY_SECONDS
 from camtopod.learn.posterior import Posterior, fit_posterior
 from camtopod.learn.skipped import Through, skip_hazards, ways_through
 
@@ -104,7 +105,7 @@ def test_ways_through_equal_loops(seed: int, n: int, tied: float) -> None:
     departures = Departures.untold(t, zone, CAMERA[zone].astype(np.int32), since, np.full(n, np.nan))
     fast = ways_through(departures, entry, CAMERA)
     slow = naive.ways_through(
-        departures, entry, CAMERA, module.PASSAGE_SHARE_MIN, module.TIED_SHARE_MIN, module.UNKNOWN_STAY_SECONDS
+        departures, entry, CAMERA, module.PASSAGE_SHARE_MIN, module.TIED_SHARE_MIN, UNKNOWN_STAY_SECONDS
     )
     found = {(a, b): (p, s) for a, b, p, s in zip(*(column.tolist() for column in fast), strict=True)}
     assert len(found) == len(fast.entry)

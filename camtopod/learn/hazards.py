@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from camtopod.learn.joint import LEAVE_FLOOR, smooth
 from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins
+from camtopod.learn.passages import UNKNOWN_STAY_SECONDS
 from camtopod.records import Histogram, Link, Onward, Topology
 
 Floats = NDArray[np.float64]
 
-UNKNOWN_STAY_SECONDS = 10.0
 EXPOSURE_MIN = 0.02
 NORMAL_Q90 = 1.2816
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from camtopod.learn.candidates import Candidates, Departures
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.missed import joined
+from camtopod.learn.passages import UNKNOWN_STAY_SECONDS
 
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
@@ -30,7 +31,6 @@ WAY_SHARE_MIN = 1e-3
 """... ways that fewer take."""
 TIED_SHARE_MIN = 0.5
 """Of a camera that ties a smaller share of its exits to entries, any entry may lead to any exit."""
-UNKNOWN_STAY_SECONDS = 10.0
 LEG_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 SPREAD_SD_BINS = 2.0
 """The lags of a way are those of its legs at these quantiles, spread over this many bins."""
