@@ -13,7 +13,8 @@ In the order in which data flows:
   figures; `links`
 * `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
 * `change`, `silence`, `alarms`: what opened, closed, moved or fell silent; `scoring`: how good its own predictions were
-* `posterior`, `contexts`: where objects go, all weak evidence included; `model`: what of it a version carries
+* `posterior`, `contexts`, `skipped`, `sampling`: where objects go, all weak evidence included; `model`: what of it a
+  version carries
 * `assemble`, `topology`: versions with digests and deltas
 * `hazards`, `surroundings`, `pace`, `predict`: where to look next, and when
 """
