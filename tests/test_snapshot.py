@@ -88,6 +88,7 @@ def test_restored_anywhere_the_versions_are_the_same(name: str) -> None:
 
 
 @pytest.mark.campaign
+@pytest.mark.timeout(3600)
 def test_a_thousand_restores() -> None:
     for name in NETWORKS:
         for seed in range(17):
