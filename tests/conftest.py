@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 from collections.abc import Generator
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded: the matrices are small, the cores are taken
+
 import pytest
 from hypothesis import HealthCheck, settings
 

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from camtopod.learn import intake as module
 from camtopod.learn.intake import BEHIND_EVENTS, MICROSECONDS, Intake, IntakeState, Sequence, microseconds
 from camtopod.records import Event
+from camtopod.sim.network import simulate
+from camtopod.sim.settings import SimSettings
 
 
 def event(t: float, camera: str = "a", kind: str = "entry", **rest: object) -> Event:
@@ -271,3 +273,17 @@ def test_within_the_lateness_nobody_is_waited_for_longer(events: list[Event], ch
         if intake.receive(e) == "late":
             break
         assert intake.lateness_us == microseconds(20)
+
+
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_of_a_site_with_wrong_clocks_nearly_all_is_learned(seed: int) -> None:
+    """A third of the clocks are up to 30 s off, and events come when they happen, not when their stamps say: one clock
+    is behind, or two are ahead and all others behind these.
+    """
+    events, truth = simulate(SimSettings(cameras=6, hours=2.0, seed=seed, clock_max=30.0, clock_share=1 / 3))
+    patient, hasty = Intake(5.0, 9, 60.0), Intake(5.0, 9, 0.0)
+    for e in sorted(events, key=lambda e: e.t - truth.clock_offsets.get(e.camera, 0.0)):
+        patient.receive(e)
+        hasty.receive(e)
+    assert hasty.counts["late"] > 0.15 * len(events)
+    assert patient.counts["late"] < 0.05 * len(events)

@@ -19,7 +19,7 @@ from camtopod.learn.settings import Settings
 from camtopod.learn.topology import apply_delta, digest_of, make_delta
 from camtopod.records import Event, Link, Topology
 from camtopod.sim.network import SimSettings, simulate
-from camtopod.sim.score import clock_errors, score
+from camtopod.sim.score import score
 
 QUICK = Settings(version_seconds=10.0, refit_share=0.3)
 AT_THE_END = Settings(version_seconds=1e6)
@@ -454,18 +454,3 @@ def test_no_links_where_there_are_none(seed: int, rhythm: float) -> None:
     assert topology.pairs == []
     assert len(topology.cameras) == 6
     assert len(topology.zones) > 12
-
-
-@pytest.mark.parametrize("seed", [4, 5, 6])
-def test_wrong_clocks_are_learned_as_events_come(seed: int) -> None:
-    """A third of the clocks are up to 30 s off, and events come when they happen, not when their stamps say: one clock
-    is behind, or two are ahead and all others behind these.
-    """
-    events, truth = simulate(SimSettings(cameras=6, hours=2.0, seed=seed, clock_max=30.0, clock_share=1 / 3))
-    learner = Learner()
-    for event in sorted(events, key=lambda event: event.t - truth.clock_offsets.get(event.camera, 0.0)):
-        learner.receive(event)
-    learner.flush()
-    assert learner.statistics()["late"] < 0.05 * len(events)
-    assert learner.topology is not None
-    assert max(abs(error) for error in clock_errors(learner.topology, truth).values()) < 0.5
