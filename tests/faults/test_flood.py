@@ -148,11 +148,21 @@ def flood(one: Flooded, seconds: float) -> Outcome:
 
 @pytest.mark.parametrize("flooded", [SOON_FULL], indirect=True, ids=["soon full"])
 def test_a_flood_hurts_only_its_camera(flooded: Flooded) -> None:
-    outcome = flood(flooded, 6.0)
+    flood(flooded, 6.0)
     assert flooded.status()["events"]["flood"] > 0
+
+
+# How memory goes is seen on a machine that does nothing else: beside others, a few seconds are not enough.
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("flooded", [SOON_FULL], indirect=True, ids=["soon full"])
+def test_with_the_guard_memory_is_flat(flooded: Flooded) -> None:
+    outcome = flood(flooded, 12.0)
     assert outcome.growth <= GROWTH_MAX, outcome.said
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("flooded", [UNGUARDED], indirect=True, ids=["unguarded"])
 def test_without_the_guard_memory_would_grow(flooded: Flooded) -> None:
     outcome = flood(flooded, 12.0)
