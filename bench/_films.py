@@ -1,0 +1,119 @@
+"""Made-up films of a fixed camera, H.264 as such cameras send it: people on a textured floor, noise of the sensor.
+
+Needs the ``ffmpeg`` program with libx264.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.uint8]
+
+FPS = 25
+KEY_FRAME_EVERY = 50
+NOISE_SD = 1.5
+"""Of the sensor, grey levels, each colour."""
+NOISE_PICTURES = 16
+CROSSING_SECONDS = 9.0
+STRIDE_HEIGHTS = 0.45
+ENCODER = ("-c:v", "libx264", "-preset", "veryfast", "-profile:v", "main", "-bf", "0", "-crf", "23")
+_SUBPIXEL = 4
+"""Fractional bits of drawing coordinates."""
+
+
+class Walker(NamedTuple):
+    """Crosses the picture from one side to the other, again and again."""
+
+    foot_row: float
+    """Of the picture's height."""
+    tall: float
+    """Of the picture's height."""
+    starts: float
+    """Seconds."""
+    pause: float
+    """Seconds from leaving until coming again."""
+    rightwards: bool
+    clothes: tuple[int, ...]
+    """Two colours after each other."""
+
+
+def people(many: int, pause: float, seed: int) -> list[Walker]:
+    """``many`` walkers; further down they are taller, as if nearer."""
+    rng = np.random.default_rng(seed)
+    result = []
+    for number in range(many):
+        row = float(rng.uniform(0.45, 0.95))
+        starts = 4.0 + (number + float(rng.uniform())) * (CROSSING_SECONDS + pause) / many
+        clothes = tuple(int(value) for value in rng.integers(10, 240, 6))
+        result.append(Walker(row, 0.08 + 0.28 * row, starts, pause, bool(rng.integers(2)), clothes))
+    return sorted(result)
+
+
+def floor(width: int, height: int, seed: int) -> Picture:
+    """An empty scene (H, W, 3): slabs with seams under patches of all sizes."""
+    rng = np.random.default_rng(seed)
+    picture = np.full((height, width, 3), (128, 138, 144), dtype=np.float32)
+    for cell, contrast in ((height // 3, 22.0), (height // 12, 12.0), (height // 60, 7.0), (2, 5.0)):
+        coarse = rng.normal(0, contrast, (height // cell + 2, width // cell + 2)).astype(np.float32)
+        picture += cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)[..., None]
+    for row in range(0, height, height // 9):
+        cv2.line(picture, (0, row), (width, row + height // 40), (95, 100, 104), max(1, height // 360), cv2.LINE_AA)
+    result: Picture = np.clip(picture, 20, 235).astype(np.uint8)
+    return result
+
+
+def film(path: Path, size: tuple[int, int], walkers: list[Walker], seconds: float, seed: int = 1) -> Path:
+    """Write an H.264 film of ``size`` (width, height) at `FPS`; returns ``path``. Raises OSError without ffmpeg."""
+    width, height = size
+    empty = floor(width, height, seed)
+    rng = np.random.default_rng(seed)
+    noise = [rng.normal(0, NOISE_SD, empty.shape).round().astype(np.int8) for _ in range(NOISE_PICTURES)]
+    raw = ["-f", "rawvideo", "-pix_fmt", "bgr24", "-s", f"{width}x{height}", "-r", str(FPS), "-i", "pipe:0"]
+    encode = [*ENCODER, "-g", str(KEY_FRAME_EVERY), "-pix_fmt", "yuv420p", str(path)]
+    command = ["ffmpeg", "-loglevel", "error", "-y", *raw, *encode]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
+        assert encoder.stdin is not None
+        for frame in range(round(seconds * FPS)):
+            picture = empty.copy()
+            for walker in walkers:
+                draw(picture, walker, frame / FPS)
+            seen = cv2.add(picture, noise[int(rng.integers(NOISE_PICTURES))], dtype=cv2.CV_8U)
+            encoder.stdin.write(np.ascontiguousarray(seen))
+    if encoder.returncode:
+        raise OSError(f"ffmpeg cannot write {path}")
+    return path
+
+
+def draw(picture: NDArray[Any], walker: Walker, t: float) -> None:
+    """Draw the walker where he is at ``t`` seconds, if he is in the picture."""
+    share = (t - walker.starts) % (CROSSING_SECONDS + walker.pause) / CROSSING_SECONDS
+    if t < walker.starts or share > 1.0:
+        return
+    height, width = picture.shape[:2]
+    tall = walker.tall * height
+    margin = 0.2 * tall
+    x = -margin + (share if walker.rightwards else 1.0 - share) * (width + 2 * margin)
+    y = walker.foot_row * height
+    swing = 0.12 * np.sin(2 * np.pi * share * width / (2 * STRIDE_HEIGHTS * tall))
+    coat, trousers = walker.clothes[:3], walker.clothes[3:]
+
+    def at(across: float, up: float) -> tuple[int, int]:
+        return round((x + across * tall) * (1 << _SUBPIXEL)), round((y - up * tall) * (1 << _SUBPIXEL))
+
+    def limb(a: tuple[float, float], b: tuple[float, float], wide: float, colour: tuple[int, ...]) -> None:
+        cv2.line(picture, at(*a), at(*b), colour, max(1, round(wide * tall)), cv2.LINE_AA, _SUBPIXEL)
+
+    for side in (-1, 1):
+        limb((0.04 * side, 0.48), (0.04 * side + side * swing, 0.03), 0.1, trousers)
+        limb((0.12 * side, 0.76), (0.12 * side - side * swing, 0.48), 0.07, coat)
+    limb((0.0, 0.5), (0.0, 0.74), 0.22, coat)
+    limb((0.0, 0.62), (0.0, 0.65), 0.1, trousers)  # a bag
+    cv2.circle(
+        picture, at(0.0, 0.92), round(0.075 * tall * (1 << _SUBPIXEL)), (120, 150, 190), -1, cv2.LINE_AA, _SUBPIXEL
+    )

@@ -1,0 +1,162 @@
+"""What a camera costs: CPU seconds a streamed frame of the grabber, of decoding alone and of Frigate's way.
+
+    python -m bench grab [--rounds 7] [--seconds 40] [--films FOLDER] [--json FILE]
+
+Films of 1080p and 720p at 25 frames a second, H.264, are made up first (two minutes; FOLDER keeps them): a busy one
+with a dozen people on their way at any time, a quiet one that a single person crosses now and then. Everything decodes
+in software. Decoding alone is OpenCV's capture opened as the grabber opens it, every frame grabbed, none retrieved. Needs
+the program ffmpeg with libx264.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+
+from bench import _films, _ratios
+from bench.baselines import frigate
+from camtopod.vision.grabber import Grabber
+
+DECODING = "decoding alone"
+GRABBER = "the grabber"
+ROUNDS, SECONDS = 7, 40.0
+SMALL_DETECT = (640, 360)
+SIZES = {"1080p": (1920, 1080), "720p": (1280, 720)}
+SCENES = {"busy": (12, 0.5), "quiet": (1, 20.0)}
+"""People, and for how many seconds each stays away."""
+RATIO_MAX = {("1080p", "busy"): 1.25, ("1080p", "quiet"): 1.35, ("720p", "busy"): 1.5, ("720p", "quiet"): 1.5}
+
+
+class Film(NamedTuple):
+    """A film to measure on."""
+
+    size_name: str
+    scene: str
+    size: tuple[int, int]
+    path: Path
+    frames: int
+
+    @property
+    def title(self) -> str:
+        """With its bit rate."""
+        rate = 8e-6 * self.path.stat().st_size * _films.FPS / self.frames
+        return f"{self.size_name} {self.scene}, {rate:.1f} Mbit/s"
+
+
+def main(argv: list[str]) -> int:
+    """Print the tables; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m bench grab", description="What a camera costs.")
+    _ratios.add_arguments(parser, ROUNDS)
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="length of a film")
+    parser.add_argument("--films", type=Path, metavar="FOLDER", help="where films are kept")
+    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
+    given = parser.parse_args(argv)
+    if shutil.which("ffmpeg") is None:
+        print("bench grab needs the program ffmpeg", file=sys.stderr)
+        return 1
+    with tempfile.TemporaryDirectory() as folder:
+        tables = []
+        for film in films(given.films or Path(folder), given.sizes, given.seconds):
+            tables.append(measure(film, given.rounds))
+            print("\n".join(_ratios.lines(tables[-1])), seen(film), sep="\n", end="\n\n", flush=True)
+    if given.json:
+        _ratios.write(given.json, "grab", tables, opencv=cv2.__version__, ffmpeg=ffmpeg_version())
+    return 0
+
+
+def films(folder: Path, sizes: list[str], seconds: float) -> list[Film]:
+    """Those in ``folder``; what is not there yet is made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    result = []
+    for size_name in sizes:
+        for scene, (many, pause) in SCENES.items():
+            path = folder / f"{size_name}-{scene}-{seconds:g}s.mp4"
+            if not path.exists():
+                part = path.with_suffix(".part.mp4")
+                _films.film(part, SIZES[size_name], _films.people(many, pause, seed=3), seconds)
+                part.rename(path)
+            result.append(Film(size_name, scene, SIZES[size_name], path, round(seconds * _films.FPS)))
+    return result
+
+
+def measure(film: Film, rounds: int) -> _ratios.Table:
+    """Milliseconds of CPU a streamed frame, of everybody."""
+
+    def per_frame(run: Callable[..., object], *arguments: object) -> Callable[[], float]:
+        return lambda: 1000 * _ratios.cpu_seconds_of(lambda: run(film, *arguments)) / film.frames
+
+    contestants = {
+        DECODING: per_frame(decode),
+        GRABBER: per_frame(grab),
+        frigate_at(film.size): per_frame(frigates_way, film.size),
+        frigate_at(SMALL_DETECT): per_frame(frigates_way, SMALL_DETECT),
+        "the program ffmpeg, decoding alone": per_frame(decode_by_ffmpeg),
+    }
+    costs = _ratios.take_turns(contestants, rounds)
+    wanted = {GRABBER: RATIO_MAX[film.size_name, film.scene]}
+    return _ratios.compare(film.title, "CPU ms a frame", costs, DECODING, wanted)
+
+
+def frigate_at(detect: tuple[int, int]) -> str:
+    """Name of the contestant."""
+    return f"Frigate's way, detect {detect[0]}x{detect[1]}"
+
+
+def decode(film: Film) -> None:
+    """Every frame grabbed, none retrieved."""
+    capture = cv2.VideoCapture(str(film.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+    frames = 0
+    while capture.grab():
+        frames += 1
+    capture.release()
+    assert frames == film.frames, f"{frames} frames instead of {film.frames}"
+
+
+def grab(film: Film) -> Grabber:
+    """The whole grabber, pixels to events."""
+    grabber = Grabber("cam", str(film.path), wall_clock=time.time)
+    for _ in grabber.events():
+        pass
+    assert grabber.statistics()["frames_grabbed"] == film.frames
+    return grabber
+
+
+def frigates_way(film: Film, detect: tuple[int, int]) -> None:
+    """ffmpeg pipes raw frames, OpenCV looks for motion."""
+    frames, _ = frigate.watch(film.path, *detect)
+    assert abs(frames - film.frames * frigate.FPS / _films.FPS) <= 2, f"{frames} frames looked at"
+
+
+def decode_by_ffmpeg(film: Film) -> None:
+    """Another build of the same decoder, one thread: tells how far decoders differ."""
+    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-threads", "1", "-i", str(film.path), "-f", "null", "-"]
+    subprocess.run(command, check=True)
+
+
+def seen(film: Film) -> str:
+    """That there was something to do, and that it was done."""
+    figures = grab(film).statistics()
+    return (
+        f"  the grabber looked at {figures['frames_analysed']} of {film.frames} frames and saw "
+        f"{figures['entries']} entries and {figures['exits']} exits; "
+        f"analysis {1000 * figures['analysis_cpu_seconds'] / figures['frames_analysed']:.2f} ms a frame looked at"
+    )
+
+
+def ffmpeg_version() -> str:
+    """First line of what it says."""
+    said = subprocess.run(["ffmpeg", "-version"], capture_output=True, check=True, text=True).stdout
+    return said.splitlines()[0]
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
