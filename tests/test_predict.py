@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import naive
 import numpy as np
@@ -13,6 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from camtopod.learn import predict as module
+from camtopod.learn import recent
 from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
@@ -258,14 +258,18 @@ def test_a_silent_camera_is_not_where_they_appear() -> None:
 
 def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Passages that never end among them."""
-    monkeypatch.setattr(module, "RECENT_MAX", 7)
+    monkeypatch.setattr(recent, "RECENT_MAX", 7)
+    monkeypatch.setattr(module, "UNDER_WAY_MAX", 7)
     predictor = Predictor(THREE)
     for k in range(50):
         predictor.observe(replace(ENTERED, t=float(k), track=str(k)))
         predictor.observe(replace(EXIT, t=float(k), track=None))
-    sizes = {name: len(value) for name, value in vars(predictor).items() if isinstance(value, dict | deque | list)}
-    assert sizes["_arrivals"] == 7
-    assert max(sizes.values()) == 7
+    sizes = {name: len(value) for name, value in vars(predictor).items() if isinstance(value, dict | list)}
+    sizes["in view"] = sum(map(len, predictor._in_view.values()))
+    state = predictor.save()
+    assert max(sizes.values()) == sizes["in view"] == len(state.under_way) == len(state.arrivals) == 7
+    assert len(predictor._exits.after(-math.inf)[0]) == 7
+    assert len(predictor._arrivals.t) == len(predictor._exits.t) == 14
 
 
 def test_a_newer_version_remembers_what_has_been_seen() -> None:

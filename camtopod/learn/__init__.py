@@ -16,5 +16,5 @@ In the order in which data flows:
 * `posterior`, `contexts`, `skipped`, `sampling`: where objects go, all weak evidence included; `model`: what of it a
   version carries
 * `assemble`, `topology`: versions with digests and deltas
-* `hazards`, `surroundings`, `pace`, `predict`: where to look next, and when
+* `hazards`, `surroundings`, `pace`, `recent`, `predict`: where to look next, and when
 """

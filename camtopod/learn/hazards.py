@@ -71,28 +71,63 @@ class Hazards:
         self._rows: Floats = np.concatenate(
             [np.zeros((1, self.bins.size)), *(outcomes.hazard for _, outcomes in every)]
         )
-        self._row_of: dict[int, NDArray[np.int32]] = {}
-        """By target, the row of each source (zones,); row 0, all zeros, where there is none."""
+        self._first_row = dict(zip(self.outcomes, np.cumsum([1, *(len(o.targets) for _, o in every)]), strict=False))
+        self.outcomes = {  # the same hazards, kept once
+            zone: o._replace(hazard=self._rows[self._first_row[zone] :][: len(o.targets)]) for zone, o in every
+        }
+        into: dict[int, list[tuple[int, int]]] = {}
         pairs = [(zone, target) for zone, outcomes in every for target in outcomes.targets]
         for row, (zone, target) in enumerate(pairs, start=1):
-            self._row_of.setdefault(target, np.zeros(len(index), np.int32))[zone] = row
+            into.setdefault(target, []).append((zone, row))
+        self._into = {target: np.array(rows, np.int32).T for target, rows in into.items()}
+        """By target, its sources and their rows (2, sources); row 0, all zeros, is of the others."""
+        self._row = np.zeros(len(index), np.int32)  # all 0 between calls
         self._ahead = self._mean_rates_ahead(topology)
+        self._index_before(topology)
 
-    def rate(self, source: int, target: int, lag: float) -> float:
-        """Hazard (1/s) of one pair of zones at one lag (seconds)."""
-        row = self._row_of.get(target)
-        if row is None or not row[source] or not self.bins.lag_min <= lag <= self.bins.lag_max:
-            return 0.0
-        at = math.floor(math.asinh(lag / self.bins.scale) / self.bins.step) - self.bins.first
-        return float(self._rows[row[source], at])
+    def rates(self, sources: NDArray[np.int32], target: int, lag: Floats) -> tuple[NDArray[np.int32], Floats]:
+        """Hazards in 1/s from several zones (n,) to one at lags (n,) in seconds: those (m,) of the zones from which
+        there are any, and theirs (m,).
+        """
+        if target not in self._into:
+            return sources[:0], lag[:0]
+        zones, rows = self._into[target]
+        self._row[zones] = rows
+        row = self._row[sources]
+        self._row[zones] = 0
+        some = np.flatnonzero(row)
+        at = self.bins.index(lag[some])
+        return sources[some], np.where(at >= 0, self._rows[row[some], at], 0.0)
 
-    def rates(self, sources: NDArray[np.int32], target: int, lag: Floats) -> Floats:
-        """Hazards (n,) in 1/s from several zones (n,) to one at lags (n,) in seconds."""
-        row = self._row_of.get(target)
-        if row is None:
+    def rates_from(self, source: int, targets: NDArray[np.int32], lag: Floats) -> Floats:
+        """Hazards (n,) in 1/s from one zone to several (n,) at lags (n,) in seconds."""
+        if source not in self.outcomes:
             return np.zeros(len(lag))
+        all_targets, first = self.outcomes[source].targets, self._first_row[source]
+        self._row[all_targets] = np.arange(first, first + len(all_targets))
+        row = self._row[targets]
+        self._row[all_targets] = 0
         at = self.bins.index(lag)
-        return np.where(at >= 0, self._rows[row[sources], at], 0.0)
+        return np.where(at >= 0, self._rows[row, at], 0.0)
+
+    def rates_entered(self, entry: int, targets: NDArray[np.int32], elapsed: Floats) -> Floats:
+        """`rate_entered` for several zones (n,) and times (n,)."""
+        if entry not in self._entered:
+            return np.zeros(len(elapsed))
+        pairs = zip(targets.tolist(), elapsed.tolist(), strict=True)
+        return np.array([self.rate_entered(entry, target, seconds) for target, seconds in pairs])
+
+    def rates_ahead(self, camera: str, targets: NDArray[np.int32]) -> Floats:
+        """`rate_ahead` for several zones (n,)."""
+        return np.array([self._ahead.get((camera, target), 0.0) for target in targets.tolist()])
+
+    def seen_before(self, zone: int) -> NDArray[np.intp]:
+        """Zones of other cameras where objects may appear before they leave at this one."""
+        return self._before[zone]
+
+    def cameras_ahead(self, target: int) -> list[str]:
+        """Cameras from whose views objects may appear at a zone before they leave."""
+        return self._cameras_ahead.get(target, [])
 
     def rate_entered(self, entry: int | None, target: int, elapsed: float) -> float:
         """Rate (1/s) at which an object that entered a view at zone ``entry`` (None: unknown) ``elapsed`` seconds ago
@@ -102,6 +137,10 @@ class Hazards:
         if row is None or not 0.0 < elapsed <= self.bins.lag_max:
             return 0.0
         return row[math.floor(math.asinh(elapsed / self.bins.scale) / self.bins.step) - self.bins.first]
+
+    def kernels_to(self, target: int) -> set[int]:
+        """Zones of entry for which `rate_entered` knows something of the target."""
+        return self._kernels_to.get(target, set())
 
     def rate_ahead(self, camera: str, target: int) -> float:
         """Rate (1/s) at which an object in the view of a camera appears at a zone before it leaves the view."""
@@ -146,6 +185,34 @@ class Hazards:
             return np.ones(self.bins.size)
         begun = 1.0 - np.interp(-self.bins.centres, stay, np.linspace(0.0, 1.0, len(stay)))
         return np.where(self.past, np.clip(begun, EXPOSURE_MIN, 1.0), 1.0)
+
+    def _index_before(self, topology: Topology) -> None:
+        """For `seen_before` and `cameras_ahead`."""
+        clocks = [camera.clock_offset for camera in topology.cameras]
+        apart = max(clocks, default=0.0) - min(clocks, default=0.0)
+        before = self.bins.edges[:-1] <= apart  # by clocks as they are, an arrival may be later than a departure
+        ahead: dict[str, set[int]] = {}
+        for (camera, target), rate in self._ahead.items():
+            if rate:
+                ahead.setdefault(camera, set()).add(target)
+        for entry, targets in self._entered.items():
+            ahead.setdefault(topology.zones[entry].camera, set()).update(targets)
+        self._kernels_to: dict[int, set[int]] = {}
+        for entry, targets in self._entered.items():
+            for target in targets:
+                self._kernels_to.setdefault(target, set()).add(entry)
+        self._cameras_ahead: dict[int, list[str]] = {}
+        for camera, reached in ahead.items():
+            for target in sorted(reached):
+                self._cameras_ahead.setdefault(target, []).append(camera)
+        self._before: list[NDArray[np.intp]] = []
+        for k, zone in enumerate(topology.zones):
+            found = set(ahead.get(zone.camera, ()))
+            if k in self.outcomes:
+                outcomes = self.outcomes[k]
+                found.update(outcomes.targets[at] for at in np.flatnonzero(outcomes.hazard[:, before].any(axis=1)))
+            others = [target for target in sorted(found) if topology.zones[target].camera != zone.camera]
+            self._before.append(np.array(others, np.intp))
 
     def _mean_rates_ahead(self, topology: Topology) -> dict[tuple[str, int], float]:
         """Expected appearances before leaving over the time in view, weighed by where objects leave, by camera."""

@@ -12,6 +12,7 @@ from camtopod.records import Topology
 NORMAL_Q90 = 1.2816
 SHARP_MIN = 0.5
 """Smoothing is not taken to have widened a window by more than makes up this share of it."""
+_WIDENED = tuple((least, (NORMAL_Q90 * LAG_STEP * sd_bins) ** 2) for least, sd_bins in SMOOTHING_SD_BINS)
 
 
 class Paces:
@@ -33,8 +34,14 @@ class Paces:
         were learned by the mean slowness of the views before and after. The one before is known at best; the other is
         expected to be a share of it, and the rest of what it may be widens the window.
         """
+        return self.at_pace(self.of_passage(entry, left, stay), transitions, q10, q50, q90)
+
+    def of_passage(self, entry: int | None, left: int, stay: float | None) -> tuple[float, float] | None:
+        """What a passage says of every window after it: the factor of its times, and by how much (log scale) it is
+        wider; None where there is nothing to say.
+        """
         if self._pace is None:
-            return q10, q50, q90
+            return None
         usual = self._usual.get((entry, left)) if entry is not None else None
         r, sd = self._pace.correlation, self._pace.sd
         if usual is None or stay is None:
@@ -43,17 +50,24 @@ class Paces:
             slow = math.log(max(stay, STAY_SECONDS_MIN) / usual)
             expected = min(max(slow, -SLOWNESS_MAX), SLOWNESS_MAX) * (1.0 + r) / 2.0
             doubt = sd * math.sqrt(1.0 - r * r) / 2.0
-        factor, wider = math.exp(self._pace.scaling * expected), NORMAL_Q90 * self._pace.scaling * doubt
-        if q50 <= LAG_SECONDS_MIN:
+        return math.exp(self._pace.scaling * expected), NORMAL_Q90 * self._pace.scaling * doubt
+
+    def at_pace(
+        self, pace: tuple[float, float] | None, transitions: float, q10: float, q50: float, q90: float
+    ) -> tuple[float, float, float]:
+        """`window` for a pace as of `of_passage`."""
+        if pace is None or q50 <= LAG_SECONDS_MIN:
             return q10, q50, q90  # short lags do not scale with speed
-        below, above = (
-            _sharp(math.log(ratio), transitions) for ratio in (q50 / min(max(q10, LAG_SECONDS_MIN), q50), q90 / q50)
-        )
+        factor, wider = pace
+        below = _sharp(math.log(q50 / min(max(q10, LAG_SECONDS_MIN), q50)), transitions)
+        above = _sharp(math.log(q90 / q50), transitions)
         low = q50 * math.exp(-math.hypot(below, wider)) if q10 > 0 else q10
         return low * factor, q50 * factor, q50 * math.exp(math.hypot(above, wider)) * factor
 
 
 def _sharp(width: float, transitions: float) -> float:
     """Width (log scale) of a quantile that smoothing the hazards had widened."""
-    sd_bins = next(sd for least, sd in SMOOTHING_SD_BINS if transitions >= least)
-    return math.sqrt(max(width**2 - (NORMAL_Q90 * LAG_STEP * sd_bins) ** 2, (SHARP_MIN * width) ** 2))
+    few = 0
+    while transitions < _WIDENED[few][0]:
+        few += 1
+    return math.sqrt(max(width**2 - _WIDENED[few][1], (SHARP_MIN * width) ** 2))

@@ -1,0 +1,256 @@
+"""The other processes of `bench.ingest` and `bench.latency`: who puts, who hears, and the bare zenoh to compare with.
+
+    python -m bench._clients ROLE '{"endpoint": ...}'
+
+Each prints one line of JSON at its end. The bare ones use the product's sessions, so that links and settings are the
+same, and nothing else of it.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import zenoh
+
+from bench._site import Status
+from camtopod.codec import to_pack
+from camtopod.config import BusSettings, Config
+from camtopod.records import Ack, Event, Prediction
+from camtopod.serve.bus import Bus, dial, meet
+
+PREFIX = "camtopo/site"
+ACK_SECONDS = 0.2
+WINDOW_EVENTS = 40_000
+"""So many may be put and not acknowledged; fewer than the daemon's inbox holds."""
+QUIET_SECONDS = 20.0
+"""After so long without an acknowledgement something has been lost."""
+ENDED = b"ended"
+
+
+def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
+    """Put events when they are due, stamped with the time of the put; if ``bare`` as many bytes with the time first."""
+    bus = _dialled(endpoint)
+    batch = _read(events)
+    puts = _publishers(bus, batch)
+    begun = time.time() + 0.2
+    late = []
+    for event in batch:
+        due = begun + event.t
+        while (left := due - time.time()) > 0:
+            time.sleep(left)
+        now = time.time()
+        stamped = msgspec.structs.replace(event, t=now)
+        payload = to_pack(stamped)
+        if bare:
+            payload = _framed(now, event.kind == "exit", len(payload))
+        puts[event.camera].put(payload)
+        late.append(now - due)
+    time.sleep(1.0)
+    bus._session.put(f"{PREFIX}/bench/ended", ENDED)
+    bus.close()
+    return {"put": len(batch), "late_ms": 1000 * sorted(late)[len(late) // 2]}
+
+
+def put_flood(endpoint: str, events: str) -> dict[str, Any]:
+    """Put as fast as the window lets; the rate until all is acknowledged."""
+    bus = _dialled(endpoint)
+    batch = _read(events)
+    boot = f"boot-{time.time()}"
+    seqs = dict.fromkeys({event.camera for event in batch}, 0)
+    messages = []
+    puts = _publishers(bus, batch)
+    later = time.time() - batch[-1].t - 1.0
+    for event in batch:
+        seq = seqs[event.camera] = seqs[event.camera] + 1
+        numbered = msgspec.structs.replace(event, t=event.t + later, boot=boot, seq=seq)
+        messages.append((puts[event.camera], to_pack(numbered)))
+    stored = dict.fromkeys(seqs, 0)
+    acked, changed = [0, 0.0], threading.Condition()
+
+    def on_ack(sample: zenoh.Sample) -> None:
+        ack = msgspec.msgpack.decode(sample.payload.to_bytes(), type=Ack)
+        with changed:
+            if ack.boot == boot:
+                acked[0] += ack.seq - stored[ack.camera]
+                stored[ack.camera] = ack.seq
+            elif ack.boot == ENDED.decode():
+                acked[0] = max(acked[0], ack.seq)
+            acked[1] = time.monotonic()
+            changed.notify_all()
+
+    subscriber = bus._session.declare_subscriber(f"{PREFIX}/ack/*", on_ack)
+    time.sleep(1.0)
+    begun = time.monotonic()
+    for number, (publisher, message) in enumerate(messages):
+        if number % 256 == 0 and number - acked[0] > WINDOW_EVENTS:
+            with changed:
+                wanted = number - WINDOW_EVENTS
+                if not changed.wait_for(lambda wanted=wanted: acked[0] >= wanted, QUIET_SECONDS):  # type: ignore[misc]
+                    break
+        publisher.put(message)
+    put = time.monotonic()
+    with changed:
+        changed.wait_for(lambda: acked[0] >= len(messages), QUIET_SECONDS)
+    subscriber.undeclare()
+    bus.close()
+    return {"acknowledged": acked[0], "put_seconds": put - begun, "seconds": acked[1] - begun}
+
+
+def sink(endpoint: str, ready: str) -> dict[str, Any]:
+    """zenoh + msgspec doing nothing: decodes every event, counts, says how many from time to time."""
+    bus = meet(_config(listen=endpoint))
+    decoder, count, done = msgspec.msgpack.Decoder(Event), [0], threading.Event()
+
+    def on_event(sample: zenoh.Sample) -> None:
+        decoder.decode(sample.payload.to_bytes())
+        count[0] += 1
+
+    bus._session.declare_subscriber(f"{PREFIX}/event/*", on_event)
+    _end_with_input(done)
+    _say_ready(bus, ready)
+    while not done.wait(ACK_SECONDS):
+        ack = Ack("all", ENDED.decode(), count[0])
+        bus._session.put(f"{PREFIX}/ack/all", to_pack(ack))
+    bus.close()
+    return {"received": count[0]}
+
+
+def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
+    """A bare answer of ``size`` bytes to every exit."""
+    bus = meet(_config(listen=endpoint))
+    session, done, filling = bus._session, threading.Event(), bytes(size - 8)
+
+    def on_event(sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        if payload[8]:
+            session.put(f"{PREFIX}/prediction/{str(sample.key_expr).rpartition('/')[2]}", payload[:8] + filling)
+
+    session.declare_subscriber(f"{PREFIX}/event/*", on_event)
+    _end_with_input(done)
+    _say_ready(bus, ready)
+    done.wait()
+    bus.close()
+    return {}
+
+
+def hear(endpoint: str, ready: str, bare: bool) -> dict[str, Any]:
+    """How long after its exit each prediction came, milliseconds in order; until the putting has ended."""
+    bus = _dialled(endpoint)
+    decoder, done = msgspec.msgpack.Decoder(Prediction), threading.Event()
+    heard: list[tuple[float, bytes]] = []
+    bus._session.declare_subscriber(
+        f"{PREFIX}/prediction/*", lambda sample: heard.append((time.time(), sample.payload.to_bytes()))
+    )
+    bus._session.declare_subscriber(f"{PREFIX}/bench/ended", lambda _: done.set())
+    _say_ready(bus, ready)
+    done.wait()
+    sizes = [len(payload) for _, payload in heard]
+    then = [struct.unpack("<d", payload[:8])[0] if bare else decoder.decode(payload).t for _, payload in heard]
+    bus.close()
+    return {
+        "ms": [round(1000 * (now - t), 4) for (now, _), t in zip(heard, then, strict=True)],
+        "size": sorted(sizes)[len(sizes) // 2] if sizes else 0,
+    }
+
+
+def status_of(endpoint: str) -> Status:
+    """The daemon's status now."""
+    with _dialled(endpoint) as bus:
+        return msgspec.msgpack.decode(bus.ask("status/daemon")[0][1], type=Status)
+
+
+@contextmanager
+def client(role: str, folder: Path, **given: Any) -> Iterator[subprocess.Popen[str]]:
+    """Run a role in a process of its own; one that is heard of when it is ready is waited for."""
+    if role in ("sink", "echo", "hear"):
+        given["ready"] = str(folder / f"{role}-{time.monotonic_ns()}")
+    command = [sys.executable, "-m", "bench._clients", role, json.dumps(given)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        while "ready" in given and not Path(given["ready"]).exists():
+            if process.poll() is not None:
+                raise RuntimeError(f"{role} ended before it was ready")
+            time.sleep(0.02)
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+def result(process: subprocess.Popen[str]) -> dict[str, Any]:
+    """Wait for a client's end and read what it found; one that works until it is told is told."""
+    out, _ = process.communicate()
+    if process.returncode:
+        raise RuntimeError(f"a client failed: {process.args!r}")
+    found: dict[str, Any] = json.loads(out.splitlines()[-1])
+    return found
+
+
+def write_events(path: Path, events: Sequence[Event]) -> str:
+    """For another process to put."""
+    path.write_bytes(msgspec.msgpack.encode(events))
+    return str(path)
+
+
+def _read(path: str) -> list[Event]:
+    return msgspec.msgpack.decode(Path(path).read_bytes(), type=list[Event])
+
+
+def _config(connect: str | None = None, listen: str | None = None) -> Config:
+    bus = BusSettings(connect=(connect,)) if connect else BusSettings(listen=(listen or "",))
+    return Config(bus=bus)
+
+
+def _dialled(endpoint: str) -> Bus:
+    return dial(_config(connect=endpoint))
+
+
+def _publishers(bus: Bus, events: Sequence[Event]) -> dict[str, Any]:
+    return {
+        camera: bus._session.declare_publisher(
+            f"{PREFIX}/event/{camera}", congestion_control=zenoh.CongestionControl.BLOCK
+        )
+        for camera in {event.camera for event in events}
+    }
+
+
+def _framed(now: float, is_exit: bool, size: int) -> bytes:
+    return (struct.pack("<d", now) + bytes([is_exit])).ljust(size, b"\0")
+
+
+def _say_ready(bus: Bus, path: str) -> None:
+    """By writing where it is reached, all at once."""
+    made = Path(f"{path}.made")
+    made.write_text(bus.endpoint)
+    made.rename(path)
+
+
+def ready_at(process: subprocess.Popen[str]) -> str:
+    """Where a client that listens is reached."""
+    given = json.loads(process.args[-1])  # type: ignore[index]
+    return Path(given["ready"]).read_text()
+
+
+def _end_with_input(done: threading.Event) -> None:
+    def wait() -> None:
+        sys.stdin.read()
+        done.set()
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+ROLES = {"put_paced": put_paced, "put_flood": put_flood, "sink": sink, "echo": echo, "hear": hear}
+
+if __name__ == "__main__":
+    print(json.dumps(ROLES[sys.argv[1]](**json.loads(sys.argv[2]))))

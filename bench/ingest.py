@@ -1,0 +1,86 @@
+"""How many events a second the daemon takes, beside zenoh + msgspec that receive the same and do nothing.
+
+    python -m bench ingest [--cameras 100] [--events 200000] [--rounds 5] [--json FILE]
+
+One process puts, another receives. It is the real `camtopod run`: it orders, journals, acknowledges, learns and
+predicts; everything put has to have been stored once, or the run does not count. The site has learned before.
+``no version due`` leaves out the learner's fits, ``a version a minute`` is with them, by default settings: 5,000
+events stand for a second of event time, as when a backlog comes in.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+from functools import partial
+from pathlib import Path
+
+from bench import _ratios, _site
+from bench._clients import client, ready_at, result, status_of, write_events
+from bench._site import learned_site, running, traffic
+
+BARE, QUIET, FITTING = "zenoh + msgspec, doing nothing", "daemon, no version due", "daemon, a version a minute"
+NEVER = "refit_share = 1e9\nrefit_hours = 1e9"
+COST_MAX = 4.0
+"""A quarter of the bare rate."""
+EVENTS_PER_SECOND = 5_000.0
+
+
+class Lost(RuntimeError):
+    """Not everything that was put has been stored."""
+
+
+def main(argv: list[str]) -> int:
+    """Measure; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m bench ingest", description="The daemon's rate of events.")
+    _site.add_arguments(parser)
+    parser.add_argument("--events", type=int, default=200_000)
+    _ratios.add_arguments(parser, rounds=5)
+    given = parser.parse_args(argv)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        learned = learned_site(given.site or folder, given.cameras, given.learned)
+        events = write_events(folder / "events", traffic(given.cameras, EVENTS_PER_SECOND, given.events, seed=2))
+        costs = _ratios.take_turns(
+            {
+                BARE: partial(bare, folder, events, given.events),
+                QUIET: partial(daemon, folder, learned, events, given.events, NEVER),
+                FITTING: partial(daemon, folder, learned, events, given.events, ""),
+            },
+            given.rounds,
+        )
+    at_most = {QUIET: COST_MAX, FITTING: COST_MAX}
+    table = _ratios.compare(f"{given.events} events of {given.cameras} cameras", "us an event", costs, BARE, at_most)
+    print("\n".join(_ratios.lines(table)))
+    for row in table.rows:
+        print(f"  {row.name}: {1e6 / row.cost.median:,.0f} events/s, {1 / row.ratio.median:.2f} of the bare rate")
+    if given.json:
+        _ratios.write(given.json, "ingest", [table], cameras=given.cameras, events=given.events)
+    return 0
+
+
+def bare(folder: Path, events: str, count: int) -> float:
+    """Microseconds an event that is received, decoded and forgotten."""
+    with client("sink", folder, endpoint="tcp/127.0.0.1:0") as sink:
+        endpoint = ready_at(sink)
+        with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
+            sent = result(sender)
+        received = result(sink)["received"]
+    if received != count:
+        raise Lost(f"{count} events were put and {received} received")
+    return float(1e6 * sent["seconds"] / count)
+
+
+def daemon(folder: Path, learned: Path, events: str, count: int, learn: str) -> float:
+    """Microseconds an event until it is acknowledged."""
+    shutil.rmtree(folder / "state", ignore_errors=True)
+    shutil.copytree(learned, folder / "state")
+    with running(folder, learn) as (endpoint, _):
+        with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
+            sent = result(sender)
+        status = status_of(endpoint)
+    if status.events.stored != count:
+        raise Lost(f"{count} events were put and {status.events.stored} stored: {status}")
+    print(f"    {1e6 * sent['seconds'] / count:.1f} us; {status}", flush=True)
+    return float(1e6 * sent["seconds"] / count)

@@ -1,0 +1,122 @@
+"""How long after its exit was put by one process a prediction is in another, beside a bare zenoh round trip.
+
+    python -m bench latency [--cameras 100] [--rate 1000] [--seconds 20] [--rounds 5] [--json FILE]
+
+Three processes and sessions in each case: one puts events, stamped with the moment of the put and as irregular as a
+made-up network's are; the second is the meeting point and answers each exit; the third hears the answers. The second is
+the real `camtopod run` on a site that has learned, or a bare session that answers with as many bytes. ``refitting`` has
+the learner fit anew all the time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from bench import _ratios, _site
+from bench._clients import client, ready_at, result, status_of, write_events
+from bench._site import learned_site, running, traffic
+
+BARE, QUIET, REFITTING = "bare zenoh", "daemon", "daemon, refitting"
+LEARN = {
+    QUIET: "refit_share = 1e9\nrefit_hours = 1e9",
+    REFITTING: "refit_share = 1e-9\nrefit_hours = 1e9\nversion_seconds = 1.0",
+}
+START_SECONDS = 120.0
+P50_MAX, P99_MAX, REFIT_P99_MAX = 2.0, 5.0, 2.0
+
+
+class Round(NamedTuple):
+    """Milliseconds of every answer, and how many versions were made meanwhile."""
+
+    ms: list[float]
+    size: int
+    versions: int = 0
+
+    def quantile(self, share: float) -> float:
+        """Of the answers' times."""
+        return sorted(self.ms)[min(int(share * len(self.ms)), len(self.ms) - 1)]
+
+
+class Case:
+    """What is measured, again and again."""
+
+    def __init__(self, folder: Path, learned: Path, cameras: int, rate: float, seconds: float) -> None:
+        self._folder, self._learned = folder, learned
+        events = traffic(cameras, rate, int(rate * seconds), seed=2)
+        self.exits = sum(event.kind == "exit" for event in events)
+        self._events = write_events(folder / "events", events)
+        self.rounds: dict[str, list[Round]] = {BARE: [], QUIET: [], REFITTING: []}
+        self._size = 400
+
+    def bare(self) -> float:
+        """The median, and the whole round kept."""
+        with client("echo", self._folder, endpoint="tcp/127.0.0.1:0", size=self._size) as echo:
+            return self._measure(BARE, ready_at(echo))
+
+    def daemon(self, name: str) -> float:
+        """The same of the daemon."""
+        shutil.rmtree(self._folder / "state", ignore_errors=True)
+        shutil.copytree(self._learned, self._folder / "state")
+        with running(self._folder, LEARN[name]) as (endpoint, _):
+            deadline = time.monotonic() + START_SECONDS
+            while (before := status_of(endpoint)).version == 0 or before.events.waiting:
+                if time.monotonic() > deadline:
+                    raise TimeoutError("the daemon does not learn")
+                time.sleep(0.5)
+            median = self._measure(name, endpoint)
+            after = status_of(endpoint)
+            self.rounds[name][-1] = self.rounds[name][-1]._replace(versions=after.version - before.version)
+            print(f"    {name}: {after}")
+        self._size = self.rounds[name][-1].size
+        return median
+
+    def _measure(self, name: str, endpoint: str) -> float:
+        bare = name == BARE
+        with (
+            client("hear", self._folder, endpoint=endpoint, bare=bare) as ear,
+            client("put_paced", self._folder, endpoint=endpoint, events=self._events, bare=bare) as sender,
+        ):
+            put = result(sender)
+            heard = result(ear)
+        if len(heard["ms"]) < self.exits:
+            print(f"    {name}: {self.exits} exits and {len(heard['ms'])} answers")
+        one = Round(heard["ms"], heard["size"])
+        tail = " ".join(f"p{100 * share:g} {one.quantile(share):.2f}" for share in (0.5, 0.9, 0.99, 0.999))
+        print(f"    {name}: {tail} ms, {one.size} bytes, puts {put['late_ms']:.2f} ms late", flush=True)
+        self.rounds[name].append(one)
+        return one.quantile(0.5)
+
+
+def main(argv: list[str]) -> int:
+    """Measure; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m bench latency", description="From an exit to its prediction.")
+    _site.add_arguments(parser)
+    parser.add_argument("--rate", type=float, default=1000.0, help="events a second, half of them exits")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    _ratios.add_arguments(parser, rounds=5)
+    given = parser.parse_args(argv)
+    with tempfile.TemporaryDirectory() as name:
+        learned = learned_site(given.site or Path(name), given.cameras, given.learned)
+        case = Case(Path(name), learned, given.cameras, given.rate, given.seconds)
+        ways = {QUIET: partial(case.daemon, QUIET), REFITTING: partial(case.daemon, REFITTING), BARE: case.bare}
+        p50 = _ratios.take_turns(ways, given.rounds)
+    p99 = {name: [one.quantile(0.99) for one in rounds[_ratios.WARM_ROUNDS :]] for name, rounds in case.rounds.items()}
+    fitting = {name: p99[name] for name in (QUIET, REFITTING)}
+    tables = [
+        _ratios.compare("median", "ms", p50, BARE, {QUIET: P50_MAX}),
+        _ratios.compare("99th percentile", "ms", p99, BARE, {QUIET: P99_MAX}),
+        _ratios.compare("99th percentile, while fitting anew", "ms", fitting, QUIET, {REFITTING: REFIT_P99_MAX}),
+    ]
+    for table in tables:
+        print("\n".join(_ratios.lines(table)))
+    versions = [one.versions for one in case.rounds[REFITTING]]
+    print(f"versions made while measuring, a round: {min(versions)} .. {max(versions)}")
+    if given.json:
+        _ratios.write(given.json, "latency", tables, cameras=given.cameras, rate=given.rate, versions=versions)
+    return 0

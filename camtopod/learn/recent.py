@@ -1,0 +1,62 @@
+"""The newest exits or arrivals as columns, so that those that matter are found at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+RECENT_MAX = 2000
+"""So many count."""
+
+
+class Arrival(Struct):
+    """An entry into a view."""
+
+    t: float
+    zone: int
+    rate: float
+    """Rate (1/s) at which all that is known so far could have caused it."""
+
+
+class Recent:
+    """The newest exits or arrivals in the order they came, as columns."""
+
+    def __init__(self) -> None:
+        self.t = np.zeros(2 * RECENT_MAX)
+        self.zone = np.zeros(2 * RECENT_MAX, np.int32)
+        self.rate = np.zeros(2 * RECENT_MAX)
+        """Of an arrival, see `Arrival`."""
+        self.stop = 0
+        """Behind the newest."""
+
+    def save(self) -> tuple[Floats, NDArray[np.int32]]:
+        return self.t[: self.stop].copy(), self.zone[: self.stop].copy()
+
+    def load(self, t: Floats, zone: NDArray[np.int32]) -> None:
+        self.stop = len(t)
+        self.t[: self.stop], self.zone[: self.stop] = t, zone
+
+    def append(self, t: float, zone: int, rate: float = 0.0) -> None:
+        if self.stop == len(self.t):
+            self.stop = RECENT_MAX
+            for column in (self.t, self.zone, self.rate):
+                column[:RECENT_MAX] = column[RECENT_MAX:]
+        self.t[self.stop], self.zone[self.stop], self.rate[self.stop] = t, zone, rate
+        self.stop += 1
+
+    @property
+    def first(self) -> int:
+        """The oldest that counts."""
+        return max(self.stop - RECENT_MAX, 0)
+
+    def after(self, t: float) -> tuple[Floats, NDArray[np.int32]]:
+        """Times and zones (n,) of those later than ``t``, as far as events come by time."""
+        first = max(int(np.searchsorted(self.t[: self.stop], t)), self.first)
+        return self.t[first : self.stop], self.zone[first : self.stop]
+
+    def arrivals(self) -> list[Arrival]:
+        columns = (column[self.first : self.stop].tolist() for column in (self.t, self.zone, self.rate))
+        return [Arrival(*one) for one in zip(*columns, strict=True)]
