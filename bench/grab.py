@@ -4,8 +4,8 @@
 
 Films of 1080p and 720p at 25 frames a second, H.264, are made up first (two minutes; FOLDER keeps them): a busy one
 with a dozen people on their way at any time, a quiet one that a single person crosses now and then. Everything decodes
-in software. Decoding alone is OpenCV's capture opened as the grabber opens it, every frame grabbed, none retrieved. Needs
-the program ffmpeg with libx264.
+in software. Decoding alone is OpenCV's capture opened as the grabber opens it, every frame grabbed, none retrieved.
+Needs the program ffmpeg with libx264.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 An ``ffmpeg`` process decodes, takes ``fps`` frames a second, scales them to the detect size and pipes them as raw
 yuv420p; they are read into a buffer; motion is looked for on the luma at 100 rows: contrast stretched between the 4th
 and 96th percentile averaged over 50 frames, blurred, compared with a running mean, thresholded, dilated, contours.
-Its settings by default: 5 frames a second, threshold 30, contours from 10 pixels, learning rate 0.01 (0.2 at first), two
-threads. Left out, in its favour: the frame goes from process to process through shared memory and two queues.
+Its settings by default: 5 frames a second, threshold 30, contours from 10 pixels, learning rate 0.01 (0.2 at first),
+two threads. Left out, in its favour: the frame goes from process to process through shared memory and two queues.
 """
 
 from __future__ import annotations

@@ -60,20 +60,19 @@ class Background:
         """Grey levels to add to each of the model's 256 levels: the median change of the pixels around that
         level."""
         sample = settled[::4, ::4] != 0
-        model = self._picture[::4, ::4][sample]
-        change = frame[::4, ::4][sample].astype(np.int16) - model
-        order = np.argsort(model, kind="stable")
-        model, change = model[order], change[order]
-        edges = np.searchsorted(model, np.arange(1, TONE_BINS) * (256 // TONE_BINS))
-        centres, medians = [], []
-        for levels, changes in zip(np.split(model, edges), np.split(change, edges), strict=True):
-            if len(levels) >= _TONE_PIXELS_MIN:
-                middle = len(changes) // 2
-                centres.append(float(levels.mean()))
-                medians.append(float(np.partition(changes, middle)[middle]))
-        if not centres:
+        model = self._picture[::4, ::4][sample].astype(np.uint16)
+        change = frame[::4, ::4][sample] + (256 - model)  # plus 256
+        levels = model // (256 // TONE_BINS)
+        # Sorted by level and then by change, the medians are in the middles of the levels.
+        changes = np.sort(levels * 512 + change, kind="stable") % 512
+        counts = np.bincount(levels, minlength=TONE_BINS)
+        said = np.flatnonzero(counts >= _TONE_PIXELS_MIN)
+        if not len(said):
             return np.zeros(256, np.float32)
-        return np.interp(_LEVELS, centres, medians).astype(np.float32)
+        centres = np.bincount(levels, weights=model, minlength=TONE_BINS)[said] / counts[said]
+        medians = changes[(np.cumsum(counts) - counts + counts // 2)[said]].astype(np.float32) - 256
+        curve: npt.NDArray[np.float32] = np.interp(_LEVELS, centres, medians).astype(np.float32)
+        return curve
 
     def learn(self, frame: Luma, expected: Luma, dt: float, settled: Luma) -> None:
         """Follow ``frame``, ``dt`` seconds after the last, where ``settled`` (H, W) is not 0.

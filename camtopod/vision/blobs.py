@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
 
+from camtopod.vision.background import Luma
 from camtopod.vision.motion import Box, Motion
 
 FRAGMENT_PIXELS_MIN = 6
@@ -66,12 +68,12 @@ class Blob:
 def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     """The frame's blobs, in no particular order."""
     mask = cv2.morphologyEx(motion.moving, cv2.MORPH_CLOSE, _CLOSE)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    labels, stats = _fragments(mask)
     areas = stats[1:, cv2.CC_STAT_AREA]
     kept = 1 + np.flatnonzero(areas >= FRAGMENT_PIXELS_MIN)
     if len(kept) > BLOBS_MAX:
         kept = 1 + np.argsort(areas)[-BLOBS_MAX:]
-    groups = _merge([(int(label), _box(stats[label])) for label in kept], expected_height)
+    groups = _merge([(int(label), _box(stats[label])) for label in kept], cache(expected_height))
     area_min = max(AREA_PIXELS_MIN, AREA_SHARE_MIN * mask.size)
     blobs = []
     for group in groups:
@@ -80,6 +82,21 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
             if blob is not None:
                 blobs.append(blob)
     return blobs
+
+
+def _fragments(mask: Luma) -> tuple[Luma, Luma]:
+    """Connected pixels of ``mask``: label of each pixel (0: not in the mask), and OpenCV's table of the labels.
+
+    Labelling costs by the area looked at, so it is done only where there is something.
+    """
+    labels = np.zeros(mask.shape, np.int32)
+    left, top, width, height = cv2.boundingRect(mask)
+    if width == 0:
+        return labels, np.zeros((1, 5), np.int32)
+    part = slice(top, top + height), slice(left, left + width)
+    _, labels[part], stats, _ = cv2.connectedComponentsWithStats(mask[part], connectivity=8)
+    stats[:, : cv2.CC_STAT_TOP + 1] += (left, top)
+    return labels, stats
 
 
 def _box(row: cv2.typing.MatLike) -> Box:
@@ -126,15 +143,17 @@ def _union(a: Box, b: Box) -> Box:
 
 
 def _belong(a: Box, b: Box, expected_height: ExpectedHeight) -> bool:
-    together = _union(a, b)
-    overlap = min(a[2], b[2]) - max(a[0], b[0])
-    gap = max(a[1], b[1]) - min(a[3], b[3])
-    height = expected_height(together[3])
+    overlap = (a[2] if a[2] < b[2] else b[2]) - (a[0] if a[0] > b[0] else b[0])
+    height = expected_height(a[3] if a[3] > b[3] else b[3])
     if height is None:
         height = 1.5 * max(a[3] - a[1], b[3] - b[1])
+    if overlap < -0.06 * height:  # most pairs: the rest is dear
+        return False
+    gap = max(a[1], b[1]) - min(a[3], b[3])
+    together = _union(a, b)
     if overlap >= 0.5 * min(a[2] - a[0], b[2] - b[0]):
         slim = together[2] - together[0] <= 1.3 * max(a[2] - a[0], b[2] - b[0])
         return slim and gap <= 0.35 * height and together[3] - together[1] <= 1.2 * height
     small = min((a[2] - a[0]) * (a[3] - a[1]), (b[2] - b[0]) * (b[3] - b[1]))
-    near = gap <= 0.05 * height and overlap >= -0.06 * height
+    near = gap <= 0.05 * height
     return near and small < 0.05 * height * height and together[3] - together[1] <= 1.2 * height

@@ -4,7 +4,8 @@ What was learned about OpenCV's FFmpeg backend the hard way: name the backend or
 one decoder thread, or a stall first hands out stale frames as good ones; a capture that said False once
 spins and never recovers; releasing it from another thread while it reads crashes; without
 ``rtsp_transport;tcp`` it switches to UDP; the frame rate wanted must be had by skipping `retrieve`, never
-`grab`, or the stream falls behind.
+`grab`, or the stream falls behind. The luma plane must be asked for before the first `retrieve`: the
+conversion chosen there stays, whatever is asked for later.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ import numpy as np
 
 from camtopod.vision.background import Luma
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.shrink import shrunk
 from camtopod.vision.source import kind_of, percent_encoded
 
 STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"
 """A small probe gives the first frame after 0.6 s instead of 1.9 s."""
 _OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-LUMA_CORRELATION_MIN = 0.98
+LUMA_FORMATS = frozenset({"I420", "YV12", "Y42B", "444P", "NV12", "NV21", "Y800"})
+"""FFmpeg's names for pixel formats that begin with a plane of 8-bit luma."""
 _STEP_RATE = 0.1
 
 
@@ -35,7 +38,7 @@ class Grab(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A frame that is to be analysed: capture time in seconds and picture (H, W)."""
+    """A frame that is to be analysed: capture time in seconds and picture (H, W) at working size."""
 
     t: float
     luma: Luma
@@ -58,7 +61,11 @@ class Capture:
             with _environment(kind == "stream"):
                 name = percent_encoded(source) if kind == "stream" else source
                 self._capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, parameters)
-        self._luma_only: bool | None = None if kind != "device" else False
+        self._width_max = settings.working_width
+        self._picture: Luma | None = None
+        """Used again for each frame: a new one of this size costs more than filling it."""
+        if kind != "device" and _pixel_format(self._capture) in LUMA_FORMATS:
+            self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
 
     @property
     def is_open(self) -> bool:
@@ -78,33 +85,11 @@ class Capture:
         return Grab(float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0)
 
     def retrieve(self) -> Luma | None:
-        """The grabbed frame's luma (H, W); None if it cannot be decoded."""
-        if self._luma_only is None:
-            return self._choose_format()
-        good, picture = self._capture.retrieve()
-        if not good or picture is None:
+        """The grabbed frame's luma (H, W) at working size; None if it cannot be decoded."""
+        good, self._picture = self._capture.retrieve(self._picture)
+        if not good or self._picture is None:
             return None
-        if self._luma_only:
-            return picture if picture.ndim == 2 else None
-        return _grey(picture)
-
-    def _choose_format(self) -> Luma | None:
-        """The luma plane is what decoding yields, and conversion costs more than it; but not all formats
-        have one."""
-        good, picture = self._capture.retrieve()
-        if not good or picture is None:
-            return None
-        grey = _grey(picture)
-        self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
-        try:
-            good, luma = self._capture.retrieve()
-        except cv2.error:  # a format whose planes it does not know
-            good, luma = False, grey
-        self._luma_only = bool(good) and luma is not None and _is_luma(luma, grey)
-        if self._luma_only:
-            return luma
-        self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 1)
-        return grey
+        return shrunk(_grey(self._picture), self._width_max)
 
     def release(self) -> None:
         """Close it. From the thread that reads."""
@@ -145,19 +130,14 @@ def _environment(stream: bool) -> Iterator[None]:
         del os.environ[_OPTIONS_VARIABLE]
 
 
+def _pixel_format(capture: cv2.VideoCapture) -> str:
+    code = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT))
+    return code.to_bytes(4, "little").decode("latin-1") if 0 <= code < 1 << 32 else ""
+
+
 def _grey(picture: Luma) -> Luma:
     if picture.ndim == 2:
         return picture
     if picture.shape[2] == 1:
         return picture[:, :, 0]
     return np.asarray(cv2.cvtColor(picture[:, :, :3], cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-
-
-def _is_luma(luma: Luma, grey: Luma) -> bool:
-    """Whether the plane handed out without conversion is the picture."""
-    if luma.ndim != 2 or luma.shape != grey.shape or luma.dtype != np.uint8:
-        return False
-    a, b = luma[::4, ::4].astype(np.float64).ravel(), grey[::4, ::4].astype(np.float64).ravel()
-    if a.std() < 1.0 or b.std() < 1.0:  # a flat picture says nothing: nor does conversion cost it anything
-        return bool(abs(a.mean() - b.mean()) < 20.0 and a.std() < 2.0 and b.std() < 2.0)
-    return bool(np.corrcoef(a, b)[0, 1] >= LUMA_CORRELATION_MIN)

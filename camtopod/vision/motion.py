@@ -110,7 +110,7 @@ class MotionDetector:
         step = -(-len(frames) // BOOTSTRAP_FRAMES_MAX)
         self._background = Background(frames[::step], self._settings.background_seconds)
         self._settled: Luma = np.full(frames[0].shape, 255, np.uint8)
-        self._unclaimed_seconds = np.zeros(frames[0].shape, np.float32)
+        self._unclaimed_seconds: cv2.typing.MatLike = np.zeros(frames[0].shape, np.float32)
         self._changed_seconds = 0.0
 
     def look(self, frame: Luma, dt: float) -> Motion | None:
@@ -131,6 +131,8 @@ class MotionDetector:
             self._background = None
             self.relearned += 1
             return None
+        if share == 0.0:
+            return Motion(moving, moving, moving, expected)
         edges, strong = self._own_texture(frame, expected)
         near = cv2.dilate(edges, _WIDE)
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
@@ -162,8 +164,7 @@ class MotionDetector:
             unclaimed[rows, columns] = 0
             self._settled[rows, columns] = 0
         self._background.learn(frame, motion.expected, dt, self._settled)
-        self._unclaimed_seconds += dt
-        self._unclaimed_seconds[unclaimed == 0] = 0.0
+        self._unclaimed_seconds = cv2.copyTo(self._unclaimed_seconds + np.float32(dt), unclaimed)
         if float(self._unclaimed_seconds.max()) > ADOPT_SECONDS:
             self._adopt(frame, np.where(self._unclaimed_seconds > ADOPT_SECONDS, np.uint8(255), np.uint8(0)))
 

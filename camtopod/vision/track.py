@@ -46,7 +46,7 @@ class Track:
     @property
     def box(self) -> Box:
         """Where it is expected now."""
-        x, top, foot_x, bottom = (float(value) for value in self.kalman.position)
+        x, top, foot_x, bottom = self.kalman.position.tolist()
         middle = (x + foot_x) / 2
         return (middle - self.width / 2, min(top, bottom - 1), middle + self.width / 2, bottom)
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from math import hypot
 from typing import Protocol
 
 import numpy as np
@@ -114,9 +115,9 @@ class Tracker:
     def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
         """Blobs that hide several confirmed people update all of them; the other blobs are returned."""
         free = []
+        waiting = [(track, track.box) for track in self.active if track.confirmed and track.last.t < t]
         for blob in blobs:
-            waiting = [track for track in self.active if track.confirmed and track.last.t < t]
-            inside = [track for track in waiting if _holds(blob.box, track.box)]
+            inside = [track for track, box in waiting if track.last.t < t and _holds(blob.box, box)]
             wide = len(inside) > 1 and blob.width > 1.3 * max(track.width for track in inside)
             tall = len(inside) > 1 and blob.height > 1.25 * max(track.height for track in inside)
             if wide or tall:
@@ -152,7 +153,7 @@ class Tracker:
         waiting = [track for track in self.active if track.last.t < t]
         if not waiting or not blobs:
             return blobs
-        cost = np.array([[self._cost(track, blob) for blob in blobs] for track in waiting])
+        cost = np.array([self._costs(track, blobs) for track in waiting])
         taken = set()
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
             if cost[i, j] < _NEVER:
@@ -160,20 +161,22 @@ class Tracker:
                 self._update_single(t, waiting[i], blobs[j])
         return [blob for j, blob in enumerate(blobs) if j not in taken]
 
-    def _cost(self, track: Track, blob: Blob) -> float:
-        """Distance of head and foot in gates; a tentative track yields to a confirmed one."""
-        head_x, head_y, foot_x, foot_y = (float(value) for value in track.kalman.position)
+    def _costs(self, track: Track, blobs: list[Blob]) -> list[float]:
+        """For each blob the distance of head and foot in gates; a tentative track yields to a confirmed one."""
+        head_x, head_y, foot_x, foot_y = track.kalman.position.tolist()
         scale = max(track.height, self.stature.height(foot_y) or 0.0)
         gate = GATE_HEIGHTS * scale + 2 * track.kalman.uncertainty
-        cut = self._touches(blob.box)
-        if track.confirmed and blob.height < PIECE_HEIGHT_MIN * track.height and not cut:
-            return _NEVER
-        head = float(np.hypot(blob.head[0] - head_x, blob.head[1] - head_y))
-        foot = float(np.hypot(blob.foot_x - foot_x, blob.bottom - foot_y))
-        near = min(head, foot)
-        if near > gate and _overlap(track.last.box, blob.box) < 0.3:
-            return _NEVER
-        return (0.7 * near + 0.3 * max(head, foot)) / gate + (0.0 if track.confirmed else 0.5)
+        height_min = PIECE_HEIGHT_MIN * track.height if track.confirmed else 0.0
+        costs = [_NEVER] * len(blobs)
+        for j, blob in enumerate(blobs):
+            head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
+            foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
+            near, far = (head, foot) if head < foot else (foot, head)
+            if near > gate and _overlap(track.last.box, blob.box) < 0.3:
+                continue
+            if blob.bottom - blob.top >= height_min or self._touches(blob.box):
+                costs[j] = (0.7 * near + 0.3 * far) / gate + (0.0 if track.confirmed else 0.5)
+        return costs
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
         measured = np.array([*blob.head, *blob.foot])
@@ -201,7 +204,8 @@ class Tracker:
     def _cover(self, t: float, blobs: list[Blob]) -> None:
         for track in self.active:
             if track.last.t < t and track.confirmed:
-                track.covered = any(_holds(blob.box, track.box) for blob in blobs)
+                box = track.box
+                track.covered = any(_holds(blob.box, box) for blob in blobs)
 
     # -- births and deaths ------------------------------
 
@@ -353,10 +357,10 @@ def _holds(outer: Box, inner: Box) -> bool:
 
 def _overlap(a: Box, b: Box) -> float:
     """Common area as a share of the smaller box."""
+    if a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]:
+        return 0.0
     width = min(a[2], b[2]) - max(a[0], b[0])
     height = min(a[3], b[3]) - max(a[1], b[1])
-    if width <= 0 or height <= 0:
-        return 0.0
     smaller = min((a[2] - a[0]) * (a[3] - a[1]), (b[2] - b[0]) * (b[3] - b[1]))
     return width * height / max(smaller, 1.0)
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import cv2
-
 from camtopod.records import Event
 from camtopod.vision.background import Luma
 from camtopod.vision.blobs import find_blobs
 from camtopod.vision.crossings import Crossings, went_somewhere
 from camtopod.vision.motion import MotionDetector
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.shrink import shrunk
 from camtopod.vision.track import Track
 from camtopod.vision.tracks import Tracker
 
@@ -43,7 +42,7 @@ class Watcher:
         The first seconds' pictures wait until there is a background, then all are looked at.
         """
         self.analysed += 1
-        small = self._motion.clean(self._shrink(frame))
+        small = self._motion.clean(shrunk(frame, self._settings.working_width))
         if self._tracker is not None and self._motion.ready:
             return self._step(t, small)
         self._waiting.append((t, small))
@@ -51,13 +50,6 @@ class Watcher:
         if enough or len(self._waiting) >= BOOTSTRAP_FRAMES_KEPT:
             return self._bootstrap()
         return []
-
-    def _shrink(self, frame: Luma) -> Luma:
-        height, width = frame.shape
-        if width <= self._settings.working_width:
-            return frame
-        size = (self._settings.working_width, round(height * self._settings.working_width / width))
-        return cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
 
     def _bootstrap(self) -> list[Event]:
         waiting, self._waiting = self._waiting, []
