@@ -121,7 +121,10 @@ def test_a_long_refit_has_its_own_limit(tmp_path: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize(
     ("part", "name", "loop"),
-    [("_live", "_step", "predict"), ("_journal", "commit", "receive"), ("_receiver", "_store", "receive")],
+    [
+        *(("_live", "_step", "predict"), ("_receiver", "_round", "receive")),
+        *(("_journal", "commit", "store"), ("_receiver", "_store", "store")),
+    ],
 )
 def test_each_loop_is_watched(part: str, name: str, loop: str, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     let_go = stuck_in(getattr(daemon, part), name, monkeypatch)

@@ -19,6 +19,7 @@ from camtopod.records import Ack, Event
 from camtopod.serve.cameras import Received
 from camtopod.serve.database import Damaged
 from camtopod.serve.journal import Journal, Snapshot
+from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.puller import read_batch
 from camtopod.serve.receiver import Pulled, Receiver
 from camtopod.serve.spool import SpoolBatch
@@ -42,10 +43,11 @@ class Bench:
     def __init__(self, directory: Path, **limits: float) -> None:
         self.journal, self.bus = Journal(directory), Acks()
         self.learned: list[Received] = []
+        self.seen: list[Received] = []
         self.published: list[Version] = []
         self.receiver = Receiver(
             self.journal, self.bus, Limits(**limits), lambda: T0,  # type: ignore[arg-type]
-            self.learned.extend, lambda: 10_000, self.published.append, steady=lambda: 0.0,
+            self.learned.extend, lambda: 10_000, self.published.append, self.seen.extend, steady=lambda: 0.0,
         )  # fmt: skip
         self.stopping = threading.Event()
 
@@ -54,7 +56,18 @@ class Bench:
             self.receiver.on_event(f"event/{event.camera}", to_pack(event))
 
     def round(self) -> None:
-        self.receiver._round(self.receiver._take(), self.stopping)
+        self.receiver._round(self.receiver._take())
+        self.receiver._store_waiting(self.stopping)
+
+    def work(self, beat: Beat = no_beat) -> None:
+        """Until it is told to stop; what is wrong with the journal is raised here."""
+        ordering = threading.Thread(target=self.receiver.work, args=(self.stopping, beat))
+        ordering.start()
+        try:
+            self.receiver.store(self.stopping)
+        finally:
+            self.stopping.set()
+            ordering.join()
 
 
 @pytest.fixture
@@ -87,7 +100,7 @@ def test_what_could_not_be_stored_at_the_end_is_not_acknowledged_with_what_could
 
     monkeypatch.setattr(bench.journal, "commit", full)
     bench.hear(*events(1, 3))
-    bench.receiver.work(bench.stopping)
+    bench.work()
     assert refused == [True]
     stored = {entry.seq for _, entry in bench.journal.entries() if entry is not None}
     for ack in bench.bus.seen:
@@ -129,8 +142,8 @@ def test_whatever_the_disk_does_until_the_end_what_is_acknowledged_is_there_once
     chance.shuffle(coming)
     coming.sort(key=lambda event: event.t + chance.uniform(0, 9))
     bench.hear(*coming)
-    while not bench.stopping.is_set() and len(bench.receiver._inbox):
-        bench.receiver.work(bench.stopping, beat=lambda: None if len(bench.receiver._inbox) else bench.stopping.set())
+    receiver = bench.receiver
+    bench.work(lambda: None if len(receiver._inbox) or receiver._ready.waiting else bench.stopping.set())
     entries = [entry for _, entry in bench.journal.entries()]
     stored = [(entry.camera, entry.seq) for entry in entries if entry is not None]
     assert len(set(stored)) == len(stored)
@@ -161,7 +174,7 @@ def test_a_version_that_could_not_be_stored_at_the_end_is_stored_before_a_snapsh
 
     monkeypatch.setattr(bench.journal, "commit", failing)
     bench.receiver.storing.on_version(first_version())
-    bench.receiver.work(bench.stopping)
+    bench.work()
     full = False
     bench.receiver.storing.last_words(Snapshot(0, "E", b"state"))
     assert bench.journal.snapshots() == [Snapshot(0, "E", b"state")]
@@ -261,7 +274,7 @@ def test_a_journal_that_turns_out_to_be_damaged_ends_the_work_and_holds_up_no_en
     monkeypatch.setattr(bench.journal, "commit", damaged)
     bench.hear(*events(1, 1))
     with pytest.raises(Damaged):
-        bench.receiver.work(bench.stopping)
+        bench.work()
     assert bench.bus.seen == []
     bench.receiver.storing.last_words(Snapshot(0, "E", b"state"))
     assert "what was learned last is not stored: the journal is damaged" in caplog.text

@@ -130,7 +130,7 @@ class Cameras:
         return due
 
     def note(self, event: Event) -> None:
-        """It is stored."""
+        """It is about to be stored."""
         camera = self._place(event.camera)
         camera.newest = max(camera.newest, event.t) if camera.events else event.t
         camera.events += 1

@@ -1,9 +1,9 @@
 """The daemon: events from the bus into the learner, topology, predictions, acks and status onto the bus.
 
-Theory of operation. Four threads besides the bus's own. *Receive* owns the journal: it orders what came
-in, commits it, acknowledges it, and stores each version before it is published. *Learn* feeds the learner
-what is committed, in the journal's order. *Predict* answers exits over the newest version. *Pull* asks the
-publishers' spools for what is missing. Every hand-over is a bounded queue; when one is
+Theory of operation. Five threads besides the bus's own. *Receive* puts what came in in order and shows it to *predict*,
+which answers exits over the newest version. *Store* owns the journal: it commits what is in order, acknowledges it, and
+stores each version before it is published. *Learn* feeds the learner what is committed, in the journal's order. *Pull*
+asks the publishers' spools for what is missing. Every hand-over is a bounded queue; when one is
 full, events stay in the spools.
 """
 
@@ -25,7 +25,6 @@ from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
 from camtopod.serve.bus import Bus, QueryError, meet
-from camtopod.serve.cameras import Received
 from camtopod.serve.changes import changes
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
@@ -110,6 +109,7 @@ class Daemon:
             self._bus.put("topology", self.topology, "topology")
         stall = self._config.health.stall_seconds
         self._run("receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall)
+        self._run("store", lambda mark: self._receiver.store(self._stopping, mark.beat), stall)
         self._run(
             "learn", lambda mark: self._learning.work(self._stopping, mark.beat), self._config.health.learn_seconds
         )
@@ -138,7 +138,7 @@ class Daemon:
         if self._bus is not None and self._given_bus is None:
             self._bus.close()
         running = {thread.name for thread in self._threads if thread.is_alive()}
-        if "receive" not in running:
+        if "store" not in running:
             if self.started and "learn" not in running:
                 self._receiver.storing.last_words(None if self._failed.is_set() else self._learning.snapshot())
             self._journal.close()
@@ -236,13 +236,14 @@ class Daemon:
     def _build(self, bus: Bus, recovered: Recovered) -> None:
         limits = self._config.limits
         self.topology = newest_topology(self._journal, recovered.learner)
-        self._live = Live(limits.learn_events_max, self._publish_prediction)
+        self._live = Live(self._publish_prediction)
         if self.topology is not None:
             self._live.use(self.topology)
         self._live.remember(recent_events(self._journal))
         self._receiver = Receiver(
             self._journal, bus, limits, self._clock,
-            learn=self._learn, room=lambda: self._learning.room(), publish=self._publish,
+            learn=lambda batch: self._learning.feed(batch), room=lambda: self._learning.room(),
+            publish=self._publish, see=self._live.feed,
         )  # fmt: skip
         storing = self._receiver.storing
         self._learning = Learning(
@@ -293,12 +294,6 @@ class Daemon:
         except (sqlite3.Error, StateError, codec.Rejected) as error:
             raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
-
-    def _learn(self, batch: list[Received]) -> None:
-        for received in batch:
-            if received.event is not None:
-                self._live.feed(received.event)
-        self._learning.feed(batch)
 
     def _publish(self, version: Version) -> None:
         """A version that is stored: everybody may know it."""

@@ -2,39 +2,51 @@
 
 from __future__ import annotations
 
-import logging
-import queue
+import collections
 import threading
+import time
 from collections.abc import Callable, Sequence
 
 from camtopod import codec
 from camtopod.learn.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
+from camtopod.serve.cameras import Received
 from camtopod.serve.progress import Beat, no_beat
 
-log = logging.getLogger(__name__)
-
 _TICK_SECONDS = 0.2
+EVENTS_MAX = 2_000
+"""Waiting to be predicted or taken note of: some tenths of a second, as later predictions help nobody."""
+REST_SHARE, REST_SECONDS_MAX = 3.0, 1.0
+"""When there is more than can be predicted, so many times as long as a batch took is left to those who store."""
 
 
 class Live:
-    """Feed it events in the order they were stored; run `work` in a thread of its own."""
+    """Feed it events in the order they are stored; run `work` in a thread of its own."""
 
-    def __init__(self, events_max: int, publish: Callable[[Prediction], None]) -> None:
-        self._queue: queue.Queue[Event] = queue.Queue(events_max)
+    def __init__(self, publish: Callable[[Prediction], None]) -> None:
+        self._batches: collections.deque[list[Event]] = collections.deque()
+        self._waiting = 0
+        self._behind = False
+        self._come = threading.Condition()
         self._publish = publish
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
         self._topology: Topology | None = None
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
-    def feed(self, event: Event) -> None:
-        """An event just stored. Never blocks: what cannot be predicted in time is skipped and counted."""
-        try:
-            self._queue.put_nowait(event)
-        except queue.Full:
-            self.counts["predictions_skipped"] += 1
+    def feed(self, batch: list[Received]) -> None:
+        """Events about to be stored. Never blocks: when there are too many, the oldest are skipped."""
+        events = [one.event for one in batch if one.event is not None]
+        with self._come:
+            self._batches.append(events)
+            self._waiting += len(events)
+            while self._waiting > EVENTS_MAX and len(self._batches) > 1:
+                skipped = self._batches.popleft()
+                self._waiting -= len(skipped)
+                self.counts["predictions_skipped"] += sum(event.kind == "exit" for event in skipped)
+                self._behind = True
+            self._come.notify()
 
     def remember(self, events: Sequence[Event]) -> None:
         """Events of before the start, so that the first predictions know what was going on."""
@@ -51,14 +63,17 @@ class Live:
         """Predict until ``stopping``."""
         while not stopping.is_set():
             beat()
-            try:
-                event = self._queue.get(timeout=_TICK_SECONDS)
-            except queue.Empty:
-                continue
-            prediction = self._step(event)
-            if prediction is not None:
-                self._publish(prediction)
-                self.counts["predictions"] += 1
+            with self._come:
+                if not self._batches:
+                    self._come.wait(_TICK_SECONDS)
+                batch = self._batches.popleft() if self._batches else []
+                self._waiting -= len(batch)
+                behind, self._behind = self._behind, False
+            begun = time.monotonic()
+            for event in batch:
+                self._step(event)
+            if behind:
+                stopping.wait(min(REST_SHARE * (time.monotonic() - begun), REST_SECONDS_MAX))
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """To ``predict/{camera}``: for an exit at x, y at t, or from a zone. Raises `QueryError`."""
@@ -81,14 +96,19 @@ class Live:
                 raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
             return predictor.predict_from(zones.index(parameters["zone"]), event.t)
 
-    def _step(self, event: Event) -> Prediction | None:
+    def _step(self, event: Event) -> None:
+        """The prediction leaves before its exit is taken note of."""
+        if event.kind == "exit":
+            with self._mutex:
+                predictor = self._newest()
+                prediction = None if predictor is None else predictor.predict(event)
+            if prediction is not None:
+                self._publish(prediction)
+                self.counts["predictions"] += 1
         with self._mutex:
             predictor = self._newest()
-            if predictor is None:
-                return None
-            prediction = predictor.predict(event) if event.kind == "exit" else None
-            predictor.observe(event)
-            return prediction
+            if predictor is not None:
+                predictor.observe(event)
 
     def _newest(self) -> Predictor | None:
         """The predictor over the newest version, made when first needed."""

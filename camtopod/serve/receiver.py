@@ -1,7 +1,8 @@
 """From bytes on the bus to events in the journal, in order, once each; and the acks for them.
 
-One thread owns the journal and the order of the streams. The bus's threads only put bytes into the bounded
-inbox. What is committed goes on to the learner and to the live predictions, in the order of the journal.
+The bus's threads only put bytes into the bounded inbox. One thread puts the streams in order and shows what is ready to
+the live predictions; another owns the journal: it commits what is ready, so many at a time as have come meanwhile, then
+hands it on to the learner, in the same order, and acknowledges it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from camtopod.records import CAMERA_CHARACTERS_MAX, Ack, Event
 from camtopod.serve.bus import Bus
 from camtopod.serve.cameras import Cameras, Received
 from camtopod.serve.clock import Clock, steady_beside
+from camtopod.serve.handover import Handover
 from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.merge import Merge
@@ -58,10 +60,10 @@ def decode(raw: bytes) -> Event:
 
 
 class Receiver:
-    """Give it bytes with `on_event` and `on_pulled` (any thread), then run `work` in a thread of its own.
+    """Give it bytes with `on_event` and `on_pulled` (any thread), and run `work` and `store` in a thread each.
 
-    ``learn`` takes what is committed, in journal order, and must not block; ``room()``: how many it takes.
-    ``publish``: called with each version after it is stored.
+    ``see`` is shown what is about to be stored, once, in journal order, and ``learn`` takes it when that is done;
+    neither must block; ``room()``: how many ``learn`` takes. ``publish``: called with each version after it is stored.
     """
 
     def __init__(
@@ -73,10 +75,11 @@ class Receiver:
         learn: Callable[[list[Received]], None],
         room: Callable[[], int],
         publish: Callable[[Version], None],
+        see: Callable[[list[Received]], None],
         steady: Clock | None = None,
     ) -> None:
         self._bus, self._limits, self._clock = bus, limits, clock
-        self._learn, self._room = learn, room
+        self._see, self._learn, self._learner_room = see, learn, room
         self.storing = Storing(journal, clock, publish)
         self._steady = steady or steady_beside(clock)
         self.cameras = Cameras(limits)
@@ -89,7 +92,10 @@ class Receiver:
         self._answers: collections.deque[Pulled] = collections.deque()
         self.merge = Merge(limits.held_events_max)
         self._stored = journal.streams()
+        self._ready = Handover()
         self._dirty: set[tuple[str, str]] = set(self._stored)
+        self._ack_again: collections.deque[tuple[str, str]] = collections.deque()  # from `work` to `store`, ...
+        self._forgotten: collections.deque[tuple[str, str]] = collections.deque()  # ... and this
         self._next_ack = 0.0
         self._live: tuple[float, float, float] | None = None  # newest event time in step; wall and steady clock then
         self.streams: Streams[Received] = Streams(self._stored, limits.held_events_max, limits.streams_max, BOOTS_MAX)
@@ -134,21 +140,45 @@ class Receiver:
         return dict(self._inbox.dropped)
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
-        """Store until ``stopping``, then what is in the inbox already.
+        """Order what comes until ``stopping``, then what is in the inbox already."""
+        self._ready.begin()
+        try:
+            while not stopping.is_set():
+                self._round(self._take())
+                beat()
+            self._round(self._take())
+        finally:
+            self._ready.end()
+
+    def store(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
+        """Store what `work` has put in order until that has ended.
 
         Nothing after what could not be stored: an ack says that everything up to its seq is.
         """
         self._beat = beat
         stored = True
-        while stored and not stopping.is_set():
-            stored = self._round(self._take(), stopping)
+        while stored and not self._ready.over:
+            stored = self._store_waiting(stopping)
             beat()
-        if stored:
-            self._round(self._take(), stopping)
         self._ack(now=float("inf"))
 
-    def _round(self, messages: list[Message | Pulled], stopping: threading.Event) -> bool:
-        """From messages to acks; False if they could not be stored."""
+    def _store_waiting(self, stopping: threading.Event) -> bool:
+        """A transaction, as soon as there is something for one; False if it could not be stored."""
+        if self._limits.commit_seconds and self._ready.waiting:
+            time.sleep(self._limits.commit_seconds)
+        if not self._store(self._ready.take(self._limits.commit_events_max, _TICK_SECONDS), stopping):
+            return False
+        self._ack(time.monotonic())
+        self.storing.forget_old()
+        return True
+
+    def _round(self, messages: list[Message | Pulled]) -> None:
+        """From messages to what is ready to be stored.
+
+        Predictions do not wait for the disk: unlike an ack they promise nothing. Each event is shown for them once,
+        when its turn has come, and no duplicate or refused one comes so far. After a crash before the commit it comes
+        again.
+        """
         now, wall = self._steady(), self._clock()
         ready: list[Received] = []
         for message in messages:
@@ -157,28 +187,31 @@ class Receiver:
             else:
                 ready += self._published(message, wall, now)
         ready += self.streams.give_up(time.monotonic(), self._limits.gap_seconds, self.with_spool)
-        most = min(self._limits.commit_events_max, self._room())
-        ready = self.merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), most)
+        ready = self.merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), max(self._room(), 0))
         ready = self._without_floods(ready)
         ready += self._time_went_on(now)
-        if not self._store(ready, stopping):
-            return False
-        self._ack(time.monotonic())
+        for one in ready:
+            if one.event is not None:
+                self._note(one.event, wall + self.cameras.clock_behind, now)
+        if ready:
+            self._see(ready)
+            self._ready.put(ready)
+        self._forgotten.extend(self.streams.forgotten())
         if self.streams.gaps:
             self.gap.set()
-        self.storing.forget_old()
-        return True
+
+    def _room(self) -> int:
+        """How many events may be put in order now."""
+        return min(self._limits.commit_events_max, self._learner_room()) - self._ready.waiting
 
     def _take(self) -> list[Message | Pulled]:
         """What came in, at most a transaction's worth and no more than the learner has room for."""
-        room = min(self._limits.commit_events_max, self._room())
-        if room <= 0:
-            time.sleep(_TICK_SECONDS)
+        if self._room() <= 0:
+            self._ready.wait_for_room(_TICK_SECONDS)
             return []
         if not self._answers:
             self._inbox.wait(_TICK_SECONDS)
-        if self._limits.commit_seconds and len(self._inbox):
-            time.sleep(self._limits.commit_seconds)
+        room = self._room()
         messages: list[Message | Pulled] = []
         while self._answers and room > 0:
             answer = self._answers.popleft()
@@ -225,7 +258,7 @@ class Receiver:
         seqs = [seq for seq, _ in batch.events]
         self.streams.answered(key, pulled.asked_from, seqs, batch.more, knows=batch.first > 0)
         if key in self._stored and batch.first <= self._stored[key] != batch.acked:
-            self._dirty.add(key)  # it has what is stored here already: the ack got lost
+            self._ack_again.append(key)  # it has what is stored here already: the ack got lost
         return ready
 
     def _notice_loss(self, batch: SpoolBatch) -> None:
@@ -305,19 +338,18 @@ class Receiver:
         """Into the journal, then on to the learner; False if it could not be stored."""
         if not self.storing.store([received.entry for received in ready], stopping, self._beat):
             return False
-        wall, now = self._clock() + self.cameras.clock_behind, self._steady()
         for entry, event, _ in ready:
             if entry.boot is not None and entry.seq is not None:
                 self._stored[entry.camera, entry.boot] = entry.seq
                 self._dirty.add((entry.camera, entry.boot))
-            if event is not None:
-                self._note(event, wall, now)
+            self.counts["stored"] += event is not None
         if ready:
             self._learn(ready)
+        self._ready.done()
         return True
 
     def _note(self, event: Event, wall: float, now: float) -> None:
-        self.counts["stored"] += 1
+        """It is about to be stored."""
         self.cameras.note(event)
         if abs(event.t - wall) <= self._limits.future_seconds_max:
             newest = event.t if self._live is None else max(event.t, self._live[0])
@@ -327,9 +359,13 @@ class Receiver:
         if now < self._next_ack:
             return
         self._next_ack = now + self._limits.ack_seconds
+        while self._ack_again:
+            key = self._ack_again.popleft()
+            if key in self._stored:
+                self._dirty.add(key)
         for camera, boot in self._dirty:
             self._bus.put(f"ack/{camera}", Ack(camera, boot, self._stored[camera, boot]), "ack")
             self._beat()  # a put onto a dead link blocks for seconds
         self._dirty.clear()
-        for key in self.streams.forgotten():
-            self._stored.pop(key, None)
+        while self._forgotten:
+            self._stored.pop(self._forgotten.popleft(), None)

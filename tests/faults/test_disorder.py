@@ -74,7 +74,7 @@ def received(arrivals: Sequence[Event], learn: Settings = LEARN) -> tuple[list[t
         made.extend(versions(learner))
 
     receiver = Receiver(
-        shelf, line, Limits(), lambda: EVENTS[-1].t, take, lambda: 10_000, lambda version: None,  # type: ignore[arg-type]
+        shelf, line, Limits(), lambda: EVENTS[-1].t, take, lambda: 10_000, lambda version: None, lambda _: None,  # type: ignore[arg-type]
     )  # fmt: skip
     stopping = threading.Event()
     stopping.set()  # one round at a time
@@ -82,6 +82,7 @@ def received(arrivals: Sequence[Event], learn: Settings = LEARN) -> tuple[list[t
         for event in arrivals[start : start + ROUND_EVENTS]:
             receiver.on_event(f"event/{event.camera}", to_pack(event))
         receiver.work(stopping)
+        receiver.store(stopping)
     return made, learner, shelf, line
 
 
