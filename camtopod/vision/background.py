@@ -64,7 +64,7 @@ class Background:
         change = frame[::4, ::4][sample] + (256 - model)  # plus 256
         levels = model // (256 // TONE_BINS)
         # Sorted by level and then by change, the medians are in the middles of the levels.
-        changes = np.sort(levels * 512 + change, kind="stable") % 512
+        changes = np.sort(levels * 512 + change) % 512
         counts = np.bincount(levels, minlength=TONE_BINS)
         said = np.flatnonzero(counts >= _TONE_PIXELS_MIN)
         if not len(said):

@@ -76,9 +76,10 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     groups = _merge([(int(label), _box(stats[label])) for label in kept], cache(expected_height))
     area_min = max(AREA_PIXELS_MIN, AREA_SHARE_MIN * mask.size)
     blobs = []
-    for group in groups:
-        if sum(int(stats[label, cv2.CC_STAT_AREA]) for label in group) >= area_min:
-            blob = _blob(group, stats, labels, motion)
+    for group, box in groups:
+        area = sum(int(areas[label - 1]) for label in group)
+        if area >= area_min:
+            blob = _blob(group, box, area, labels, motion)
             if blob is not None:
                 blobs.append(blob)
     return blobs
@@ -89,31 +90,30 @@ def _fragments(mask: Luma) -> tuple[Luma, Luma]:
 
     Labelling costs by the area looked at, so it is done only where there is something.
     """
-    labels = np.zeros(mask.shape, np.int32)
+    few = mask.size < 4 * np.iinfo(np.uint16).max  # no two fragments share a square of 2 x 2 pixels
+    depth, dtype = (cv2.CV_16U, np.uint16) if few else (cv2.CV_32S, np.int32)
+    labels: Luma = np.zeros(mask.shape, dtype)
     left, top, width, height = cv2.boundingRect(mask)
     if width == 0:
         return labels, np.zeros((1, 5), np.int32)
     part = slice(top, top + height), slice(left, left + width)
-    _, labels[part], stats, _ = cv2.connectedComponentsWithStats(mask[part], connectivity=8)
+    _, labels[part], stats, _ = cv2.connectedComponentsWithStats(mask[part], connectivity=8, ltype=depth)
     stats[:, : cv2.CC_STAT_TOP + 1] += (left, top)
     return labels, stats
 
 
 def _box(row: cv2.typing.MatLike) -> Box:
-    left, top, width, height = (float(value) for value in row[:4])
+    left, top, width, height = map(float, row[:4].tolist())
     return (left, top, left + width, top + height)
 
 
-def _blob(group: list[int], stats: cv2.typing.MatLike, labels: cv2.typing.MatLike, motion: Motion) -> Blob | None:
+def _blob(group: list[int], box: Box, area: int, labels: Luma, motion: Motion) -> Blob | None:
     """One blob of the fragments ``group``, or None if it has too few edges of its own."""
-    boxes = [_box(stats[label]) for label in group]
-    left, top = int(min(b[0] for b in boxes)), int(min(b[1] for b in boxes))
-    right, bottom = int(max(b[2] for b in boxes)), int(max(b[3] for b in boxes))
+    left, top, right, bottom = map(int, box)
     part = labels[top:bottom, left:right]
     mask = part == group[0]
     for label in group[1:]:
         mask |= part == label
-    area = int(np.count_nonzero(mask))
     if area < FILL_SHARE_MIN * (right - left) * (bottom - top):
         return None
     if np.count_nonzero(motion.edges[top:bottom, left:right][mask]) < EDGE_SHARE_MIN * area:
@@ -122,9 +122,9 @@ def _blob(group: list[int], stats: cv2.typing.MatLike, labels: cv2.typing.MatLik
     return Blob(left, top, right, bottom, left + float(feet[0] + feet[-1] + 1) / 2, area)
 
 
-def _merge(fragments: list[tuple[int, Box]], expected_height: ExpectedHeight) -> list[list[int]]:
-    """Groups of labels that are one person: one above the other, or nearly touching, and not too tall
-    together."""
+def _merge(fragments: list[tuple[int, Box]], expected_height: ExpectedHeight) -> list[tuple[list[int], Box]]:
+    """Groups of labels that are one person, and their boxes: one above the other, or nearly touching, and not too
+    tall together."""
     groups = [([label], box) for label, box in fragments]
     merged = True
     while merged:
@@ -135,7 +135,7 @@ def _merge(fragments: list[tuple[int, Box]], expected_height: ExpectedHeight) ->
                     labels, box = groups.pop(j)
                     groups[i] = (groups[i][0] + labels, _union(groups[i][1], box))
                     merged = True
-    return [labels for labels, _ in groups]
+    return groups
 
 
 def _union(a: Box, b: Box) -> Box:

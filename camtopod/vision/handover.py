@@ -18,8 +18,6 @@ CHANGE_SECONDS = 1.3
 """each within this time."""
 SPEED_MAX = 2.5
 """Heights per second. People walk about one; what changes faster is a blob that merged or split."""
-TOUCH_PIXELS = 1.5
-"""So near it, a box is cut by a side of the picture."""
 LEFT_SHARE = 1.0
 """When it is smallest, at most this share of a person's width (at the sides) or height is in view."""
 
@@ -29,8 +27,6 @@ def find_handover(history: Sequence[Sighting], size: tuple[int, int], width: flo
 
     ``size`` of the picture, ``width`` and ``height`` of a person, pixels.
     """
-    if not any(_touches(sighting.box, size) for sighting in history):
-        return None
     for side in range(4):
         whole = width if side in (0, 2) else height
         into = [_into_view(sighting.box, side, size) for sighting in history]
@@ -56,11 +52,6 @@ def _into_view(box: Box, side: int, size: tuple[int, int]) -> float:
     return (box[2], box[3], size[0] - box[0], size[1] - box[1])[side]
 
 
-def _touches(box: Box, size: tuple[int, int]) -> bool:
-    """Whether any side of the picture cuts the box."""
-    return min(box[0], box[1], size[0] - box[2], size[1] - box[3]) <= TOUCH_PIXELS
-
-
-def touches_side(box: Box, side: int, size: tuple[int, int], pixels: float = TOUCH_PIXELS) -> bool:
+def touches_side(box: Box, side: int, size: tuple[int, int], pixels: float = 1.5) -> bool:
     """Whether the box is cut by that side of the picture."""
     return (box[0], box[1], size[0] - box[2], size[1] - box[3])[side] <= pixels

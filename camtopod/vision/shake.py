@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from camtopod.vision.background import Luma
 
 _ROW_STEP = 4
-_OUTLIER = 40.0
+_OUTLIER = 40
 """Grey levels; a larger difference is an object rather than a shift of a pixel."""
 
 
@@ -17,17 +18,22 @@ def shift(frame: Luma, scene: Luma, settled: Luma) -> tuple[float, float]:
     One step, so good to a pixel or so. (0, 0) where the scene has too little texture to tell.
     """
     rows, columns = slice(1, -1, _ROW_STEP), slice(1, -1)
-    middle = scene[rows, columns].astype(np.float32)
+    middle = scene[rows, columns].astype(np.int16)
     difference = middle - frame[rows, columns]
     good = (settled[rows, columns] != 0) & (np.abs(difference) < _OUTLIER)
-    dx = ((scene[rows, 2:].astype(np.float32) - scene[rows, :-2]) / 2)[good]
     count = middle.shape[0]
     below, above = scene[2::_ROW_STEP, columns][:count], scene[:-2:_ROW_STEP, columns][:count]
-    dy = ((below.astype(np.float32) - above) / 2)[good]
-    difference = difference[good]
-    xx, xy, yy = float(dx @ dx), float(dx @ dy), float(dy @ dy)
+    # Twice the gradients, so that all is in whole numbers.
+    dx = _flat((scene[rows, 2:].astype(np.int16) - scene[rows, :-2]) * good)
+    dy = _flat((below.astype(np.int16) - above) * good)
+    off = _flat(difference * good)
+    xx, xy, yy = float(dx @ dx) / 4, float(dx @ dy) / 4, float(dy @ dy) / 4
     determinant = xx * yy - xy * xy
     if determinant <= 1e-3 * max(xx, yy, 1.0) ** 2:
         return (0.0, 0.0)
-    bx, by = float(dx @ difference), float(dy @ difference)
+    bx, by = float(dx @ off) / 2, float(dy @ off) / 2
     return ((yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant)
+
+
+def _flat(values: npt.NDArray[np.int16]) -> npt.NDArray[np.float32]:
+    return values.astype(np.float32).ravel()

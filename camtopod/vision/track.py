@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from camtopod.vision.kalman import Kalman, Vector
 from camtopod.vision.motion import Box
 from camtopod.vision.sighting import Sighting
@@ -39,14 +37,16 @@ class Track:
     """There were no pictures when it was lost."""
     reach: float = 0.0
     """The farthest its head or foot has been from where it began, pixels."""
-    origin: Vector = field(default_factory=lambda: np.zeros(4))
+    origin: Vector = (0.0, 0.0, 0.0, 0.0)
+    cut_t: float = float("-inf")
+    """When a side of the picture cut it last, seconds."""
     measured_at: tuple[float, float] = (0.0, 0.0)
     """Foot point where its height was last taken."""
 
     @property
     def box(self) -> Box:
         """Where it is expected now."""
-        x, top, foot_x, bottom = self.kalman.position.tolist()
+        x, top, foot_x, bottom = self.kalman.position
         middle = (x + foot_x) / 2
         return (middle - self.width / 2, min(top, bottom - 1), middle + self.width / 2, bottom)
 

@@ -145,7 +145,7 @@ class Tracker:
             elif track is highest:
                 bottom = min(blob.top + track.height, blob.bottom)
             box = (x - track.width / 2, bottom - track.height, x + track.width / 2, bottom)
-            track.kalman.update(np.array([x, bottom - track.height, x, bottom]), track.height)
+            track.kalman.update((x, bottom - track.height, x, bottom), track.height)
             self._seen(track, Sighting(t, (x, bottom), box))
 
     def _assign(self, t: float, blobs: list[Blob]) -> list[Blob]:
@@ -163,7 +163,7 @@ class Tracker:
 
     def _costs(self, track: Track, blobs: list[Blob]) -> list[float]:
         """For each blob the distance of head and foot in gates; a tentative track yields to a confirmed one."""
-        head_x, head_y, foot_x, foot_y = track.kalman.position.tolist()
+        head_x, head_y, foot_x, foot_y = track.kalman.position
         scale = max(track.height, self.stature.height(foot_y) or 0.0)
         gate = GATE_HEIGHTS * scale + 2 * track.kalman.uncertainty
         height_min = PIECE_HEIGHT_MIN * track.height if track.confirmed else 0.0
@@ -179,7 +179,7 @@ class Tracker:
         return costs
 
     def _update_single(self, t: float, track: Track, blob: Blob) -> None:
-        measured = np.array([*blob.head, *blob.foot])
+        measured = (*blob.head, *blob.foot)
         if self._touches(blob.box) or self._touches(track.last.box) or not track.confirmed:
             # It is coming into sight or going out of it.
             track.height, track.width = max(track.height, blob.height), max(track.width, blob.width)
@@ -188,7 +188,7 @@ class Tracker:
             track.width += _SIZE_RATE * (blob.width - track.width)
         track.kalman.update(measured, track.height)
         self._seen(track, Sighting(t, blob.foot, blob.box))
-        step = float(np.hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1]))
+        step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
         if track.confirmed and step > STATURE_STEP_HEIGHTS * track.height and not self._touches(blob.box):
             track.measured_at = blob.foot
             self.stature.add(track.number, blob.bottom, blob.height)
@@ -197,9 +197,13 @@ class Tracker:
         track.last = sighting
         track.history.append(sighting)
         track.sightings += 1
+        if self._touches(sighting.box):
+            track.cut_t = sighting.t
         left, top, right, bottom = sighting.box
-        moved = np.array([(left + right) / 2, top, sighting.foot[0], bottom]) - track.origin
-        track.reach = max(track.reach, float(np.hypot(*moved[:2])), float(np.hypot(*moved[2:])))
+        head_x, head_y, foot_x, foot_y = track.origin
+        head = hypot((left + right) / 2 - head_x, top - head_y)
+        foot = hypot(sighting.foot[0] - foot_x, bottom - foot_y)
+        track.reach = max(track.reach, head, foot)
 
     def _cover(self, t: float, blobs: list[Blob]) -> None:
         for track in self.active:
@@ -220,12 +224,13 @@ class Tracker:
         if any(track.last.t == t and _holds(track.last.box, blob.box) for track in others):
             return  # a fragment of somebody who is seen already
         sighting = Sighting(t, blob.foot, blob.box)
-        measured = np.array([*blob.head, *blob.foot])
+        measured = (*blob.head, *blob.foot)
         beside = any(_gap(track.box, blob.box) < 0.3 * track.height for track in others)
         height = max(blob.height, 0.5 * (expected or 0.0))
         track = Track(
             number=self._next, first=sighting, last=sighting, kalman=Kalman(measured, height), height=height,
             width=blob.width, from_start=t == self._start, beside_others=beside, origin=measured,
+            cut_t=t if cut else float("-inf"),
         )  # fmt: skip
         track.history.append(sighting)
         self._next += 1
@@ -256,9 +261,7 @@ class Tracker:
             if self._begins_at_edge(track):
                 reach = STITCH_AT_EDGE_HEIGHTS if gap <= STITCH_AT_EDGE_SECONDS else 0.0
             reach *= max(track.height, other.height)
-            distance = float(
-                np.hypot(track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1])
-            )
+            distance = hypot(track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1])
             ratio = track.height / other.height
             if distance < reach * best_score and 0.4 < ratio < 2.5:
                 best, best_score = other, distance / reach
@@ -282,6 +285,8 @@ class Tracker:
         for track in self.active:
             if not track.confirmed or track.last.t < t or track in appeared:
                 continue
+            if track.cut_t < track.history[0].t:
+                continue
             turn = find_handover(track.history, self._size, track.width, track.height)
             if turn is not None:
                 left.append(self._split(track, turn))
@@ -297,7 +302,7 @@ class Tracker:
         track.first, track.history = past[turn], deque(past[turn:], maxlen=HISTORY_SIGHTINGS)
         track.from_start = track.beside_others = track.entered = False
         left, top, right, _ = track.first.box
-        track.origin = np.array([(left + right) / 2, top, *track.first.foot])
+        track.origin = ((left + right) / 2, top, *track.first.foot)
         track.reach = 0.0
         return earlier
 
@@ -369,4 +374,4 @@ def _gap(a: Box, b: Box) -> float:
     """Pixels between two boxes, 0 where they overlap."""
     x = max(0.0, max(a[0], b[0]) - min(a[2], b[2]))
     y = max(0.0, max(a[1], b[1]) - min(a[3], b[3]))
-    return float(np.hypot(x, y))
+    return hypot(x, y)
