@@ -121,8 +121,8 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """Events of further cameras are refused, until one has been silent for an hour."""
     commit_events_max: Count = 2_000
     """Events a transaction of the journal."""
-    commit_seconds: float = 0.0
-    """How long a transaction waits for more events; raise it on an SD card (0.05)."""
+    commit_seconds: float = 0.02
+    """How long a transaction waits for more events, which their predictions do not; raise it on an SD card (0.05)."""
     learn_events_max: Count = 50_000
     """Stored and not yet learned; beyond it storing waits."""
     held_events_max: Count = 5_000

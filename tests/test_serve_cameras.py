@@ -168,7 +168,7 @@ def test_setting_the_clock_forward_does_not_move_event_time(tmp_path: Path) -> N
     journal = Journal(tmp_path)
     receiver = Receiver(
         journal, Nowhere(), Limits(), lambda: T0 + steady + step,  # type: ignore[arg-type]
-        lambda batch: None, lambda: 1000, lambda version: None, lambda batch: None, steady=lambda: steady,
+        lambda batch: None, lambda: 1000, lambda version: None, lambda *seen: None, steady=lambda: steady,
     )  # fmt: skip
     receiver.cameras.admit("a", 0.0)
     receiver._note(at("a", T0), T0, 0.0)

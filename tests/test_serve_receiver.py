@@ -47,7 +47,8 @@ class Bench:
         self.published: list[Version] = []
         self.receiver = Receiver(
             self.journal, self.bus, Limits(**limits), lambda: T0,  # type: ignore[arg-type]
-            self.learned.extend, lambda: 10_000, self.published.append, self.seen.extend, steady=lambda: 0.0,
+            self.learned.extend, lambda: 10_000, self.published.append, lambda batch, _: self.seen.extend(batch),
+            steady=lambda: 0.0,
         )  # fmt: skip
         self.stopping = threading.Event()
 

@@ -66,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
 def _run(daemon: Daemon, args: argparse.Namespace, config: Config, told: Told) -> None:
     if not daemon.start(told.stop):
         return
+    memory.settle()
     try:
         systemd.notify("READY=1", systemd.status(f"running at {daemon.endpoint}"))
         while not told.stop.wait(_LOOK_SECONDS):

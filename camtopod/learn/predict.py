@@ -105,20 +105,24 @@ class Predictor:
     def follow(self, topology: Topology) -> Predictor:
         """A predictor over a newer version that remembers what this one has observed."""
         newer = Predictor(topology)
-        index = {zone.id: k for k, zone in enumerate(newer.zones)}
-        moved = {k: index[zone.id] for k, zone in enumerate(self.zones) if zone.id in index}
-        for arrival in self._arrivals.arrivals():
-            if arrival.zone in moved:
-                newer._arrivals.append(arrival.t, moved[arrival.zone], arrival.rate)
-        for t, zone in zip(*(column.tolist() for column in self._exits.after(-math.inf)), strict=True):
-            if zone in moved:
-                newer._exits.append(t, moved[zone])
-        for (camera, track), passage in self._under_way.items():
-            if passage.entry in moved:
-                newer._goes_under_way(camera, track, msgspec.structs.replace(passage, entry=moved[passage.entry]))
-        newer._events = self._events
-        newer._last_event = {camera: self._last_event.get(camera, self._events) for camera in newer._of_camera}
+        newer.take_over(self)
         return newer
+
+    def take_over(self, older: Predictor) -> None:
+        """Remember what one over an older version has observed; this one must be new."""
+        index = {zone.id: k for k, zone in enumerate(self.zones)}
+        moved = {k: index[zone.id] for k, zone in enumerate(older.zones) if zone.id in index}
+        for arrival in older._arrivals.arrivals():
+            if arrival.zone in moved:
+                self._arrivals.append(arrival.t, moved[arrival.zone], arrival.rate)
+        for t, zone in zip(*(column.tolist() for column in older._exits.after(-math.inf)), strict=True):
+            if zone in moved:
+                self._exits.append(t, moved[zone])
+        for (camera, track), passage in older._under_way.items():
+            if passage.entry in moved:
+                self._goes_under_way(camera, track, msgspec.structs.replace(passage, entry=moved[passage.entry]))
+        self._events = older._events
+        self._last_event = {camera: older._last_event.get(camera, older._events) for camera in self._of_camera}
 
     def save(self) -> PredictorState:
         """Everything `load` needs, beside the topology, to go on from here."""

@@ -1,10 +1,9 @@
 """The daemon: events from the bus into the learner, topology, predictions, acks and status onto the bus.
 
-Theory of operation. Five threads besides the bus's own. *Receive* puts what came in in order and shows it to *predict*,
-which answers exits over the newest version. *Store* owns the journal: it commits what is in order, acknowledges it, and
-stores each version before it is published. *Learn* feeds the learner what is committed, in the journal's order. *Pull*
-asks the publishers' spools for what is missing. Every hand-over is a bounded queue; when one is
-full, events stay in the spools.
+Theory of operation. Four threads besides the bus's own. *Receive* puts what came in in order and answers exits over the
+newest version. *Store* owns the journal: it commits what is in order, acknowledges it, and stores each version before
+it is published. *Learn* feeds the learner what is committed, in the journal's order. *Pull* asks the publishers' spools
+for what is missing. Every hand-over is a bounded queue; when one is full, events stay in the spools.
 """
 
 from __future__ import annotations
@@ -113,7 +112,6 @@ class Daemon:
         self._run(
             "learn", lambda mark: self._learning.work(self._stopping, mark.beat), self._config.health.learn_seconds
         )
-        self._run("predict", lambda mark: self._live.work(self._stopping, mark.beat), stall)
         self._run(
             "pull", lambda mark: self._puller.work(self._stopping, mark), self._config.limits.pull_seconds + stall
         )
@@ -243,7 +241,7 @@ class Daemon:
         self._receiver = Receiver(
             self._journal, bus, limits, self._clock,
             learn=lambda batch: self._learning.feed(batch), room=lambda: self._learning.room(),
-            publish=self._publish, see=self._live.feed,
+            publish=self._publish, see=self._live.see,
         )  # fmt: skip
         storing = self._receiver.storing
         self._learning = Learning(

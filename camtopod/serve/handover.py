@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import collections
 import threading
+import time
 from collections.abc import Sequence
 
 from camtopod.serve.cameras import Received
@@ -46,11 +47,16 @@ class Handover:
             self._ended = True
             self._changed.notify_all()
 
-    def take(self, most: int, seconds: float) -> list[Received]:
-        """Up to ``most`` that wait, or that come within ``seconds``; they count until `done`."""
+    def take(self, most: int, seconds: float, more_seconds: float) -> list[Received]:
+        """Up to ``most`` that wait, or that come within ``seconds`` and ``more_seconds`` after the first; they count
+        until `done`.
+        """
         with self._changed:
             if not self._ready and not self._ended:
                 self._changed.wait(seconds)
+        if 0 < len(self._ready) < most and not self._ended:
+            time.sleep(more_seconds)
+        with self._changed:
             self._taken = min(most, len(self._ready))
             return [self._ready.popleft() for _ in range(self._taken)]
 

@@ -1,8 +1,7 @@
-"""Predictions as objects leave: a path of its own that no refit and no disk holds up."""
+"""Predictions as objects leave, before their events are stored: no fit and no disk holds them up."""
 
 from __future__ import annotations
 
-import collections
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -12,68 +11,40 @@ from camtopod.learn.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.cameras import Received
-from camtopod.serve.progress import Beat, no_beat
-
-_TICK_SECONDS = 0.2
-EVENTS_MAX = 2_000
-"""Waiting to be predicted or taken note of: some tenths of a second, as later predictions help nobody."""
-REST_SHARE, REST_SECONDS_MAX = 3.0, 1.0
-"""When there is more than can be predicted, so many times as long as a batch took is left to those who store."""
 
 
 class Live:
-    """Feed it events in the order they are stored; run `work` in a thread of its own."""
+    """Show it events in the order they are stored. Asked from any thread."""
 
     def __init__(self, publish: Callable[[Prediction], None]) -> None:
-        self._batches: collections.deque[list[Event]] = collections.deque()
-        self._waiting = 0
-        self._behind = False
-        self._come = threading.Condition()
         self._publish = publish
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
-        self._topology: Topology | None = None
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
-    def feed(self, batch: list[Received]) -> None:
-        """Events about to be stored. Never blocks: when there are too many, the oldest are skipped."""
-        events = [one.event for one in batch if one.event is not None]
-        with self._come:
-            self._batches.append(events)
-            self._waiting += len(events)
-            while self._waiting > EVENTS_MAX and len(self._batches) > 1:
-                skipped = self._batches.popleft()
-                self._waiting -= len(skipped)
-                self.counts["predictions_skipped"] += sum(event.kind == "exit" for event in skipped)
-                self._behind = True
-            self._come.notify()
+    def see(self, batch: Sequence[Received], seconds_max: float) -> None:
+        """Events about to be stored. Those for which there is no time any more are skipped, exits counted."""
+        until = time.monotonic() + seconds_max
+        for one in batch:
+            if one.event is not None and self._predictor is not None:
+                if time.monotonic() < until:
+                    self._step(one.event)
+                else:
+                    self.counts["predictions_skipped"] += one.event.kind == "exit"
 
     def remember(self, events: Sequence[Event]) -> None:
         """Events of before the start, so that the first predictions know what was going on."""
-        predictor = self._newest()
-        if predictor is not None:
+        if self._predictor is not None:
             for event in events:
-                predictor.observe(event)
+                self._predictor.observe(event)
 
     def use(self, topology: Topology) -> None:
-        """Predict from this version on, remembering what was observed. Never blocks."""
-        self._topology = topology
-
-    def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
-        """Predict until ``stopping``."""
-        while not stopping.is_set():
-            beat()
-            with self._come:
-                if not self._batches:
-                    self._come.wait(_TICK_SECONDS)
-                batch = self._batches.popleft() if self._batches else []
-                self._waiting -= len(batch)
-                behind, self._behind = self._behind, False
-            begun = time.monotonic()
-            for event in batch:
-                self._step(event)
-            if behind:
-                stopping.wait(min(REST_SHARE * (time.monotonic() - begun), REST_SECONDS_MAX))
+        """Predict from this version on, remembering what was observed."""
+        newer = Predictor(topology)  # which takes a while, so predictions go on meanwhile
+        with self._mutex:
+            if self._predictor is not None:
+                newer.take_over(self._predictor)
+            self._predictor = newer
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
         """To ``predict/{camera}``: for an exit at x, y at t, or from a zone. Raises `QueryError`."""
@@ -85,7 +56,7 @@ class Live:
 
     def _predicted(self, camera: str, parameters: dict[str, str]) -> Prediction:
         with self._mutex:
-            predictor = self._newest()
+            predictor = self._predictor
             if predictor is None:
                 raise QueryError("nothing has been learned yet")
             event = asked_exit(camera, parameters, predictor.topology.as_of)
@@ -100,22 +71,13 @@ class Live:
         """The prediction leaves before its exit is taken note of."""
         if event.kind == "exit":
             with self._mutex:
-                predictor = self._newest()
-                prediction = None if predictor is None else predictor.predict(event)
+                prediction = None if self._predictor is None else self._predictor.predict(event)
             if prediction is not None:
                 self._publish(prediction)
                 self.counts["predictions"] += 1
         with self._mutex:
-            predictor = self._newest()
-            if predictor is not None:
-                predictor.observe(event)
-
-    def _newest(self) -> Predictor | None:
-        """The predictor over the newest version, made when first needed."""
-        topology, old = self._topology, self._predictor
-        if topology is not None and (old is None or old.topology is not topology):
-            self._predictor = Predictor(topology) if old is None else old.follow(topology)
-        return self._predictor
+            if self._predictor is not None:
+                self._predictor.observe(event)
 
 
 def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> Event:

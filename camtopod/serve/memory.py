@@ -6,6 +6,7 @@ process seems to grow for weeks. Elsewhere than on glibc these do nothing.
 from __future__ import annotations
 
 import ctypes
+import gc
 
 ARENAS_MAX = 1
 """More would be faster only for many threads that allocate at the same time."""
@@ -17,6 +18,14 @@ def limit_arenas() -> None:
     library = ctypes.CDLL(None)
     if hasattr(library, "mallopt"):
         library.mallopt(_M_ARENA_MAX, ARENAS_MAX)
+
+
+def settle() -> None:
+    """What is there after the start stays, and the collector need not go through it again and again: that would hold
+    everything up for a tenth of a second.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def give_back() -> None:

@@ -39,6 +39,10 @@ _PULLED_CAMERA_MAX = 2
 """... and of one camera's, so that there is room for the others'."""
 _QUANTUM_EVENTS = 100
 """Events a camera stores in its turn."""
+PREDICT_SECONDS_MAX = 0.25
+"""For the predictions of what is ready at a time; ..."""
+BUSY_EVENTS, PREDICT_SECONDS_BUSY = 1_000, 0.01
+"""... when so many wait in the inbox only so long, as predictions that are late help nobody and events come first."""
 BOOTS_MAX = 16
 """Incarnations of one camera's publisher that are followed; the one not heard for longest is forgotten."""
 _JSON_STARTS = b"{ \t\r\n"
@@ -62,8 +66,9 @@ def decode(raw: bytes) -> Event:
 class Receiver:
     """Give it bytes with `on_event` and `on_pulled` (any thread), and run `work` and `store` in a thread each.
 
-    ``see`` is shown what is about to be stored, once, in journal order, and ``learn`` takes it when that is done;
-    neither must block; ``room()``: how many ``learn`` takes. ``publish``: called with each version after it is stored.
+    ``see`` is shown what is about to be stored, once, in journal order, and may take so many seconds for it; ``learn``
+    takes it when it is stored, and must not block; ``room()``: how many ``learn`` takes. ``publish``: called with each
+    version after it is stored.
     """
 
     def __init__(
@@ -75,7 +80,7 @@ class Receiver:
         learn: Callable[[list[Received]], None],
         room: Callable[[], int],
         publish: Callable[[Version], None],
-        see: Callable[[list[Received]], None],
+        see: Callable[[list[Received], float], None],
         steady: Clock | None = None,
     ) -> None:
         self._bus, self._limits, self._clock = bus, limits, clock
@@ -163,10 +168,10 @@ class Receiver:
         self._ack(now=float("inf"))
 
     def _store_waiting(self, stopping: threading.Event) -> bool:
-        """A transaction, as soon as there is something for one; False if it could not be stored."""
-        if self._limits.commit_seconds and self._ready.waiting:
-            time.sleep(self._limits.commit_seconds)
-        if not self._store(self._ready.take(self._limits.commit_events_max, _TICK_SECONDS), stopping):
+        """One transaction; False if it could not be stored."""
+        limits = self._limits
+        ready = self._ready.take(limits.commit_events_max, _TICK_SECONDS, limits.commit_seconds)
+        if not self._store(ready, stopping):
             return False
         self._ack(time.monotonic())
         self.storing.forget_old()
@@ -194,7 +199,7 @@ class Receiver:
             if one.event is not None:
                 self._note(one.event, wall + self.cameras.clock_behind, now)
         if ready:
-            self._see(ready)
+            self._see(ready, PREDICT_SECONDS_BUSY if len(self._inbox) > BUSY_EVENTS else PREDICT_SECONDS_MAX)
             self._ready.put(ready)
         self._forgotten.extend(self.streams.forgotten())
         if self.streams.gaps:

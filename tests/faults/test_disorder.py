@@ -74,7 +74,7 @@ def received(arrivals: Sequence[Event], learn: Settings = LEARN) -> tuple[list[t
         made.extend(versions(learner))
 
     receiver = Receiver(
-        shelf, line, Limits(), lambda: EVENTS[-1].t, take, lambda: 10_000, lambda version: None, lambda _: None,  # type: ignore[arg-type]
+        shelf, line, Limits(), lambda: EVENTS[-1].t, take, lambda: 10_000, lambda version: None, lambda *_: None,  # type: ignore[arg-type]
     )  # fmt: skip
     stopping = threading.Event()
     stopping.set()  # one round at a time
