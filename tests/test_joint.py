@@ -13,7 +13,8 @@ from camtopod.learn import candidates as candidates_module
 from camtopod.learn import joint
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess, find_candidates, newest
 from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.joint import Fit, JointFitter, exposures, fit_jointly, smooth, summed
+from camtopod.learn.grouping import summed
+from camtopod.learn.joint import Fit, JointFitter, exposures, fit_jointly, smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import (

@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.learn.change import Change, Trials, latest_change, threshold_nats
+from camtopod.learn.grouping import rows_of
 from camtopod.learn.scene import Scene
 from camtopod.learn.silence import Silences
 from camtopod.learn.topology import ALARMS_KEPT_MAX
@@ -156,9 +157,13 @@ def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
     """
     threshold = threshold_nats(len(scene.zones), len(scene.departures.t) + len(scene.arrivals.t))
     found = {}
+    cameras = max((ref.camera for ref in scene.zones), default=-1) + 1
+    ends = scene.departures, scene.arrivals
+    of_camera = [rows_of(events.camera, cameras) for events in ends]
+    of_zone = [rows_of(events.zone, len(scene.zones)) for events in ends]
     for index, ref in enumerate(scene.zones):
-        events = scene.departures if scene.exits[index] > scene.entries[index] else scene.arrivals
-        seen, own = events.t[events.camera == ref.camera], events.t[events.zone == index]
+        side = 0 if scene.exits[index] > scene.entries[index] else 1
+        seen, own = (ends[side].t[rows] for rows in (of_camera[side][ref.camera], of_zone[side][index]))
         if len(own) == len(seen):
             continue
         change = latest_change(Trials(seen, np.ones(len(seen)), own, np.full(len(own), ZONE_SHARE_MAX)), threshold)

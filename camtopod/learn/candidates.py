@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,8 +57,8 @@ class Arrivals(NamedTuple):
     rate: Floats
     slow: Floats
 
-    def take(self, kept: NDArray[np.bool_]) -> Arrivals:
-        """The arrivals ``kept``."""
+    def take(self, kept: NDArray[Any]) -> Arrivals:
+        """The arrivals ``kept``: a mask, or rows."""
         return Arrivals(self.t[kept], self.zone[kept], self.camera[kept], self.rate[kept], self.slow[kept])
 
 
@@ -80,7 +80,7 @@ def newest(
 
     Both are cut at the same moment: a departure whose arrivals were left out would look like one that leads nowhere.
     """
-    low, high = _range(departures, arrivals, bins)
+    low, high = in_reach(departures, arrivals, bins)
     kept = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
     if kept == len(arrivals.t):
         return departures, arrivals
@@ -89,7 +89,7 @@ def newest(
     return departures.take(departures.t >= first, late), arrivals.take(late)
 
 
-def _range(departures: Departures, arrivals: Arrivals, bins: LagBins) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def in_reach(departures: Departures, arrivals: Arrivals, bins: LagBins) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First and last-but-one departure within the lags of each arrival."""
     low = np.searchsorted(departures.t, arrivals.t - bins.lag_max, side="left")
     high = np.searchsorted(departures.t, arrivals.t - bins.lag_min, side="right")
@@ -98,7 +98,7 @@ def _range(departures: Departures, arrivals: Arrivals, bins: LagBins) -> tuple[N
 
 def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int) -> Candidates:
     """All candidates."""
-    low, high = _range(departures, arrivals, bins)
+    low, high = in_reach(departures, arrivals, bins)
     n = high - low
     arrival = np.repeat(np.arange(len(n)), n)
     departure = np.arange(len(arrival)) + np.repeat(low - (np.cumsum(n) - n), n)
@@ -109,8 +109,7 @@ def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, z
     )
     keep = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
     departure, arrival = departure[keep], arrival[keep]
-    pair, present = _number_pairs(departures.zone[departure].astype(np.int64) * zones + arrivals.zone[arrival], zones)
-    source, target = (present // max(zones, 1)).astype(np.int32), (present % max(zones, 1)).astype(np.int32)
+    pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure.astype(np.int32), arrival.astype(np.int32), pair, lag[keep], source, target)
 
 
@@ -129,14 +128,17 @@ def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floa
     return result
 
 
-def _number_pairs(key: NDArray[np.int64], zones: int) -> tuple[Ints, NDArray[np.int64]]:
-    """Consecutive numbers for the pairs of zones that occur, and their keys."""
+def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
+    """Pairs of zones numbered as they occur, by source, then target: the number of each (M,), and their zones (P,)."""
+    key = left.astype(np.int64) * zones + came
     if zones * zones > PAIR_TABLE_MAX:
         present, number = np.unique(key, return_inverse=True)
-        return number.astype(np.int32), present
-    seen = np.zeros(zones * zones, bool)
-    seen[key] = True
-    present = np.flatnonzero(seen)
-    table = np.zeros(zones * zones, np.int32)
-    table[present] = np.arange(len(present), dtype=np.int32)
-    return table[key], present
+    else:
+        seen = np.zeros(zones * zones, bool)
+        seen[key] = True
+        present = np.flatnonzero(seen)
+        table = np.zeros(zones * zones, np.int32)
+        table[present] = np.arange(len(present), dtype=np.int32)
+        number = table[key]
+    size = max(zones, 1)
+    return number.astype(np.int32), (present // size).astype(np.int32), (present % size).astype(np.int32)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from camtopod.learn.candidates import Arrivals, Departures
+from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import Fit
 from camtopod.learn.links import LinkTable
 from camtopod.learn.significance import log_likelihood_ratio
@@ -92,13 +93,12 @@ def find_changes(
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     threshold = threshold_nats(len(pairs), len(departures.t))
     camera_of = dict(zip(arrivals.zone.tolist(), arrivals.camera.tolist(), strict=True))
-    left = {
-        int(u): departures.t[(departures.zone == u) & (departures.t <= over)] for u in np.unique(fit.candidates.source)
-    }
+    done = departures.t[: np.searchsorted(departures.t, over, side="right")]
+    left = rows_of(departures.zone[: len(done)], int(fit.candidates.source.max(initial=-1)) + 1)
     found = []
     for pair, moved, share in transitions_by_pair(fit, departures, arrivals, pairs):
         source, target = int(fit.candidates.source[pair]), int(fit.candidates.target[pair])
-        t = left[source]
+        t = done[left[source]]
         weight = np.ones(len(t))
         for begin, end in silences[camera_of[target]]:
             weight[(t >= begin) & (t < end)] = 0.0

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures
 
@@ -36,7 +37,7 @@ class Level(NamedTuple):
     """(contexts, 2): zone of entry or camera before, and block."""
     departures: Floats
     """(contexts,) sure departures, f n."""
-    transitions: Floats
+    transitions: csr_array
     """(contexts, zones) sure transitions, f N."""
 
 
@@ -65,22 +66,28 @@ class Contexts:
         """
         c, zone = candidates, self.departures.zone
         sure = self._sureness(zone[c.departure], responsibility)[zone]
-        target = self.arrivals.zone[c.arrival]
+        # Of each zone's pairs, which come by source, the first, the second, ...: the columns of the tables below.
+        first = np.searchsorted(c.source, np.arange(self.zones))
+        column = np.arange(len(c.source)) - first[c.source]
+        width = int(column.max(initial=0)) + 1
+        target = column[c.pair]
         levels = []
         for (number, keys), told in self._contexts(c, responsibility):
             mine = sure * told
             n = np.bincount(number, mine, minlength=len(keys))
-            cell = number[c.departure] * self.zones + target
+            cell = number[c.departure] * width + target
             own = mine[c.departure] * responsibility
-            moved = np.bincount(cell, own, minlength=len(keys) * self.zones)
+            moved = np.bincount(cell, own, minlength=len(keys) * width)
             below = (n[number] - mine + BACK_OFF_DEPARTURES)[c.departure]
             here = np.maximum(moved[cell] - own + BACK_OFF_DEPARTURES * share, 0.0) / below
             share = told[c.departure] * here + (1.0 - told[c.departure]) * share
             left = np.bincount(number, mine * gone, minlength=len(keys))
             stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
             leave = told * stays / (n[number] - mine + BACK_OFF_DEPARTURES) + (1.0 - told) * leave
-            moved = moved.reshape(len(keys), self.zones)
-            levels.append(Level(keys[:, 0], keys[:, 1:], n.astype(float), moved.astype(float)))
+            context, at = np.nonzero(moved.reshape(len(keys), width))
+            reached = c.target[first[keys[context, 0]] + at]
+            transitions = csr_array((moved[moved != 0], (context, reached)), shape=(len(keys), self.zones))
+            levels.append(Level(keys[:, 0], keys[:, 1:], n.astype(float), transitions))
         return levels, share, leave
 
     def _contexts(self, candidates: Candidates, responsibility: Floats) -> list[tuple[tuple[Longs, Longs], Floats]]:
@@ -88,9 +95,9 @@ class Contexts:
         told = [known.astype(float) for known in self._known]
         camera, sure = self._previous(candidates, responsibility)
         zone = self.departures.zone.astype(np.int64)
-        dense = np.arange(self.zones * self.cameras)
-        keys = np.column_stack((dense // self.cameras, dense % self.cameras, np.full(len(dense), -1)))
-        previous = (zone * self.cameras + np.maximum(camera, 0), keys)
+        present, number = np.unique(zone * self.cameras + np.maximum(camera, 0), return_inverse=True)
+        keys = np.column_stack((present // self.cameras, present % self.cameras, np.full(len(present), -1)))
+        previous = (number.astype(np.int64), keys)
         return list(zip([*self._fixed, previous], [*told, sure], strict=True))
 
     def _previous(self, candidates: Candidates, responsibility: Floats) -> tuple[Longs, Floats]:

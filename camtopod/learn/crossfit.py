@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from camtopod.learn.candidates import Arrivals, Candidates, Departures
 from camtopod.learn.joint import Fit, JointFitter
 from camtopod.learn.lags import LagBins
-from camtopod.learn.rates import chance_rates
+from camtopod.learn.rates import Chance
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -124,9 +124,9 @@ class PartFitter(JointFitter):
     near: NDArray[np.bool_]
     """(n,) departures in the same parts, for the rates of chance; all if there are none."""
 
-    def _chance(self) -> Floats:
+    def _chance(self) -> Chance:
         left, came = self.departures, self.arrivals
-        return chance_rates(left.t[self.near], left.zone[self.near], came.t, came.zone, self.zones)
+        return Chance(left.t[self.near], left.zone[self.near], came.t, came.zone, self.zones)
 
 
 def _fitted(fitter: JointFitter) -> Floats:

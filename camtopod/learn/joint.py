@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess
+from camtopod.learn.grouping import numbered, rows_of, summed
 from camtopod.learn.lags import LagBins, smoother
-from camtopod.learn.rates import chance_rates
+from camtopod.learn.rates import Chance
 from camtopod.learn.slowness import NO_PERSISTENCE, Persistence, adjusted_lag, agreement, combined, persistence
 
 Floats = NDArray[np.float64]
@@ -131,14 +132,14 @@ class JointFitter:
             return np.zeros((self.pairs, self.bins.size))
         seen = self._count(np.ones(len(self.candidates.lag)))
         exposed = self.exposure[self.candidates.source] * self.bins.widths
-        chance = self._chance()[self.candidates.source, self.candidates.target][:, None] * exposed
+        chance = self._chance().of(self.candidates.source, self.candidates.target)[:, None] * exposed
         above = np.maximum(excess(seen, chance, self.bins, noise_sd), START_FLOOR * seen)
         return above / np.maximum(exposed, self.bins.widths)
 
-    def _chance(self) -> Floats:
-        """Arrivals per second (zones, zones) around a departure if they have nothing to do with each other."""
+    def _chance(self) -> Chance:
+        """What there would be if departures and arrivals had nothing to do with each other."""
         left, came = self.departures, self.arrivals
-        return chance_rates(left.t, left.zone, came.t, came.zone, self.zones)
+        return Chance(left.t, left.zone, came.t, came.zone, self.zones)
 
     def run(self, hazard: Floats) -> Fit:
         """One round of EM from the given hazards (P, bins)."""
@@ -256,12 +257,9 @@ class JointFitter:
         """
         source, target = self._camera[self.candidates.source], self._camera[self.candidates.target]
         cameras = int(self._camera.max()) + 1
-        pair = source * cameras + target
-        pooled, exposed = (
-            summed(rows, group, groups)
-            for rows, group, groups in ((counts, pair, cameras * cameras), (self.exposure, self._camera, cameras))
-        )
-        rates = smooth(pooled)[0] / np.maximum(np.repeat(exposed, cameras, axis=0), 1.0)
+        present, pair = numbered(source * cameras + target, cameras * cameras)
+        pooled, exposed = summed(counts, pair, len(present)), summed(self.exposure, self._camera, cameras)
+        rates = smooth(pooled)[0] / np.maximum(exposed[present // cameras], 1.0)
         share = self._per_zone / np.bincount(self._camera, self._per_zone)[self._camera]
         lent: Floats = rates[pair] * share[self.candidates.target][:, None]
         return lent
@@ -292,9 +290,7 @@ def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -
     exposed = np.zeros((zones, bins.size))
     ahead = int((bins.edges[1:] <= 0).sum())
     before = bins.edges[: ahead + 1]
-    order = np.argsort(departures.zone, kind="stable")
-    starts = np.cumsum(np.bincount(departures.zone, minlength=zones))[:-1]
-    for zone, here in enumerate(np.split(order, starts)):
+    for zone, here in enumerate(rows_of(departures.zone, zones)):
         left = np.sort(until - departures.t[here])
         exposed[zone] = len(here) - np.searchsorted(left, bins.edges[1:], side="left")
         # The seconds in view by each edge, added up, grow by how many were in view, also where a bin is exposed in
@@ -304,16 +300,6 @@ def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -
         longer = np.append(np.cumsum(stay[::-1])[::-1], 0.0)[shorter]
         exposed[zone, :ahead] = np.diff(longer + (len(here) - shorter) * before) / bins.widths[:ahead]
     return exposed
-
-
-def summed(rows: Floats, group: NDArray[np.int64], groups: int) -> Floats:
-    """Sums (groups, columns) of the rows of each group."""
-    result = np.zeros((groups, rows.shape[1]))
-    order = np.argsort(group, kind="stable")
-    present, first = np.unique(group[order], return_index=True)
-    if len(present):
-        result[present] = np.add.reduceat(rows[order], first, axis=0)
-    return result
 
 
 def smooth(counts: Floats) -> tuple[Floats, Floats]:

@@ -15,14 +15,15 @@ from msgspec.structs import replace
 
 from camtopod.learn.alarms import AlarmLog
 from camtopod.learn.assemble import assemble, link_records, zone_id
-from camtopod.learn.candidates import find_candidates, newest
+from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.change import Change, find_changes, present
 from camtopod.learn.clocks import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
-from camtopod.learn.joint import fit_jointly
+from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import (
+    TRANSITIONS_MIN,
     LinkTable,
     beside,
     join,
@@ -40,6 +41,7 @@ from camtopod.learn.posterior import Posterior, fit_posterior
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Scene, see
 from camtopod.learn.scoring import Scorer
+from camtopod.learn.screening import Screen, place, whole
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import CameraState, LearnerState
@@ -70,7 +72,8 @@ class Learner:
         self._intake = Intake(
             self.settings.lateness_seconds, self.settings.cameras_max, self.settings.ahead_seconds_max
         )
-        self._window = Window(self.settings.window_events_max)
+        self._window = Window(self.settings.window_events_max, self.settings.window_camera_events)
+        self._screen = Screen()
         self._keeper = ClockKeeper()
         self._alarms = AlarmLog()
         self._scorer = Scorer()
@@ -119,6 +122,7 @@ class Learner:
             self.settings, self.site, self.epoch, self.topology, self._intake.save(), self._window.save(),
             self._keeper.save(), self._alarms.save(), self._scorer.save(), [CameraState(*place) for place in places],
             self._moved, self._done_us, self._fitted_us, self._learned, self._since_fit,
+            self._screen.followed,
         )  # fmt: skip
 
     def load(self, state: LearnerState) -> None:
@@ -137,6 +141,7 @@ class Learner:
         self._looked = [camera.looked for camera in state.cameras]
         self._moved, self._done_us, self._fitted_us = state.moved, state.done_us, state.fitted_us
         self._learned, self._since_fit = state.learned, state.since_fit
+        self._screen.followed = state.followed
 
     def begin_epoch(self, epoch: str) -> None:
         """What is known stays; versions count from 1 again."""
@@ -264,20 +269,21 @@ class Learner:
     def _look_for_moves(self) -> None:
         """What a camera saw before it was turned is forgotten, and its zones get new numbers."""
         window = self._window
-        for camera in range(len(self._maps)):
-            seen = window.seen[camera]
-            if seen - self._looked[camera] < MOVE_EVENTS:
-                continue
-            self._looked[camera] = seen
-            px, py = (window.column(name).astype(np.int64) for name in ("px", "py"))
-            rows = np.flatnonzero((window.column("camera") == camera) & (px >= 0))
-            move = find_move(cells_of(px[rows], py[rows]), self._maps[camera].cells)
+        due = [camera for camera in range(len(self._maps)) if window.seen[camera] - self._looked[camera] >= MOVE_EVENTS]
+        rows_of_camera = window.rows_of_cameras() if due else []
+        for camera in due:
+            seen = self._looked[camera] = window.seen[camera]
+            rows = rows_of_camera[camera]
+            rows = rows[window.column("px")[rows] >= 0]
+            px, py = (window.column(name)[rows].astype(np.int64) for name in ("px", "py"))
+            move = find_move(cells_of(px, py), self._maps[camera].cells)
             if move:
                 since = float(window.column("t")[rows[move.first]] / MICROSECONDS)
                 window.forget_camera(camera, window.base + int(rows[move.first]))
                 self._maps[camera] = find_zones(window.cell_sums(camera), (), self._maps[camera].next_number)
                 self._zoned[camera], self._gone[camera] = seen, ()
                 self._moved.append((camera, since, move))
+                rows_of_camera = window.rows_of_cameras()
 
     def _refresh_zones(self) -> None:
         """Learn the zones of every camera again whose events have changed enough."""
@@ -312,16 +318,21 @@ class Learner:
     ) -> tuple[Posterior | None, LinkTable, LinkTable, list[Change]]:
         """Links that leave a view: the joint fit of departures and arrivals, and what in it has changed."""
         zones = len(scene.zones)
-        departures, arrivals = newest(scene.departures, scene.arrivals, self.bins, self.settings.candidates_max)
+        departures, arrivals = scene.departures, scene.arrivals
         leaving = np.bincount(departures.zone, minlength=zones).astype(float)
         if len(departures.t) == 0 or len(arrivals.t) == 0:
             empty = tabulate(join([]), leaving, self.bins, zones)
             return None, empty, empty, []
         first = float(min(departures.t[0], arrivals.t[0]))
-        candidates = find_candidates(departures, arrivals, self.bins, zones)
+        places = np.array([place(zone.camera, zone.number) for zone in scene.zones])
+        candidates = self._screen.find(
+            departures, arrivals, self.bins, places, scene.last, self._learned, self.settings.candidates_max
+        )
         problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
         fit, posterior = fit_jointly(*problem), fit_posterior(*problem)
-        ratio = cross_evidence(departures, arrivals, fit, self.bins, zones, first, scene.last)
+        ratio = cross_evidence(
+            departures, arrivals, self._all_of(fit, departures, arrivals, zones), self.bins, zones, first, scene.last
+        )
         pace = pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), leaving, self.bins, zones, pace).with_evidence(ratio, zones * zones)
         likely = tabulate(transitions_of(posterior.fit), leaving, self.bins, zones)
@@ -332,3 +343,10 @@ class Learner:
         return (
             posterior, present(between, changes, zones, share_min), present(likely, changes, zones, share_min), changes,
         )  # fmt: skip
+
+    def _all_of(self, fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) -> Fit:
+        """The fit with all candidates of what might be a link, where unlikely ones had been left out."""
+        if not self._screen.followed:
+            return fit
+        pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
+        return fit._replace(candidates=whole(fit.candidates, pairs, departures, arrivals, self.bins, zones))

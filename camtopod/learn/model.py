@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from camtopod.learn.assemble import STAY_DECILES, histogram, short, zone_id
 from camtopod.learn.change import Change
 from camtopod.learn.contexts import LEVELS
+from camtopod.learn.grouping import rows_of
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.lags import LagBins
 from camtopod.learn.posterior import Posterior
@@ -65,8 +66,10 @@ def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> l
     d = scene.departures
     span = max(scene.last - scene.first, 1.0)
     zones = []
-    for index, name in enumerate(ids):
-        stay = (d.t - d.since)[(d.zone == index) & np.isfinite(d.since)]
+    known = np.flatnonzero(np.isfinite(d.since))
+    stays = (d.t - d.since)[known]
+    for index, (name, mine) in enumerate(zip(ids, rows_of(d.zone[known], len(ids)), strict=True)):
+        stay = stays[mine]
         deciles = [short(float(value)) for value in np.quantile(stay, STAY_DECILES)] if len(stay) else []
         outside = 1.0 if posterior is None else float(posterior.fit.outside[index])
         rate = outside * float(scene.entries[index]) / span
@@ -100,8 +103,9 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
     share = posterior.share * now
     mass = posterior.fit.hazard * bins.widths * now[:, None]
     rows = []
-    for zone in range(len(ids)):
-        pairs = np.flatnonzero((c.source == zone) & (share > SHARE_MIN))
+    likely = np.flatnonzero(share > SHARE_MIN)
+    for zone, mine in enumerate(rows_of(c.source[likely], len(ids))):
+        pairs = likely[mine]
         pairs = pairs[np.argsort(-share[pairs], kind="stable")][:OUTCOMES_PER_ZONE_MAX]
         outcomes = [
             Outcome(
@@ -118,26 +122,32 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
     mass = p.entry_hazard * bins.widths
     total = mass.sum(axis=1)
     rows = []
-    for zone in range(len(ids)):
-        pairs = np.flatnonzero((p.entry_source == zone) & (total > SHARE_MIN))
+    likely = np.flatnonzero(total > SHARE_MIN)
+    for zone, mine in enumerate(rows_of(p.entry_source[likely], len(ids))):
+        pairs = likely[mine]
         pairs = pairs[np.argsort(-total[pairs], kind="stable")][:ENTRY_KERNELS_PER_ZONE_MAX]
         rows += [EntryKernel(ids[zone], ids[p.entry_target[k]], histogram(mass[k], bins)) for k in pairs.tolist()]
     return sorted(rows, key=lambda row: (row.zone, row.to))
 
 
 def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Floats) -> list[Context]:
-    factor = np.ones((len(ids), len(ids)))
-    factor[posterior.fit.candidates.source, posterior.fit.candidates.target] = now
+    c = posterior.fit.candidates
+    changed = {(int(c.source[k]), int(c.target[k])): float(now[k]) for k in np.flatnonzero(now != 1.0)}
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
+        table = level.transitions
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
             first, block = (int(part) for part in level.parts[k])
-            moved = level.transitions[k] * factor[level.zone[k]]
-            departures = float(level.departures[k] + (moved - level.transitions[k]).sum())
-            to = {ids[v]: short(float(moved[v])) for v in np.flatnonzero(moved > CONTEXT_TRANSITIONS_MIN).tolist()}
+            zone, row = int(level.zone[k]), slice(table.indptr[k], table.indptr[k + 1])
+            departures, to = float(level.departures[k]), {}
+            for v, mass in zip(table.indices[row].tolist(), table.data[row].tolist(), strict=True):
+                moved = mass * changed.get((zone, v), 1.0)
+                departures += moved - mass
+                if moved > CONTEXT_TRANSITIONS_MIN:
+                    to[ids[v]] = short(moved)
             result.append(
                 Context(
-                    ids[level.zone[k]], short(departures), dict(sorted(to.items())),
+                    ids[zone], short(departures), dict(sorted(to.items())),
                     ids[first] if "entry" in name else None, block if "block" in name else None,
                     cameras[first] if name == "previous" else None,
                 )

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess
 from camtopod.learn.contexts import Contexts, Level, multipliers
+from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import LEAVE_FLOOR, START_FLOOR, Fit, JointFitter, smooth
 from camtopod.learn.lags import LagBins
-from camtopod.learn.rates import chance_rates
+from camtopod.learn.rates import Chance
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.significance import RESPONSIBILITY_MAX
 from camtopod.learn.skipped import skip_hazards, ways_through
@@ -147,12 +148,13 @@ class PosteriorFitter(JointFitter):
         c, cameras = self.candidates, int(self._camera.max(initial=0)) + 1
         ahead = np.flatnonzero(c.lag < 0)
         left, came = self.departures.camera[c.departure[ahead]], self.arrivals.camera[c.arrival[ahead]]
-        pair = np.minimum(left, came).astype(np.int64) * cameras + np.maximum(left, came)
+        views = np.minimum(left, came).astype(np.int64) * cameras + np.maximum(left, came)
+        present, pair = np.unique(views, return_inverse=True)
         key, number = np.unique(c.arrival[ahead].astype(np.int64) * cameras + left, return_inverse=True)
         share = np.minimum(np.bincount(number, self._responsibility[ahead], minlength=len(key)), RESPONSIBILITY_MAX)
         of_key = np.zeros(len(key), np.int64)
         of_key[number] = pair
-        nats = np.bincount(of_key, -np.log1p(-share) - share, minlength=cameras * cameras)
+        nats = np.bincount(of_key, -np.log1p(-share) - share, minlength=len(present))
         overlapping = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
         result = np.zeros(len(c.lag), bool)
         result[ahead] = ~overlapping[pair]
@@ -306,8 +308,8 @@ class PosteriorFitter(JointFitter):
         self._entered = entry[tied]
         stay = d.t[tied] - d.since[tied]
         self._entry_exposure = np.zeros((self.zones, bins.size))
-        for zone in np.unique(self._entered):
-            stays = np.sort(stay[self._entered == zone])
+        for zone, mine in enumerate(rows_of(self._entered, self.zones)):
+            stays = np.sort(stay[mine])
             self._entry_exposure[zone] = len(stays) - np.searchsorted(stays, bins.edges[:-1], side="left")
 
     def _start_entry(self) -> Floats:
@@ -320,8 +322,8 @@ class PosteriorFitter(JointFitter):
         tied = d.own >= 0
         began, zone = d.since[tied], self._entered.astype(np.int32)
         order = np.argsort(began, kind="stable")
-        rates = chance_rates(began[order], zone[order], a.t, a.zone, self.zones)
-        chance = rates[self.entry_source, self.entry_target][:, None] * exposed
+        rates = Chance(began[order], zone[order], a.t, a.zone, self.zones)
+        chance = rates.of(self.entry_source, self.entry_target)[:, None] * exposed
         above = np.maximum(excess(seen, chance, self.bins, FIRST_NOISE_SD), START_FLOOR * seen)
         first: Floats = above / np.maximum(exposed, self.bins.widths)
         return first

@@ -5,8 +5,12 @@ A null with a constant rate takes a common rhythm (day and night) for links; a l
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
+from camtopod.learn.grouping import rows_of
 
 Floats = NDArray[np.float64]
 
@@ -14,6 +18,10 @@ RATE_HALF_WINDOW_SECONDS = 600.0
 RATE_PRIOR_EVENTS = 2.0
 """The mean rate of the zone counts as much as this many events."""
 CHANCE_BIN_SECONDS = 300.0
+TABLE_ZONES_MAX = 2000
+"""Of so many zones the rates of all pairs are worked out at once (32 MB); of more, those asked for ..."""
+PAIRS_AT_ONCE = 10_000
+"""... so many at a time."""
 
 
 def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
@@ -22,8 +30,7 @@ def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
     if len(t) == 0:
         return rates
     first, last = t[0], t[-1]
-    order = np.argsort(zone, kind="stable")
-    for here in np.split(order, np.cumsum(np.bincount(zone, minlength=zones))[:-1]):
+    for here in rows_of(zone, zones):
         if len(here) == 0:
             continue
         own = t[here]
@@ -35,26 +42,41 @@ def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
     return rates
 
 
-def chance_rates(
-    left_t: Floats, left_zone: NDArray[np.int32], came_t: Floats, came_zone: NDArray[np.int32], zones: int
-) -> Floats:
-    """Arrivals per second at each zone around a departure from each zone if they have nothing to do with each other.
+class Chance:
+    """Arrivals per second at a zone around a departure from another if they have nothing to do with each other.
 
-    (zones, zones). Both are counted in bins of some minutes, so a rhythm common to all zones is part of chance.
+    Both are counted in bins of some minutes, so a rhythm common to all zones is part of chance. Times (n,) ascend, are
+    in seconds and are not none.
     """
-    first = min(left_t[0], came_t[0])
-    n = int((max(left_t[-1], came_t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
-    left = _per_bin(left_t, left_zone, first, n, zones)
-    came = _per_bin(came_t, came_zone, first, n, zones)
-    around = np.copy(came)
-    around[:, 1:] += came[:, :-1]
-    around[:, :-1] += came[:, 1:]
-    bins = np.full(n, 3.0)
-    bins[0] -= 1.0
-    bins[-1] -= 1.0
-    rate = around / (CHANCE_BIN_SECONDS * np.maximum(bins, 1.0))
-    chance: Floats = (left @ rate.T) / np.maximum(left.sum(axis=1), 1.0)[:, None]
-    return chance
+
+    def __init__(
+        self, left_t: Floats, left_zone: NDArray[np.int32], came_t: Floats, came_zone: NDArray[np.int32], zones: int
+    ) -> None:
+        first = min(left_t[0], came_t[0])
+        n = int((max(left_t[-1], came_t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
+        self._left = _per_bin(left_t, left_zone, first, n, zones)
+        came = _per_bin(came_t, came_zone, first, n, zones)
+        around = np.copy(came)
+        around[:, 1:] += came[:, :-1]
+        around[:, :-1] += came[:, 1:]
+        bins = np.full(n, 3.0)
+        bins[0] -= 1.0
+        bins[-1] -= 1.0
+        self._rate = around / (CHANCE_BIN_SECONDS * np.maximum(bins, 1.0))
+        self._number = np.maximum(self._left.sum(axis=1), 1.0)
+        self._table = (self._left @ self._rate.T) / self._number[:, None] if zones <= TABLE_ZONES_MAX else None
+
+    def of(self, source: NDArray[np.signedinteger[Any]], target: NDArray[np.signedinteger[Any]]) -> Floats:
+        """Rates (P,) in 1/s at zones ``target`` (P,) around departures from ``source`` (P,)."""
+        if self._table is not None:
+            known: Floats = self._table[source, target]
+            return known
+        rates: Floats = np.zeros(len(source))
+        for k in range(0, len(source), PAIRS_AT_ONCE):
+            some = slice(k, k + PAIRS_AT_ONCE)
+            rates[some] = np.einsum("pn,pn->p", self._left[source[some]], self._rate[target[some]])
+        rates /= self._number[source]
+        return rates
 
 
 def _per_bin(t: Floats, zone: NDArray[np.int32], first: float, n: int, zones: int) -> Floats:

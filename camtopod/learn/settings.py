@@ -27,7 +27,9 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     window_hours: float = 336.0
     """Forgetting: events older than this are not learned from. Ways that open or close are found within it."""
     window_events_max: int = 60_000
-    """At most this many events are kept for learning, whatever their age."""
+    """At most this many events are kept for learning, whatever their age ..."""
+    window_camera_events: int = 2_000
+    """... or this many for each camera, if that is more."""
     transit_max_seconds: float = 180.0
     """The longest transit time looked for."""
     overlap_max_seconds: float = 120.0
@@ -35,8 +37,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     overlap_tolerance_seconds: float = 0.45
     """T of the thesis's overlap test (table 4.4)."""
     candidates_max: int = 8_000_000
-    """At most this many (departure, arrival) candidates are weighed in one fit; beyond, the oldest arrivals wait out.
-    """
+    """At most this many (departure, arrival) candidates are weighed in one fit; beyond, only likely ones are."""
     publish_q_max: float = 0.01
     """A link is published when its false discovery rate is at most this ..."""
     publish_probability_min: float = 0.03

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.learn.grouping import rows_of
+
 Floats = NDArray[np.float64]
 
 FALSE_ALARM = 1e-3
@@ -38,7 +40,7 @@ class Silences(NamedTuple):
 
 def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[Silences]:
     """Silences of every camera from the window's events: ``t`` (n,) seconds, ascending, and their ``camera``."""
-    return [_silences(t, np.flatnonzero(camera == k)) for k in range(cameras)]
+    return [_silences(t, own) for own in rows_of(camera, cameras)]
 
 
 def _silences(t: Floats, own: NDArray[np.intp]) -> Silences:

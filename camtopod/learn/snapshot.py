@@ -20,6 +20,7 @@ from camtopod.learn.clocks import ClockState
 from camtopod.learn.intake import IntakeState
 from camtopod.learn.moved import Move
 from camtopod.learn.scoring import ScorerState
+from camtopod.learn.screening import Followed
 from camtopod.learn.settings import Settings
 from camtopod.learn.window import WindowState
 from camtopod.learn.zones import ZoneMap, ZoneShape
@@ -67,6 +68,7 @@ class LearnerState(Struct):
     fitted_us: int | None
     learned: int
     since_fit: int
+    followed: dict[int, Followed] = {}
 
 
 class _Snapshot(Struct):

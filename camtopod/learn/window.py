@@ -15,6 +15,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from camtopod.learn.grouping import rows_of
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.zones import POSITION_ONE, CellSums
 from camtopod.records import Event
@@ -43,8 +44,8 @@ class WindowState(Struct):
 class Window:
     """The events of the last hours by column, and per camera the sums of `CellSums` over them."""
 
-    def __init__(self, events_max: int) -> None:
-        self.events_max = events_max
+    def __init__(self, events_max: int, camera_events: int = 0) -> None:
+        self._events_max, self._camera_events = events_max, camera_events
         self.cameras: list[str] = []
         self.base = 0
         self.sums: list[NDArray[np.int64]] = []
@@ -59,6 +60,11 @@ class Window:
 
     def __len__(self) -> int:
         return self._stop - self._start
+
+    @property
+    def events_max(self) -> int:
+        """Events that it holds."""
+        return max(self._events_max, self._camera_events * len(self.cameras))
 
     def save(self) -> WindowState:
         """Everything `load` needs to go on from here."""
@@ -162,6 +168,10 @@ class Window:
         """The sums over one camera's events that have positions, each (rows, columns)."""
         return CellSums(*self.sums[camera][:6])
 
+    def rows_of_cameras(self) -> list[NDArray[np.intp]]:
+        """Rows of each camera, oldest first; for now: appending and forgetting renumber them."""
+        return rows_of(self.column("camera"), len(self.cameras))
+
     def placed(self, camera: int) -> int:
         """Events of the camera in the window that have positions."""
         return int(self.sums[camera][0].sum())
@@ -190,22 +200,21 @@ class Window:
 
     def _count(self, rows: slice | NDArray[np.intp], sign: int) -> None:
         """Add (+1) or take back (-1) rows to the sums of their cameras."""
-        camera = self._columns["camera"][rows]
-        entry = self._columns["entry"][rows]
-        px = self._columns["px"][rows].astype(np.int64)
-        py = self._columns["py"][rows].astype(np.int64)
+        camera, entry = self._columns["camera"][rows], self._columns["entry"][rows]
+        px, py = (self._columns[name][rows].astype(np.int64) for name in ("px", "py"))
         cell = cells_of(px, py)
-        for index in np.unique(camera):
-            here = camera == index
-            placed = here & (cell >= 0)
+        order = np.argsort(camera, kind="stable")
+        present, first = np.unique(camera[order], return_index=True)
+        for index, here in zip(present.tolist(), np.split(order, first[1:]), strict=True):
+            placed = here[cell[here] >= 0]
             at, x, y = cell[placed], px[placed], py[placed]
             sums = self.sums[index].reshape(len(PLANES), -1)
             values = (np.ones_like(x), x, y, x * x, x * y, y * y, entry[placed].astype(np.int64))
             for plane, value in zip(sums, values, strict=True):
                 np.add.at(plane, at, sign * value)
             self.seen[index] += len(at) if sign > 0 else 0
-            bare = here & (cell < 0)
-            self.unplaced[index] += sign * np.array([np.sum(bare & entry), np.sum(bare & ~entry)])
+            came = int(entry[here].sum()) - int(entry[placed].sum())
+            self.unplaced[index] += sign * np.array([came, len(here) - len(placed) - came])
 
     def _room(self, n: int) -> None:
         """Make room for ``n`` more rows at the end, moving the rows to the front of larger columns if need be."""

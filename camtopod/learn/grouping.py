@@ -1,0 +1,40 @@
+"""Rows by their group, all groups at once: one pass over the rows, however many groups there are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Labels = NDArray[np.signedinteger[Any]]
+
+ALL_KEYS_MAX = 1000
+
+
+def rows_of(label: Labels, groups: int) -> list[NDArray[np.intp]]:
+    """The rows of each group, ascending; ``label`` (n,): group of each row, 0 to ``groups`` - 1."""
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(label, minlength=groups))[:-1]) if groups else []
+
+
+def numbered(key: Labels, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Keys worth a row of a table, ascending, and the row of each ``key`` (n,), 0 to ``keys`` - 1.
+
+    All keys while they are few, those that occur where they are many.
+    """
+    if keys <= ALL_KEYS_MAX:
+        return np.arange(keys), key.astype(np.int64)
+    present, row = np.unique(key, return_inverse=True)
+    return present.astype(np.int64), row.astype(np.int64)
+
+
+def summed(rows: Floats, group: Labels, groups: int) -> Floats:
+    """Sums (groups, columns) of the rows of each group."""
+    result = np.zeros((groups, rows.shape[1]))
+    order = np.argsort(group, kind="stable")
+    present, first = np.unique(group[order], return_index=True)
+    if len(present):
+        result[present] = np.add.reduceat(rows[order], first, axis=0)
+    return result

@@ -1,0 +1,249 @@
+"""Screening: which candidates are worth a joint fit, where a site has too many cameras to weigh them all.
+
+With a dozen cameras every departure within the lags of an arrival is a candidate. With a hundred there are thousands
+for each arrival, nearly all from the other end of the site; their number grows with the square of the traffic. So two
+looks go before the fit, each far cheaper than it:
+
+* *Rarely, over all pairs of zones*: what follows the departures of a zone more often than chance has it, at any lag
+  (Makris, Ellis and Black 2004)? The zones that stand out most are followed as sources of the zone looked at, until it
+  is looked at again. In each fit as many zones are looked at as its events allow, those whose look is longest ago
+  first, so that the cost of an event does not depend on how many cameras there are.
+* *In every fit, along the pairs followed*: a few rounds of the fit within one zone of arrival, where sources compete
+  for its arrivals but targets do not yet for departures. What has next to no probability even so is left out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from camtopod.learn.candidates import (
+    EXCESS_SMOOTHING_SD_BINS,
+    Arrivals,
+    Candidates,
+    Departures,
+    excess,
+    find_candidates,
+    in_reach,
+    number_pairs,
+)
+from camtopod.learn.grouping import rows_of
+from camtopod.learn.joint import START_FLOOR, exposures, smooth
+from camtopod.learn.lags import LagBins, smoother
+from camtopod.learn.rates import Chance
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+Rows = NDArray[np.intp]
+
+SOURCES_PER_ZONE_MAX = 24
+"""Zones that are followed as sources of one zone."""
+STANDS_OUT_SD = 2.0
+"""What exceeds chance by fewer standard deviations is not followed."""
+LOOKS_PER_EVENT = 400
+"""Candidates counted in looks over all pairs for each event of the window, in each fit ..."""
+LOOKS_MIN = 20_000_000
+"""... and at least so many, which is a second's work."""
+COUNTED_AT_ONCE = 2_000_000
+ROUNDS = 3
+"""Rounds within one zone of arrival."""
+NOISE_SD = 1.0
+OUTSIDE_FIRST = 0.5
+"""Share of the arrivals that come from outside, as the rounds begin."""
+LIKELY_MIN = 0.003
+"""Less likely candidates are left out."""
+
+
+class Followed(Struct):
+    """Sources followed of one zone of arrival, by `place`; and how many events had been learned at its last look."""
+
+    sources: Longs
+    looked: int
+
+
+class Ends(NamedTuple):
+    """Departures and arrivals of a window with what the looks need of them."""
+
+    departures: Departures
+    arrivals: Arrivals
+    leaving: list[Rows]
+    """(zones,) rows of the departures of each zone."""
+    coming: list[Rows]
+    """(zones,) rows of the arrivals of each zone."""
+    exposure: Floats
+    """(zones, bins)"""
+    chance: Chance
+    bins: LagBins
+
+
+class Screen:
+    """Keeps what is followed. Nothing is, and all candidates are found, while they are few."""
+
+    def __init__(self) -> None:
+        self.followed: dict[int, Followed] = {}
+        """By `place` of the zone of arrival."""
+
+    def find(
+        self, departures: Departures, arrivals: Arrivals, bins: LagBins, places: Longs, until: float, learned: int,
+        candidates_max: int,
+    ) -> Candidates:  # fmt: skip
+        """The candidates of a window, at most ``candidates_max``. ``places`` (zones,): what zones are known by from one
+        fit to the next; ``until``: seconds up to which events have come; ``learned``: events up to now.
+        """
+        low, high = in_reach(departures, arrivals, bins)
+        if int((high - low).sum()) <= candidates_max:
+            self.followed = {}
+            return find_candidates(departures, arrivals, bins, len(places))
+        ends = _ends(departures, arrivals, bins, len(places), until)
+        self._look(ends, places, learned, high - low)
+        row_of = {place: zone for zone, place in enumerate(places.tolist())}
+        parts = []
+        for zone, place in enumerate(places.tolist()):
+            known = (row_of.get(source) for source in self.followed[place].sources.tolist())
+            sources = np.array(sorted(row for row in known if row is not None), np.int64)
+            if len(sources) and len(ends.coming[zone]):
+                parts.append(_likely(ends, zone, sources))
+        return _joined(parts, departures, arrivals, len(places), candidates_max)
+
+    def _look(self, ends: Ends, places: Longs, learned: int, reach: Rows) -> None:
+        """Look at some zones again, over all pairs, and forget zones that are no more."""
+        never = Followed(np.zeros(0, np.int64), -1)
+        self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
+        budget = max(LOOKS_MIN, LOOKS_PER_EVENT * (len(ends.departures.t) + len(ends.arrivals.t)))
+        for zone in sorted(range(len(places)), key=lambda zone: self.followed[int(places[zone])].looked):
+            if budget <= 0:
+                break
+            sources = standing_out(ends, zone)
+            self.followed[int(places[zone])] = Followed(places[sources], learned)
+            budget -= int(reach[ends.coming[zone]].sum())
+
+
+def whole(
+    candidates: Candidates, pairs: Rows, departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
+) -> Candidates:
+    """All candidates of the ``pairs``, likely or not, and none of the others: for judging what was found. What is left
+    of a pair after the unlikely ones have gone has the lag that was looked for, whether there is a link or not.
+    """
+    leaving, coming = rows_of(departures.zone, zones), rows_of(arrivals.zone, zones)
+    parts = []
+    for zone, rows in enumerate(rows_of(candidates.target[pairs], zones)):
+        if not len(rows):
+            continue
+        number = np.full(zones, -1, np.int32)
+        number[candidates.source[pairs[rows]]] = pairs[rows]
+        among = np.sort(np.concatenate([leaving[source] for source in candidates.source[pairs[rows]]]))
+        departure, at, lag = _possible(departures, arrivals, bins, coming[zone], among)
+        parts.append((departure, coming[zone][at], number[departures.zone[departure]], lag))
+    nothing = (np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0, np.int32), np.zeros(0))
+    departure, arrival, pair, lag = (np.concatenate(columns) for columns in zip(nothing, *parts, strict=True))
+    order = np.lexsort((departure, arrival))
+    return candidates._replace(
+        departure=departure[order].astype(np.int32), arrival=arrival[order].astype(np.int32), pair=pair[order],
+        lag=lag[order],
+    )  # fmt: skip
+
+
+def place(camera: int, number: int) -> int:
+    """What a zone is known by from one fit to the next: index of its camera and number there."""
+    return camera << 32 | number
+
+
+def _ends(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, until: float) -> Ends:
+    return Ends(
+        departures, arrivals, rows_of(departures.zone, zones), rows_of(arrivals.zone, zones),
+        exposures(departures, bins, zones, until),
+        Chance(departures.t, departures.zone, arrivals.t, arrivals.zone, zones), bins,
+    )  # fmt: skip
+
+
+def standing_out(ends: Ends, zone: int) -> Rows:
+    """Zones whose departures the arrivals at ``zone`` follow more often than by chance, at most
+    `SOURCES_PER_ZONE_MAX`, ascending.
+    """
+    zones, bins = len(ends.leaving), ends.bins
+    seen = np.zeros(zones * bins.size)
+    mine = ends.coming[zone]
+    low, high = in_reach(ends.departures, ends.arrivals.take(mine), bins)
+    reached = np.cumsum(high - low)
+    for k in range(0, int(reached[-1]) if len(mine) else 0, COUNTED_AT_ONCE):
+        some = mine[slice(*np.searchsorted(reached, (k, k + COUNTED_AT_ONCE), side="right"))]
+        departure, _, lag = _possible(ends.departures, ends.arrivals, bins, some)
+        cell = ends.departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
+        seen += np.bincount(cell, minlength=len(seen))
+    every = np.arange(zones)
+    usual = ends.chance.of(every, np.full(zones, zone))[:, None] * ends.exposure * bins.widths
+    above = _above(seen.reshape(zones, bins.size), usual, bins)
+    best = np.argsort(-above, kind="stable")[:SOURCES_PER_ZONE_MAX]
+    return np.sort(best[above[best] > STANDS_OUT_SD])
+
+
+def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
+    """How far each histogram of lags (P, bins) stands out of chance where it does most, in standard deviations (P,)."""
+    most = np.zeros(len(seen))
+    for sd_bins in EXCESS_SMOOTHING_SD_BINS:
+        spread = smoother(bins.size, sd_bins)
+        noise = np.sqrt(np.maximum(chance, 0.5) @ (spread**2).T)
+        most = np.maximum(most, (((seen - chance) @ spread.T) / noise).max(axis=1))
+    return most
+
+
+def _possible(
+    departures: Departures, arrivals: Arrivals, bins: LagBins, mine: Rows, among: Rows | None = None
+) -> tuple[Rows, Rows, Floats]:
+    """Departure, index into ``mine`` (n,) and lag in seconds of all candidates of some arrivals at one zone, as
+    `find_candidates` has them; departures only ``among`` these (ascending), if given.
+    """
+    t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
+    low = np.searchsorted(t, came - bins.lag_max, side="left")
+    n = np.searchsorted(t, came - bins.lag_min, side="right") - low
+    at = np.repeat(np.arange(len(mine)), n)
+    departure = np.arange(len(at)) + np.repeat(low - (np.cumsum(n) - n), n)
+    if among is not None:
+        departure = among[departure]
+    came = came[at]
+    lag = came - departures.t[departure]
+    ahead = (departures.camera[departure] != arrivals.camera[mine[at]]) & (came > departures.since[departure])
+    kept = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
+    return departure[kept], at[kept], lag[kept]
+
+
+def _likely(ends: Ends, zone: int, sources: Longs) -> tuple[Rows, Rows, Floats, Floats]:
+    """Departure, arrival, lag and probability of the likely candidates for the arrivals at one zone."""
+    bins, mine = ends.bins, ends.coming[zone]
+    among = np.sort(np.concatenate([ends.leaving[source] for source in sources]))
+    departure, at, lag = _possible(ends.departures, ends.arrivals, bins, mine, among)
+    number = np.zeros(len(ends.leaving), np.int64)
+    number[sources] = np.arange(len(sources))
+    cell = number[ends.departures.zone[departure]] * bins.size + bins.index(lag)
+    size = len(sources) * bins.size
+    exposed = ends.exposure[sources] * bins.widths
+    usual = ends.chance.of(sources, np.full(len(sources), zone))[:, None] * exposed
+    seen = np.bincount(cell, minlength=size).reshape(-1, bins.size).astype(float)
+    hazard = np.maximum(excess(seen, usual, bins, NOISE_SD), START_FLOOR * seen) / np.maximum(exposed, bins.widths)
+    outside, share = OUTSIDE_FIRST * ends.arrivals.rate[mine], np.zeros(0)
+    for _ in range(ROUNDS):
+        weight = hazard.ravel()[cell]
+        share = weight / (outside + np.bincount(at, weight, minlength=len(mine)))[at]
+        once = share / np.maximum(np.bincount(departure, share), 1.0)[departure]
+        moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
+        hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
+    kept = share > LIKELY_MIN
+    return departure[kept], mine[at[kept]], lag[kept], share[kept]
+
+
+def _joined(
+    parts: list[tuple[Rows, Rows, Floats, Floats]], departures: Departures, arrivals: Arrivals, zones: int,
+    candidates_max: int,
+) -> Candidates:  # fmt: skip
+    """The likeliest candidates of all parts, by arrival."""
+    nothing = (np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), np.zeros(0))
+    departure, arrival, lag, share = (np.concatenate(columns) for columns in zip(nothing, *parts, strict=True))
+    kept = np.argsort(-share, kind="stable")[:candidates_max]
+    kept = kept[np.lexsort((departure[kept], arrival[kept]))]
+    departure, arrival, lag = departure[kept], arrival[kept], lag[kept]
+    pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
+    return Candidates(departure.astype(np.int32), arrival.astype(np.int32), pair, lag, source, target)
