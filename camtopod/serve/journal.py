@@ -15,7 +15,8 @@ import math
 import sqlite3
 import threading
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -38,6 +39,10 @@ CHUNK_ENTRIES = 1_000
 """Read at a time; a read that went on for long would keep the log from being folded in."""
 DAY_SECONDS = 86_400
 _COMPRESSION = 3
+_ROWS_AT_ONCE = 100
+"""Other threads get their turn after each statement, and it may be long before this one has its again."""
+_ADD_ONE = "INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+_ADD_MANY = f"{_ADD_ONE}{', (?, ?, ?, ?, ?, ?, ?, ?)' * (_ROWS_AT_ONCE - 1)}"
 
 EntryKind = Literal["event", "future", "refused", "advance"]
 """``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
@@ -81,6 +86,7 @@ class Journal:
         self._mutex = threading.Lock()
         self._lock = database.Lock(directory / "journal.lock")
         self._path = directory / "journal.db"
+        self._followed: set[tuple[str, str | None]] = set()  # (camera, boot) that had entries since the start
         self.set_aside: Path | None = None
         """Where a journal that was damaged is now; this one has begun anew."""
         with contextlib.ExitStack() as undo:
@@ -136,12 +142,15 @@ class Journal:
             if not entries and not versions and snapshot is None:
                 return
             with database.transaction(self._db):
-                self._add_entries(entries, int(now))
+                streams = self._add_entries(entries, int(now))
                 for version in versions:
                     self._add_version(version, int(now))
                 if snapshot is not None:
                     self._add_snapshot(snapshot, int(now))
             self._last += len(entries)
+            if len(self._followed) > STREAMS_KEPT_MAX:
+                self._followed.clear()
+            self._followed.update(streams)
 
     def prune(self, now: float) -> bool:
         """Forget some of what is older than is to be kept (``now``: Unix seconds); to be called now and then, and again
@@ -263,19 +272,27 @@ class Journal:
             self._db.close()
             self._lock.close()
 
-    def _add_entries(self, entries: Sequence[Entry], stored: int) -> None:
-        rows = [(self._last + number, stored, *entry) for number, entry in enumerate(entries, start=1)]
-        self._db.executemany("INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in rows])
+    def _add_entries(self, entries: Sequence[Entry], stored: int) -> Iterable[tuple[str, str | None]]:
+        """Returns the streams they belong to."""
+        rows = []
+        for number, entry in enumerate(entries, start=self._last + 1):
+            row = (number, stored, *entry)
+            rows.append((*row, crc(*row)))
+        whole = len(rows) - len(rows) % _ROWS_AT_ONCE
+        for start in range(0, whole, _ROWS_AT_ONCE):
+            self._db.execute(_ADD_MANY, [*chain.from_iterable(rows[start : start + _ROWS_AT_ONCE])])
+        self._db.executemany(_ADD_ONE, rows[whole:])
         newest = {(row[3], row[4]): (row[3], row[4], row[5], row[0]) for row in rows if row[4] is not None}
         self._db.executemany(
             "INSERT OR REPLACE INTO stream VALUES (?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in newest.values()]
         )
-        for camera in {camera for camera, _ in newest}:
+        for camera in {camera for camera, _ in newest.keys() - self._followed}:  # which now have another boot
             self._db.execute(
                 "DELETE FROM stream WHERE camera = ? AND boot NOT IN "
                 "(SELECT boot FROM stream WHERE camera = ? ORDER BY entry DESC LIMIT ?)",
                 (camera, camera, BOOTS_KEPT_MAX),
             )
+        return newest.keys()
 
     def _add_version(self, version: StoredVersion, stored: int) -> None:
         number = self._db.execute("SELECT COALESCE(MAX(id), 0) + 1 FROM version").fetchone()[0]

@@ -206,8 +206,8 @@ class Receiver:
             self.gap.set()
 
     def _room(self) -> int:
-        """How many events may be put in order now."""
-        return min(self._limits.commit_events_max, self._learner_room()) - self._ready.waiting
+        """How many events may be put in order now: another transaction's worth while one is being stored."""
+        return min(2 * self._limits.commit_events_max, self._learner_room()) - self._ready.waiting
 
     def _take(self) -> list[Message | Pulled]:
         """What came in, at most a transaction's worth and no more than the learner has room for."""
@@ -216,7 +216,7 @@ class Receiver:
             return []
         if not self._answers:
             self._inbox.wait(_TICK_SECONDS)
-        room = self._room()
+        room = min(self._limits.commit_events_max, self._room())
         messages: list[Message | Pulled] = []
         while self._answers and room > 0:
             answer = self._answers.popleft()
