@@ -1,6 +1,6 @@
 """What a camera costs: CPU seconds a streamed frame of the grabber, of decoding alone and of Frigate's way.
 
-    python -m bench grab [--rounds 7] [--seconds 40] [--films FOLDER] [--json FILE]
+    python -m bench grab [--rounds 7] [--seconds 40] [--crf 20] [--films FOLDER] [--json FILE]
 
 Films of 1080p and 720p at 25 frames a second, H.264, are made up first (two minutes; FOLDER keeps them): a busy one
 with a dozen people on their way at any time, a quiet one that a single person crosses now and then. Everything decodes
@@ -58,6 +58,7 @@ def main(argv: list[str]) -> int:
     _ratios.add_arguments(parser, ROUNDS)
     parser.add_argument("--seconds", type=float, default=SECONDS, help="length of a film")
     parser.add_argument("--films", type=Path, metavar="FOLDER", help="where films are kept")
+    parser.add_argument("--crf", type=int, default=_films.CRF, help="quality of the films: lower is more bits")
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
     given = parser.parse_args(argv)
     if shutil.which("ffmpeg") is None:
@@ -65,7 +66,7 @@ def main(argv: list[str]) -> int:
         return 1
     with tempfile.TemporaryDirectory() as folder:
         tables = []
-        for film in films(given.films or Path(folder), given.sizes, given.seconds):
+        for film in films(given.films or Path(folder), given.sizes, given.seconds, given.crf):
             tables.append(measure(film, given.rounds))
             print("\n".join(_ratios.lines(tables[-1])), seen(film), sep="\n", end="\n\n", flush=True)
     if given.json:
@@ -73,16 +74,16 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def films(folder: Path, sizes: list[str], seconds: float) -> list[Film]:
+def films(folder: Path, sizes: list[str], seconds: float, crf: int) -> list[Film]:
     """Those in ``folder``; what is not there yet is made."""
     folder.mkdir(parents=True, exist_ok=True)
     result = []
     for size_name in sizes:
         for scene, (many, pause) in SCENES.items():
-            path = folder / f"{size_name}-{scene}-{seconds:g}s.mp4"
+            path = folder / f"{size_name}-{scene}-{seconds:g}s-crf{crf}.mp4"
             if not path.exists():
                 part = path.with_suffix(".part.mp4")
-                _films.film(part, SIZES[size_name], _films.people(many, pause, seed=3), seconds)
+                _films.film(part, SIZES[size_name], _films.people(many, pause, seed=3), seconds, crf)
                 part.rename(path)
             result.append(Film(size_name, scene, SIZES[size_name], path, round(seconds * _films.FPS)))
     return result

@@ -80,7 +80,7 @@ def test_measured_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         assert len(costs) == 5
         assert all(cost > 0 for cost in costs.values())
         assert costs[grab.GRABBER] > costs[grab.DECODING]
-    assert sorted(path.name for path in films.iterdir()) == ["720p-busy-16s.mp4", "720p-quiet-16s.mp4"]
+    assert sorted(path.name for path in films.iterdir()) == ["720p-busy-16s-crf20.mp4", "720p-quiet-16s-crf20.mp4"]
 
 
 @needs_ffmpeg

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import socket
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -120,6 +122,41 @@ def test_luma_is_the_grey_picture_whatever_the_format(film: Path, tmp_path: Path
     assert np.corrcoef(luma.ravel(), grey.ravel())[0, 1] > 0.98
     assert capture.grab() is None
     capture.release()
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
+@pytest.mark.parametrize(
+    ("encoder", "pixels", "plane"),
+    [
+        ("libx264", "yuv420p", True),
+        ("libx264", "yuvj420p", True),
+        ("libx264", "yuv422p", True),
+        ("libx264", "yuv444p", True),
+        ("mjpeg", "yuvj422p", True),
+        ("ffv1", "gray", True),
+        ("ffv1", "bgr0", False),
+        ("libx264", "yuv420p10le", False),
+    ],
+)
+def test_the_decoder_s_plane_is_taken_where_there_is_one(
+    film: Path, tmp_path: Path, encoder: str, pixels: str, plane: bool
+) -> None:
+    path = tmp_path / "film.mkv"
+    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-i", str(film), "-t", "1", "-c:v", encoder]
+    subprocess.run([*command, "-pix_fmt", pixels, "-q:v", "2", str(path)], check=True)
+    capture, twin = Capture(str(path), VisionSettings()), cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    assert (capture._capture.get(cv2.CAP_PROP_CONVERT_RGB) == 0.0) == plane
+    seen = []
+    for _ in range(3):
+        assert capture.grab() is not None
+        luma, (_, picture) = capture.retrieve(), twin.read()
+        assert luma is not None
+        assert luma.shape == (HEIGHT, WIDTH)
+        assert np.corrcoef(luma.ravel(), cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).ravel())[0, 1] > 0.99
+        seen.append(luma)
+    assert not np.shares_memory(seen[0], seen[1])
+    capture.release()
+    twin.release()
 
 
 # -- streams ------------------------------

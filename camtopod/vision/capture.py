@@ -50,6 +50,7 @@ class Capture:
     def __init__(self, source: str, settings: VisionSettings) -> None:
         """Open ``source``; see `is_open` for whether that worked. Blocks for at most the open timeout."""
         cv2.utils.logging.setLogLevel(0)  # its messages hold URLs with passwords
+        cv2.setNumThreads(1)  # for pictures this small, waking the others costs more than they do
         kind = kind_of(source)
         if kind == "device":
             self._capture = cv2.VideoCapture(int(source))
