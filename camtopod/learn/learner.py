@@ -329,7 +329,7 @@ class Learner:
             departures, arrivals, self.bins, places, scene.last, self._learned, self.settings.candidates_max
         )
         problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
-        fit, posterior = fit_jointly(*problem), fit_posterior(*problem)
+        fit, posterior = fit_jointly(*problem), fit_posterior(*problem, screened=bool(self._screen.followed))
         ratio = cross_evidence(
             departures, arrivals, self._all_of(fit, departures, arrivals, zones), self.bins, zones, first, scene.last
         )

@@ -28,7 +28,7 @@ from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import Chance
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.significance import RESPONSIBILITY_MAX
-from camtopod.learn.skipped import skip_hazards, ways_through
+from camtopod.learn.skipped import skip_hazards, skipped_beside, ways_through
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -81,9 +81,10 @@ class Posterior(NamedTuple):
 
 
 def fit_posterior(
-    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float
-) -> Posterior:
-    """The posterior of everything that left and came up to ``until`` (seconds).
+    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
+    screened: bool = False,
+) -> Posterior:  # fmt: skip
+    """The posterior of everything that left and came up to ``until`` (seconds); ``screened``: candidates may be missing.
 
     Always from nothing: one that goes on from the last as events come in believes early mistakes ever more.
     """
@@ -94,10 +95,11 @@ def fit_posterior(
     fitter.learn()
     fitter.sample()
     fit = fitter.result()
-    return Posterior(
+    posterior = Posterior(
         fit, fitter.share, fitter.leave, fitter.doubt(fit.flat), fitter.entry_source, fitter.entry_target,
         fitter.entry_hazard, fitter.levels,
     )  # fmt: skip
+    return fitter.with_skips(posterior) if screened else posterior
 
 
 class PosteriorFitter(JointFitter):
@@ -208,6 +210,33 @@ class PosteriorFitter(JointFitter):
         return Fit(
             hazard, self.counts, self._responsibility, self.flatness(hazard), self.outside, self.candidates,
             self.persistence,
+        )  # fmt: skip
+
+    def with_skips(self, posterior: Posterior) -> Posterior:
+        """The posterior with what skipped views lead to beside the pairs of zones that were followed."""
+        c = posterior.fit.candidates
+        source, target, unit = skipped_beside(self._appears(self.hazard), c, self._through, self.bins, self.zones)
+        hazard = self._skip_odds * unit
+        share = (hazard * self.bins.widths).sum(axis=1)
+        key = np.concatenate((c.source, source)).astype(np.int64) * self.zones + np.concatenate((c.target, target))
+        order = np.argsort(key, kind="stable")
+        number = np.argsort(order)  # where each pair has gone
+
+        def mixed(known: Floats, beside: Floats) -> Floats:
+            both: Floats = np.concatenate((known, beside))[order]
+            return both
+
+        fit = posterior.fit._replace(
+            hazard=mixed(posterior.fit.hazard, hazard), counts=mixed(posterior.fit.counts, np.zeros_like(hazard)),
+            candidates=c._replace(
+                pair=number[c.pair].astype(np.int32), source=(key[order] // self.zones).astype(np.int32),
+                target=(key[order] % self.zones).astype(np.int32),
+            ),
+        )  # fmt: skip
+        gone = posterior.leave - np.bincount(source, share, minlength=self.zones)
+        return posterior._replace(
+            fit=fit, share=mixed(posterior.share, share), doubt=mixed(posterior.doubt, np.zeros(len(source))),
+            leave=np.maximum(gone, LEAVE_FLOOR),
         )  # fmt: skip
 
     def _as_fit(self, hazard: Floats) -> Fit:

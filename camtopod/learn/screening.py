@@ -49,9 +49,9 @@ LOOKS_PER_EVENT = 400
 LOOKS_MIN = 20_000_000
 """... and at least so many, which is a second's work."""
 COUNTED_AT_ONCE = 2_000_000
-ROUNDS = 3
+ROUNDS = 2
 """Rounds within one zone of arrival."""
-NOISE_SD = 1.0
+NOISE_SD = 0.5
 OUTSIDE_FIRST = 0.5
 """Share of the arrivals that come from outside, as the rounds begin."""
 LIKELY_MIN = 0.003

@@ -21,6 +21,7 @@ from camtopod.learn.missed import joined
 from camtopod.learn.passages import UNKNOWN_STAY_SECONDS
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
 PASSAGE_SHARE_MIN = 0.02
@@ -94,6 +95,33 @@ def skip_hazards(appears: Floats, candidates: Candidates, through: Through, bins
 
     ``appears`` (P, bins): probability that who leaves at the source appears next at the target in that lag bin.
     """
+    known = candidates.source.astype(np.int64) * zones + candidates.target  # ascending
+    return _along(appears, candidates, through, bins, zones, known)
+
+
+def skipped_beside(
+    appears: Floats, candidates: Candidates, through: Through, bins: LagBins, zones: int
+) -> tuple[Ints, Ints, Floats]:
+    """Sources and targets (X,) of the ways over skipped views that are no pairs of the candidates, and the hazards
+    (X, bins), as `skip_hazards`.
+    """
+    c = candidates
+    share = appears.sum(axis=1)
+    link = np.flatnonzero(share >= LINK_SHARE_MIN)
+    first, way = joined(c.target[link], through.entry)
+    step, last = joined(through.exit[way], c.source[link])
+    k, m = link[first[step]], link[last]
+    likely = share[k] * through.share[way[step]] * share[m] >= WAY_SHARE_MIN
+    key = np.unique(c.source[k[likely]].astype(np.int64) * zones + c.target[m[likely]])
+    key = np.setdiff1d(key, c.source.astype(np.int64) * zones + c.target)
+    hazard = _along(appears, candidates, through, bins, zones, key)
+    return (key // max(zones, 1)).astype(np.int32), (key % max(zones, 1)).astype(np.int32), hazard
+
+
+def _along(
+    appears: Floats, candidates: Candidates, through: Through, bins: LagBins, zones: int, pairs: Longs
+) -> Floats:
+    """Hazards (X, bins) of the ``pairs`` (X,) of zones, source * zones + target, ascending."""
     c = candidates
     share = appears.sum(axis=1)
     link = np.flatnonzero(share >= LINK_SHARE_MIN)
@@ -101,7 +129,7 @@ def skip_hazards(appears: Floats, candidates: Candidates, through: Through, bins
     step, last = joined(through.exit[way], c.source[link])
     k, j, m = link[first[step]], way[step], link[last]
     taken = share[k] * through.share[j] * share[m]
-    pair, known = _pairs(c, c.source[k].astype(np.int64) * zones + c.target[m], zones)
+    pair, known = _rows(pairs, c.source[k].astype(np.int64) * zones + c.target[m])
     kept = known & (taken >= WAY_SHARE_MIN)
     first, last, j, pair, taken = first[step][kept], last[kept], j[kept], pair[kept], taken[kept]
     reached = np.cumsum(appears[link], axis=1) / share[link][:, None]
@@ -110,13 +138,12 @@ def skip_hazards(appears: Floats, candidates: Candidates, through: Through, bins
     at = bins.index(lag)
     cell = pair[:, None, None] * bins.size + at
     weight = np.broadcast_to((taken / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
-    mass = np.bincount(cell[at >= 0], weight[at >= 0], minlength=len(share) * bins.size).reshape(-1, bins.size)
+    mass = np.bincount(cell[at >= 0], weight[at >= 0], minlength=len(pairs) * bins.size).reshape(-1, bins.size)
     hazard: Floats = mass @ smoother(bins.size, SPREAD_SD_BINS).T / bins.widths
     return hazard
 
 
-def _pairs(candidates: Candidates, wanted: Longs, zones: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Numbers of the pairs of zones with the keys ``wanted`` (source * zones + target), and whether there are such."""
-    present = candidates.source.astype(np.int64) * zones + candidates.target  # ascending
-    at = np.minimum(np.searchsorted(present, wanted), max(len(present) - 1, 0))
-    return at, present[at] == wanted if len(present) else np.zeros(len(wanted), bool)
+def _rows(pairs: Longs, wanted: Longs) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Rows of ``pairs`` (ascending) in which the ``wanted`` are, and whether they are there at all."""
+    at = np.minimum(np.searchsorted(pairs, wanted), max(len(pairs) - 1, 0))
+    return at, pairs[at] == wanted if len(pairs) else np.zeros(len(wanted), bool)
