@@ -50,9 +50,9 @@ class Background:
         """
         shift = self._tone_shift(frame, settled)
         doubt = SHIFT_MIN + NOISE_DOUBT * noise
-        shift -= np.clip(shift, -doubt, doubt)
-        if not shift.any():
+        if np.abs(shift).max() <= doubt:
             return self._picture
+        shift -= np.clip(shift, -doubt, doubt)
         curve = np.clip(_LEVELS + shift, 0, 255).astype(np.uint8)
         return np.asarray(cv2.LUT(self._picture, curve), dtype=np.uint8)
 

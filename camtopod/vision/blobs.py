@@ -67,6 +67,8 @@ class Blob:
 
 def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
     """The frame's blobs, in no particular order."""
+    if not cv2.countNonZero(motion.moving):
+        return []
     mask = cv2.morphologyEx(motion.moving, cv2.MORPH_CLOSE, _CLOSE)
     labels, stats = _fragments(mask)
     areas = stats[1:, cv2.CC_STAT_AREA]

@@ -164,6 +164,9 @@ class MotionDetector:
             unclaimed[rows, columns] = 0
             self._settled[rows, columns] = 0
         self._background.learn(frame, motion.expected, dt, self._settled)
+        if not cv2.countNonZero(unclaimed):
+            self._unclaimed_seconds.fill(0.0)
+            return
         self._unclaimed_seconds = cv2.copyTo(self._unclaimed_seconds + np.float32(dt), unclaimed)
         if float(self._unclaimed_seconds.max()) > ADOPT_SECONDS:
             self._adopt(frame, np.where(self._unclaimed_seconds > ADOPT_SECONDS, np.uint8(255), np.uint8(0)))

@@ -12,7 +12,9 @@ SAMPLES_MAX = 400
 SAMPLES_MIN = 20
 OBJECTS_MIN = 2
 """One object says nothing about others."""
-_REFIT_SAMPLES = 10
+_REFIT_SAMPLES_MIN = 10
+_REFIT_SHARE = 0.1
+"""The line is fitted again after so many new samples, and this share of those there are."""
 
 
 class Stature:
@@ -34,7 +36,8 @@ class Stature:
         if len(self._objects) < OBJECTS_MIN:
             self._objects.add(track)
         self._new += 1
-        if self._new >= _REFIT_SAMPLES and len(self._rows) >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
+        due = self._new >= max(_REFIT_SAMPLES_MIN, _REFIT_SHARE * len(self._rows))
+        if due and len(self._rows) >= SAMPLES_MIN and len(self._objects) >= OBJECTS_MIN:
             self._fit()
             self._new = 0
 
