@@ -8,4 +8,5 @@ They are given what ours has to find out: the true zones, no clutter, and a thre
   (Lewis, Mohler 2011)
 * zones: `zoning` (k-means, HDBSCAN, mean shift, plain DaSpec)
 * the next camera: `told` (identities are known)
+* entries and exits: `frigate` (its motion detection and how it comes by frames)
 """
