@@ -101,7 +101,7 @@ def put_flood(endpoint: str, events: str) -> dict[str, Any]:
     put = time.monotonic()
     with changed:
         changed.wait_for(lambda: acked[0] >= len(messages), QUIET_SECONDS)
-    subscriber.undeclare()
+    subscriber.undeclare()  # type: ignore[no-untyped-call]
     bus.close()
     return {"acknowledged": acked[0], "put_seconds": put - begun, "seconds": acked[1] - begun}
 
@@ -183,9 +183,9 @@ def client(role: str, folder: Path, **given: Any) -> Iterator[subprocess.Popen[s
             time.sleep(0.02)
         yield process
     finally:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
+        with process:  # which closes its pipes and waits
+            if process.poll() is None:
+                process.kill()
 
 
 def result(process: subprocess.Popen[str]) -> dict[str, Any]:
@@ -238,8 +238,9 @@ def _say_ready(bus: Bus, path: str) -> None:
 
 def ready_at(process: subprocess.Popen[str]) -> str:
     """Where a client that listens is reached."""
-    given = json.loads(process.args[-1])  # type: ignore[index]
-    return Path(given["ready"]).read_text()
+    arguments = process.args
+    assert isinstance(arguments, list)
+    return Path(json.loads(str(arguments[-1]))["ready"]).read_text()
 
 
 def _end_with_input(done: threading.Event) -> None:
@@ -250,7 +251,7 @@ def _end_with_input(done: threading.Event) -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-ROLES = {"put_paced": put_paced, "put_flood": put_flood, "sink": sink, "echo": echo, "hear": hear}
+ROLES: dict[str, Any] = {"put_paced": put_paced, "put_flood": put_flood, "sink": sink, "echo": echo, "hear": hear}
 
 if __name__ == "__main__":
     print(json.dumps(ROLES[sys.argv[1]](**json.loads(sys.argv[2]))))

@@ -47,23 +47,30 @@ class Count(Struct, frozen=True):
     waiting: int = 0
 
 
+class Learned(Struct, frozen=True):
+    """The newest version that the learner has made in this epoch; 0 before the first."""
+
+    version: int = 0
+
+
 class Status(Struct):
     """What of ``status/daemon`` is asked here."""
 
     events: Count = Count()
+    learner: Learned = Learned()
     version: int = 0
     predictions: int = 0
     predictions_skipped: int = 0
     dropped: dict[str, int] = {}
 
 
-def traffic(cameras: int, events_per_second: float, count: int, seed: int = 1) -> list[Event]:
-    """So many events of a network in full swing, by time from 0."""
+def traffic(cameras: int, events_per_second: float, count: int) -> list[Event]:
+    """So many events of a network in full swing, by time from 0; it is the same network at every rate."""
     seconds = WARM_SECONDS + 1.3 * count / events_per_second + 60.0
     while True:
         rate = events_per_second / EVENTS_PER_OBJECT
         made, _ = simulate(
-            SimSettings(seed=seed, cameras=cameras, hours=seconds / 3600.0, objects_per_second=rate, start=0.0)
+            SimSettings(seed=1, cameras=cameras, hours=seconds / 3600.0, objects_per_second=rate, start=0.0)
         )
         swinging = [event for event in made if event.t >= WARM_SECONDS][:count]
         if len(swinging) == count:
@@ -140,13 +147,14 @@ def _endpoint(process: subprocess.Popen[bytes], log: Path) -> str:
     raise RuntimeError(f"the daemon ended instead of becoming ready: {log.read_text()}")
 
 
-def resident(pid: int) -> int:
-    """Bytes in memory of a process and its children."""
+def resident(pid: int, most: bool = False) -> int:
+    """Bytes in memory of a process and its children, now or at ``most`` so far."""
     total = 0
     for process in (pid, *_children(pid)):
         with contextlib.suppress(OSError):
-            pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
-            total += pages * os.sysconf("SC_PAGE_SIZE")
+            lines = Path(f"/proc/{process}/status").read_text().splitlines()
+            [kilobytes] = [line.split()[1] for line in lines if line.startswith("VmHWM:" if most else "VmRSS:")]
+            total += 1024 * int(kilobytes)
     return total
 
 

@@ -3,9 +3,9 @@
     python -m bench ingest [--cameras 100] [--events 200000] [--rounds 5] [--json FILE]
 
 One process puts, another receives. It is the real `camtopod run`: it orders, journals, acknowledges, learns and
-predicts; everything put has to have been stored once, or the run does not count. The site has learned before.
-``no version due`` leaves out the learner's fits, ``a version a minute`` is with them, by default settings: 5,000
-events stand for a second of event time, as when a backlog comes in.
+predicts (as far as there is time, which is counted); everything put has to have been stored once, or the run does not
+count. The site has learned before. ``no version due`` leaves out the learner's fits; ``a version a minute`` is with
+them, by default settings: 50 events of a camera stand for a second of event time, as when a backlog comes in.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ BARE, QUIET, FITTING = "zenoh + msgspec, doing nothing", "daemon, no version due
 NEVER = "refit_share = 1e9\nrefit_hours = 1e9"
 COST_MAX = 4.0
 """A quarter of the bare rate."""
-EVENTS_PER_SECOND = 5_000.0
+EVENTS_PER_SECOND_PER_CAMERA = 50.0
 
 
 class Lost(RuntimeError):
@@ -41,7 +41,9 @@ def main(argv: list[str]) -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         learned = learned_site(given.site or folder, given.cameras, given.learned)
-        events = write_events(folder / "events", traffic(given.cameras, EVENTS_PER_SECOND, given.events, seed=2))
+        events = write_events(
+            folder / "events", traffic(given.cameras, EVENTS_PER_SECOND_PER_CAMERA * given.cameras, given.events)
+        )
         costs = _ratios.take_turns(
             {
                 BARE: partial(bare, folder, events, given.events),

@@ -14,6 +14,7 @@ import argparse
 import shutil
 import tempfile
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -48,7 +49,7 @@ class Case:
 
     def __init__(self, folder: Path, learned: Path, cameras: int, rate: float, seconds: float) -> None:
         self._folder, self._learned = folder, learned
-        events = traffic(cameras, rate, int(rate * seconds), seed=2)
+        events = traffic(cameras, rate, int(rate * seconds))
         self.exits = sum(event.kind == "exit" for event in events)
         self._events = write_events(folder / "events", events)
         self.rounds: dict[str, list[Round]] = {BARE: [], QUIET: [], REFITTING: []}
@@ -65,13 +66,13 @@ class Case:
         shutil.copytree(self._learned, self._folder / "state")
         with running(self._folder, LEARN[name]) as (endpoint, _):
             deadline = time.monotonic() + START_SECONDS
-            while (before := status_of(endpoint)).version == 0 or before.events.waiting:
+            while (before := status_of(endpoint)).learner.version == 0 or before.events.waiting:
                 if time.monotonic() > deadline:
                     raise TimeoutError("the daemon does not learn")
                 time.sleep(0.5)
             median = self._measure(name, endpoint)
             after = status_of(endpoint)
-            self.rounds[name][-1] = self.rounds[name][-1]._replace(versions=after.version - before.version)
+            self.rounds[name][-1] = self.rounds[name][-1]._replace(versions=after.learner.version - before.learner.version)
             print(f"    {name}: {after}")
         self._size = self.rounds[name][-1].size
         return median
@@ -104,9 +105,13 @@ def main(argv: list[str]) -> int:
     with tempfile.TemporaryDirectory() as name:
         learned = learned_site(given.site or Path(name), given.cameras, given.learned)
         case = Case(Path(name), learned, given.cameras, given.rate, given.seconds)
-        ways = {QUIET: partial(case.daemon, QUIET), REFITTING: partial(case.daemon, REFITTING), BARE: case.bare}
+        ways: dict[str, Callable[[], float]] = {
+            QUIET: partial(case.daemon, QUIET),
+            REFITTING: partial(case.daemon, REFITTING),
+            BARE: case.bare,
+        }
         p50 = _ratios.take_turns(ways, given.rounds)
-    p99 = {name: [one.quantile(0.99) for one in rounds[_ratios.WARM_ROUNDS :]] for name, rounds in case.rounds.items()}
+    p99 = {name: [one.quantile(0.99) for one in case.rounds[name][_ratios.WARM_ROUNDS :]] for name in p50}
     fitting = {name: p99[name] for name in (QUIET, REFITTING)}
     tables = [
         _ratios.compare("median", "ms", p50, BARE, {QUIET: P50_MAX}),

@@ -122,7 +122,7 @@ def test_a_long_refit_has_its_own_limit(tmp_path: Path, monkeypatch: pytest.Monk
 @pytest.mark.parametrize(
     ("part", "name", "loop"),
     [
-        *(("_live", "_step", "receive"), ("_receiver", "_round", "receive")),
+        *(("_receiver", "_see", "receive"), ("_receiver", "_round", "receive")),
         *(("_journal", "commit", "store"), ("_receiver", "_store", "store")),
     ],
 )

@@ -75,6 +75,9 @@ class Streams(Generic[T]):
             stream.next = seq
         if stream.next is not None and seq < stream.next:
             return "duplicate", []
+        if seq == stream.next and not stream.held:  # as nearly always
+            stream.next, stream.lacks_next, stream.goes_on = seq + 1, False, None
+            return "ready", [item]
         if seq == stream.next:
             self._hold(key, stream, seq, item)
             return "ready", self._release(key, stream, now)

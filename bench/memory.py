@@ -1,0 +1,74 @@
+"""How much memory the daemon takes at 100, 1,000 and 10,000 cameras.
+
+    python -m bench memory [--cameras 100,1000,10000] [--events 70000] [--json FILE]
+
+The real `camtopod run` begins with nothing and is sent a made-up network's traffic, 0.1 events a second and camera, as
+fast as it takes it: more events than its window holds. Measured are the most it ever took (VmHWM) and what it has when
+all is learned, its child processes included; by default settings, but for the number of cameras.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from bench import _ratios
+from bench._clients import client, result, status_of, write_events
+from bench._ratios import Row, Spread, Table
+from bench._site import LEARNED_PER_SECOND_PER_CAMERA, resident, running, traffic
+
+MEGABYTES_MAX = {100: 300.0, 1_000: 1_000.0, 10_000: 4_000.0}
+"""To reach; at another number of cameras there is no figure."""
+LEARN_SECONDS_MAX = 3_600.0
+
+
+class Taken(NamedTuple):
+    """Megabytes (10^6 bytes) and what was done for it."""
+
+    most: float
+    settled: float
+    events: int
+    versions: int
+
+
+def main(argv: list[str]) -> int:
+    """Measure; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m bench memory", description="The daemon's memory.")
+    parser.add_argument("--cameras", default="100,1000,10000")
+    parser.add_argument("--events", type=int, default=70_000)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures, and a plot beside them")
+    given = parser.parse_args(argv)
+    rows = []
+    print(f"{'cameras':>8}{'most MB':>10}{'settled MB':>12}{'events':>9}{'versions':>10}{'to reach':>16}")
+    for cameras in map(int, given.cameras.split(",")):
+        taken = measure(cameras, given.events)
+        allowed = MEGABYTES_MAX.get(cameras)
+        wanted = "" if allowed is None else f"<= {allowed:.0f} {'yes' if taken.most <= allowed else 'NO'}"
+        figures = f"{taken.most:10.0f}{taken.settled:12.0f}{taken.events:9}{taken.versions:10}"
+        print(f"{cameras:8}{figures}{wanted:>16}", flush=True)
+        share = taken.most / (allowed or taken.most)
+        once = Spread(taken.most, taken.settled, taken.most)
+        rows.append(Row(f"{cameras} cameras", once, Spread(share, share, share), None if allowed is None else 1.0))
+    if given.json:
+        _ratios.write(given.json, "memory", [Table("resident memory of the daemon", "MB", "what is allowed", rows)])
+    return 0
+
+
+def measure(cameras: int, count: int) -> Taken:
+    """What a daemon takes that learns so many events."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        events = write_events(folder / "events", traffic(cameras, LEARNED_PER_SECOND_PER_CAMERA * cameras, count))
+        with running(folder, limits=f"cameras_max = {cameras + 100}") as (endpoint, pid):
+            with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
+                result(sender)
+            deadline = time.monotonic() + LEARN_SECONDS_MAX
+            while (status := status_of(endpoint)).events.waiting:
+                if time.monotonic() > deadline:
+                    raise TimeoutError(f"the daemon does not learn: {status}")
+                time.sleep(1.0)
+            settled = resident(pid)
+            return Taken(resident(pid, most=True) / 1e6, settled / 1e6, status.events.stored, status.version)

@@ -1,0 +1,57 @@
+"""The parts of the bench that measure the daemon, at a size of seconds: what they say has the right shape."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bench import _ratios, ingest, latency, memory
+from bench._site import traffic
+
+SMALL = ["--cameras", "4", "--learned", "400", "--rounds", "1"]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """A site that has learned, laid out once."""
+    return [*SMALL, "--site", str(tmp_path_factory.mktemp("site"))]
+
+
+@pytest.fixture(autouse=True)
+def cold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No round to warm up."""
+    monkeypatch.setattr(_ratios, "WARM_ROUNDS", 0)
+
+
+def test_the_same_network_at_every_rate() -> None:
+    slow, quick = traffic(4, 0.4, 300), traffic(4, 40.0, 300)
+    assert len(slow) == len(quick) == 300
+    assert slow[0].t == quick[0].t == 0.0
+    assert slow[-1].t > 20 * quick[-1].t
+    assert {event.camera for event in quick} == {event.camera for event in slow}
+
+
+def test_ingest(site: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert ingest.main([*site, "--events", "1500", "--json", str(tmp_path / "out.json")]) == 0
+    [table] = json.loads((tmp_path / "out.json").read_text())["tables"]
+    assert [row["name"] for row in table["rows"]] == [ingest.BARE, ingest.QUIET, ingest.FITTING]
+    assert table["rows"][0]["ratio"]["median"] == 1.0
+    assert "events/s" in capsys.readouterr().out
+
+
+def test_latency(site: list[str], tmp_path: Path) -> None:
+    given = [*site, "--rate", "100", "--seconds", "1", "--json", str(tmp_path / "out.json")]
+    assert latency.main(given) == 0
+    median, tail, fitting = json.loads((tmp_path / "out.json").read_text())["tables"]
+    for one, other in zip(median["rows"], tail["rows"], strict=True):
+        assert 0.0 < one["cost"]["median"] <= other["cost"]["median"]
+    assert fitting["baseline"] == latency.QUIET
+
+
+def test_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert memory.main(["--cameras", "4", "--events", "600", "--json", str(tmp_path / "out.json")]) == 0
+    [row] = json.loads((tmp_path / "out.json").read_text())["tables"][0]["rows"]
+    assert 10.0 < row["cost"]["low"] <= row["cost"]["high"]
+    assert " 600 " in capsys.readouterr().out
