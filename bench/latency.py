@@ -72,7 +72,9 @@ class Case:
                 time.sleep(0.5)
             median = self._measure(name, endpoint)
             after = status_of(endpoint)
-            self.rounds[name][-1] = self.rounds[name][-1]._replace(versions=after.learner.version - before.learner.version)
+            self.rounds[name][-1] = self.rounds[name][-1]._replace(
+                versions=after.learner.version - before.learner.version
+            )
             print(f"    {name}: {after}")
         self._size = self.rounds[name][-1].size
         return median

@@ -15,10 +15,11 @@ from serving import T0, closing_event, numbered, walkers
 from camtopod.codec import Rejected, to_pack
 from camtopod.config import Limits
 from camtopod.learn.learner import Learner
-from camtopod.records import Ack, Event
+from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.cameras import Received
 from camtopod.serve.database import Damaged
-from camtopod.serve.journal import Journal, Snapshot
+from camtopod.serve.journal import Entry, Journal, Snapshot
+from camtopod.serve.live import Live
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.puller import read_batch
 from camtopod.serve.receiver import Pulled, Receiver
@@ -186,6 +187,59 @@ def test_the_last_snapshot_handed_over_is_stored_though_nothing_was_learned_sinc
     bench.receiver.storing.on_snapshot(Snapshot(0, "E", b"state"))
     bench.receiver.storing.last_words(None)
     assert len(bench.journal.snapshots()) == 1
+
+
+# --- predictions ----------------------------------------------------------------------------------
+
+
+def test_what_is_about_to_be_stored_is_seen_before_the_disk_has_it_and_once(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commit, seen_by_then = bench.journal.commit, []
+
+    def slow(entries: Any, *rest: Any) -> None:
+        seen_by_then.append(len(bench.seen))
+        commit(entries, *rest)
+
+    monkeypatch.setattr(bench.journal, "commit", slow)
+    future = Event("lobby", "exit", T0 + 3600.0, boot="b", seq=4)
+    bench.hear(*events(1, 3), *events(2, 3), future, *events(6, 6))
+    bench.round()
+    assert seen_by_then == [4]
+    bench.hear(*events(1, 6))
+    bench.round()
+    assert [one.entry.seq for one in bench.seen] == [1, 2, 3, 4, 5, 6], "6 waited for 5; nothing twice"
+    assert [one.entry for one in bench.seen] == [one.entry for one in bench.learned]
+    assert [one.entry.seq for one in bench.seen if one.event is None] == [4], "no event to be predicted"
+
+
+def test_a_disk_that_does_not_answer_holds_up_no_prediction_and_bounds_what_waits(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, commit_events_max=10)
+    for first in range(1, 100, 10):
+        bench.hear(*events(first, first + 9))
+        bench.receiver._round(bench.receiver._take())
+    assert len(bench.seen) == 20, "a transaction's worth, and another"
+    bench.round()
+    bench.round()
+    assert len(bench.learned) == 20
+    bench.journal.close()
+
+
+def test_predictions_that_would_come_late_are_skipped_and_counted() -> None:
+    learner = Learner(epoch="E")
+    for event in [*numbered(walkers(60)), closing_event()]:
+        learner.receive(event)
+    made: list[Prediction] = []
+    live = Live(made.append)
+    batch = [Received(Entry("event", "a", None, None, b""), event) for event in walkers(5)]
+    live.see(batch, seconds_max=1.0)
+    assert (made, live.counts["predictions"], live.counts["predictions_skipped"]) == ([], 0, 0), "nothing learned yet"
+    assert learner.topology is not None
+    live.use(learner.topology)
+    live.see(batch, seconds_max=60.0)
+    assert (len(made), live.counts["predictions"], live.counts["predictions_skipped"]) == (10, 10, 0)
+    live.see(batch, seconds_max=0.0)
+    assert (len(made), live.counts["predictions"], live.counts["predictions_skipped"]) == (10, 10, 10)
 
 
 # --- limits ---------------------------------------------------------------------------------------
