@@ -84,7 +84,7 @@ def fit_posterior(
     departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
     screened: bool = False,
 ) -> Posterior:  # fmt: skip
-    """The posterior of everything that left and came up to ``until`` (seconds); ``screened``: candidates may be missing.
+    """The posterior of all that left and came up to ``until`` (seconds). ``screened``: candidates may be missing.
 
     Always from nothing: one that goes on from the last as events come in believes early mistakes ever more.
     """

@@ -39,8 +39,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 Rows = NDArray[np.intp]
+Part = tuple[Ints, Ints, Floats, Floats]
 
-SOURCES_PER_ZONE_MAX = 24
+SOURCES_PER_ZONE_MAX = 32
 """Zones that are followed as sources of one zone."""
 STANDS_OUT_SD = 2.0
 """What exceeds chance by fewer standard deviations is not followed."""
@@ -54,8 +55,10 @@ ROUNDS = 2
 NOISE_SD = 0.5
 OUTSIDE_FIRST = 0.5
 """Share of the arrivals that come from outside, as the rounds begin."""
-LIKELY_MIN = 0.003
-"""Less likely candidates are left out."""
+LIKELY_MIN = 0.0005
+"""Less likely candidates are left out ..."""
+LIKELY_MAX, LIKELY_PER_ARRIVAL = 3_000_000, 8
+"""... and all but so many, or so many for each arrival if that is more: the likeliest."""
 
 
 class Followed(Struct):
@@ -91,8 +94,10 @@ class Screen:
         self, departures: Departures, arrivals: Arrivals, bins: LagBins, places: Longs, until: float, learned: int,
         candidates_max: int,
     ) -> Candidates:  # fmt: skip
-        """The candidates of a window, at most ``candidates_max``. ``places`` (zones,): what zones are known by from one
-        fit to the next; ``until``: seconds up to which events have come; ``learned``: events up to now.
+        """The candidates of a window: all of them while there are at most ``candidates_max``.
+
+        ``places`` (zones,): what zones are known by from one fit to the next; ``until``: seconds up to which events
+        have come; ``learned``: events up to now.
         """
         low, high = in_reach(departures, arrivals, bins)
         if int((high - low).sum()) <= candidates_max:
@@ -107,7 +112,7 @@ class Screen:
             sources = np.array(sorted(row for row in known if row is not None), np.int64)
             if len(sources) and len(ends.coming[zone]):
                 parts.append(_likely(ends, zone, sources))
-        return _joined(parts, departures, arrivals, len(places), candidates_max)
+        return _joined(parts, departures, arrivals, len(places))
 
     def _look(self, ends: Ends, places: Longs, learned: int, reach: Rows) -> None:
         """Look at some zones again, over all pairs, and forget zones that are no more."""
@@ -211,7 +216,7 @@ def _possible(
     return departure[kept], at[kept], lag[kept]
 
 
-def _likely(ends: Ends, zone: int, sources: Longs) -> tuple[Rows, Rows, Floats, Floats]:
+def _likely(ends: Ends, zone: int, sources: Longs) -> Part:
     """Departure, arrival, lag and probability of the likely candidates for the arrivals at one zone."""
     bins, mine = ends.bins, ends.coming[zone]
     among = np.sort(np.concatenate([ends.leaving[source] for source in sources]))
@@ -232,18 +237,19 @@ def _likely(ends: Ends, zone: int, sources: Longs) -> tuple[Rows, Rows, Floats, 
         moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
         hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
     kept = share > LIKELY_MIN
-    return departure[kept], mine[at[kept]], lag[kept], share[kept]
+    return departure[kept].astype(np.int32), mine[at[kept]].astype(np.int32), lag[kept], share[kept]
 
 
-def _joined(
-    parts: list[tuple[Rows, Rows, Floats, Floats]], departures: Departures, arrivals: Arrivals, zones: int,
-    candidates_max: int,
-) -> Candidates:  # fmt: skip
+def _joined(parts: list[Part], departures: Departures, arrivals: Arrivals, zones: int) -> Candidates:
     """The likeliest candidates of all parts, by arrival."""
-    nothing = (np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), np.zeros(0))
+    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0))
     departure, arrival, lag, share = (np.concatenate(columns) for columns in zip(nothing, *parts, strict=True))
-    kept = np.argsort(-share, kind="stable")[:candidates_max]
-    kept = kept[np.lexsort((departure[kept], arrival[kept]))]
-    departure, arrival, lag = departure[kept], arrival[kept], lag[kept]
+    most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
+    if len(share) > most:
+        least = np.partition(share, len(share) - most)[len(share) - most]
+        likeliest = np.flatnonzero(share >= least)[:most]
+        departure, arrival, lag = departure[likeliest], arrival[likeliest], lag[likeliest]
+    order = np.lexsort((departure, arrival))
+    departure, arrival, lag = departure[order], arrival[order], lag[order]
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
-    return Candidates(departure.astype(np.int32), arrival.astype(np.int32), pair, lag, source, target)
+    return Candidates(departure, arrival, pair, lag, source, target)
