@@ -205,7 +205,7 @@ class Window:
         cell = cells_of(px, py)
         order = np.argsort(camera, kind="stable")
         present, first = np.unique(camera[order], return_index=True)
-        for index, here in zip(present.tolist(), np.split(order, first[1:]), strict=True):
+        for index, here in zip(present.tolist(), np.split(order, first)[1:], strict=True):
             placed = here[cell[here] >= 0]
             at, x, y = cell[placed], px[placed], py[placed]
             sums = self.sums[index].reshape(len(PLANES), -1)
