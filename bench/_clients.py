@@ -32,8 +32,10 @@ PREFIX = "camtopo/site"
 ACK_SECONDS = 0.2
 WINDOW_EVENTS = 40_000
 """So many may be put and not acknowledged; fewer than the daemon's inbox holds."""
-QUIET_SECONDS = 20.0
+QUIET_SECONDS = 300.0
 """After so long without an acknowledgement something has been lost."""
+START_SECONDS = 300.0
+"""For a daemon to make its first version."""
 ENDED = b"ended"
 
 
@@ -167,6 +169,16 @@ def status_of(endpoint: str) -> Status:
     """The daemon's status now."""
     with _dialled(endpoint) as bus:
         return msgspec.msgpack.decode(bus.ask("status/daemon")[0][1], type=Status)
+
+
+def learned_status(endpoint: str) -> Status:
+    """The daemon's status when it has a version of its epoch and nothing waits to be learned."""
+    deadline = time.monotonic() + START_SECONDS
+    while (status := status_of(endpoint)).learner.version == 0 or status.events.waiting:
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"the daemon does not learn: {status}")
+        time.sleep(0.5)
+    return status
 
 
 @contextmanager

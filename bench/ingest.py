@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 
 from bench import _ratios, _site
-from bench._clients import client, ready_at, result, status_of, write_events
+from bench._clients import client, learned_status, ready_at, result, status_of, write_events
 from bench._site import learned_site, running, traffic
 
 BARE, QUIET, FITTING = "zenoh + msgspec, doing nothing", "daemon, no version due", "daemon, a version a minute"
@@ -79,6 +79,7 @@ def daemon(folder: Path, learned: Path, events: str, count: int, learn: str) -> 
     shutil.rmtree(folder / "state", ignore_errors=True)
     shutil.copytree(learned, folder / "state")
     with running(folder, learn) as (endpoint, _):
+        learned_status(endpoint)
         with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
             sent = result(sender)
         status = status_of(endpoint)

@@ -13,14 +13,13 @@ from __future__ import annotations
 import argparse
 import shutil
 import tempfile
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from bench import _ratios, _site
-from bench._clients import client, ready_at, result, status_of, write_events
+from bench._clients import client, learned_status, ready_at, result, status_of, write_events
 from bench._site import learned_site, running, traffic
 
 BARE, QUIET, REFITTING = "bare zenoh", "daemon", "daemon, refitting"
@@ -28,7 +27,6 @@ LEARN = {
     QUIET: "refit_share = 1e9\nrefit_hours = 1e9",
     REFITTING: "refit_share = 1e-9\nrefit_hours = 1e9\nversion_seconds = 1.0",
 }
-START_SECONDS = 120.0
 P50_MAX, P99_MAX, REFIT_P99_MAX = 2.0, 5.0, 2.0
 
 
@@ -65,11 +63,7 @@ class Case:
         shutil.rmtree(self._folder / "state", ignore_errors=True)
         shutil.copytree(self._learned, self._folder / "state")
         with running(self._folder, LEARN[name]) as (endpoint, _):
-            deadline = time.monotonic() + START_SECONDS
-            while (before := status_of(endpoint)).learner.version == 0 or before.events.waiting:
-                if time.monotonic() > deadline:
-                    raise TimeoutError("the daemon does not learn")
-                time.sleep(0.5)
+            before = learned_status(endpoint)
             median = self._measure(name, endpoint)
             after = status_of(endpoint)
             self.rounds[name][-1] = self.rounds[name][-1]._replace(
