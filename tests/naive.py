@@ -328,6 +328,69 @@ def chain(zones, links):
     return moved
 
 
+# --- screening ---
+
+
+def standing_out(departures, arrivals, zone, bins, exposure, chance, widths):
+    """How far the lags from each zone to ``zone`` stand out of chance where they do most, in standard deviations.
+    ``chance``: (sources, targets) -> rates in 1/s."""
+    zones, result = len(exposure), []
+    pairs = [
+        (d, a) for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max) if arrivals.zone[a] == zone
+    ]
+    for u in range(zones):
+        seen = np.zeros(bins.size)
+        for d, a in pairs:
+            lag = arrivals.t[a] - departures.t[d]
+            seen[lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step)] += departures.zone[d] == u
+        usual = chance(np.array([u]), np.array([zone]))[0] * exposure[u] * bins.widths
+        most = 0.0
+        for width in widths:
+            kernel = smoothing_kernel(bins.size, width)
+            for k in range(bins.size):
+                noise = sum(kernel[k, j] ** 2 * max(usual[j], 0.5) for j in range(bins.size))
+                most = max(most, sum(kernel[k, j] * (seen[j] - usual[j]) for j in range(bins.size)) / np.sqrt(noise))
+        result.append(most)
+    return result
+
+
+def likely(departures, arrivals, zone, sources, bins, exposure, chance, first, smoothing, constants):
+    """`camtopod.learn.screening._likely`: (departure, arrival) -> probability. ``first``: `excess` of a histogram."""
+    rounds, outside_first, start_floor, least = constants
+    pairs = [
+        (d, a) for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max)
+        if arrivals.zone[a] == zone and departures.zone[d] in sources
+    ]  # fmt: skip
+    lags = [arrivals.t[a] - departures.t[d] for d, a in pairs]
+    at = [lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step) for lag in lags]
+    hazard = {}
+    for u in sources:
+        seen = np.zeros(bins.size)
+        for (d, _), k in zip(pairs, at, strict=True):
+            seen[k] += departures.zone[d] == u
+        usual = chance(np.array([u]), np.array([zone]))[0] * exposure[u] * bins.widths
+        above = first(seen[None, :], usual[None, :])[0]
+        hazard[u] = [
+            max(above[k], start_floor * seen[k]) / max(exposure[u, k] * bins.widths[k], bins.widths[k])
+            for k in range(bins.size)
+        ]
+    share = []
+    for _ in range(rounds):
+        weight = [hazard[departures.zone[d]][k] for (d, _), k in zip(pairs, at, strict=True)]
+        share = []
+        for c, (_, a) in enumerate(pairs):
+            rivals = sum(w for w, (_, b) in zip(weight, pairs, strict=True) if b == a)
+            share.append(weight[c] / (outside_first * arrivals.rate[a] + rivals))
+        moved = {u: np.zeros(bins.size) for u in sources}
+        for (d, _), k, own in zip(pairs, at, share, strict=True):
+            total = sum(other for other, (e, _) in zip(share, pairs, strict=True) if e == d)
+            moved[departures.zone[d]][k] += own / max(total, 1.0)
+        for u in sources:
+            spread, _ = smoothed(moved[u], smoothing)
+            hazard[u] = [spread[k] / (max(exposure[u, k], 1.0) * bins.widths[k]) for k in range(bins.size)]
+    return {pair: own for pair, own in zip(pairs, share, strict=True) if own > least}
+
+
 # --- posterior: contexts, entry kernels; prediction ---
 
 

@@ -54,6 +54,8 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     assert fast[2] == pytest.approx(slow[2])
     assert len(fast[0]) == len(LEVELS) == 4
     for level, (n_of, moved_of) in zip(fast[0], slow[0], strict=True):
+        assert level.transitions.shape == (len(level.zone), 4)
+        assert level.transitions.nnz == sum(count > 0 for count in moved_of.values()), "only what occurs is kept"
         for k in range(len(level.zone)):
             key = int(level.zone[k]), *level.parts[k].tolist()
             assert level.departures[k] == pytest.approx(n_of.get(key, 0.0))

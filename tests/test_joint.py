@@ -13,7 +13,6 @@ from camtopod.learn import candidates as candidates_module
 from camtopod.learn import joint
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess, find_candidates, newest
 from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.grouping import summed
 from camtopod.learn.joint import Fit, JointFitter, exposures, fit_jointly, smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import local_rates
@@ -170,13 +169,6 @@ def test_what_cameras_lend_their_zones_equals_its_slow_twin(seed: int) -> None:
         dict(zip(named, counts, strict=True)), of, fitter.exposure, came, joint.SMOOTHING_SD_BINS
     )  # fmt: skip
     assert fitter._pooled(counts) == pytest.approx(np.array([slow[pair] for pair in named]).reshape(-1, SHORT.size))
-
-
-@given(st.lists(st.integers(0, 4), max_size=12))
-def test_sums_by_group(group: list[int]) -> None:
-    rows = np.arange(3.0 * len(group)).reshape(-1, 3)
-    slow = [[sum(rows[i, k] for i, g in enumerate(group) if g == own) for k in range(3)] for own in range(5)]
-    assert summed(rows, np.array(group, np.int64), 5).tolist() == slow
 
 
 # --- what it finds ---

@@ -8,14 +8,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from camtopod.learn import rates as module
 from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins, smoother
-from camtopod.learn.rates import (
-    CHANCE_BIN_SECONDS,
-    RATE_HALF_WINDOW_SECONDS,
-    RATE_PRIOR_EVENTS,
-    chance_rates,
-    local_rates,
-)
+from camtopod.learn.rates import CHANCE_BIN_SECONDS, RATE_HALF_WINDOW_SECONDS, RATE_PRIOR_EVENTS, Chance, local_rates
 
 BINS = LagBins(-20.0, 120.0)
 
@@ -88,7 +83,26 @@ def test_local_rates_follow_the_rhythm() -> None:
 
 
 @given(st.integers(0, 10**6), st.integers(1, 25), st.integers(1, 25), st.sampled_from([30.0, 900.0, 9000.0]))
-def test_chance_rates_equal_their_slow_twin(seed: int, n: int, m: int, span: float) -> None:
+def test_chance_equals_its_slow_twin_as_a_table_and_pair_by_pair(seed: int, n: int, m: int, span: float) -> None:
     left, came = traffic(seed, n, 3, span), traffic(seed + 1, m, 3, span)
     slow = naive.chance_rates(*left, *came, 3, CHANCE_BIN_SECONDS)
-    assert chance_rates(*left, *came, 3) == pytest.approx(slow)
+    source, target = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
+    for table_max, at_once in ((3, 10), (2, 10), (2, 4), (2, 1)):
+        with pytest.MonkeyPatch.context() as limits:
+            limits.setattr(module, "TABLE_ZONES_MAX", table_max)
+            limits.setattr(module, "PAIRS_AT_ONCE", at_once)
+            found = Chance(*left, *came, 3)
+            assert found.of(source, target) == pytest.approx(slow.ravel())
+            assert found.of(target, source) == pytest.approx(slow.T.ravel())
+            assert len(found.of(source[:0], target[:0])) == 0
+
+
+def test_chance_has_no_table_of_many_zones() -> None:
+    """Nothing is worked out, or kept, for pairs that nobody asks for."""
+    zones = module.TABLE_ZONES_MAX
+    left, came = traffic(1, 50, 3), traffic(2, 50, 3)
+    small, large = Chance(*left, *came, zones), Chance(*left, *came, zones + 1)
+    assert sum(isinstance(part, np.ndarray) and part.shape == (zones, zones) for part in vars(small).values()) == 1
+    assert max(part.size for part in vars(large).values() if part is not None) < 20 * (zones + 1)
+    pairs = np.array([0, 1, 2]), np.array([2, 0, zones - 1])
+    assert large.of(*pairs) == pytest.approx(small.of(*pairs))

@@ -13,11 +13,12 @@ from made import Views
 from bench.regimes import REGIMES
 from camtopod.learn import posterior
 from camtopod.learn import skipped as module
-from camtopod.learn.candidates import Candidates, Departures, find_candidates
+from camtopod.learn.candidates import Candidates, Departures, find_candidates, number_pairs
+from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
 from camtopod.learn.passages import UNKNOWN_STAY_SECONDS
 from camtopod.learn.posterior import Posterior, fit_posterior
-from camtopod.learn.skipped import Through, skip_hazards, ways_through
+from camtopod.learn.skipped import Through, skip_hazards, skipped_beside, ways_through
 
 BINS = LagBins(-60.0, 120.0)
 CAMERA = np.array([0, 1, 1, 2, 2, 3], np.int64)
@@ -44,6 +45,22 @@ def learned(views: Views) -> Posterior:
     until = float(max(departures.t[-1], arrivals.t[-1]))
     candidates = find_candidates(departures, arrivals, BINS, zones)
     return fit_posterior(departures, arrivals, candidates, BINS, zones, until)
+
+
+def screened(views: Views, pairs: set[tuple[int, int]]) -> tuple[Posterior, Posterior]:
+    """What is learned of the candidates of these pairs of zones only, without and with the ways beside them."""
+    departures, arrivals = views.columns()
+    zones = len(views.camera)
+    every = find_candidates(departures, arrivals, BINS, zones)
+    named = list(zip(departures.zone[every.departure].tolist(), arrivals.zone[every.arrival].tolist(), strict=True))
+    kept = np.array([pair in pairs for pair in named])
+    pair, source, target = number_pairs(
+        departures.zone[every.departure[kept]], arrivals.zone[every.arrival[kept]], zones
+    )
+    few = Candidates(every.departure[kept], every.arrival[kept], pair, every.lag[kept], source, target)
+    until = float(max(departures.t[-1], arrivals.t[-1]))
+    without, beside = (fit_posterior(departures, arrivals, few, BINS, zones, until, told) for told in (False, True))
+    return without, beside
 
 
 def share(found: Posterior, source: int, target: int) -> float:
@@ -90,6 +107,48 @@ def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch)
     assert top3 > -0.005
 
 
+def test_ways_that_screening_left_out_are_foretold_beside_the_others() -> None:
+    """Of the odds nothing can be learned from these pairs: they are the first ones, a tenth."""
+    without, found = screened(walks(6, 600, 0.1), {(0, 1), (2, 3), (4, 5), (5, 0)})
+    for u, a, b, v in ((0, 1, 2, 3), (2, 3, 4, 5)):
+        taken = share(found, u, a) * share(found, b, v)
+        assert share(without, u, v) == 0
+        assert share(found, u, v) == pytest.approx(posterior.SKIP_ODDS_FIRST * taken, rel=0.05)
+    rows = [dict(zip(pairs_of(one), range(99), strict=False)) for one in (without, found)]
+    assert list(rows[1]) == sorted(rows[1])
+    old, new = list(rows[0].values()), [rows[1][pair] for pair in rows[0]]
+    for before, after in zip(columns_of(without), columns_of(found), strict=True):
+        assert (before[old] == after[new]).all()
+    beside = [row for pair, row in rows[1].items() if pair not in rows[0]]
+    assert {(0, 3), (2, 5)} <= {pairs_of(found)[row] for row in beside}
+    assert not found.fit.counts[beside].any()
+    assert not found.doubt[beside].any()
+    assert found.share[beside] == pytest.approx((found.fit.hazard[beside] * BINS.widths).sum(axis=1))
+    (at,) = [row for row in beside if pairs_of(found)[row] == (0, 3)]
+    assert BINS.centres[np.argmax(found.fit.hazard[at])] == pytest.approx(25.0, abs=3.0)
+    both = without.fit.candidates, found.fit.candidates
+    assert all((c.source[c.pair] == both[0].source[both[0].pair]).all() for c in both)
+    assert all((c.target[c.pair] == both[0].target[both[0].pair]).all() for c in both)
+    gone = np.bincount(found.fit.candidates.source[beside], found.share[beside], minlength=len(CAMERA))
+    assert found.leave == pytest.approx(np.maximum(without.leave - gone, LEAVE_FLOOR))
+
+
+def test_without_ways_beside_nothing_changes() -> None:
+    without, found = screened(walks(6, 200, 0.0, 8000.0), {(0, 1)})
+    assert pairs_of(found) == pairs_of(without) == [(0, 1)]
+    assert (found.leave == without.leave).all()
+    assert all((one == other).all() for one, other in zip(columns_of(found), columns_of(without), strict=True))
+
+
+def pairs_of(found: Posterior) -> list[tuple[int, int]]:
+    return list(zip(found.fit.candidates.source.tolist(), found.fit.candidates.target.tolist(), strict=True))
+
+
+def columns_of(found: Posterior) -> list[np.ndarray]:
+    """All that has a row for each pair."""
+    return [found.share, found.doubt, found.fit.hazard, found.fit.counts]
+
+
 # --- its slow twins ---
 
 
@@ -114,9 +173,11 @@ def test_ways_through_equal_loops(seed: int, n: int, tied: float) -> None:
         assert found[way] == pytest.approx(figures)
 
 
-@given(st.integers(0, 10**6), st.integers(1, 20), st.integers(0, 8))
-@settings(max_examples=40)
-def test_skip_hazards_equal_loops(seed: int, pairs: int, passages: int) -> None:
+Ways = dict[tuple[int, int], tuple[float, float]]
+
+
+def some_links(seed: int, pairs: int, passages: int) -> tuple[np.ndarray, Candidates, Through, Ways]:
+    """Probabilities of appearing by lag, the pairs, and ways through views, as columns and by their zones."""
     rng = np.random.default_rng(seed)
     zones = len(CAMERA)
     key = np.sort(rng.choice(zones * zones, pairs, replace=False))
@@ -127,15 +188,54 @@ def test_skip_hazards_equal_loops(seed: int, pairs: int, passages: int) -> None:
     none = np.zeros(0, np.int32)
     came, left = (np.array([way[k] for way in ways], np.int64) for k in (0, 1))
     passes, seconds = (np.array([through[way][k] for way in ways]) for k in (0, 1))
-    fast = skip_hazards(
-        appears, Candidates(none, none, none, np.zeros(0), source, target), Through(came, left, passes, seconds),
-        BINS, zones,
+    candidates = Candidates(none, none, none, np.zeros(0), source, target)
+    return appears, candidates, Through(came, left, passes, seconds), through
+
+
+def by_hand(appears: np.ndarray, source: list[int], target: list[int], ways: Ways) -> np.ndarray:
+    return naive.skip_hazards(
+        appears, source, target, ways, BINS, module.LEG_QUANTILES, module.SPREAD_SD_BINS, module.LINK_SHARE_MIN,
+        module.WAY_SHARE_MIN,
     )  # fmt: skip
-    slow = naive.skip_hazards(
-        appears, source.tolist(), target.tolist(), through, BINS, module.LEG_QUANTILES, module.SPREAD_SD_BINS,
-        module.LINK_SHARE_MIN, module.WAY_SHARE_MIN,
-    )  # fmt: skip
+
+
+@given(st.integers(0, 10**6), st.integers(1, 20), st.integers(0, 8))
+@settings(max_examples=40)
+def test_skip_hazards_equal_loops(seed: int, pairs: int, passages: int) -> None:
+    appears, candidates, through, ways = some_links(seed, pairs, passages)
+    fast = skip_hazards(appears, candidates, through, BINS, len(CAMERA))
+    slow = by_hand(appears, candidates.source.tolist(), candidates.target.tolist(), ways)
     assert fast == pytest.approx(slow, abs=1e-12)
+
+
+@given(st.integers(0, 10**6), st.integers(1, 20), st.integers(0, 8))
+@settings(max_examples=40)
+def test_ways_beside_the_candidates_equal_loops_over_all_pairs(seed: int, pairs: int, passages: int) -> None:
+    """As if the pairs that no candidate has were there, and nobody appeared there next."""
+    appears, candidates, through, ways = some_links(seed, pairs, passages)
+    zones = len(CAMERA)
+    source, target, hazard = skipped_beside(appears, candidates, through, BINS, zones)
+    known = candidates.source.astype(int) * zones + candidates.target
+    every = np.zeros((zones * zones, BINS.size))
+    every[known] = appears
+    slow = by_hand(every, np.repeat(range(zones), zones).tolist(), np.tile(range(zones), zones).tolist(), ways)
+    beside = np.setdiff1d(np.flatnonzero(taken(every, ways) >= module.WAY_SHARE_MIN), known)
+    assert (source * zones + target).tolist() == beside.tolist()
+    assert hazard == pytest.approx(slow[beside], abs=1e-12)
+
+
+def taken(appears: np.ndarray, ways: Ways) -> np.ndarray:
+    """Share that takes the likeliest way over a skipped view, of each pair of zones."""
+    zones = len(CAMERA)
+    share = appears.sum(axis=1)
+    result = np.zeros(zones * zones)
+    for u in range(zones):
+        for v in range(zones):
+            for (came, left), (passes, _) in ways.items():
+                legs = share[u * zones + came], share[left * zones + v]
+                if min(legs) >= module.LINK_SHARE_MIN:
+                    result[u * zones + v] = max(result[u * zones + v], legs[0] * passes * legs[1])
+    return result
 
 
 def test_without_pairs_or_passages_nothing() -> None:
@@ -143,5 +243,6 @@ def test_without_pairs_or_passages_nothing() -> None:
     nowhere = Through(np.zeros(0, np.int64), np.zeros(0, np.int64), nothing, nothing)
     empty = Candidates(none, none, none, nothing, none, none)
     assert skip_hazards(np.zeros((0, BINS.size)), empty, nowhere, BINS, 3).shape == (0, BINS.size)
+    assert [len(column) for column in skipped_beside(np.zeros((0, BINS.size)), empty, nowhere, BINS, 3)] == [0, 0, 0]
     one = empty._replace(source=np.array([0], np.int32), target=np.array([1], np.int32))
     assert not skip_hazards(np.full((1, BINS.size), 0.01), one, nowhere, BINS, 3).any()

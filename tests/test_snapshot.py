@@ -8,6 +8,7 @@ from functools import lru_cache
 import msgspec
 import pytest
 
+from camtopod.learn import screening
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
@@ -41,23 +42,25 @@ def events_of(name: str) -> list[Event]:
     return numbered
 
 
-def learned(learner: Learner, events: list[Event], points: set[int]) -> list[tuple[int, str]]:
+def learned(
+    learner: Learner, events: list[Event], points: set[int], rules: Settings = SETTINGS
+) -> list[tuple[int, str]]:
     """(version, digest) of all that is learned to the end, by a learner that is replaced by its snapshot at each of
     ``points``.
     """
     made = []
     for number, event in enumerate(events):
         if number in points:
-            learner = restored(pack(learner.save()))
+            learner = restored(pack(learner.save()), rules=rules)
         learner.receive(event)
         made += [(update.version, update.digest) for update in learner.updates()]
     learner.flush()
     return made + [(update.version, update.digest) for update in learner.updates()]
 
 
-def restored(blob: bytes, spoiled: str = "") -> Learner:
+def restored(blob: bytes, spoiled: str = "", rules: Settings = SETTINGS) -> Learner:
     """A learner from a snapshot; one part of it may be as in a new learner."""
-    state, learner = unpack(blob), Learner(SETTINGS, "s", "e")
+    state, learner = unpack(blob), Learner(rules, "s", "e")
     if spoiled:
         setattr(state, spoiled, getattr(learner.save(), spoiled))
     learner.load(state)
@@ -87,6 +90,28 @@ def test_restored_anywhere_the_versions_are_the_same(name: str) -> None:
     assert learned(Learner(SETTINGS, "s", "e"), events, points) == expected(name)
 
 
+def test_restored_with_screening_the_versions_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is followed of each zone depends on when it was last looked at: only a few are in each fit."""
+    monkeypatch.setattr(screening, "LOOKS_MIN", 1)
+    monkeypatch.setattr(screening, "LOOKS_PER_EVENT", 3)
+    rules, events = msgspec.structs.replace(SETTINGS, candidates_max=20_000), events_of("usual")
+
+    def made(points: set[int], forgetful: bool = False) -> list[tuple[int, str]]:
+        with monkeypatch.context() as patch:
+            patch.setattr(Learner, "load", forgetting if forgetful else Learner.load)
+            return learned(Learner(rules, "s", "e"), events, points, rules)
+
+    def forgetting(learner: Learner, state: LearnerState) -> None:
+        state.followed = {}
+        whole_load(learner, state)
+
+    whole_load, points = Learner.load, {len(events) // 2, 2 * len(events) // 3}
+    unbroken = made(set())
+    assert len(unbroken) > 8
+    assert made(points) == unbroken
+    assert made(points, forgetful=True) != unbroken
+
+
 @pytest.mark.campaign
 @pytest.mark.timeout(3600)
 def test_a_thousand_restores() -> None:
@@ -111,7 +136,7 @@ def test_nothing_in_a_snapshot_is_without_effect(part: str) -> None:
 def test_every_field_of_the_state_is_saved_by_a_learner_that_has_learned() -> None:
     empty, full = Learner(SETTINGS, "s", "e").save(), unpack(late("hard"))
     same = [name for name in LearnerState.__struct_fields__ if _packed(full, name) == _packed(empty, name)]
-    assert sorted(same) == ["epoch", "moved", "settings", "site"]
+    assert sorted(same) == ["epoch", "followed", "moved", "settings", "site"]  # nothing is followed of so few
 
 
 def _packed(state: LearnerState, name: str) -> bytes:

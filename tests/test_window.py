@@ -142,6 +142,34 @@ def test_at_most_so_many_events() -> None:
     assert window.camera_index("b") is None
 
 
+def test_at_most_so_many_of_each_camera_if_that_is_more() -> None:
+    window, now = Window(7, 3), 0
+    for cameras, held in ((1, 7), (2, 7), (3, 9), (6, 18)):
+        for k in range(10):
+            now += 1
+            window.append(at(now, [Event(f"c{(k + c) % cameras}", "entry", now) for c in range(cameras)]))
+            window.forget(0)
+        assert window.events_max == len(window) == held
+    again = Window(7, 3)
+    again.load(window.save())
+    assert again.events_max == 18
+
+
+@given(STEPS)
+def test_rows_of_cameras_are_where_their_events_are(steps: list[tuple[list[Event], int, bool]]) -> None:
+    window, now = Window(20), 0
+    for batch, age, turned in steps:
+        now += 5
+        window.append(at(now, batch))
+        window.forget(microseconds(now - age))
+        if turned and window.cameras:
+            window.forget_camera(0, window.base + len(window) // 2)
+        camera = window.column("camera").tolist()
+        assert [rows.tolist() for rows in window.rows_of_cameras()] == [
+            [row for row, own in enumerate(camera) if own == k] for k in range(len(window.cameras))
+        ]
+
+
 @given(st.floats(0, 1), st.floats(0, 1))
 def test_cells_hold_what_the_zones_see(x: float, y: float) -> None:
     """The cell is that of the fixed-point position."""

@@ -1,0 +1,324 @@
+"""Screening: what it leaves out is unlikely, what it keeps is what a fit without it would have had."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camtopod.learn import screening as module
+from camtopod.learn.candidates import (
+    EXCESS_SMOOTHING_SD_BINS,
+    Arrivals,
+    Candidates,
+    Departures,
+    excess,
+    find_candidates,
+)
+from camtopod.learn.joint import SMOOTHING_SD_BINS, START_FLOOR
+from camtopod.learn.lags import LagBins
+from camtopod.learn.learner import Learner
+from camtopod.learn.rates import local_rates
+from camtopod.learn.screening import Screen, _ends, _joined, _likely, _possible, place, standing_out, whole
+from camtopod.learn.settings import Settings
+from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.score import Score, score
+
+BINS = LagBins(-20.0, 60.0)
+SHORT = LagBins(-3.0, 8.0)
+SCREENED, UNSCREENED = 100_000, 10**9
+"""Candidates that two dozen cameras have more, and fewer, of."""
+
+
+def anything(seed: int, left: int, came: int, zones: int = 6, span: float = 60.0) -> tuple[Departures, Arrivals]:
+    """Departures and arrivals that have nothing to do with each other; two zones to a camera."""
+    rng = np.random.default_rng(seed)
+    t, zone = np.sort(rng.uniform(0, span, left)), rng.integers(0, zones, left).astype(np.int32)
+    stay = np.where(rng.random(left) < 0.3, np.inf, rng.exponential(4.0, left))
+    departures = Departures.untold(t, zone, zone // 2, t - stay, np.full(left, np.nan))
+    t, zone = np.sort(rng.uniform(0, span, came)), rng.integers(0, zones, came).astype(np.int32)
+    return departures, Arrivals(t, zone, zone // 2, local_rates(t, zone, zones), np.full(came, np.nan))
+
+
+def site(seed: int, zones: int = 40, span: float = 4000.0) -> tuple[Departures, Arrivals]:
+    """People come and go at all zones; of those who leave at 3 and 17 most are at 0 after 8 s and 30 s."""
+    rng = np.random.default_rng(seed)
+    departures, arrivals = anything(seed, 100 * zones, 100 * zones, zones, span)
+    ways = ((3, 8.0, 1.0), (17, 30.0, 4.0))
+    gone = [(departures.t[departures.zone == u], lag, sd) for u, lag, sd in ways]
+    more = np.concatenate([rng.permutation(t + rng.normal(lag, sd, len(t)))[: 7 * len(t) // 10] for t, lag, sd in gone])
+    t = np.concatenate((arrivals.t, more))
+    zone = np.concatenate((arrivals.zone, np.zeros(len(more), np.int32)))[np.argsort(t, kind="stable")]
+    t = np.sort(t)
+    return departures, Arrivals(t, zone, zone // 2, local_rates(t, zone, zones), np.full(len(t), np.nan))
+
+
+def places_of(zones: int) -> np.ndarray:
+    return np.array([place(zone // 2, zone % 2 + 1) for zone in range(zones)])
+
+
+def found_by(screen: Screen, ends: tuple[Departures, Arrivals], most: int, zones: int, learned: int = 1) -> Candidates:
+    departures, arrivals = ends
+    until = float(max(departures.t[-1], arrivals.t[-1]))
+    return screen.find(departures, arrivals, BINS, places_of(zones), until, learned, most)
+
+
+def listed(found: Candidates) -> dict[tuple[int, int], tuple[float, int, int]]:
+    """(arrival, departure) -> lag and pair of zones."""
+    rows = zip(found.arrival.tolist(), found.departure.tolist(), found.lag.tolist(), found.pair.tolist(), strict=True)
+    return {(a, d): (lag, int(found.source[pair]), int(found.target[pair])) for a, d, lag, pair in rows}
+
+
+def in_reach(departures: Departures, arrivals: Arrivals) -> int:
+    lag = arrivals.t[:, None] - departures.t
+    return int(((lag >= BINS.lag_min) & (lag <= BINS.lag_max)).sum())
+
+
+# --- what is found ---
+
+
+def test_while_they_are_few_all_are_found_and_nothing_is_followed() -> None:
+    ends = anything(1, 60, 60)
+    screen, number = Screen(), in_reach(*ends)
+    assert len(found_by(screen, ends, number - 1, 6).lag)
+    assert len(screen.followed) == 6
+    found, every = found_by(screen, ends, number, 6), find_candidates(*ends, BINS, 6)
+    assert screen.followed == {}
+    assert all((one == other).all() for one, other in zip(found, every, strict=True))
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10**6), st.integers(1, 80), st.integers(1, 80), st.integers(1, 300))
+def test_what_is_kept_are_candidates(seed: int, left: int, came: int, most: int) -> None:
+    ends = anything(seed, left, came)
+    with pytest.MonkeyPatch.context() as limits:
+        limits.setattr(module, "LIKELY_MAX", most)
+        limits.setattr(module, "LIKELY_PER_ARRIVAL", 0)
+        found = found_by(Screen(), ends, in_reach(*ends) - 1, 6)
+    assert len(found.lag) <= most
+    rows = listed(found)
+    assert rows.items() <= listed(find_candidates(*ends, BINS, 6)).items()
+    assert list(rows) == sorted(rows)
+    pairs = list(zip(found.source.tolist(), found.target.tolist(), strict=True))
+    assert pairs == sorted({(u, v) for _, u, v in rows.values()})
+
+
+def true_ones(found: Candidates) -> list[bool]:
+    """Whether each candidate has a lag as the two links of `site` have them."""
+    near = {(3, 0): (8.0, 3.0), (17, 0): (30.0, 12.0)}
+    return [(u, v) in near and abs(lag - near[u, v][0]) < near[u, v][1] for lag, u, v in listed(found).values()]
+
+
+def test_the_true_ones_among_many_are_kept() -> None:
+    """Of 300,000 candidates nearly all are noise."""
+    ends = site(2)
+    every, found = find_candidates(*ends, BINS, 40), found_by(Screen(), ends, in_reach(*ends) - 1, 40)
+    assert len(found.lag) < 0.5 * len(every.lag)
+    assert sum(true_ones(found)) > 0.98 * sum(true_ones(every)) > 130
+
+
+def test_of_too_many_the_likeliest_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = site(3)
+    most = in_reach(*ends) - 1
+    roomy = found_by(Screen(), ends, most, 40)
+    monkeypatch.setattr(module, "LIKELY_MAX", 5000)
+    monkeypatch.setattr(module, "LIKELY_PER_ARRIVAL", 1)
+    tight = found_by(Screen(), ends, most, 40)
+    assert len(tight.lag) == 5000
+    assert listed(tight).items() <= listed(roomy).items()
+    assert np.mean(true_ones(tight)) > 10 * np.mean(true_ones(roomy))
+    monkeypatch.setattr(module, "LIKELY_PER_ARRIVAL", 2)
+    assert len(found_by(Screen(), ends, most, 40).lag) == 2 * len(ends[1].t) > 5000
+
+
+@given(st.integers(0, 10**6), st.integers(0, 4), st.integers(1, 50))
+def test_parts_are_joined_by_arrival_and_the_likeliest_stay(seed: int, parts: int, most: int) -> None:
+    rng = np.random.default_rng(seed)
+    departures, arrivals = anything(seed, 20, 20)
+    cells = rng.permutation(400)[: 15 * parts].reshape(parts, 15).astype(np.int32)
+    made = [(cell // 20, cell % 20, rng.random(15), rng.random(15)) for cell in cells]
+    with pytest.MonkeyPatch.context() as limits:
+        limits.setattr(module, "LIKELY_MAX", most)
+        limits.setattr(module, "LIKELY_PER_ARRIVAL", 0)
+        found = _joined(made, departures, arrivals, 6)
+    rows = sorted(((s, a, d, lag) for part in made for d, a, lag, s in zip(*part, strict=True)), reverse=True)[:most]
+    wanted = sorted((a, d, lag, int(departures.zone[d]), int(arrivals.zone[a])) for _, a, d, lag in rows)
+    assert [(a, d, *rest) for (a, d), rest in listed(found).items()] == wanted
+
+
+# --- candidates of one zone ---
+
+
+@given(st.integers(0, 10**6), st.integers(0, 30), st.integers(1, 30), st.none() | st.floats(0, 1))
+def test_possible_ones_equal_a_double_loop(seed: int, left: int, came: int, share: float | None) -> None:
+    """Those before the exit included: of another camera only, and if the passage there had begun."""
+    rng = np.random.default_rng(seed)
+    departures, arrivals = anything(seed, left, came)
+    mine = np.flatnonzero(arrivals.zone == arrivals.zone[0])
+    among = None if share is None else np.flatnonzero(rng.random(left) < share)
+    departure, at, lag = _possible(departures, arrivals, SHORT, mine, among)
+    slow = naive.candidates(departures, arrivals.take(mine), SHORT.lag_min, SHORT.lag_max)
+    slow = [(d, a) for d, a in slow if among is None or d in among]
+    assert list(zip(departure.tolist(), at.tolist(), strict=True)) == slow
+    assert lag.tolist() == [arrivals.t[mine[a]] - departures.t[d] for d, a in slow]
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10**6), st.integers(1, 25), st.integers(1, 25))
+def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> None:
+    departures, arrivals = anything(seed, left, came, zones=4, span=30.0)
+    ends = _ends(departures, arrivals, SHORT, 4, 40.0)
+    zone = int(arrivals.zone[0])
+    sources = np.flatnonzero(np.random.default_rng(seed).random(4) < 0.6)
+    if not len(sources):
+        return
+    departure, arrival, lag, share = _likely(ends, zone, sources)
+    slow = naive.likely(
+        departures, arrivals, zone, sources.tolist(), SHORT, ends.exposure, ends.chance.of,
+        lambda seen, usual: excess(seen, usual, SHORT, module.NOISE_SD), SMOOTHING_SD_BINS,
+        (module.ROUNDS, module.OUTSIDE_FIRST, START_FLOOR, module.LIKELY_MIN),
+    )  # fmt: skip
+    rows = zip(zip(departure.tolist(), arrival.tolist(), strict=True), share.tolist(), strict=True)
+    assert dict(rows) == pytest.approx(slow, rel=1e-6)
+    assert lag.tolist() == [arrivals.t[a] - departures.t[d] for d, a in zip(departure, arrival, strict=True)]
+
+
+# --- looks over all pairs ---
+
+
+def ends_of(departures: Departures, arrivals: Arrivals, zones: int) -> module.Ends:
+    return _ends(departures, arrivals, BINS, zones, float(max(departures.t[-1], arrivals.t[-1])))
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10**6), st.integers(1, 60), st.integers(1, 60), st.sampled_from([1, 7, 10**6]))
+def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, at_once: int) -> None:
+    departures, arrivals = anything(seed, left, came)
+    ends = _ends(departures, arrivals, SHORT, 6, 60.0)
+    above = [naive.standing_out(departures, arrivals, zone, SHORT, ends.exposure, ends.chance.of,
+                                EXCESS_SMOOTHING_SD_BINS) for zone in range(6)]  # fmt: skip
+    with pytest.MonkeyPatch.context() as limits:
+        limits.setattr(module, "COUNTED_AT_ONCE", at_once)
+        found = [standing_out(ends, zone).tolist() for zone in range(6)]
+    assert found == [[u for u in range(6) if row[u] > module.STANDS_OUT_SD] for row in above]
+
+
+def test_the_sources_of_a_link_stand_out() -> None:
+    for seed in range(4, 8):
+        ends = ends_of(*site(seed), 40)
+        sources = standing_out(ends, 0)
+        assert {3, 17} <= set(sources.tolist())
+        assert len(sources) <= module.SOURCES_PER_ZONE_MAX
+
+
+def test_at_most_so_many_stand_out_and_those_that_do_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = ends_of(*site(9), 40)
+    monkeypatch.setattr(module, "STANDS_OUT_SD", -np.inf)
+    assert len(standing_out(ends, 0)) == module.SOURCES_PER_ZONE_MAX < 40
+    monkeypatch.setattr(module, "SOURCES_PER_ZONE_MAX", 2)
+    assert standing_out(ends, 0).tolist() == [3, 17]
+
+
+def looked(screen: Screen, zones: int) -> list[int]:
+    return [screen.followed[int(name)].looked for name in places_of(zones)]
+
+
+def test_looks_go_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With room for one look in each fit every zone has its turn, the one whose look is longest ago first."""
+    monkeypatch.setattr(module, "LOOKS_MIN", 1)
+    monkeypatch.setattr(module, "LOOKS_PER_EVENT", 0)
+    ends, screen = anything(10, 200, 200), Screen()
+    for fit in range(1, 13):
+        found_by(screen, ends, 100, 6, fit)
+        assert sorted(looked(screen, 6)) == [-1] * max(6 - fit, 0) + list(range(max(fit - 5, 1), fit + 1))
+    assert looked(screen, 6) == list(range(7, 13))
+
+
+def test_as_many_looks_as_the_events_allow(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = anything(11, 200, 200)
+    number = in_reach(*ends)
+    monkeypatch.setattr(module, "LOOKS_MIN", 1)
+    for share, least, most in ((0.25, 1, 3), (0.6, 3, 5), (1.01, 6, 6)):
+        monkeypatch.setattr(module, "LOOKS_PER_EVENT", share * number / 400)
+        screen = Screen()
+        found_by(screen, ends, 100, 6)
+        assert least <= 6 - looked(screen, 6).count(-1) <= most
+
+
+def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    (departures, arrivals), screen = site(12), Screen()
+    most = in_reach(departures, arrivals) // 2
+    names = places_of(40)
+    until = float(departures.t[-1])
+
+    def find(learned: int) -> Candidates:
+        return screen.find(departures, arrivals, BINS, names, until, learned, most)
+
+    assert {(3, 0), (17, 0)} <= {(u, v) for _, u, v in listed(find(1)).values()}
+    old, names[3] = int(names[3]), place(99, 1)
+    monkeypatch.setattr(module, "LOOKS_MIN", 1)
+    monkeypatch.setattr(module, "LOOKS_PER_EVENT", 0)
+    named = {(u, v) for _, u, v in listed(find(2)).values()}
+    assert (3, 0) not in named, "what left there went with the zone, and zone 0 has not been looked at again"
+    assert (17, 0) in named
+    assert old not in screen.followed
+    assert [screen.followed[int(name)].looked for name in names] == [1, 1, 1, 2, *[1] * 36]
+    find(3)
+    assert (3, 0) in {(u, v) for _, u, v in listed(find(4)).values()}
+
+
+# --- all candidates of what was found ---
+
+
+@given(st.integers(0, 10**6), st.integers(1, 80), st.integers(1, 80), st.floats(0, 1))
+def test_whole_pairs_have_all_their_candidates(seed: int, left: int, came: int, share: float) -> None:
+    ends = anything(seed, left, came)
+    found = found_by(Screen(), ends, min(100, in_reach(*ends) - 1), 6)
+    asked = np.flatnonzero(np.random.default_rng(seed).random(len(found.source)) < share)
+    full = whole(found, asked, *ends, BINS, 6)
+    pairs = set(zip(found.source[asked].tolist(), found.target[asked].tolist(), strict=True))
+    every = listed(find_candidates(*ends, BINS, 6))
+    assert listed(full) == {key: row for key, row in every.items() if row[1:] in pairs}
+    assert list(listed(full)) == sorted(listed(full))
+    assert (full.source == found.source).all()
+    assert (full.target == found.target).all()
+    assert set(full.pair.tolist()) <= set(asked.tolist())
+
+
+def test_places_differ() -> None:
+    names = {place(camera, number) for camera in (0, 1, 9999) for number in (1, 2, 10**6)}
+    assert len(names) == 9
+
+
+# --- in a learner ---
+
+
+def learned(network: SimSettings, candidates_max: int) -> tuple[Score, int]:
+    """How near one batch fit comes to the truth, and how many links between views it has."""
+    events, truth = simulate(network)
+    learner = Learner(Settings(refit_share=1e9, refit_hours=1e9, candidates_max=candidates_max))
+    for event in events:
+        learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+    assert bool(learner.save().followed) == (candidates_max == SCREENED)
+    return score(learner.topology, truth), sum(link.relation != "visible" for link in learner.topology.links)
+
+
+def test_where_there_are_no_links_none_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is kept of a pair has the lag that was looked for: judged by that alone, some look like links."""
+    monkeypatch.setattr(module, "LIKELY_MAX", 1)  # a few for each arrival
+    network = SimSettings(cameras=24, hours=0.3, seed=2, linked=False, objects_per_second=4.0)
+    assert learned(network, SCREENED)[1] == 0
+    monkeypatch.setattr(Learner, "_all_of", lambda _, fit, *__: fit)
+    assert learned(network, SCREENED)[1] > 0
+
+
+def test_links_are_about_those_without_screening() -> None:
+    network = SimSettings(cameras=24, hours=0.25, seed=1)
+    (with_it, _), (without, _) = learned(network, SCREENED), learned(network, UNSCREENED)
+    assert without.link_recall > 0.4
+    assert with_it.link_recall > 0.95 * without.link_recall
+    assert with_it.link_precision > without.link_precision - 0.03
