@@ -63,7 +63,7 @@ def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
     return {"put": len(batch), "late_ms": 1000 * sorted(late)[len(late) // 2]}
 
 
-def put_flood(endpoint: str, events: str) -> dict[str, Any]:
+def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[str, Any]:
     """Put as fast as the window lets; the rate until all is acknowledged."""
     bus = _dialled(endpoint)
     batch = _read(events)
@@ -94,9 +94,9 @@ def put_flood(endpoint: str, events: str) -> dict[str, Any]:
     time.sleep(1.0)
     begun = time.monotonic()
     for number, (publisher, message) in enumerate(messages):
-        if number % 256 == 0 and number - acked[0] > WINDOW_EVENTS:
+        if number % 256 == 0 and number - acked[0] > window:
             with changed:
-                wanted = number - WINDOW_EVENTS
+                wanted = number - window
                 if not changed.wait_for(lambda wanted=wanted: acked[0] >= wanted, QUIET_SECONDS):  # type: ignore[misc]
                     break
         publisher.put(message)
