@@ -41,6 +41,8 @@ Longs = NDArray[np.int64]
 Rows = NDArray[np.intp]
 Part = tuple[Ints, Ints, Floats, Floats]
 
+PAIRS_FEW = 10_000
+"""So few pairs of zones are all followed, unless their candidates are too many."""
 SOURCES_PER_ZONE_MAX = 32
 """Zones that are followed as sources of one zone."""
 STANDS_OUT_SD = 2.0
@@ -94,13 +96,13 @@ class Screen:
         self, departures: Departures, arrivals: Arrivals, bins: LagBins, places: Longs, until: float, learned: int,
         candidates_max: int,
     ) -> Candidates:  # fmt: skip
-        """The candidates of a window: all of them while there are at most ``candidates_max``.
+        """The candidates of a window: all of them while there are at most ``candidates_max``, and few pairs of zones.
 
         ``places`` (zones,): what zones are known by from one fit to the next; ``until``: seconds up to which events
         have come; ``learned``: events up to now.
         """
         low, high = in_reach(departures, arrivals, bins)
-        if int((high - low).sum()) <= candidates_max:
+        if int((high - low).sum()) <= candidates_max and len(places) ** 2 <= PAIRS_FEW:
             self.followed = {}
             return find_candidates(departures, arrivals, bins, len(places))
         ends = _ends(departures, arrivals, bins, len(places), until)
