@@ -86,7 +86,7 @@ class KeepSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Old versions of the topology, which can be asked for ..."""
     history_bytes_max: Count = 256 * 1024**2
     """... compressed; the oldest are forgotten beyond this."""
-    snapshot_events: Count = 100_000
+    snapshot_events: Count = 20_000
     """The learner's state is saved after this many events, and after every version."""
 
 
