@@ -1,0 +1,116 @@
+"""What an event costs `camtopod learn` on sites of growing size, at the same traffic per camera.
+
+    python -m bench scale [--cameras 100,1000,10000] [--hours 0.5] [--rate 0.1] [--rounds 1] [--json FILE]
+
+Each site is made up from a seed, its events (``--rate`` a second and camera) are written to a file, and `camtopod
+learn` runs over it as a process of its own: processor time per event, the most memory it had, and how much of the truth it
+found. The ratio is to the site before; 1.3 a step is to be reached.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from msgspec import Struct, to_builtins
+
+from bench._ratios import Spread, spread
+from camtopod.cli.predict import read_topology
+from camtopod.codec import to_json
+from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.score import Score, score
+
+STEP_MAX = 1.3
+"""Cost of an event over that on the site a tenth of the size, at most."""
+MEMORY_MAX_MB = {100: 300.0, 1_000: 1_000.0, 10_000: 4_000.0}
+EVENTS_PER_OBJECT = 8.1
+"""Events that somebody who enters a made-up site causes, about."""
+
+COLUMNS = "{:>8}{:>10}{:>10}{:>26}{:>8}{:>8}{:>11}{:>8}"
+HEADER = COLUMNS.format("cameras", "events", "a second", "us an event", "step", "MB", "precision", "recall")
+
+
+class Size(Struct):
+    """What one size of site came to."""
+
+    cameras: int
+    events: int
+    rate: float
+    """Events a second and camera."""
+    microseconds: Spread
+    """Processor time per event."""
+    memory_mb: float
+    precision: float
+    recall: float
+    """Of the links between views."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Measure, print the table, write the figures; returns the exit status."""
+    arguments = _parse(argv)
+    sizes: list[Size] = []
+    print(HEADER)
+    with tempfile.TemporaryDirectory() as folder:
+        for cameras in map(int, arguments.cameras.split(",")):
+            sizes.append(measure(Path(folder), cameras, arguments.hours, arguments.rate, arguments.rounds))
+            print(line(sizes), flush=True)
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps({"part": "scale", "sizes": to_builtins(sizes)}, indent=1) + "\n")
+    return 0
+
+
+def measure(folder: Path, cameras: int, hours: float, rate: float, rounds: int) -> Size:
+    """Learn one site as often as there are rounds."""
+    objects = rate * cameras / EVENTS_PER_OBJECT
+    events, truth = simulate(SimSettings(cameras=cameras, hours=hours, seed=cameras, objects_per_second=objects))
+    recorded, learned = folder / "events.jsonl", folder / "topology.json"
+    with recorded.open("wb") as out:
+        out.writelines(to_json(event) + b"\n" for event in events)
+    runs = [learn(recorded, learned) for _ in range(rounds)]
+    found: Score = score(read_topology(str(learned)), truth)
+    return Size(
+        cameras, len(events), len(events) / (3600.0 * hours * cameras),
+        spread([seconds / len(events) * 1e6 for seconds, _ in runs]), max(memory for _, memory in runs),
+        found.link_precision, found.link_recall,
+    )  # fmt: skip
+
+
+def learn(recorded: Path, learned: Path) -> tuple[float, float]:
+    """Processor seconds and the most megabytes of one `camtopod learn`."""
+    command = [sys.executable, "-m", "camtopod", "learn", str(recorded), "--topology", str(learned)]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    _, status, used = os.wait4(process.pid, 0)
+    if status:
+        raise RuntimeError(f"camtopod learn ended with status {os.waitstatus_to_exitcode(status)}")
+    process.returncode = 0
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
+
+
+def line(sizes: Sequence[Size]) -> str:
+    """The newest size for a person, with its ratio to the one before."""
+    now, cost = sizes[-1], sizes[-1].microseconds
+    step = "" if len(sizes) < 2 else f"{cost.median / sizes[-2].microseconds.median:.2f}"
+    wanted = MEMORY_MAX_MB.get(now.cameras)
+    too_much = "" if wanted is None or now.memory_mb <= wanted else f" (more than {wanted:.0f} MB)"
+    dear = "" if not step or float(step) <= STEP_MAX else f" (more than {STEP_MAX})"
+    row = COLUMNS.format(
+        now.cameras, now.events, f"{now.rate:.3f}", f"{cost.median:.0f} ({cost.low:.0f} .. {cost.high:.0f})", step,
+        f"{now.memory_mb:.0f}", f"{now.precision:.3f}", f"{now.recall:.3f}",
+    )  # fmt: skip
+    return row + dear + too_much
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench scale", description="What an event costs on larger sites.")
+    parser.add_argument("--cameras", default="100,1000,10000", help="sizes of site, comma-separated")
+    parser.add_argument("--hours", type=float, default=0.5, help="length of the recordings (default 0.5)")
+    parser.add_argument("--rate", type=float, default=0.1, help="events a second and camera (default 0.1)")
+    parser.add_argument("--rounds", type=int, default=1, help="runs of each size (default 1)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    return parser.parse_args(argv)
