@@ -3,8 +3,8 @@
     python -m bench scale [--cameras 100,1000,10000] [--hours 0.5] [--rate 0.1] [--rounds 1] [--json FILE]
 
 Each site is made up from a seed, its events (``--rate`` a second and camera) are written to a file, and `camtopod
-learn` runs over it as a process of its own: processor time per event, the most memory it had, and how much of the truth it
-found. The ratio is to the site before; 1.3 a step is to be reached.
+learn` runs over it as a process of its own: processor time per event, the most memory it had, and how much of the truth
+it found. The ratio is to the site before; 1.3 a step is to be reached.
 """
 
 from __future__ import annotations
