@@ -78,23 +78,24 @@ def clutter_rates(count: Counts) -> Floats:
     return rate
 
 
-def _chance(count: Counts, rate: Floats) -> Floats:
-    """Probability that clutter fills a cell's surroundings like this, for the size of surroundings where it is least.
+def _chance(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
+    """Probability that clutter fills a cell's surroundings like this, for the size of surroundings where it is least,
+    of the cells of the mask ``which``.
 
     A kernel-weighted sum of Poisson counts is much like one count over (sum K)^2 / (sum K^2) cells.
     """
-    least = np.ones(count.shape)
+    least = np.ones(int(which.sum()))
     for rows, columns, scale in _SURROUNDINGS:
         inside = np.maximum(rows @ count @ columns * scale, 1e-9)
-        least = np.minimum(least, gammainc(inside, rows @ rate @ columns * scale))
+        least = np.minimum(least, gammainc(inside[which], (rows @ rate @ columns * scale)[which]))
     return least
 
 
 def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
     """Counts above the clutter's ``rate``, 0 in cells whose surroundings clutter would fill like this with at least
     ``chance``."""
-    dense = _chance(count, rate) < chance
-    keep = dense & (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
+    keep = (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
+    keep[keep] = _chance(count, rate, keep) < chance
     return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
 
 

@@ -46,8 +46,7 @@ def log_evidence(groups: Floats) -> Floats:
     xx, xy, yy = scatter(groups)
     half = 0.5 * (_FREEDOM + n - 1)
     determinant = (_SCALE + xx) * (_SCALE + yy) - xy * xy
-    constant = _FREEDOM * np.log(_SCALE) - _log_gamma_2(np.array(_FREEDOM / 2))
-    result: Floats = _log_gamma_2(half) + constant - (n - 1) * np.log(np.pi) - np.log(n) - half * np.log(determinant)
+    result: Floats = _log_gamma_2(half) + _CONSTANT - (n - 1) * np.log(np.pi) - np.log(n) - half * np.log(determinant)
     return result
 
 
@@ -70,3 +69,6 @@ def _log_gamma_2(a: Floats) -> Floats:
     """Log of the bivariate gamma function."""
     result: Floats = 0.5 * np.log(np.pi) + gammaln(a) + gammaln(a - 0.5)
     return result
+
+
+_CONSTANT = _FREEDOM * np.log(_SCALE) - _log_gamma_2(np.array(_FREEDOM / 2))

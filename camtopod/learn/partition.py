@@ -117,7 +117,8 @@ class _Moves:
 
     def _set(self, labels: Labels) -> None:
         inside = labels >= 0
-        _, compact = np.unique(labels[inside], return_inverse=True)
+        present = np.bincount(labels[inside]) > 0
+        compact = (np.cumsum(present) - 1)[labels[inside]]
         self.labels = np.full(len(labels), -1, dtype=np.intp)
         self.labels[inside] = compact
         self.zones = np.zeros((int(self.labels.max(initial=-1)) + 1, 6))
@@ -259,10 +260,10 @@ class _Moves:
         return self.valleys[key]
 
     def _valley(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
-        (mean_a, mean_b), (cov_a, cov_b) = gaussians(np.stack([a, b]))
+        (mean_a, mean_b), cov = gaussians(np.stack([a, b]))
         difference = mean_b - mean_a
-        line = _discriminant(cov_a + cov_b, difference)
-        sd_a, sd_b = float(_sd_along(cov_a, line)), float(_sd_along(cov_b, line))
+        line = _discriminant(cov[0] + cov[1], difference)
+        sd_a, sd_b = _sd_along(cov, line).tolist()
         apart = float(line @ difference)
         if apart == 0.0:
             return 0.0  # around one point there is nothing in between
@@ -271,7 +272,7 @@ class _Moves:
         along = (mean - mean_a) @ line
         aside = np.array([-line[1], line[0]])
         centre = mean_a + np.clip(along / apart, 0, 1)[:, None] * difference
-        width = max(float(_sd_along(cov, aside)) for cov in (cov_a, cov_b))
+        width = float(_sd_along(cov, aside).max())
         tube = (self.labels < 0) & (along > 0) & (along < apart) & (np.abs((mean - centre) @ aside) < 2 * width)
         chosen = inside | tube
         n = self.cells.sums[chosen, 0] / (1 + (a[0] + b[0]) / PAIR_EVENTS)
@@ -298,35 +299,48 @@ class _Moves:
     def _split(self) -> bool:
         """Split every group that is two zones; whether any was."""
         labels = self.labels.copy()
-        for k in range(len(self.zones)):
-            key = self.zones[k].tobytes()
-            if key in self.uncut:
-                continue
-            part = self._cut(np.flatnonzero(self.labels == k))
+        keys = [zone.tobytes() for zone in self.zones]
+        looked = [k for k in range(len(keys)) if keys[k] not in self.uncut]
+        for k, part in zip(looked, self._cuts([np.flatnonzero(self.labels == k) for k in looked]), strict=True):
             if part is None:
-                self.uncut.add(key)
+                self.uncut.add(keys[k])
             else:
                 labels[part] = labels.max() + 1
         changed = bool((labels != self.labels).any())
         self._set(labels)
         return changed
 
-    def _cut(self, members: NDArray[np.intp]) -> NDArray[np.intp] | None:
-        """The cells of ``members`` on one side of the best straight cut, None when no cut makes two zones."""
+    def _cuts(self, groups: list[NDArray[np.intp]]) -> list[NDArray[np.intp] | None]:
+        """Of each group of cells those on one side of the best straight cut, None when no cut makes two zones."""
+        if not groups:
+            return []
+        orders = [(self.cells.mean[own] @ _DIRECTIONS).argsort(axis=0, kind="stable") for own in groups]
+        sums = [np.cumsum(self.cells.sums[own][order], axis=0) for own, order in zip(groups, orders, strict=True)]
+        left = np.concatenate([own[:-1] for own in sums])
+        right = np.concatenate([own[-1:] - own[:-1] for own in sums])
+        gain, clear = self._apart(left, right, self.hold_gain)
+        result, end = list[NDArray[np.intp] | None](), 0
+        for own, order in zip(groups, orders, strict=True):
+            cuts = slice(end, end + len(own) - 1)
+            result.append(self._best_cut(own, order, left[cuts], right[cuts], gain[cuts], clear[cuts]))
+            end = cuts.stop
+        return result
+
+    def _best_cut(
+        self, members: NDArray[np.intp], order: NDArray[np.intp], left: Floats, right: Floats, gain: Floats,
+        clear: NDArray[np.bool_],
+    ) -> NDArray[np.intp] | None:  # fmt: skip
+        """The cells of ``members`` beyond the best cut that shows two zones. ``order``, and what is on either side of
+        each cut: (cuts, directions)."""
         if len(members) < 2:
             return None
-        order = (self.cells.mean[members] @ _DIRECTIONS).argsort(axis=0, kind="stable")
-        left = np.cumsum(self.cells.sums[members][order], axis=0)
-        whole, left = left[-1:], left[:-1]
-        gain, clear = self._apart(left, whole - left, self.hold_gain)
-        wanted = np.where(gain > self.hold_gain, VALLEY_MIN, VALLEY_ALONE) * self.hold
         inside = np.zeros(len(self.labels), dtype=np.bool_)
         inside[members] = True
         for angle in gain.max(axis=0).argsort(kind="stable")[::-1][:_CUTS_TRIED]:
             at = int(gain[:, angle].argmax())
             if gain[at, angle] > _GAIN_HOPELESS:
-                a, b = left[at, angle], whole[0, angle] - left[at, angle]
-                if clear[at, angle] or self._valley_between(a, b, inside) >= wanted[at, angle]:
+                wanted = (VALLEY_MIN if gain[at, angle] > self.hold_gain else VALLEY_ALONE) * self.hold
+                if clear[at, angle] or self._valley_between(left[at, angle], right[at, angle], inside) >= wanted:
                     return np.asarray(members[order[at + 1 :, angle]])
         return None
 

@@ -8,6 +8,7 @@ to which zone.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -148,7 +149,7 @@ def match_zones(
     """
     number: dict[int, int] = {}
     if old and new:
-        distance = np.array([[_distance(a, b) for b in new] for a in old])
+        distance = _distances(old, new)
         cost = np.minimum(distance, MATCH_DISTANCE + 1.0)
         for a, b in zip(*linear_sum_assignment(cost), strict=True):
             if distance[a, b] <= MATCH_DISTANCE:
@@ -162,11 +163,22 @@ def match_zones(
     return tuple(sorted(numbered, key=lambda zone: zone.number)), next_number
 
 
-def _distance(a: ZoneShape, b: ZoneShape) -> float:
-    """How far two zones are apart, by the root of eight times the Bhattacharyya distance: the Mahalanobis distance of
-    their centres under the mean of their covariances where these are alike, and more where they are not."""
-    cov = (np.array(a.cov) + np.array(b.cov)) / 2 + np.eye(2) * PLACE_SD_MIN**2
-    d = np.array([a.x - b.x, a.y - b.y])
-    spread = [np.linalg.det(np.array(zone.cov) + np.eye(2) * PLACE_SD_MIN**2) for zone in (a, b)]
-    unlike = np.log(np.linalg.det(cov) ** 2 / (spread[0] * spread[1]))
-    return float(np.sqrt(d @ np.linalg.solve(cov, d) + 2 * max(unlike, 0.0)))
+def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
+    """How far every old zone is from every new one (old, new), by the root of eight times the Bhattacharyya distance:
+    the Mahalanobis distance of their centres under the mean of their covariances where these are alike, and more where
+    they are not."""
+    (ax, ay, *a), (bx, by, *b) = _figures(old)[:, :, None], _figures(new)[:, None, :]
+    xx, xy, yy = ((one + other) / 2 for one, other in zip(a, b, strict=True))
+    determinant = xx * yy - xy * xy
+    dx, dy = ax - bx, ay - by
+    squared = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant
+    spread = (a[0] * a[2] - a[1] * a[1]) * (b[0] * b[2] - b[1] * b[1])
+    return np.asarray(np.sqrt(squared + 2 * np.maximum(np.log(determinant**2 / spread), 0.0)))
+
+
+def _figures(zones: Sequence[ZoneShape]) -> Floats:
+    """Centres and covariances (xx, xy, yy) with `PLACE_SD_MIN` (5, zones)."""
+    least = PLACE_SD_MIN**2
+    return np.array(
+        [(z.x, z.y, z.cov[0][0] + least, z.cov[0][1], z.cov[1][1] + least) for z in zones]
+    ).T  # fmt: skip
