@@ -89,8 +89,10 @@ class Parts:
         candidates = Candidates(
             c.departure[kept], arrival[c.arrival[kept]], c.pair[kept], c.lag[kept], c.source, c.target
         )
-        fitter = PartFitter(self.departures, self.arrivals.take(came), candidates, self.bins, self.zones, self.until)
-        fitter.exposure = self._exposure[numbers].sum(axis=0)
+        fitter = PartFitter(
+            self.departures, self.arrivals.take(came), candidates, self.bins, self.zones, self.until,
+            self._exposure[numbers].sum(axis=0),
+        )  # fmt: skip
         fitter.near = left if left.any() else ~left
         fitter.use(self.fit.persistence)
         return fitter

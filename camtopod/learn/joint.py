@@ -102,11 +102,12 @@ class JointFitter:
 
     def __init__(
         self, departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins,
-        zones: int, until: float,
+        zones: int, until: float, exposure: Floats | None = None,
     ) -> None:  # fmt: skip
+        """``exposure`` (zones, bins): where it is known already."""
         self.bins, self.zones = bins, zones
         self.candidates, self.departures, self.arrivals = candidates, departures, arrivals
-        self.exposure = exposures(departures, bins, zones, until)
+        self.exposure = exposures(departures, bins, zones, until) if exposure is None else exposure
         self.sparsity = self.pooling = 0.0
         self._camera = np.zeros(zones, np.int64)
         self._camera[departures.zone] = departures.camera

@@ -91,7 +91,7 @@ def fit_posterior(
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
     scout.look()
     scout.skip()
-    fitter = PosteriorFitter(departures, arrivals, scout.worth_following(), bins, zones, until)
+    fitter = PosteriorFitter(departures, arrivals, scout.worth_following(), bins, zones, until, scout.exposure)
     fitter.learn()
     fitter.sample()
     fit = fitter.result()
@@ -107,9 +107,9 @@ class PosteriorFitter(JointFitter):
 
     def __init__(
         self, departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int,
-        until: float,
+        until: float, exposure: Floats | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(departures, arrivals, candidates, bins, zones, until)
+        super().__init__(departures, arrivals, candidates, bins, zones, until, exposure)
         self.pooling = POOLING
         self.hazard = self.counts = np.zeros((self.pairs, bins.size))
         self.share, self.leave, self.levels = np.zeros(self.pairs), np.ones(zones), list[Level]()

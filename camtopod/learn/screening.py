@@ -45,6 +45,8 @@ PAIRS_FEW = 10_000
 """So few pairs of zones are all followed, unless their candidates are too many."""
 SOURCES_PER_ZONE_MAX = 32
 """Zones that are followed as sources of one zone."""
+SEEN_MIN = 3
+"""What was seen to follow fewer times than this stands out of nothing."""
 STANDS_OUT_SD = 2.0
 """What exceeds chance by fewer standard deviations is not followed."""
 LOOKS_PER_EVENT = 400
@@ -126,7 +128,7 @@ class Screen:
                 break
             sources = standing_out(ends, zone)
             self.followed[int(places[zone])] = Followed(places[sources], learned)
-            budget -= int(reach[ends.coming[zone]].sum())
+            budget -= int(reach[ends.coming[zone]].sum()) + len(places) * ends.bins.size
 
 
 def whole(
@@ -177,15 +179,16 @@ def standing_out(ends: Ends, zone: int) -> Rows:
     low, high = in_reach(ends.departures, ends.arrivals.take(mine), bins)
     reached = np.cumsum(high - low)
     for k in range(0, int(reached[-1]) if len(mine) else 0, COUNTED_AT_ONCE):
-        some = mine[slice(*np.searchsorted(reached, (k, k + COUNTED_AT_ONCE), side="right"))]
-        departure, _, lag = _possible(ends.departures, ends.arrivals, bins, some)
+        few = mine[slice(*np.searchsorted(reached, (k, k + COUNTED_AT_ONCE), side="right"))]
+        departure, _, lag = _possible(ends.departures, ends.arrivals, bins, few)
         cell = ends.departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
         seen += np.bincount(cell, minlength=len(seen))
-    every = np.arange(zones)
-    usual = ends.chance.of(every, np.full(zones, zone))[:, None] * ends.exposure * bins.widths
-    above = _above(seen.reshape(zones, bins.size), usual, bins)
+    counts = seen.reshape(zones, bins.size)
+    some = np.flatnonzero(counts.sum(axis=1) >= SEEN_MIN)
+    usual = ends.chance.of(some, np.full(len(some), zone))[:, None] * ends.exposure[some] * bins.widths
+    above = _above(counts[some], usual, bins)
     best = np.argsort(-above, kind="stable")[:SOURCES_PER_ZONE_MAX]
-    return np.sort(best[above[best] > STANDS_OUT_SD])
+    return np.sort(some[best[above[best] > STANDS_OUT_SD]])
 
 
 def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
