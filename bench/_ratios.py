@@ -38,11 +38,15 @@ class Row(Struct):
     cost: Spread
     ratio: Spread
     at_most: float | None = None
-    """The ratio to reach."""
+    """The ratio to reach ..."""
+    at_least: float | None = None
+    """... where the other is the baseline, and so to be beaten."""
 
     @property
     def reached(self) -> bool | None:
-        """Whether the median ratio is within ``at_most``; None without one."""
+        """Whether the median ratio is within ``at_most`` or ``at_least``; None without either."""
+        if self.at_least is not None:
+            return self.ratio.median >= self.at_least
         return None if self.at_most is None else self.ratio.median <= self.at_most
 
 
@@ -95,12 +99,13 @@ def compare(
     costs: Mapping[str, Sequence[float]],
     baseline: str,
     at_most: Mapping[str, float] | None = None,
+    at_least: Mapping[str, float] | None = None,
 ) -> Table:
-    """``costs`` as of `take_turns`, already in ``unit``; ``at_most``: by contestant the ratio to reach."""
+    """``costs`` as of `take_turns`, already in ``unit``; ``at_most``, ``at_least``: ratios to reach by contestant."""
     rows = []
     for name, own in costs.items():
         ratios = [cost / base for cost, base in zip(own, costs[baseline], strict=True)]
-        rows.append(Row(name, spread(own), spread(ratios), (at_most or {}).get(name)))
+        rows.append(Row(name, spread(own), spread(ratios), (at_most or {}).get(name), (at_least or {}).get(name)))
     return Table(title, unit, baseline, rows)
 
 
@@ -109,7 +114,8 @@ def lines(table: Table) -> list[str]:
     cost, ratio = f"{table.unit} (quartiles)", f"/ {table.baseline}"
     result = [f"{table.title:52}{cost:>30}{ratio:>30}{'to reach':>14}"]
     for row in table.rows:
-        wanted = "" if row.at_most is None else f"<= {row.at_most:.2f} {'yes' if row.reached else 'NO'}"
+        limit = f"<= {row.at_most:.2f}" if row.at_most is not None else f">= {row.at_least or 0:g}"
+        wanted = "" if row.reached is None else f"{limit} {'yes' if row.reached else 'NO'}"
         result.append(f"  {row.name:50}{_cell(row.cost, 3):>30}{_cell(row.ratio, 2):>30}{wanted:>14}")
     return result
 
@@ -145,8 +151,9 @@ def plot(path: Path, tables: Sequence[Table]) -> None:
         for place, row in enumerate(table.rows):
             below, above = row.ratio.median - row.ratio.low, row.ratio.high - row.ratio.median
             axes.barh(place, row.ratio.median, xerr=[[below], [above]], height=0.6, color="#3b6ea5", capsize=3)
-            if row.at_most is not None:
-                axes.plot([row.at_most] * 2, [place - 0.4, place + 0.4], color="#c03030", linewidth=2)
+            limit = row.at_least if row.at_most is None else row.at_most
+            if limit is not None:
+                axes.plot([limit] * 2, [place - 0.4, place + 0.4], color="#c03030", linewidth=2)
         axes.set_yticks(range(len(table.rows)), [row.name for row in table.rows])
         axes.invert_yaxis()
         axes.set_title(f"{table.title}: ratio to {table.baseline} (red: to reach)", fontsize=9, loc="left")

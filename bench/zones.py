@@ -1,4 +1,6 @@
-"""Share of made-up cameras whose number of zones is found. ``python -m bench zones [CAMERAS [FIRST_SEED]]``.
+"""Share of made-up cameras whose number of zones is found, and what that costs (`_zone_speed`).
+
+``python -m bench zones [CAMERAS [FIRST_SEED]] [--speed] [--json FILE]``; with ``--speed`` only the cost.
 
 Each camera has two to six zones (spread 0.01 to 0.05 of the image, unequal traffic), 10 to 30 % clutter, and at
 least four events in each zone. Beside ours, over the same cameras: plain DaSpec with the bandwidth rule, k-means with
@@ -8,13 +10,16 @@ camera's zones change while its traffic is steady, held (as the learner does) an
 
 from __future__ import annotations
 
+import argparse
 import time
 import warnings
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench import _ratios, _zone_speed
 from camtopod.learn.daspec import bandwidth, data_spectroscopy
 from camtopod.learn.zones import cell_sums, find_zones, refresh_zones
 
@@ -62,9 +67,30 @@ EVENTS = (60, 300, 1000, 3000, 30_000)
 STEADY_EVENTS, STEADY_WINDOW = 20_000, 4000
 
 
+SPEED_KINDS = ("round", "along the border", "boxes", "clutter in blobs")
+
+
 def main(argv: list[str]) -> int:
-    cameras = int(argv[0]) if argv else 8
-    first = int(argv[1]) if len(argv) > 1 else FIRST_SEED
+    parser = argparse.ArgumentParser(prog="python -m bench zones", description=__doc__)
+    parser.add_argument("cameras", type=int, nargs="?", default=8, help="of each kind (default 8)")
+    parser.add_argument("first", type=int, nargs="?", default=FIRST_SEED, help="seed of the first")
+    parser.add_argument("--speed", action="store_true", help="only what zones cost")
+    parser.add_argument("--events", type=int, nargs="+", default=_zone_speed.EVENTS, help="in the window, for the cost")
+    _ratios.add_arguments(parser, rounds=7)
+    given = parser.parse_args(argv)
+    if not given.speed:
+        rightness(given.cameras, given.first)
+    makers = [partial(camera, given.first, kind) for kind in KINDS if kind.name in SPEED_KINDS]
+    tables = _zone_speed.tables(makers, given.rounds, given.events)
+    for table in tables:
+        print(*_ratios.lines(table), sep="\n", end="\n\n", flush=True)
+    if given.json:
+        _ratios.write(given.json, "zones", tables)
+    return 0
+
+
+def rightness(cameras: int, first: int) -> None:
+    """Shares of cameras whose number of zones is right; how often zones change."""
     print(f"share of {cameras} cameras with the right number of zones:")
     print("camtopod | plain DaSpec | k-means | HDBSCAN")
     print(f"{'':28s}" + "".join(f"{events:>25,d} events" for events in EVENTS))
@@ -92,8 +118,7 @@ def main(argv: list[str]) -> int:
         print(
             f"{kind.name:28s} changes in 1,000 events: held {changes[0]:.3f}, from nothing {changes[1]:.3f}", flush=True
         )
-    print(f"camtopod: {1e3 * seconds / refreshed:.1f} ms of processor time a camera")
-    return 0
+    print(f"camtopod: {1e3 * seconds / refreshed:.1f} ms of processor time a camera\n")
 
 
 def flicker(seed: int, kind: Kind) -> tuple[float, float]:

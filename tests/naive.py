@@ -331,9 +331,9 @@ def chain(zones, links):
 # --- screening ---
 
 
-def standing_out(departures, arrivals, zone, bins, exposure, chance, widths):
-    """How far the lags from each zone to ``zone`` stand out of chance where they do most, in standard deviations.
-    ``chance``: (sources, targets) -> rates in 1/s."""
+def standing_out(departures, arrivals, zone, bins, exposure, chance, seen_min, widths):
+    """How far the lags from each zone to ``zone`` stand out of chance where they do most, in standard deviations; 0 of
+    those seen fewer than ``seen_min`` times. ``chance``: (sources, targets) -> rates in 1/s."""
     zones, result = len(exposure), []
     pairs = [
         (d, a) for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max) if arrivals.zone[a] == zone
@@ -350,7 +350,7 @@ def standing_out(departures, arrivals, zone, bins, exposure, chance, widths):
             for k in range(bins.size):
                 noise = sum(kernel[k, j] ** 2 * max(usual[j], 0.5) for j in range(bins.size))
                 most = max(most, sum(kernel[k, j] * (seen[j] - usual[j]) for j in range(bins.size)) / np.sqrt(noise))
-        result.append(most)
+        result.append(most if sum(seen) >= seen_min else 0.0)
     return result
 
 

@@ -89,6 +89,15 @@ def test_while_they_are_few_all_are_found_and_nothing_is_followed() -> None:
     assert all((one == other).all() for one, other in zip(found, every, strict=True))
 
 
+def test_where_pairs_of_zones_are_many_they_are_screened_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = anything(1, 60, 60)
+    for few, followed in ((36, 0), (35, 6)):
+        monkeypatch.setattr(module, "PAIRS_FEW", few)
+        screen = Screen()
+        assert (len(found_by(screen, ends, 10**6, 6).lag) < in_reach(*ends)) or not followed
+        assert len(screen.followed) == followed
+
+
 @settings(max_examples=60)
 @given(st.integers(0, 10**6), st.integers(1, 80), st.integers(1, 80), st.integers(1, 300))
 def test_what_is_kept_are_candidates(seed: int, left: int, came: int, most: int) -> None:
@@ -193,16 +202,30 @@ def ends_of(departures: Departures, arrivals: Arrivals, zones: int) -> module.En
 
 
 @settings(max_examples=20)
-@given(st.integers(0, 10**6), st.integers(1, 60), st.integers(1, 60), st.sampled_from([1, 7, 10**6]))
-def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, at_once: int) -> None:
+@given(st.integers(0, 10**6), st.integers(1, 60), st.integers(1, 60), st.sampled_from([1, 7, 10**6]), st.booleans())
+def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, at_once: int, all_seen: bool) -> None:
     departures, arrivals = anything(seed, left, came)
     ends = _ends(departures, arrivals, SHORT, 6, 60.0)
-    above = [naive.standing_out(departures, arrivals, zone, SHORT, ends.exposure, ends.chance.of,
+    seen_min = 1 if all_seen else module.SEEN_MIN
+    above = [naive.standing_out(departures, arrivals, zone, SHORT, ends.exposure, ends.chance.of, seen_min,
                                 EXCESS_SMOOTHING_SD_BINS) for zone in range(6)]  # fmt: skip
+    counted: list[float] = []
+    weigh = module._above
+
+    def above_chance(seen: np.ndarray, usual: np.ndarray, bins: LagBins) -> np.ndarray:
+        counted.append(seen.sum())
+        return weigh(seen, usual, bins)
+
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(module, "COUNTED_AT_ONCE", at_once)
+        limits.setattr(module, "SEEN_MIN", seen_min)
+        limits.setattr(module, "_above", above_chance)
         found = [standing_out(ends, zone).tolist() for zone in range(6)]
     assert found == [[u for u in range(6) if row[u] > module.STANDS_OUT_SD] for row in above]
+    every = find_candidates(departures, arrivals, SHORT, 6)
+    pairs = np.bincount(every.pair, minlength=len(every.source))
+    kept = np.where(pairs >= seen_min, pairs, 0)
+    assert counted == np.bincount(every.target, kept, minlength=6).tolist()
 
 
 def test_the_sources_of_a_link_stand_out() -> None:
@@ -238,10 +261,10 @@ def test_looks_go_round(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_as_many_looks_as_the_events_allow(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = anything(11, 200, 200)
-    number = in_reach(*ends)
+    work = in_reach(*ends) + 6 * 6 * BINS.size
     monkeypatch.setattr(module, "LOOKS_MIN", 1)
     for share, least, most in ((0.25, 1, 3), (0.6, 3, 5), (1.01, 6, 6)):
-        monkeypatch.setattr(module, "LOOKS_PER_EVENT", share * number / 400)
+        monkeypatch.setattr(module, "LOOKS_PER_EVENT", share * work / 400)
         screen = Screen()
         found_by(screen, ends, 100, 6)
         assert least <= 6 - looked(screen, 6).count(-1) <= most

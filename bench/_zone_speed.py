@@ -1,0 +1,143 @@
+"""What a camera's zones cost in CPU time: with ever more events in the window, and against methods over points.
+
+One thread for everybody. A turn is the same for all: the zones of every camera, `REPEATS` times over where that takes
+milliseconds only.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench import _ratios
+from camtopod.learn.clutter import FLOOR_CHANCE, clutter_rates, dense_cells, groups_of
+from camtopod.learn.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy
+from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.zones import CellSums, ZoneMap, cell_sums, find_zones, refresh_zones
+
+Floats = NDArray[np.float64]
+Camera = Callable[[int], tuple[Floats, int]]
+"""Positions (n, 2) of so many events, and the number of zones."""
+
+EVENTS = (1_000, 10_000, 100_000, 1_000_000, 10_000_000)
+FLAT_MAX = 1.5
+HDBSCAN_POINTS, HDBSCAN_RATIO_MIN = 10_000, 100.0
+SPECTRAL_POINTS, SPECTRAL_RATIO_MIN = 3_000, 500.0
+REPEATS = 5
+BATCH = 1_000_000
+"""Events whose cells are summed at once."""
+NEW_SHARE = 0.05
+"""Of the events in the window, those that have come since the zones were last learned."""
+
+
+def tables(cameras: Sequence[Camera], rounds: int, events: Sequence[int] = EVENTS) -> list[_ratios.Table]:
+    """Every comparison. Raises ModuleNotFoundError without scikit-learn."""
+    from threadpoolctl import threadpool_limits  # comes with scikit-learn
+
+    with threadpool_limits(1):
+        return [*flatness(cameras, rounds, events), *against_points(cameras, rounds)]
+
+
+def flatness(cameras: Sequence[Camera], rounds: int, events: Sequence[int]) -> list[_ratios.Table]:
+    """The same cameras with ever more events."""
+    windows: dict[int, list[tuple[CellSums, ZoneMap]]] = {n: [] for n in events}
+    for camera in cameras:
+        positions, _ = camera(max(events))
+        for n in events:
+            windows[n].append(window(positions[:n]))
+    dense = {n: [_dense(sums) for sums, _ in those] for n, those in windows.items()}
+    counts = {n: [sums.count for sums, _ in those] for n, those in windows.items()}
+    jobs: dict[str, dict[int, list[Callable[[], object]]]] = {
+        "zones refreshed": {n: [partial(refresh_zones, *one) for one in those] for n, those in windows.items()},
+        "zones from nothing": {n: [partial(find_zones, sums) for sums, _ in those] for n, those in windows.items()},
+        "DaSpec's groups of the dense cells": {n: [partial(groups_of, one) for one in dense[n]] for n in events},
+        "DaSpec over all that is occupied": {n: [partial(_plain, one) for one in counts[n]] for n in events},
+    }
+    return [
+        _ratios.compare(
+            title, "CPU ms a camera", _ratios.take_turns({_named(n): _timed(own[n]) for n in events}, rounds),
+            _named(events[0]), {_named(n): FLAT_MAX for n in events[1:]},
+        )
+        for title, own in jobs.items()
+    ]  # fmt: skip
+
+
+def against_points(cameras: Sequence[Camera], rounds: int) -> list[_ratios.Table]:
+    """Ours with the events in the window that the others see as points."""
+    from sklearn.cluster import HDBSCAN, SpectralClustering
+
+    result = []
+    for name, n, wanted in (
+        ("HDBSCAN", HDBSCAN_POINTS, HDBSCAN_RATIO_MIN), ("SpectralClustering", SPECTRAL_POINTS, SPECTRAL_RATIO_MIN)
+    ):  # fmt: skip
+        made = [camera(n) for camera in cameras]
+        windows = [window(positions) for positions, _ in made]
+        theirs = []
+        for (positions, zones), (sums, _) in zip(made, windows, strict=True):
+            method = HDBSCAN(min_cluster_size=n // 40, copy=True)
+            if name == "SpectralClustering":
+                method = SpectralClustering(zones, gamma=0.5 / _bandwidth(sums) ** 2, random_state=0)
+            theirs.append(partial(method.fit_predict, positions))
+        ours = f"zones refreshed, {n:,} events"
+        costs = _ratios.take_turns(
+            {
+                ours: _timed([partial(refresh_zones, *one) for one in windows]),
+                "zones from nothing": _timed([partial(find_zones, sums) for sums, _ in windows]),
+                "DaSpec's groups of the dense cells": _timed([partial(groups_of, _dense(sums)) for sums, _ in windows]),
+                name: _timed(theirs, 1),
+            },
+            rounds,
+        )
+        result.append(
+            _ratios.compare(f"{name} of {n:,} points", "CPU ms a camera", costs, ours, at_least={name: wanted})
+        )
+    return result
+
+
+def window(positions: Floats) -> tuple[CellSums, ZoneMap]:
+    """The sums of all events, and the zones as they were before the newest came."""
+    old = int((1 - NEW_SHARE) * len(positions))
+    return summed(positions), find_zones(summed(positions[:old]))
+
+
+def summed(positions: Floats) -> CellSums:
+    """`cell_sums` of any number of positions."""
+    parts = [cell_sums(*positions[k : k + BATCH].T) for k in range(0, len(positions), BATCH)]
+    return CellSums(*np.sum(np.array(parts), axis=0))
+
+
+def _dense(sums: CellSums) -> Floats:
+    return dense_cells(sums.count, clutter_rates(sums.count), FLOOR_CHANCE)
+
+
+def _bandwidth(sums: CellSums) -> float:
+    """That of DaSpec's first groups, in image units."""
+    return 2 * max(bandwidth(_dense(sums)) / 2, BANDWIDTH_MIN) / (GRID_ROWS + GRID_COLUMNS)
+
+
+def _plain(count: NDArray[np.int64]) -> None:
+    data_spectroscopy(count, bandwidth(count))
+
+
+def _named(events: int) -> str:
+    return f"{events:,} events"
+
+
+def _timed(jobs: Sequence[Callable[[], object]], repeats: int = REPEATS) -> Callable[[], float]:
+    """CPU milliseconds a job."""
+
+    def turn() -> float:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # spectral clustering where the graph has several parts
+            began = time.process_time()
+            for _ in range(repeats):
+                for job in jobs:
+                    job()
+            return 1000 * (time.process_time() - began) / (repeats * len(jobs))
+
+    return turn
