@@ -294,7 +294,9 @@ class _Moves:
         )
         best = score.argmax(axis=1)
         explained = score[np.arange(len(best)), best] > np.log(self.clutter + 1) + self.log_density
-        self._set(np.where(explained, best, -1))
+        labels = np.where(explained, best, -1)
+        if (labels != self.labels).any():
+            self._set(labels)
 
     def _split(self) -> bool:
         """Split every group that is two zones; whether any was."""
@@ -307,7 +309,8 @@ class _Moves:
             else:
                 labels[part] = labels.max() + 1
         changed = bool((labels != self.labels).any())
-        self._set(labels)
+        if changed:
+            self._set(labels)
         return changed
 
     def _cuts(self, groups: list[NDArray[np.intp]]) -> list[NDArray[np.intp] | None]:

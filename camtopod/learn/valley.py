@@ -40,17 +40,17 @@ def valley(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> 
     left = np.full(_STEPS * _STEPS, 0.0)
     right = np.full(_STEPS * _STEPS, 0.0)
     # The flank is a..b and the valley b..c, and the other way round.
-    ratio = _log_ratio(far, width_far, near, width_near)
-    left[_PAIR_BC[_BY_BC][_STARTS_BC]] = np.maximum.reduceat(ratio[_BY_BC], _STARTS_BC)
-    ratio = _log_ratio(near, width_near, far, width_far)
-    right[_PAIR_AB[_STARTS_AB]] = np.maximum.reduceat(ratio, _STARTS_AB)
+    in_far, in_near = _log_ratios(far, width_far, near, width_near)
+    left[_PAIR_BC[_BY_BC][_STARTS_BC]] = np.maximum.reduceat(in_far[_BY_BC], _STARTS_BC)
+    right[_PAIR_AB[_STARTS_AB]] = np.maximum.reduceat(in_near, _STARTS_AB)
     return float(np.minimum(left, right).max())
 
 
-def _log_ratio(inside: Floats, width: NDArray[np.intp], flank: Floats, flank_width: NDArray[np.intp]) -> Floats:
-    """Two Poisson rates against one; 0 where the valley is not clearly less dense than its flank."""
-    inside, flank = np.maximum(inside, 1e-9), np.maximum(flank, 1e-9)
-    rate, flank_rate = inside / width, flank / flank_width
-    together = (inside + flank) / (width + flank_width)
-    ratio: Floats = inside * np.log(rate / together) + flank * np.log(flank_rate / together)
-    return np.where(rate < DEPTH * flank_rate, ratio, 0.0)
+def _log_ratios(a: Floats, width_a: NDArray[np.intp], b: Floats, width_b: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Two Poisson rates against one, for a valley in ``a`` and for one in ``b``; 0 where the valley is not clearly less
+    dense than its flank."""
+    a, b = np.maximum(a, 1e-9), np.maximum(b, 1e-9)
+    rate_a, rate_b = a / width_a, b / width_b
+    together = (a + b) / (width_a + width_b)
+    ratio: Floats = a * np.log(rate_a / together) + b * np.log(rate_b / together)
+    return np.where(rate_a < DEPTH * rate_b, ratio, 0.0), np.where(rate_b < DEPTH * rate_a, ratio, 0.0)
