@@ -47,12 +47,14 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     """Passages through one camera without tracks, by the joint fit of its entries and exits."""
     came = scene.arrivals.camera == camera
     left = scene.departures.camera == camera
-    zones = len(scene.zones)
+    # Zones are counted from the camera's first: what others there are does not matter here.
+    of_camera = [index for index, zone in enumerate(scene.zones) if zone.camera == camera]
+    first, zones = min(of_camera, default=0), len(of_camera)
     starts = Departures.untold(
-        scene.arrivals.t[came], scene.arrivals.zone[came], scene.arrivals.camera[came], scene.arrivals.t[came],
-        scene.arrivals.slow[came],
+        scene.arrivals.t[came], scene.arrivals.zone[came] - np.int32(first), scene.arrivals.camera[came],
+        scene.arrivals.t[came], scene.arrivals.slow[came],
     )  # fmt: skip
-    t, zone = scene.departures.t[left], scene.departures.zone[left]
+    t, zone = scene.departures.t[left], scene.departures.zone[left] - np.int32(first)
     ends = Arrivals(t, zone, scene.departures.camera[left], local_rates(t, zone, zones), scene.departures.slow[left])
     if len(starts.t) == 0 or len(ends.t) == 0:
         return join([])
@@ -60,5 +62,5 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     if len(starts.t) == 0 or len(ends.t) == 0:
         return join([])
     candidates = find_candidates(starts, ends, bins, zones)
-    fit = fit_jointly(starts, ends, candidates, bins, zones, scene.last)
-    return transitions_of(fit)
+    found = transitions_of(fit_jointly(starts, ends, candidates, bins, zones, scene.last))
+    return found._replace(source=found.source + np.int32(first), target=found.target + np.int32(first))
