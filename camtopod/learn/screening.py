@@ -41,7 +41,7 @@ Longs = NDArray[np.int64]
 Rows = NDArray[np.intp]
 Part = tuple[Ints, Ints, Floats, Floats]
 
-PAIRS_FEW = 10_000
+PAIRS_FEW = 20_000
 """So few pairs of zones are all followed, unless their candidates are too many."""
 SOURCES_PER_ZONE_MAX = 32
 """Zones that are followed as sources of one zone."""
