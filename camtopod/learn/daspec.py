@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 from scipy.special import gammaincinv
 
 Floats = NDArray[np.float64]
@@ -100,9 +99,10 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
     n = float(weights.sum())
     root = np.sqrt(weights / n)
     matrix = rows[np.ix_(r, r)] * columns[np.ix_(c, c)] * root[:, None] * root
-    wanted = [max(0, len(cells) - EIGENVECTORS_MAX), len(cells) - 1]
-    values, vectors = eigh(matrix, subset_by_index=wanted, check_finite=False, overwrite_a=True)
-    values, vectors = values[::-1], vectors[:, ::-1] / np.sqrt(weights)[:, None]
+    # All of them at once are found sooner than the largest ones only, up to some 400 cells.
+    values, vectors = np.linalg.eigh(matrix)
+    values, vectors = values[: -EIGENVECTORS_MAX - 1 : -1], vectors[:, : -EIGENVECTORS_MAX - 1 : -1]
+    vectors = vectors / np.sqrt(weights)[:, None]
     # A group of even one point has an eigenvalue of at least 1/n: below lies only rounding noise.
     real = values >= min(0.5 / n, values[0])
     values, vectors = values[real], vectors[:, real]
