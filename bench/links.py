@@ -67,7 +67,7 @@ def main(argv: Sequence[str]) -> int:
 def baselines(events: Sequence[Event], truth: Truth) -> dict[str, float]:
     """Processor seconds of each over what our window would hold."""
     settings = Settings()
-    held = max(settings.window_events_max, settings.window_camera_events * len(truth.cameras))
+    held = max(settings.window_events, settings.window_camera_events * len(truth.cameras))
     newest = slice(-held, None)
     cut = Truth(
         truth.schema, truth.cameras, truth.zones, truth.links, truth.pairs, truth.clock_offsets,

@@ -72,7 +72,9 @@ class Learner:
         self._intake = Intake(
             self.settings.lateness_seconds, self.settings.cameras_max, self.settings.ahead_seconds_max
         )
-        self._window = Window(self.settings.window_events_max, self.settings.window_camera_events)
+        self._window = Window(
+            self.settings.window_events_max, self.settings.window_events, self.settings.window_camera_events
+        )
         self._screen = Screen()
         self._keeper = ClockKeeper()
         self._alarms = AlarmLog()

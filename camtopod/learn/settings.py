@@ -26,10 +26,12 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """... or when there are any and this much event time has passed."""
     window_hours: float = 336.0
     """Forgetting: events older than this are not learned from. Ways that open or close are found within it."""
-    window_events_max: int = 60_000
-    """At most this many events are kept for learning, whatever their age ..."""
+    window_events: int = 60_000
+    """So many events are kept for learning, whatever their age, ..."""
     window_camera_events: int = 2_000
-    """... or this many for each camera, if that is more."""
+    """... or so many for each camera, if that is more, ..."""
+    window_events_max: int = 20_000_000
+    """... but never more than this."""
     transit_max_seconds: float = 180.0
     """The longest transit time looked for."""
     overlap_max_seconds: float = 120.0

@@ -44,8 +44,9 @@ class WindowState(Struct):
 class Window:
     """The events of the last hours by column, and per camera the sums of `CellSums` over them."""
 
-    def __init__(self, events_max: int, camera_events: int = 0) -> None:
+    def __init__(self, events_max: int, events: int | None = None, camera_events: int = 0) -> None:
         self._events_max, self._camera_events = events_max, camera_events
+        self._events = events_max if events is None else events
         self.cameras: list[str] = []
         self.base = 0
         self.sums: list[NDArray[np.int64]] = []
@@ -64,7 +65,7 @@ class Window:
     @property
     def events_max(self) -> int:
         """Events that it holds."""
-        return max(self._events_max, self._camera_events * len(self.cameras))
+        return min(self._events_max, max(self._events, self._camera_events * len(self.cameras)))
 
     def save(self) -> WindowState:
         """Everything `load` needs to go on from here."""
