@@ -16,12 +16,13 @@ from camtopod.learn.candidates import (
     Departures,
     excess,
     find_candidates,
+    possible,
 )
 from camtopod.learn.joint import SMOOTHING_SD_BINS, START_FLOOR
 from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.rates import local_rates
-from camtopod.learn.screening import Screen, _ends, _joined, _likely, _possible, place, standing_out, whole
+from camtopod.learn.screening import Screen, _ends, _joined, _likely, place, standing_out, whole
 from camtopod.learn.settings import Settings
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import Score, score
@@ -167,7 +168,7 @@ def test_possible_ones_equal_a_double_loop(seed: int, left: int, came: int, shar
     departures, arrivals = anything(seed, left, came)
     mine = np.flatnonzero(arrivals.zone == arrivals.zone[0])
     among = None if share is None else np.flatnonzero(rng.random(left) < share)
-    departure, at, lag = _possible(departures, arrivals, SHORT, mine, among)
+    departure, at, lag = possible(departures, arrivals, SHORT, mine, among)
     slow = naive.candidates(departures, arrivals.take(mine), SHORT.lag_min, SHORT.lag_max)
     slow = [(d, a) for d, a in slow if among is None or d in among]
     assert list(zip(departure.tolist(), at.tolist(), strict=True)) == slow

@@ -96,21 +96,33 @@ def in_reach(departures: Departures, arrivals: Arrivals, bins: LagBins) -> tuple
     return low, high
 
 
+def possible(
+    departures: Departures, arrivals: Arrivals, bins: LagBins, mine: NDArray[np.intp],
+    among: NDArray[np.intp] | None = None,
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:  # fmt: skip
+    """Departure, index into ``mine`` (n,) and lag in seconds of all candidates of the arrivals ``mine``; departures only
+    ``among`` these (ascending), if given.
+    """
+    t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
+    low = np.searchsorted(t, came - bins.lag_max, side="left")
+    n = np.searchsorted(t, came - bins.lag_min, side="right") - low
+    at = np.repeat(np.arange(len(mine)), n)
+    departure = np.arange(len(at)) + np.repeat(low - (np.cumsum(n) - n), n)
+    if among is not None:
+        departure = among[departure]
+    came = came[at]
+    lag = came - departures.t[departure]
+    # A negative lag means two views at once: another camera, and the passage there had begun.
+    ahead = (departures.camera[departure] != arrivals.camera[mine[at]]) & (came > departures.since[departure])
+    kept = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
+    return departure[kept], at[kept], lag[kept]
+
+
 def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int) -> Candidates:
     """All candidates."""
-    low, high = in_reach(departures, arrivals, bins)
-    n = high - low
-    arrival = np.repeat(np.arange(len(n)), n)
-    departure = np.arange(len(arrival)) + np.repeat(low - (np.cumsum(n) - n), n)
-    lag = arrivals.t[arrival] - departures.t[departure]
-    # A negative lag means two views at once: another camera, and the passage there had begun.
-    ahead = (departures.camera[departure] != arrivals.camera[arrival]) & (
-        arrivals.t[arrival] > departures.since[departure]
-    )
-    keep = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
-    departure, arrival = departure[keep], arrival[keep]
+    departure, arrival, lag = possible(departures, arrivals, bins, np.arange(len(arrivals.t)))
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
-    return Candidates(departure.astype(np.int32), arrival.astype(np.int32), pair, lag[keep], source, target)
+    return Candidates(departure.astype(np.int32), arrival.astype(np.int32), pair, lag, source, target)
 
 
 def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:

@@ -29,6 +29,7 @@ from camtopod.learn.candidates import (
     find_candidates,
     in_reach,
     number_pairs,
+    possible,
 )
 from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import START_FLOOR, exposures, smooth
@@ -145,7 +146,7 @@ def whole(
         number = np.full(zones, -1, np.int32)
         number[candidates.source[pairs[rows]]] = pairs[rows]
         among = np.sort(np.concatenate([leaving[source] for source in candidates.source[pairs[rows]]]))
-        departure, at, lag = _possible(departures, arrivals, bins, coming[zone], among)
+        departure, at, lag = possible(departures, arrivals, bins, coming[zone], among)
         parts.append((departure, coming[zone][at], number[departures.zone[departure]], lag))
     nothing = (np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0, np.int32), np.zeros(0))
     departure, arrival, pair, lag = (np.concatenate(columns) for columns in zip(nothing, *parts, strict=True))
@@ -180,7 +181,7 @@ def standing_out(ends: Ends, zone: int) -> Rows:
     reached = np.cumsum(high - low)
     for k in range(0, int(reached[-1]) if len(mine) else 0, COUNTED_AT_ONCE):
         few = mine[slice(*np.searchsorted(reached, (k, k + COUNTED_AT_ONCE), side="right"))]
-        departure, _, lag = _possible(ends.departures, ends.arrivals, bins, few)
+        departure, _, lag = possible(ends.departures, ends.arrivals, bins, few)
         cell = ends.departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
         seen += np.bincount(cell, minlength=len(seen))
     counts = seen.reshape(zones, bins.size)
@@ -201,31 +202,11 @@ def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
     return most
 
 
-def _possible(
-    departures: Departures, arrivals: Arrivals, bins: LagBins, mine: Rows, among: Rows | None = None
-) -> tuple[Rows, Rows, Floats]:
-    """Departure, index into ``mine`` (n,) and lag in seconds of all candidates of some arrivals at one zone, as
-    `find_candidates` has them; departures only ``among`` these (ascending), if given.
-    """
-    t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
-    low = np.searchsorted(t, came - bins.lag_max, side="left")
-    n = np.searchsorted(t, came - bins.lag_min, side="right") - low
-    at = np.repeat(np.arange(len(mine)), n)
-    departure = np.arange(len(at)) + np.repeat(low - (np.cumsum(n) - n), n)
-    if among is not None:
-        departure = among[departure]
-    came = came[at]
-    lag = came - departures.t[departure]
-    ahead = (departures.camera[departure] != arrivals.camera[mine[at]]) & (came > departures.since[departure])
-    kept = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
-    return departure[kept], at[kept], lag[kept]
-
-
 def _likely(ends: Ends, zone: int, sources: Longs) -> Part:
     """Departure, arrival, lag and probability of the likely candidates for the arrivals at one zone."""
     bins, mine = ends.bins, ends.coming[zone]
     among = np.sort(np.concatenate([ends.leaving[source] for source in sources]))
-    departure, at, lag = _possible(ends.departures, ends.arrivals, bins, mine, among)
+    departure, at, lag = possible(ends.departures, ends.arrivals, bins, mine, among)
     number = np.zeros(len(ends.leaving), np.int64)
     number[sources] = np.arange(len(sources))
     cell = number[ends.departures.zone[departure]] * bins.size + bins.index(lag)
