@@ -100,8 +100,8 @@ def possible(
     departures: Departures, arrivals: Arrivals, bins: LagBins, mine: NDArray[np.intp],
     among: NDArray[np.intp] | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:  # fmt: skip
-    """Departure, index into ``mine`` (n,) and lag in seconds of all candidates of the arrivals ``mine``; departures only
-    ``among`` these (ascending), if given.
+    """Departure, index into ``mine`` (n,) and lag in seconds of all candidates of the arrivals ``mine``; departures
+    only ``among`` these (ascending), if given.
     """
     t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
     low = np.searchsorted(t, came - bins.lag_max, side="left")
