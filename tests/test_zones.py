@@ -130,6 +130,16 @@ def test_a_fire_door_of_one_percent_is_a_zone_and_clutter_is_none() -> None:
     assert len(found(events(3, busy, 1000)[0]).zones) == 2
 
 
+def test_two_events_that_coincide_are_no_zone_beside_others() -> None:
+    """Where there is no clutter at all, nothing is too unlikely to be some."""
+    doors = events(5, [(0.1, 0.5, 0.01, 80), (0.6, 0.98, 0.01, 90), (0.99, 0.5, 0.01, 70)])[0]
+    stray = np.tile([[0.28, 0.3]], (2, 1))
+    zones = found(np.concatenate([doors, stray]))
+    assert len(zones.zones) == 3
+    assert zone_at(zones, 0.28, 0.3) == 0
+    assert len(refresh_zones(cell_sums(*np.concatenate([doors, doors[:60], stray]).T), zones).zones) == 3
+
+
 def test_doors_close_together_with_unequal_traffic() -> None:
     positions, _ = events(4, [(0.40, 0.5, 0.012, 900), (0.48, 0.5, 0.012, 60), (0.56, 0.5, 0.012, 400)], 200)
     assert len(found(positions).zones) == 3

@@ -201,13 +201,17 @@ class Learner:
 
     def _learn(self, until_us: int) -> None:
         """Move the events up to ``until_us`` into the window and forget what is too old."""
-        batch = self._intake.take(until_us)
+        batch = self._take(until_us)
         self._scorer.watch(batch)
         self._window.append(batch)
         self._window.forget(until_us - microseconds(self.settings.window_hours * 3600.0))
         self._look_for_moves()
         self._learned += len(batch)
         self._since_fit += len(batch)
+
+    def _take(self, until_us: int) -> list[tuple[int, Event]]:
+        """The events up to ``until_us``, in canonical order."""
+        return self._intake.take(until_us)
 
     def _due(self, tick_us: int) -> bool:
         """Whether enough has changed for a new version."""

@@ -31,6 +31,9 @@ Labels = NDArray[np.intp]
 
 EVENTS_MIN = 5
 """Below this a camera is one zone."""
+ZONE_EVENTS_MIN = 3
+"""Two events make no zone beside others, however close together: where there is hardly any clutter it is unlikely that
+two coincide, but they show no place, which has an extent either way."""
 PAIR_EVENTS = 1000.0
 """No zone is exactly Gaussian: in splitting and merging, n events weigh as n / (1 + n / PAIR_EVENTS) (Miller,
 Dunson: Robust Bayesian inference via coarsening, JASA 2019)."""
@@ -157,7 +160,8 @@ class _Moves:
         self._set(np.where(groups >= 0, groups + known, labels))
         keys = [zone.tobytes() for zone in self.zones[known:]]
         for k in range(len(self.zones) - 1, known - 1, -1):
-            stays = self._drop_gain(np.array([k]), self.hold)[0] < -self.hold_gain
+            enough = self.zones[k, 0] >= ZONE_EVENTS_MIN
+            stays = enough and self._drop_gain(np.array([k]), self.hold)[0] < -self.hold_gain
             if keys[k - known] in self.tried or not stays or self._is_tail(k):
                 self._remove(k)
         self.tried.update(keys)
@@ -201,6 +205,7 @@ class _Moves:
     def _drop(self) -> None:
         while len(self.zones) > 1:
             gain = self._drop_gain(np.arange(len(self.zones)), 1 / self.hold)
+            gain[self.zones[:, 0] < ZONE_EVENTS_MIN] = np.inf
             k = int(gain.argmax())
             if gain[k] <= self.hold_gain:
                 return
