@@ -1,4 +1,4 @@
-"""`camtopod ingest`: other programs' events onto the bus."""
+"""`camtopod ingest`: other programs' events onto the bus, or into a file."""
 
 from __future__ import annotations
 
@@ -6,15 +6,23 @@ import argparse
 import contextlib
 import logging
 import queue
+import re
+import sys
 import threading
+from collections import Counter
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, BinaryIO
+
+import msgspec
 
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
-from camtopod.cli.lines import LineReader, open_input
-from camtopod.records import Event
+from camtopod.cli.formats import FORMATS, add_options, events
+from camtopod.cli.lines import LineReader
+from camtopod.codec import to_json
+from camtopod.config import Config
+from camtopod.records import CAMERA_PATTERN, Event
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.database import StateError
 from camtopod.serve.publisher import Publisher
@@ -22,7 +30,6 @@ from camtopod.serve.spool import open_spool
 
 log = logging.getLogger(__name__)
 
-FORMATS = ("jsonl",)
 UNACKNOWLEDGED_MAX = 50_000
 """Reading waits while this many events are not acknowledged."""
 PATIENCE_SECONDS = 10.0
@@ -38,56 +45,101 @@ def add_parser(subparsers: Any) -> None:
         "ingest",
         help="other programs' events onto the bus",
         description="Publishes events on the bus, and ends when the daemon has stored them all. "
-        "jsonl: event lines as `camtopod grab --out` writes them.",
+        "jsonl: event lines as `camtopod grab --out` writes them. frigate: messages of frigate/events, a line each "
+        "(mosquitto_sub -t frigate/events). mot: a MOTChallenge text file. scenescape: messages of "
+        "scenescape/data/camera/ID, a line each.",
     )
     parser.add_argument("format", choices=FORMATS, metavar="FORMAT", help=f"one of: {', '.join(FORMATS)}")
     parser.add_argument("file", nargs="?", default="-", metavar="FILE", help="default: standard input")
+    parser.add_argument("--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus")
     parser.add_argument("--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)")
+    parser.add_argument(
+        "--boot", metavar="NAME",
+        help="a recording: number its events under this name, so that they count once however often it is ingested",
+    )  # fmt: skip
+    add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, publish, wait for the acknowledgements."""
+    """Read, publish, wait for the acknowledgements; or write."""
     start_logging(args)
     config = configuration(args)
+    if args.boot is not None and not re.match(CAMERA_PATTERN, args.boot):
+        raise CommandError(f"--boot {args.boot!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
     reader = LineReader()
-    path = config.state_directory / "spool-ingest.db"
     with contextlib.ExitStack() as stack, until_signal() as stop:
-        file = open_input(args.file)
-        if args.file != "-":
-            stack.callback(file.close)
-        try:
-            bus = dial(config)
-        except BusError as error:
-            raise CommandError(str(error), exits.BUS) from None
-        stack.callback(bus.close)
-        try:
-            spool = open_spool(path, config.limits)
-        except StateError as error:
-            raise CommandError(str(error), exits.STATE) from None
-        stack.callback(spool.close)
-        publisher = Publisher(spool, config.limits.spool_batch_events)
-        publisher.attach(bus)
-        daemons: set[str] = set()
-        bus.watch_alive("daemon", lambda name, alive: (daemons.add if alive else daemons.discard)(name))
-        events = (line.event for line in reader.lines(args.file, file))
-        for batch in batches(events, config.limits.spool_batch_events, stop):
-            publisher.publish(*batch)
-            _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons)
-        _wait(publisher, 0, stop, config.site.name, daemons)
-        log.info("%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged)
+        source = events(args, reader, stack, stop)
+        if args.boot is not None:
+            source = numbered_by(args.boot, source)
+        if args.out is not None:
+            _write(args.out, batches(source, config.limits.spool_batch_events, stop))
+        else:
+            _publish(config, source, stack, stop)
     if (summary := reader.summary()) is not None:
         log.warning("%s", summary)
     return exits.DONE
 
 
+def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
+    """Each camera's events counted from 0, but for those that have numbers."""
+    counts: Counter[str] = Counter()
+    for event in source:
+        if event.boot is None:
+            yield msgspec.structs.replace(event, boot=boot, seq=counts[event.camera])
+            counts[event.camera] += 1
+        else:
+            yield event
+
+
+def _write(path: str, source: Iterator[list[Event]]) -> None:
+    """Event lines, out as soon as they are there."""
+    with contextlib.ExitStack() as stack:
+        out: BinaryIO = sys.stdout.buffer
+        if path != "-":
+            try:
+                out = stack.enter_context(open(path, "wb"))
+            except OSError as error:
+                raise CommandError(f"cannot write {path}: {error.strerror}") from None
+        for batch in source:
+            out.writelines(to_json(event) + b"\n" for event in batch)
+            out.flush()
+
+
+def _publish(config: Config, source: Iterator[Event], stack: contextlib.ExitStack, stop: threading.Event) -> None:
+    try:
+        bus = dial(config)
+    except BusError as error:
+        raise CommandError(str(error), exits.BUS) from None
+    stack.callback(bus.close)
+    try:
+        spool = open_spool(config.state_directory / "spool-ingest.db", config.limits)
+    except StateError as error:
+        raise CommandError(str(error), exits.STATE) from None
+    stack.callback(spool.close)
+    publisher = Publisher(spool, config.limits.spool_batch_events)
+    publisher.attach(bus)
+    daemons: set[str] = set()
+    bus.watch_alive("daemon", lambda name, alive: (daemons.add if alive else daemons.discard)(name))
+    for batch in batches(source, config.limits.spool_batch_events, stop):
+        publisher.publish(*batch)
+        _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons)
+    _wait(publisher, 0, stop, config.site.name, daemons)
+    log.info("%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged)
+
+
 def batches(events: Iterator[Event], most: int, stop: threading.Event) -> Iterator[list[Event]]:
-    """What is there already, at most ``most``: lines that trickle in go out at once, a file in bulk."""
+    """What is there already, at most ``most``: lines that trickle in go out at once, a file in bulk.
+
+    Raises `CommandError` when what it is read from fails; the thread that reads says why.
+    """
     waiting: queue.Queue[Event | None] = queue.Queue(2 * most)
+    whole = threading.Event()
 
     def read() -> None:
         try:
             for event in events:
                 waiting.put(event)
+            whole.set()
         finally:
             waiting.put(None)
 
@@ -109,6 +161,8 @@ def batches(events: Iterator[Event], most: int, stop: threading.Event) -> Iterat
             batch = []
     if batch:
         yield batch
+    if not whole.is_set() and not stop.is_set():
+        raise CommandError("reading ended in the middle, see above")
 
 
 def _wait(publisher: Publisher, most: int, stop: threading.Event, site: str, daemons: set[str]) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import heapq
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from typing import BinaryIO, NamedTuple
 
+from camtopod.adapt.adapter import LINE_BYTES_MAX, Adapter, quotable
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json
 from camtopod.records import Event
@@ -47,14 +48,7 @@ class LineReader:
 
     def lines(self, path: str, file: BinaryIO) -> Iterator[Line]:
         """Events of one file in the order of its lines; blank lines are skipped."""
-        number = 0
-        while raw := file.readline(EVENT_BYTES_MAX + 2):
-            number += 1
-            while not raw.endswith(b"\n") and len(raw) > EVENT_BYTES_MAX and (more := file.readline(1 << 16)):
-                raw = raw[: EVENT_BYTES_MAX + 1] + (b"\n" if more.endswith(b"\n") else b"")
-            text = raw.strip()
-            if not text:
-                continue
+        for number, text in numbered(file, EVENT_BYTES_MAX):
             self.read += 1
             try:
                 event = event_from_json(text)
@@ -62,6 +56,20 @@ class LineReader:
                 self.reject(error.reason, f"{path}:{number}: {error}", text)
                 continue
             yield Line(event, path, number)
+
+    def adapted(self, path: str, lines: Iterable[tuple[int, bytes]], adapter: Adapter) -> Iterator[Event]:
+        """Events of another program's numbered lines. Of a line that does not fit no text is quoted, only its form."""
+        for number, text in lines:
+            self.read += 1
+            try:
+                if len(text) > LINE_BYTES_MAX:
+                    raise Rejected("too-long", f"more than {LINE_BYTES_MAX} bytes")
+                events = adapter.receive(text)
+            except Rejected as error:
+                self.reject(error.reason, f"{path}:{number}: {error}", quotable(text[:LINE_BYTES_MAX]))
+                continue
+            yield from events
+        yield from adapter.close()
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
         """Count a line that changes nothing; the first of each reason is quoted on standard error."""
@@ -77,6 +85,17 @@ class LineReader:
             return None
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(self.rejected.items()))
         return f"{sum(self.rejected.values())} of {self.read} lines changed nothing: {reasons}"
+
+
+def numbered(file: BinaryIO, bytes_max: int) -> Iterator[tuple[int, bytes]]:
+    """The lines that are not blank, with their numbers; of a longer one its first ``bytes_max`` + 1 bytes."""
+    number = 0
+    while raw := file.readline(bytes_max + 2):
+        number += 1
+        while not raw.endswith(b"\n") and len(raw) > bytes_max and (more := file.readline(1 << 16)):
+            raw = raw[: bytes_max + 1] + (b"\n" if more.endswith(b"\n") else b"")
+        if text := raw.strip():
+            yield number, text
 
 
 def open_input(path: str) -> BinaryIO:

@@ -1,0 +1,131 @@
+"""SceneScape's ``scenescape/data/camera/{id}`` -> events: one message a frame, with what was detected in it.
+
+By its schema a detection's ``id`` need not be the same in the next frame, and often it only counts; boxes are therefore
+joined here (`joining`) unless it is said that the pipeline tracks (DL Streamer's gvatrack). Only boxes in pixels can be
+placed: ``bounding_box`` is in units of the lens, whose data is not in the message. Attributes (age, plates, embeddings)
+are not read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from datetime import UTC, datetime
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from camtopod import codec
+from camtopod.adapt.adapter import Sizes, checked, payload, size_of
+from camtopod.adapt.joining import Box, Joiner
+from camtopod.adapt.tracks import TrackEvents
+from camtopod.codec import Rejected
+from camtopod.records import CameraId, Event
+
+CAMERAS_MAX = 1000
+"""Cameras followed; messages of further ones are refused."""
+OBJECTS_MAX = 1000
+"""Objects of a frame."""
+KINDS_MAX = 100
+"""Kinds of objects followed in a camera; what is of further ones is left out."""
+
+
+class _Pixels(Struct, frozen=True):
+    x: float
+    y: float
+    width: Annotated[float, Meta(ge=0)]
+    height: Annotated[float, Meta(ge=0)]
+
+
+class _Detection(Struct, frozen=True):
+    id: int | str | None = None
+    bounding_box_px: _Pixels | None = None
+
+
+class _Message(Struct, frozen=True):
+    id: CameraId
+    timestamp: datetime
+    objects: dict[str, list[_Detection]]
+
+
+class _Camera:
+    """One camera's tracks, and for each kind of objects who joins its boxes."""
+
+    def __init__(self, camera: str, size: tuple[int, int]) -> None:
+        self.tracks = TrackEvents(camera, size)
+        self._joiners: dict[str, Joiner] = {}
+
+    def names(self, kind: str, boxes: Sequence[Box], t: float) -> list[str | None]:
+        """A name for the track of each box, joined to those of before."""
+        joiner = self._joiners.get(kind)
+        if joiner is None:
+            if len(self._joiners) >= KINDS_MAX:
+                return [None] * len(boxes)
+            joiner = self._joiners[kind] = Joiner()
+        return [None if number is None else f"{kind}-{number}" for number in joiner.ids(boxes, t)]
+
+
+class SceneScape:
+    """Reads detections of cameras, one JSON object a line, with the topic in front or without.
+
+    ``sizes``: of the cameras' pictures. ``labels``: the kinds of objects (``person``) that count; empty: all.
+    ``tracked``: the ids are a tracker's, the same object has the same in each frame.
+    """
+
+    topic = "data/camera/+"
+
+    def __init__(self, sizes: Sizes, labels: Collection[str] = (), tracked: bool = False) -> None:
+        self._sizes, self._labels, self._tracked = sizes, frozenset(labels), tracked
+        self._cameras: dict[str, _Camera] = {}
+
+    def receive(self, line: bytes) -> list[Event]:
+        """The events that a frame makes sure. Raises `Rejected`."""
+        message = codec.read(_Message, payload(line, self.topic))
+        t = message.timestamp
+        seconds = (t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp()
+        if not codec.T_MIN <= seconds < codec.T_MAX:
+            raise Rejected("bad-value", "timestamp is not between 1970 and 3000 - at `$.timestamp`")
+        if sum(map(len, message.objects.values())) > OBJECTS_MAX:
+            raise Rejected("too-many", f"more than {OBJECTS_MAX} objects in a frame")
+        camera = self._camera(message.id)
+        names, boxes = self._followed(camera, message, seconds)
+        before = camera.tracks.late
+        events = camera.tracks.update(names, boxes, seconds)
+        if camera.tracks.late > before:
+            raise Rejected("out-of-order", "a later frame of this camera came before")
+        return checked(events)
+
+    def close(self) -> list[Event]:
+        """Those out of sight have left; who was in a camera's last frame is still in view."""
+        return checked(event for camera in self._cameras.values() for event in camera.tracks.close())
+
+    def _followed(self, camera: _Camera, message: _Message, t: float) -> tuple[list[str | None], list[Box]]:
+        """The objects of a frame that count: a name for each one's track, and its box. Raises `Rejected`."""
+        names: list[str | None] = []
+        boxes: list[Box] = []
+        unplaced = 0
+        for kind, detections in message.objects.items():
+            if self._labels and kind not in self._labels:
+                continue
+            placed = [(x.id, _box(x.bounding_box_px)) for x in detections if x.bounding_box_px is not None]
+            unplaced += len(detections) - len(placed)
+            here = [box for _, box in placed]
+            boxes += here
+            if self._tracked:
+                names += [None if number is None else f"{kind}-{number}" for number, _ in placed]
+            else:
+                names += camera.names(kind, here, t)
+        if unplaced and not boxes:
+            raise Rejected("no-pixels", "no object has a bounding_box_px")
+        return names, boxes
+
+    def _camera(self, name: str) -> _Camera:
+        camera = self._cameras.get(name)
+        if camera is None:
+            if len(self._cameras) >= CAMERAS_MAX:
+                raise Rejected("too-many-cameras", f"more than {CAMERAS_MAX} cameras")
+            camera = self._cameras[name] = _Camera(name, size_of(name, self._sizes))
+        return camera
+
+
+def _box(pixels: _Pixels) -> Box:
+    return pixels.x, pixels.y, pixels.x + pixels.width, pixels.y + pixels.height

@@ -1,0 +1,146 @@
+"""The formats that `camtopod ingest` reads: which options each has, and where its lines come from."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import os
+import re
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+from camtopod import secret_files
+from camtopod.adapt.adapter import ANY_CAMERA, LINE_BYTES_MAX, Adapter, Size
+from camtopod.adapt.frigate import Frigate
+from camtopod.adapt.mot import Mot
+from camtopod.adapt.scenescape import SceneScape
+from camtopod.cli import exits
+from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.lines import LineReader, numbered, open_input
+from camtopod.config import RESERVED
+from camtopod.records import Event
+from camtopod.serve import mqtt
+
+log = logging.getLogger(__name__)
+
+FORMATS = ("jsonl", "frigate", "mot", "scenescape")
+PASSWORD_VARIABLE = "CAMTOPOD_MQTT_PASSWORD"
+_OPTIONS = {
+    "size": ("frigate", "mot", "scenescape"),
+    "label": ("frigate", "scenescape"),
+    "tracked": ("scenescape",),
+    "camera": ("mot",),
+    "fps": ("mot",),
+    "start": ("mot",),
+}
+"""Option -> the formats that have it."""
+_SIZE = re.compile(r"(?:([A-Za-z0-9_.-]{1,64})=)?([1-9][0-9]{0,5})x([1-9][0-9]{0,5})")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The options of the formats, and of MQTT."""
+    group = parser.add_argument_group("formats")
+    group.add_argument(
+        "--size", metavar="[CAMERA=]WxH", action="append", default=[],
+        help="size of the pictures that the boxes are of, in pixels (frigate: detect width and height, which a "
+        "Frigate that sends path_data can do without); may be repeated",
+    )  # fmt: skip
+    group.add_argument(
+        "--label", metavar="NAME", action="append", default=[],
+        help="frigate, scenescape: only objects of this kind (person, car, ...); may be repeated",
+    )  # fmt: skip
+    group.add_argument(
+        "--tracked", action="store_true", help="scenescape: ids are a tracker's (gvatrack in the pipeline)"
+    )
+    group.add_argument("--camera", metavar="ID", help="mot: the camera's id")
+    group.add_argument("--fps", type=float, metavar="N", help="mot: frames a second")
+    group.add_argument("--start", type=float, metavar="SECONDS", help="mot: time of the first frame (default 0)")
+    group = parser.add_argument_group("MQTT", "FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX (frigate, scenescape)")
+    group.add_argument(
+        "--password-file", type=Path, metavar="FILE", help=f"the user's password (or in ${PASSWORD_VARIABLE})"
+    )
+    group.add_argument("--ca", metavar="FILE", help="mqtts: the authorities to trust (default: the system's)")
+
+
+def events(
+    args: argparse.Namespace, reader: LineReader, stack: contextlib.ExitStack, stop: threading.Event
+) -> Iterator[Event]:
+    """The events of what is named on the command line; files are closed by ``stack``. Raises `CommandError`."""
+    adapter = adapter_for(args)
+    if args.file.startswith(("mqtt:", "mqtts:")):
+        if adapter is None or not adapter.topic:
+            raise CommandError(f"{args.format} does not come by MQTT", exits.USAGE)
+        messages = _messages(args, adapter.topic)
+        stack.callback(messages.close)
+        return reader.adapted(messages.topic, enumerate(messages.read(stop), 1), adapter)
+    if args.password_file or args.ca:
+        raise CommandError("--password-file and --ca are for mqtt://", exits.USAGE)
+    file = open_input(args.file)
+    if args.file != "-":
+        stack.callback(file.close)
+    if adapter is None:
+        return (line.event for line in reader.lines(args.file, file))
+    return reader.adapted(args.file, numbered(file, LINE_BYTES_MAX), adapter)
+
+
+def adapter_for(args: argparse.Namespace) -> Adapter | None:
+    """Who reads the format; None for event lines. Raises `CommandError`."""
+    for option, formats in _OPTIONS.items():
+        if getattr(args, option) not in (None, False, []) and args.format not in formats:
+            raise CommandError(f"--{option} is for {' and '.join(formats)}, not {args.format}", exits.USAGE)
+    sizes = _sizes(args.size)
+    if args.format == "frigate":
+        return Frigate(sizes, args.label)
+    if args.format == "scenescape":
+        return SceneScape(sizes, args.label, args.tracked)
+    return _mot(args, sizes) if args.format == "mot" else None
+
+
+def _mot(args: argparse.Namespace, sizes: dict[str, Size]) -> Mot:
+    missing = [f"--{name}" for name in ("camera", "fps", "size") if not getattr(args, name)]
+    if missing:
+        raise CommandError(f"mot needs {' and '.join(missing)}", exits.USAGE)
+    if args.camera in RESERVED:
+        raise CommandError(f"--camera {args.camera}: this name is taken on the bus", exits.USAGE)
+    size = sizes.get(args.camera) or sizes.get(ANY_CAMERA)
+    if size is None:
+        raise CommandError(f"--size {args.size[0]} is not of camera {args.camera}", exits.USAGE)
+    try:
+        return Mot(args.camera, size, args.fps, args.start or 0.0)
+    except ValueError as error:
+        raise CommandError(str(error), exits.USAGE) from None
+
+
+def _sizes(given: list[str]) -> dict[str, Size]:
+    sizes = {}
+    for text in given:
+        match = _SIZE.fullmatch(text)
+        if match is None:
+            raise CommandError(f"--size {text!r}: write it like 1280x720 or lobby=1280x720", exits.USAGE)
+        sizes[match[1] or ANY_CAMERA] = (int(match[2]), int(match[3]))
+    return sizes
+
+
+def _messages(args: argparse.Namespace, topic: str) -> mqtt.Messages:
+    password = os.environ.get(PASSWORD_VARIABLE) or None
+    if args.password_file is not None:
+        try:
+            password = secret_files.read(args.password_file)
+        except OSError as error:
+            raise InputError(f"cannot read {args.password_file}: {error.strerror}") from None
+        for sentence in secret_files.exposed([args.password_file]):
+            log.warning("%s", sentence)
+    try:
+        source = mqtt.broker(args.file, password, args.ca)
+    except ValueError as error:
+        raise CommandError(str(error), exits.USAGE) from None
+    try:
+        return mqtt.Messages(source, topic)
+    except mqtt.MqttError as error:
+        raise InputError(str(error)) from None
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "paho":
+            raise
+        raise CommandError("reading from MQTT needs the package paho-mqtt: pip install 'camtopod[mqtt]'") from None

@@ -1,0 +1,156 @@
+"""Messages of an MQTT broker. The one home of paho-mqtt, which is an extra (``[mqtt]``)."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote, urlsplit
+
+from msgspec import Struct
+
+from camtopod.redact import redact, remember
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client, MQTTMessage
+    from paho.mqtt.reasoncodes import ReasonCode
+
+log = logging.getLogger(__name__)
+
+PORTS = {"mqtt": 1883, "mqtts": 8883}
+"""Usual port by the URL's scheme; mqtts is TLS."""
+MESSAGES_MAX = 10_000
+"""Messages that wait to be read; what comes beyond is dropped and counted."""
+CONNECT_SECONDS = 10.0
+"""How long the first connection may take."""
+KEEPALIVE_SECONDS = 30
+RETRY_SECONDS_MAX = 60
+"""Largest wait before a lost connection is tried again; it begins with 1 s and doubles."""
+_TICK_SECONDS = 0.2
+
+
+class MqttError(Exception):
+    """The broker cannot be reached, or does not let us in; ``str()`` says why."""
+
+
+class Broker(Struct, frozen=True):
+    """Where messages come from. ``prefix``: the levels before a program's own topics, without a slash at the end."""
+
+    host: str
+    port: int
+    tls: bool
+    prefix: str
+    user: str | None = None
+    password: str | None = None
+    ca: str | None = None
+    """File with the authorities to trust; None: the system's."""
+
+
+def broker(url: str, password: str | None = None, ca: str | None = None) -> Broker:
+    """From ``mqtt[s]://[USER@]HOST[:PORT]/PREFIX``. Raises `ValueError`, also for a password in it."""
+    remember(url)
+    parts = urlsplit(url)
+    if parts.scheme not in PORTS or not parts.hostname:
+        raise ValueError(f"{redact(url)!r}: write it like mqtt://USER@HOST:1883/PREFIX, or mqtts:// for TLS")
+    if parts.password is not None:
+        raise ValueError("others on this machine can read a password on the command line: put it in a file")
+    prefix = unquote(parts.path).strip("/")
+    if not prefix or "+" in prefix or parts.query or "#" in url:
+        raise ValueError(f"{redact(url)!r}: it ends in the program's topic prefix, for example /frigate")
+    user = None if parts.username is None else unquote(parts.username)
+    if password is not None:
+        if user is None:
+            raise ValueError("a password needs a user: mqtt://USER@HOST/PREFIX")
+        remember(f"mqtt://{user}:{password}@")
+    tls = parts.scheme == "mqtts"
+    return Broker(parts.hostname, parts.port or PORTS[parts.scheme], tls, prefix, user, password, ca)
+
+
+class Messages:
+    """What comes under one topic below the broker's prefix, oldest first, until told to stop.
+
+    Raises `MqttError` if the first connection fails; a later one that is lost is made again, for as long as it takes,
+    and what was published meanwhile is missing.
+    """
+
+    def __init__(self, source: Broker, topic: str, limit_messages: int = MESSAGES_MAX) -> None:
+        from paho.mqtt.client import Client
+        from paho.mqtt.enums import CallbackAPIVersion
+
+        self.topic = f"{source.prefix}/{topic}"
+        self.dropped = 0
+        """Messages that found ``limit_messages`` others waiting."""
+        self._source = source
+        self._waiting: queue.Queue[bytes] = queue.Queue(limit_messages)
+        self._ready = threading.Event()
+        self._refused: str | None = None
+        self._client = client = Client(CallbackAPIVersion.VERSION2)
+        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        client.on_subscribe, client.on_message = self._on_subscribe, self._on_message
+        client.reconnect_delay_set(1, RETRY_SECONDS_MAX)
+        client.connect_timeout = CONNECT_SECONDS
+        if source.user is not None:
+            client.username_pw_set(source.user, source.password)
+        try:
+            if source.tls:
+                client.tls_set(source.ca)
+            client.connect(source.host, source.port, KEEPALIVE_SECONDS)
+        except (OSError, ValueError) as error:
+            raise MqttError(f"cannot reach {source.host}:{source.port}: {error}") from None
+        client.loop_start()
+        if not self._ready.wait(CONNECT_SECONDS):
+            self.close()
+            raise MqttError(f"{source.host}:{source.port} does not answer as an MQTT broker")
+        if self._refused is not None:
+            self.close()
+            raise MqttError(f"{source.host}:{source.port} refuses: {self._refused}")
+
+    def read(self, stop: threading.Event) -> Iterator[bytes]:
+        """The messages, until ``stop`` is set."""
+        while not stop.is_set():
+            try:
+                yield self._waiting.get(timeout=_TICK_SECONDS)
+            except queue.Empty:
+                continue
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._client.on_disconnect = None
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _on_connect(self, client: Client, _: Any, __: Any, code: ReasonCode, ___: Any) -> None:
+        if code.is_failure:
+            self._tell(str(code))
+            return
+        client.subscribe(self.topic, qos=1)
+
+    def _on_subscribe(self, _: Client, __: Any, ___: int, codes: list[ReasonCode], ____: Any) -> None:
+        failed = [str(code) for code in codes if code.is_failure]
+        if failed:
+            self._tell(f"{self.topic}: {failed[0]}")
+            return
+        log.info("hearing %s at %s:%d", self.topic, self._source.host, self._source.port)
+        self._ready.set()
+
+    def _tell(self, refusal: str) -> None:
+        """At the start it ends the program; later on it is said, and tried again."""
+        if self._ready.is_set():
+            log.warning("%s:%d refuses: %s", self._source.host, self._source.port, refusal)
+            return
+        self._refused = refusal
+        self._ready.set()
+
+    def _on_disconnect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
+        if self._ready.is_set() and self._refused is None:
+            log.warning("lost %s:%d (%s); trying again", self._source.host, self._source.port, code)
+
+    def _on_message(self, _: Client, __: Any, message: MQTTMessage) -> None:
+        try:
+            self._waiting.put_nowait(bytes(message.payload))
+        except queue.Full:
+            self.dropped += 1
+            if self.dropped == 1:
+                log.warning("messages come faster than they are read; those beyond %d are dropped", MESSAGES_MAX)

@@ -1,0 +1,212 @@
+"""Any tracker's output -> events: against a slow twin, and what trackers hand out."""
+
+from __future__ import annotations
+
+import doctest
+import itertools
+import math
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camtopod.adapt import tracks
+from camtopod.adapt.joining import Joiner
+from camtopod.client import TrackEvents
+from camtopod.records import Event
+
+SIZE = (200, 100)
+BOX = [10, 20, 30, 60]
+
+
+def test_the_documentation_runs() -> None:
+    result = doctest.testmod(tracks)
+    assert result.attempted > 0
+    assert result.failed == 0
+
+
+def fed(frames: list[tuple[float, dict[Any, list[float]]]], **options: Any) -> list[Event]:
+    """All events of frames (time, boxes by id)."""
+    events = TrackEvents("c", SIZE, **options)
+    found = [e for t, boxes in frames for e in events.update(list(boxes), list(boxes.values()), t)]
+    return found + events.close()
+
+
+# --- against a slow twin --------------------------------------------------------------------------
+
+
+def by_definition(frames: list[tuple[float, dict[Any, list[float]]]], life: float, lost: float) -> set[Any]:
+    """A passage: sightings of one id without a gap above ``lost``, from the first to the last over ``life``."""
+    seen = defaultdict(list)
+    for t, boxes in frames:
+        for number, box in boxes.items():
+            seen[number].append((t, box))
+    events = set()
+    for number, sightings in seen.items():
+        passages = [[sightings[0]]]
+        for before, now in itertools.pairwise(sightings):
+            if now[0] - before[0] > lost:
+                passages.append([])
+            passages[-1].append(now)
+        for passage in passages:
+            (start, first), (end, last) = passage[0], passage[-1]
+            if end - start < life:
+                continue
+            if start - frames[0][0] > tracks.START_SECONDS:
+                events.add(("entry", str(number), start, *foot(first)))
+            if end != frames[-1][0]:
+                events.add(("exit", str(number), end, *foot(last)))
+    return events
+
+
+def foot(box: list[float]) -> tuple[float, float]:
+    x, y = (box[0] + box[2]) / 2 / SIZE[0], box[3] / SIZE[1]
+    return round(min(max(x, 0), 1), 4), round(min(max(y, 0), 1), 4)
+
+
+boxes = st.lists(st.integers(-50, 250), min_size=4, max_size=4)
+views = st.dictionaries(st.integers(0, 4), boxes, max_size=4)
+
+
+@given(st.lists(st.tuples(st.integers(1, 12), views), min_size=1, max_size=40), st.integers(0, 8), st.integers(1, 10))
+def test_passages_are_those_of_the_definition(steps: list[tuple[int, dict[int, Any]]], life: int, lost: int) -> None:
+    """Times in quarters of a second, so that all arithmetic is exact."""
+    times = itertools.accumulate(step for step, _ in steps)
+    frames = [(t / 4, view) for t, (_, view) in zip(times, steps, strict=True)]
+    found = fed(frames, life_seconds=life / 4, lost_seconds=lost / 4)
+    assert {(e.kind, e.track, e.t, e.x, e.y) for e in found} == by_definition(frames, life / 4, lost / 4)
+    assert len(found) == len({(e.kind, e.track, e.t) for e in found})
+
+
+def test_events_are_reported_in_time_and_numbered_without_a_gap() -> None:
+    """None is reported later than life or lost and a frame after its time: the lateness of the learner is 5 s."""
+    events = TrackEvents("c", SIZE, boot="b")
+    ages, seqs = [], []
+    for n in range(400):
+        t = n / 10
+        walkers = {99: BOX} | {k: [k, 0, k + 9, 50] for k in range(20) if 2 * k <= t <= 2 * k + 5 + k / 7}
+        for event in events.update(list(walkers), list(walkers.values()), t):
+            ages.append(t - event.t)
+            seqs.append(event.seq)
+    assert len(ages) > 30
+    assert max(ages) <= tracks.LOST_SECONDS + 0.1 + 1e-9
+    assert tracks.LOST_SECONDS + tracks.LIFE_SECONDS < 5
+    assert seqs == list(range(len(seqs)))
+
+
+# --- what trackers hand out -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "ids",
+    [[7], np.array([7]), np.array([7.0], np.float32), [np.int64(7)], ["7"], (7.0,)],
+)
+@pytest.mark.parametrize("box", [[BOX], np.array([BOX]), np.array([BOX], float).reshape(1, 2, 2), [np.array(BOX)]])
+def test_arrays_and_lists_are_the_same(ids: Any, box: Any) -> None:
+    events = TrackEvents("c", SIZE)
+    found = events.update([], [], 0.0) + events.update(ids, box, 1.1) + events.update(ids, box, 2.0)
+    assert [(e.kind, e.t, e.x, e.y, e.track) for e in found] == [("entry", 1.1, 0.1, 0.6, "7")]
+
+
+def test_what_is_not_tracked_is_counted_and_nothing_else() -> None:
+    events = TrackEvents("c", SIZE)
+    for n in range(10):
+        t = n / 5
+        assert events.update(None, np.array([BOX, BOX]), t) == []
+        assert events.update(None, np.empty((0, 4)), t) == []
+        assert events.update([None, -1, math.nan], [BOX, BOX, BOX], t) == []
+        assert events.update([3], [[math.nan, 0, 5, 5]], t) == []
+    assert events.close() == []
+    assert (events.untracked, events.unusable, events.entries) == (50, 10, 0)
+
+
+def test_who_is_in_view_at_the_start_has_not_come_in_and_at_the_end_not_left() -> None:
+    frames = [(n / 10, {1: BOX} if n < 20 else {}) for n in range(30)]
+    assert [(e.kind, e.t) for e in fed(frames)] == [("exit", 1.9)]  # close: out of sight in the last frame
+    for first, entries in ((9, []), (11, [("entry", 1.1)])):  # tenths of a second after the first frame
+        frames = [(n / 10, {1: BOX} if n >= first else {}) for n in range(30)]
+        assert [(e.kind, e.t) for e in fed(frames)] == entries
+
+
+def test_memory_has_a_limit() -> None:
+    events = TrackEvents("c", SIZE, tracks_max=3)
+    for n in range(50):
+        events.update(range(5), [BOX] * 5, n / 10)
+        assert events.statistics()["tracks"] == 3
+    assert events.refused == 100
+    flood = TrackEvents("c", SIZE)
+    for n in range(30_000):  # a tracker that gives everything a new id
+        flood.update([n], [BOX], n / 1000)
+        assert flood.statistics()["tracks"] <= tracks.TRACKS_MAX
+    assert flood.refused > 0
+
+
+def test_a_clock_that_is_set_back_begins_anew_and_a_frame_out_of_order_is_left_out() -> None:
+    events = TrackEvents("c", SIZE)
+    events.update([], [], 99.0)
+    events.update([1], [BOX], 100.2)
+    assert events.update([1], [BOX], 99.9) == []
+    assert events.late == 1
+    assert [e.t for e in events.update([1, 2], [BOX, BOX], 100.8)] == [100.2]
+    assert events.update([1], [BOX], 50.0) == []
+    assert events.statistics()["tracks"] == 1
+    assert events.update([1], [BOX], 51.0) == [], "it was there when the time began anew"
+    assert [(e.kind, e.t) for e in events.update([], [], 60.0)] == [("exit", 51.0)]
+
+
+@pytest.mark.parametrize(
+    ("camera", "size", "options"),
+    [
+        ("a b", SIZE, {}),
+        ("c", (0, 5), {}),
+        ("c", (5, math.nan), {}),
+        ("c", SIZE, {"lost_seconds": 0}),
+        ("c", SIZE, {"life_seconds": -1}),
+        ("c", SIZE, {"lost_seconds": math.inf}),
+    ],
+)
+def test_nonsense_is_said_at_once(camera: str, size: tuple[float, float], options: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r"camera|size|seconds"):
+        TrackEvents(camera, size, **options)  # type: ignore[arg-type]
+
+
+def test_frames_that_make_no_sense_are_said() -> None:
+    events = TrackEvents("c", SIZE)
+    with pytest.raises(ValueError, match="2 ids"):
+        events.update([1, 2], [BOX], 0.0)
+    with pytest.raises(ValueError, match="finite"):
+        events.update([1], [BOX], math.nan)
+    assert events.statistics()["tracks"] == 0
+
+
+# --- boxes without identity -----------------------------------------------------------------------
+
+
+def test_boxes_are_joined_to_the_nearest_whatever_their_order() -> None:
+    joiner = Joiner()
+    found: dict[str, set[int | None]] = {"left": set(), "right": set()}
+    for n in range(20):
+        places = {"left": (10.0 * n, 0.0, 10.0 * n + 40, 120.0), "right": (400 - 10.0 * n, 50.0, 440 - 10.0 * n, 190.0)}
+        names = sorted(places, reverse=n % 2 == 0)
+        for name, number in zip(names, joiner.ids([places[name] for name in names], n / 10), strict=True):
+            found[name].add(number)
+    assert sorted(map(len, found.values())) == [1, 1]
+    assert found["left"] != found["right"]
+
+
+def test_a_track_goes_on_in_one_box_only() -> None:
+    joiner = Joiner()
+    assert joiner.ids([(0, 0, 40, 100)], 0.0) == [1]
+    assert joiner.ids([(9, 0, 49, 100), (2, 0, 42, 100)], 0.1) == [2, 1]
+
+
+def test_a_box_far_away_or_long_after_is_another() -> None:
+    joiner = Joiner()
+    assert joiner.ids([(0, 0, 40, 100)], 0.0) == [1]
+    assert joiner.ids([(200, 0, 240, 100)], 0.1) == [2]
+    assert joiner.ids([(0, 0, 40, 100)], 1.9) == [1]
+    assert joiner.ids([(0, 0, 40, 100)], 4.0) == [3]
+    assert joiner.ids([(0, 0, 40, 100)], -50.0) == [4], "a clock set back"

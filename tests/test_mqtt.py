@@ -1,0 +1,243 @@
+"""Frigate's messages straight from a broker: a real mosquitto, with passwords, with TLS, and away for a while."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import ipaddress
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import frigate_says as says
+import pytest
+from serving import T0, small_config, wait_for
+
+from camtopod.cli import exits
+from camtopod.cli.main import main
+from camtopod.serve import mqtt
+from camtopod.serve.daemon import Daemon
+
+PROGRAM = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin:/usr/local/sbin")
+USER, PASSWORD = "camtopod", "hunter2-long"
+
+publish = pytest.importorskip("paho.mqtt.publish", reason="needs paho-mqtt (camtopod[mqtt])")
+pytestmark = pytest.mark.skipif(PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)")
+
+
+class Broker:
+    """A mosquitto on a port of its own, which it keeps when it is started again."""
+
+    def __init__(self, folder: Path, port: int, *options: str) -> None:
+        self.port, self._folder = port, folder
+        self._config = folder / "mosquitto.conf"
+        open_to_all = [] if any("password_file" in option for option in options) else ["allow_anonymous true"]
+        lines = ["user root", f"listener {port} 127.0.0.1", *open_to_all, *options]
+        self._config.write_text("\n".join(lines) + "\n")
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> bool:
+        """Whether it is there; its port may have been taken meanwhile."""
+        assert PROGRAM is not None
+        self._process = process = subprocess.Popen(
+            [PROGRAM, "-c", str(self._config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        wait_for(lambda: process.poll() is not None or self._answers(), "mosquitto")
+        return process.poll() is None
+
+    def stop(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    def publish(self, lines: list[bytes], **options: object) -> None:
+        publish.multiple([("frigate/events", line, 1, False) for line in lines], "127.0.0.1", self.port, **options)
+
+    def _answers(self) -> bool:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
+            return True
+        return False
+
+
+@contextlib.contextmanager
+def mosquitto(folder: Path, *options: str) -> Iterator[Broker]:
+    for _ in range(5):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            broker = Broker(folder, probe.getsockname()[1], *options)
+        if broker.start():
+            break
+        broker.stop()
+    try:
+        yield broker
+    finally:
+        broker.stop()
+
+
+class Ingest:
+    """`camtopod ingest frigate` in a process of its own, writing lines."""
+
+    def __init__(self, tmp_path: Path, url: str, *options: str, **variables: str) -> None:
+        self.out, self._err = tmp_path / "out.jsonl", tmp_path / "err.txt"
+        command = [sys.executable, "-m", "camtopod", "ingest", "frigate", url, "--out", str(self.out), *options]
+        with self._err.open("wb") as err:
+            self.process = subprocess.Popen(command, stderr=err, env={**os.environ, **variables})
+
+    def __enter__(self) -> Ingest:
+        wait_for(lambda: "hearing frigate/events" in self.said or self.process.poll() is not None, "the subscription")
+        assert self.process.poll() is None, self.said
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    @property
+    def said(self) -> str:
+        return self._err.read_text()
+
+    def wait_for_lines(self, count: int) -> None:
+        wait_for(lambda: self.out.exists() and self.out.read_bytes().count(b"\n") >= count, f"{count} lines")
+
+
+def test_events_come_while_objects_come_and_go_and_the_broker_may_be_away(tmp_path: Path) -> None:
+    with mosquitto(tmp_path) as broker, Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest:
+        broker.publish(says.passage(1)[:2])
+        ingest.wait_for_lines(1)
+        broker.publish([*says.passage(1)[2:], b"nonsense"])
+        ingest.wait_for_lines(2)
+        broker.stop()
+        wait_for(lambda: "lost 127.0.0.1" in ingest.said, "the loss to be noticed")
+        assert broker.start()
+        wait_for(lambda: ingest.said.count("hearing frigate/events") == 2, "the subscription after the loss")
+        broker.publish(says.passage(2, T0))
+        ingest.wait_for_lines(4)
+        ingest.process.send_signal(signal.SIGTERM)
+        assert ingest.process.wait(20) == exits.DONE
+        assert "frigate/events:4: is neither JSON nor a topic and JSON" in ingest.said
+        assert "1 of 7 lines changed nothing: malformed 1" in ingest.said
+        assert "Jane" not in ingest.out.read_text()
+
+
+def test_onto_the_bus(tmp_path: Path) -> None:
+    with mosquitto(tmp_path) as broker, Daemon(small_config(tmp_path / "daemon")) as daemon:
+        url = f"mqtt://127.0.0.1:{broker.port}/frigate"
+        command = ["--connect", daemon.endpoint, "ingest", "frigate", url, "--state", str(tmp_path / "i")]
+        err = tmp_path / "err.txt"
+        with err.open("wb") as file:
+            process = subprocess.Popen([sys.executable, "-m", "camtopod", *command], stderr=file)
+        try:
+            wait_for(lambda: "hearing" in err.read_text(), "the subscription")
+            broker.publish([line for n in range(50) for line in says.passage(n, T0 + n)])
+            wait_for(lambda: daemon.status()["events"]["stored"] == 100, "the events")
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(20) == exits.DONE
+        finally:
+            process.kill()
+            process.wait()
+
+
+def test_a_password_from_a_file_or_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    users, secret = tmp_path / "users", tmp_path / "secret"
+    users.touch(0o600)
+    program = shutil.which("mosquitto_passwd")
+    assert program is not None
+    subprocess.run([program, "-b", str(users), USER, PASSWORD], check=True, capture_output=True)
+    secret.write_text(f"{PASSWORD}\n")
+    secret.chmod(0o600)
+    with mosquitto(tmp_path, f"password_file {users}") as broker:
+        url = f"mqtt://{USER}@127.0.0.1:{broker.port}/frigate"
+        for options, variables in ((["--password-file", str(secret)], {}), ([], {"CAMTOPOD_MQTT_PASSWORD": PASSWORD})):
+            with Ingest(tmp_path, url, *options, **variables) as ingest:
+                broker.publish(says.passage(), auth={"username": USER, "password": PASSWORD})
+                ingest.wait_for_lines(2)
+                assert PASSWORD not in ingest.said
+                ingest.out.unlink()
+        secret.write_text("wrong-one")
+        assert main(["ingest", "frigate", url, "--password-file", str(secret), "--out", "-"]) == exits.INPUT
+        monkeypatch.delenv("CAMTOPOD_MQTT_PASSWORD", raising=False)
+        assert main(["ingest", "frigate", url, "--out", "-"]) == exits.INPUT
+        err = capsys.readouterr().err
+        assert err.count("refuses: Not authorized") == 2
+        assert "wrong-one" not in err
+
+
+def certificate(folder: Path) -> tuple[Path, Path]:
+    """A certificate for 127.0.0.1 that vouches for itself, and its key."""
+    x509 = pytest.importorskip("cryptography.x509", reason="needs cryptography (camtopod[keys])")
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "broker")])
+    today = datetime.datetime.now(datetime.UTC)
+    day = datetime.timedelta(days=1)
+    address = x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))])
+    made = (
+        x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key()).serial_number(7)
+        .not_valid_before(today - day).not_valid_after(today + day)
+        .add_extension(address, False).add_extension(x509.BasicConstraints(True, None), True)
+        .sign(key, hashes.SHA256())
+    )  # fmt: skip
+    cert_file, key_file = folder / "cert.pem", folder / "key.pem"
+    cert_file.write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    private = key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    key_file.write_bytes(private)
+    return cert_file, key_file
+
+
+def test_tls(tmp_path: Path) -> None:
+    cert, key = certificate(tmp_path)
+    with mosquitto(tmp_path, f"certfile {cert}", f"keyfile {key}") as broker:
+        url = f"mqtts://127.0.0.1:{broker.port}/frigate"
+        with Ingest(tmp_path, url, "--ca", str(cert)) as ingest:
+            broker.publish(says.passage(), tls={"ca_certs": str(cert)})
+            ingest.wait_for_lines(2)
+        for options, said in (([], "certificate verify failed"), (["--ca", str(tmp_path / "none")], "No such file")):
+            command = [sys.executable, "-m", "camtopod", "ingest", "frigate", url, "--out", "-", *options]
+            refused = subprocess.run(command, capture_output=True, timeout=60, check=False)
+            assert refused.returncode == exits.INPUT
+            assert said in refused.stderr.decode()
+
+
+def test_nobody_there_or_somebody_else(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(mqtt, "CONNECT_SECONDS", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = silent.getsockname()[1]
+        assert main(["ingest", "frigate", f"mqtt://127.0.0.1:{port}/frigate", "--out", "-"]) == exits.INPUT
+        assert "does not answer as an MQTT broker" in capsys.readouterr().err
+    assert main(["ingest", "frigate", f"mqtt://127.0.0.1:{port}/frigate", "--out", "-"]) == exits.INPUT
+    assert f"cannot reach 127.0.0.1:{port}" in capsys.readouterr().err
+
+
+def test_messages_that_wait_have_a_limit(tmp_path: Path) -> None:
+    with mosquitto(tmp_path) as broker:
+        source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/frigate")
+        with contextlib.closing(mqtt.Messages(source, "events", limit_messages=10)) as messages:
+            broker.publish([b"%d" % n for n in range(100)])
+            wait_for(lambda: messages.dropped == 90, "the messages")
+            stop = threading.Event()
+            read = messages.read(stop)
+            assert [next(read) for _ in range(10)] == [b"%d" % n for n in range(10)]
+            stop.set()
+            assert list(read) == []
+
+
+def test_without_the_extra_it_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "paho"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "paho", None)
+    assert main(["ingest", "frigate", "mqtt://127.0.0.1:1/frigate", "--out", "-"]) == exits.FAILED
+    assert "pip install 'camtopod[mqtt]'" in capsys.readouterr().err
