@@ -155,6 +155,15 @@ def test_an_output_that_cannot_be_written(run: Run, recording: Path, tmp_path: P
         assert "cannot write" in said
 
 
+def test_a_topology_that_cannot_be_written_is_said_before_the_work(
+    run: Run, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LineReader, "merged", lambda *_: pytest.fail("it has begun to read"))
+    status, _, said = run("learn", recording, "--topology", tmp_path / "missing" / "topology.json")
+    assert status == exits.FAILED
+    assert "is no directory" in said
+
+
 def test_progress_for_a_person(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("camtopod.cli.learn.PROGRESS_SECONDS", -1.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)

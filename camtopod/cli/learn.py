@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any, BinaryIO
 
 from camtopod.cli.common import configuration
@@ -34,6 +36,8 @@ def run(args: argparse.Namespace) -> int:
     config = configuration(args)
     learner = Learner(config.learn, site=config.site.name, epoch=EPOCH)
     reader = LineReader()
+    if args.topology:
+        check_output(args.topology)
     with ExitStack() as stack:
         updates = stack.enter_context(open_output(args.updates)) if args.updates else None
         _feed(learner, reader, args.events, updates)
@@ -85,6 +89,15 @@ def describe(topology: Topology) -> str:
         f"version {topology.version}: {topology.events} events, {len(topology.cameras)} cameras, "
         f"{len(topology.zones)} zones, {between} links between views, {len(topology.pairs)} related pairs of cameras"
     )
+
+
+def check_output(path: str) -> None:
+    """Say before long work, not after it, that its result cannot be written. Raises `CommandError`."""
+    folder = Path(path).parent
+    if path != "-" and not folder.is_dir():
+        raise CommandError(f"cannot write {path}: {folder} is no directory")
+    if path != "-" and not os.access(path if Path(path).exists() else folder, os.W_OK):
+        raise CommandError(f"cannot write {path}: no permission")
 
 
 def open_output(path: str) -> Any:

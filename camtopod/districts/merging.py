@@ -1,0 +1,232 @@
+"""Parts -> one topology, as if one learner had made it.
+
+Pure, and whatever the order of the parts: everything has one owner. A camera and its zones belong to its district, a
+link to that of the camera where it ends. What is shared are the departures: each district says which share of them it
+expects at its own cameras, the merged topology lists all, and whoever is expected nowhere leaves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+
+import msgspec
+from msgspec.structs import replace
+
+from camtopod.districts.parts import Part
+from camtopod.districts.places import Places
+from camtopod.districts.renaming import Names, renamed
+from camtopod.learn.assemble import DIGITS, by_clocks, short
+from camtopod.learn.chain import markov_chain
+from camtopod.learn.joint import LEAVE_FLOOR
+from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX
+from camtopod.learn.relations import camera_pairs
+from camtopod.learn.settings import Settings
+from camtopod.learn.topology import ALARMS_KEPT_MAX, link_key
+from camtopod.records import (
+    TOPOLOGY_SCHEMA,
+    CameraModel,
+    Context,
+    Histogram,
+    Link,
+    Model,
+    Onward,
+    Outcome,
+    Pace,
+    SelfScore,
+    Topology,
+    Zone,
+)
+
+ContextKey = tuple[str, str | None, int | None, str | None]
+PACE_SHARE_MIN = 0.5
+"""Paces count when districts with so much of the departures have one."""
+
+
+def merge(parts: Iterable[Part], settings: Settings) -> Topology:
+    """The content of one version, without site, epoch, version and digest; alarms have the version 0."""
+    ordered = sorted(parts, key=lambda part: part.district)
+    zones = sorted(
+        (zone for part in ordered for zone in part.topology.zones if zone.camera in part.rates), key=lambda z: z.id
+    )
+    places = Places(zones)
+    known = [renamed(part.topology, _names(part, places)) for part in ordered]
+    cameras = sorted((camera for one in known for camera in one.cameras), key=lambda camera: camera.id)
+    links, weak = _links(known)
+    right = links
+    if not settings.correct_clocks:
+        right = by_clocks(links, zones, {camera.id: -camera.clock_offset for camera in cameras})
+    alarms = sorted((alarm for one in known for alarm in one.alarms or []), key=lambda alarm: alarm.t)
+    return Topology(
+        schema=TOPOLOGY_SCHEMA, site="", epoch="", version=0, digest="",
+        as_of=max((one.as_of for one in known), default=0.0), events=sum(one.events for one in known),
+        cameras=cameras, zones=zones, links=links,
+        pairs=camera_pairs(zones, right, settings.overlap_tolerance_seconds), weak_links=weak,
+        chain=markov_chain(zones, [*links, *weak], DIGITS), model=_model(ordered, known, zones),
+        alarms=[replace(alarm, version=0) for alarm in alarms[-ALARMS_KEPT_MAX:]] or None, score=_score(known),
+    )  # fmt: skip
+
+
+def _names(part: Part, places: Places) -> Names:
+    """Owners' ids of all zones that the part names."""
+    own: Names = {zone.id: [zone.id] for zone in part.topology.zones if zone.camera in part.rates}
+    return own | places.names(zone for zone in part.topology.zones if zone.camera not in part.rates)
+
+
+def _links(known: Sequence[Topology]) -> tuple[list[Link], list[Link]]:
+    """Links and weak links by key. Where several districts tell of one zone, no more than all leave it, and weak links
+    share what the others leave over.
+    """
+    told = Counter(zone for one in known for zone in _leaving([*one.links, *(one.weak_links or [])]))
+    links, weak = ([link for one in known for link in getattr(one, name) or []] for name in ("links", "weak_links"))
+    strong = _leaving(links)
+    links = _within(links, {zone: 1.0 for zone, districts in told.items() if districts > 1})
+    left = {zone: max(1.0 - strong.get(zone, 0.0), 0.0) for zone, districts in told.items() if districts > 1}
+    return sorted(links, key=link_key), sorted(_within(weak, left), key=link_key)
+
+
+def _within(links: Iterable[Link], room: dict[str, float]) -> list[Link]:
+    """The links between views with no more leaving a zone than there is ``room``, where that is said."""
+    links = list(links)
+    taken = _leaving(links)
+    return [
+        replace(link, probability=short(link.probability * room[link.from_] / taken[link.from_]))
+        if link.relation != "visible" and taken[link.from_] > room.get(link.from_, math.inf)
+        else link
+        for link in links
+    ]
+
+
+def _leaving(links: Iterable[Link]) -> dict[str, float]:
+    """Share of what leaves each zone that the links between views take."""
+    taken: dict[str, float] = defaultdict(float)
+    for link in links:
+        if link.relation != "visible":
+            taken[link.from_] += link.probability
+    return taken
+
+
+def _model(parts: Sequence[Part], known: Sequence[Topology], zones: Sequence[Zone]) -> Model | None:
+    models = [one.model for one in known if one.model is not None]
+    if not models:
+        return None
+    total = max(sum(rate for part in parts for rate in part.rates.values()), 1e-300)
+    rates = {camera: rate / total for part in parts for camera, rate in part.rates.items()}
+    cameras = [
+        CameraModel(row.camera, short(rates[row.camera]), row.last_event) for model in models for row in model.cameras
+    ]
+    fitted = [model for model in models if model.onward is not None]
+    model = replace(
+        models[0], zones=sorted((row for one in models for row in one.zones), key=lambda row: row.zone),
+        cameras=sorted(cameras, key=lambda row: row.camera),
+    )  # fmt: skip
+    if not fitted:
+        return model
+    ids = {zone.id for zone in zones}
+    entered = [row for one in fitted for row in one.entered or [] if row.zone in ids]
+    return replace(
+        model, onward=_onward(fitted), contexts=_contexts(known), pace=_pace(models),
+        entered=sorted(entered, key=lambda row: (row.zone, row.to)),
+    )  # fmt: skip
+
+
+def _onward(models: Iterable[Model]) -> list[Onward]:
+    """Where objects go by what all districts expect at their own cameras."""
+    rows: dict[str, list[Onward]] = defaultdict(list)
+    for model in models:
+        for row in model.onward or []:
+            rows[row.zone].append(row)
+    return [_outcomes(zone, rows[zone]) for zone in sorted(rows)]
+
+
+def _outcomes(zone: str, rows: Sequence[Onward]) -> Onward:
+    appear = sum(1.0 - row.leave for row in rows)
+    outcomes = sorted((outcome for row in rows for outcome in row.next_), key=lambda outcome: -outcome.share)
+    outcomes = outcomes[:OUTCOMES_PER_ZONE_MAX]
+    most = 1.0 - LEAVE_FLOOR
+    if appear > most + 1e-9:
+        outcomes, appear = [_scaled(outcome, most / appear) for outcome in outcomes], most
+    return Onward(zone, short(1.0 - appear), outcomes)
+
+
+def _scaled(outcome: Outcome, factor: float) -> Outcome:
+    mass = [float(f"{one * factor:.3g}") for one in outcome.hazard.mass]
+    return replace(outcome, share=short(outcome.share * factor), hazard=Histogram(outcome.hazard.first, mass))
+
+
+def _contexts(known: Sequence[Topology]) -> list[Context]:
+    """The contexts that the owners know, with where the other districts expect such departures."""
+    owners = {zone: k for k, one in enumerate(known) for camera in one.cameras for zone in camera.zones}
+    shares: dict[str, dict[int, dict[str, float]]] = defaultdict(dict)
+    rows: list[dict[ContextKey, Context]] = []
+    for k, one in enumerate(known):
+        for onward in (one.model and one.model.onward) or []:
+            shares[onward.zone][k] = {outcome.to: outcome.share for outcome in onward.next_}
+        rows.append({_context_key(row): row for row in (one.model and one.model.contexts) or []})
+    result = []
+    for k, own in enumerate(rows):
+        for key, row in own.items():
+            if owners[row.zone] == k:
+                others = [
+                    _expected(row, rows[other].get(key), share)
+                    for other, share in sorted(shares[row.zone].items())
+                    if other != k
+                ]
+                result.append(_with(row, others))
+    return sorted(
+        result,
+        key=lambda row: (row.zone, row.entry or "", row.block or 0, row.previous or "", row.block is not None),
+    )
+
+
+def _context_key(row: Context) -> ContextKey:
+    return row.zone, row.entry, row.block, row.previous
+
+
+def _expected(own: Context, other: Context | None, share: dict[str, float]) -> dict[str, float]:
+    """Of the departures of a context, those that another district expects at its cameras: as of those it has seen
+    itself, or where it has seen none, as of all that leave the zone.
+    """
+    if other is None or other.departures <= 0.0:
+        return {target: own.departures * part for target, part in share.items()}
+    return {target: number * own.departures / other.departures for target, number in other.to.items()}
+
+
+def _with(row: Context, others: Iterable[dict[str, float]]) -> Context:
+    to = dict(row.to)
+    for other in others:
+        to |= other
+    if len(to) == len(row.to):
+        return row
+    factor = min(1.0, row.departures / max(sum(to.values()), 1e-300))
+    return replace(row, to={target: short(number * factor) for target, number in sorted(to.items())})
+
+
+def _pace(models: Sequence[Model]) -> Pace | None:
+    """The mean of the districts' paces, each by the departures behind it."""
+    weighed = [(model.pace, float(sum(zone.departures for zone in model.zones))) for model in models]
+    some = [(pace, weight) for pace, weight in weighed if pace is not None and weight > 0.0]
+    told = sum(weight for _, weight in some)
+    if not some or told < PACE_SHARE_MIN * sum(weight for _, weight in weighed):
+        return None
+    scaling, correlation, sd = (
+        short(sum(getattr(pace, name) * weight for pace, weight in some) / told)
+        for name in ("scaling", "correlation", "sd")
+    )
+    ways = sorted((way for pace, _ in some for way in pace.ways), key=lambda way: (way.entry, way.exit))
+    return Pace(scaling, correlation, sd, ways)
+
+
+def _score(known: Iterable[Topology]) -> SelfScore | None:
+    """The mean of the districts' scores: each predicts with what it knows itself."""
+    scores = [one.score for one in known if one.score is not None]
+    if not scores:
+        return None
+    exits = sum(score.exits for score in scores)
+    figures = {
+        name: round(sum(getattr(score, name) * score.exits for score in scores) / exits, 4)
+        for name in msgspec.structs.asdict(scores[0])
+        if name not in ("exits", "since_version")
+    }
+    return SelfScore(exits=exits, since_version=min(score.since_version for score in scores), **figures)

@@ -1,0 +1,83 @@
+"""A part of a site's topology: what one district knows of its own cameras and of the links into them."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from camtopod.learn.assemble import short
+from camtopod.learn.topology import stamp
+from camtopod.records import Alarm, Model, Onward, Topology
+
+
+class Part(Struct, frozen=True):
+    """What a district publishes with each version.
+
+    ``topology`` has the district's own cameras, their zones, the links that end there; and the zones of other cameras
+    where these links begin, by the numbers the district gave them (`merging` finds out their owner's). Where objects
+    go that leave a zone is said as far as it is one of its own cameras; ``leave`` is all the rest.
+    """
+
+    district: int
+    topology: Topology
+    rates: dict[str, float]
+    """Events per second of each own camera in the window."""
+
+
+def part_of(topology: Topology, district: int, rates: dict[str, float], events: int) -> Part:
+    """The part of a district's topology that is its own. ``rates``: of its own cameras; ``events`` of theirs so far."""
+    zones = {zone.id for zone in topology.zones if zone.camera in rates}
+    links = [link for link in topology.links if link.to in zones]
+    weak = [link for link in topology.weak_links or [] if link.to in zones]
+    model = None if topology.model is None else _own_model(topology.model, zones, rates.keys())
+    named = {link.from_ for link in (*links, *weak)} | {row.zone for row in (model and model.onward) or []}
+    named |= {kernel.zone for kernel in (model and model.entered) or []}
+    senders = {zone.camera for zone in topology.zones if zone.id in named}
+    own = replace(
+        topology,
+        cameras=[camera for camera in topology.cameras if camera.id in rates],
+        zones=[zone for zone in topology.zones if zone.camera in rates or zone.camera in senders],
+        links=links, weak_links=weak, pairs=[], chain=None, model=model,
+        alarms=[alarm for alarm in topology.alarms or [] if _is_of(alarm, rates.keys())] or None,
+        events=events,
+    )  # fmt: skip
+    return Part(district, stamp(own), rates)
+
+
+def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:
+    """Outcomes at the own ``zones`` of the own ``cameras``, and what is known of these."""
+    onward = [_own_outcomes(row, zones) for row in model.onward or []]
+    onward = [row for row in onward if row.next_ or row.zone in zones]
+    told = {row.zone for row in onward}
+    contexts = [
+        replace(row, to={zone: number for zone, number in row.to.items() if zone in zones})
+        for row in model.contexts or []
+        if row.zone in told
+    ]
+    ways = [way for way in model.pace.ways if way.exit in zones] if model.pace else []
+    return replace(
+        model,
+        zones=[zone for zone in model.zones if zone.zone in zones],
+        cameras=[camera for camera in model.cameras if camera.camera in cameras],
+        onward=None if model.onward is None else onward,
+        entered=None if model.entered is None else [kernel for kernel in model.entered if kernel.to in zones],
+        contexts=None if model.contexts is None else contexts,
+        pace=None if model.pace is None else replace(model.pace, ways=ways),
+    )  # fmt: skip
+
+
+def _own_outcomes(row: Onward, zones: Set[str]) -> Onward:
+    """Whoever goes elsewhere leaves, as far as the district can tell."""
+    elsewhere = sum(outcome.share for outcome in row.next_ if outcome.to not in zones)
+    if not elsewhere:
+        return row
+    return Onward(
+        row.zone, short(min(row.leave + elsewhere, 1.0)), [outcome for outcome in row.next_ if outcome.to in zones]
+    )
+
+
+def _is_of(alarm: Alarm, cameras: Set[str]) -> bool:
+    """Whether the alarm's subject, a camera, a zone or a link into it, is of the ``cameras``."""
+    return alarm.subject.split("->")[-1].split("/")[0] in cameras
