@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
+import types
+import typing
 from typing import Any, TypeVar
 
 import msgspec
@@ -17,9 +19,15 @@ EVENT_BYTES_MAX = 4096
 T_MIN, T_MAX = -86_400.0, 32_503_680_000.0
 """The times an event may have: to the year 3000; from 1970, as a file's count from 0, and its clock may be behind."""
 TRACK_CHARACTERS_MAX = 128
+PART_BYTES = 1 << 16
+"""What is decoded in one go of a large noun: less than a millisecond."""
+_JSON_STARTS = b"{ \t\r\n"
+"""An event that begins with one of these is JSON: a MessagePack map begins above 0x7f."""
 
 _json_event = msgspec.json.Decoder(Event)
 _pack_event = msgspec.msgpack.Decoder(Event)
+_raw_list = msgspec.msgpack.Decoder(list[msgspec.Raw])
+_raw_map = msgspec.msgpack.Decoder(dict[str, msgspec.Raw])
 _to_json = msgspec.json.Encoder()
 _to_pack = msgspec.msgpack.Encoder()
 _T = TypeVar("_T")
@@ -43,6 +51,11 @@ def event_from_json(line: bytes | str) -> Event:
 def event_from_pack(payload: bytes) -> Event:
     """The same record from MessagePack; raises `Rejected`."""
     return _event(_pack_event, payload)
+
+
+def event_from_bytes(raw: bytes) -> Event:
+    """An event as MessagePack, or as JSON; raises `Rejected`."""
+    return event_from_json(raw) if raw[:1] and raw[0] in _JSON_STARTS else event_from_pack(raw)
 
 
 def _event(decoder: Any, raw: bytes) -> Event:
@@ -92,6 +105,25 @@ def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
     decoder: Any = msgspec.msgpack.Decoder(kind) if pack else msgspec.json.Decoder(kind)
     result: _T = _decode(decoder, raw)
     return result
+
+
+def read_in_parts(kind: Any, raw: bytes | msgspec.Raw) -> Any:
+    """The same from MessagePack for large nouns: decoded in one go, no other thread would get a turn meanwhile."""
+    if len(raw) <= PART_BYTES:
+        return _decode(msgspec.msgpack.Decoder(kind), raw)
+    if isinstance(kind, types.UnionType) and len(typing.get_args(kind)) == 2:  # it or None, which is not as large
+        (kind,) = (one for one in typing.get_args(kind) if one is not types.NoneType)
+    if typing.get_origin(kind) is list:
+        (item,) = typing.get_args(kind)
+        return [read_in_parts(item, part) for part in _decode(_raw_list, raw)]
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        parts = _decode(_raw_map, raw)
+        fields = msgspec.structs.fields(kind)
+        if missing := [field.encode_name for field in fields if field.required and field.encode_name not in parts]:
+            raise Rejected("bad-value", f"{kind.__name__} without {missing[0]}")
+        known = [field for field in fields if field.encode_name in parts]
+        return kind(**{field.name: read_in_parts(field.type, parts[field.encode_name]) for field in known})
+    return _decode(msgspec.msgpack.Decoder(kind), raw)
 
 
 def to_json(noun: Event | Topology | Delta | Prediction | Any) -> bytes:

@@ -15,6 +15,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from camtopod import redact, secret_files, toml_lines
+from camtopod.districts.dealing import Sharding
 from camtopod.learn.settings import Settings
 from camtopod.records import CAMERA_PATTERN
 from camtopod.toml_tables import DEFAULT_ENDPOINT, Endpoint, Problem, TableReader, did_you_mean, is_endpoint, syntax
@@ -182,6 +183,7 @@ class Config(Struct, frozen=True):
     keep: KeepSettings = KeepSettings()
     limits: Limits = Limits()
     health: HealthSettings = HealthSettings()
+    shards: Sharding = Sharding()
 
     @property
     def state_directory(self) -> Path:
@@ -242,6 +244,7 @@ TABLES: dict[str, type[Struct]] = {
     "keep": KeepSettings,
     "limits": Limits,
     "health": HealthSettings,
+    "shards": Sharding,
 }
 """The tables with fixed keys; ``[cameras.ID]`` is the other one."""
 

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from serving import closing_event, walkers
 
 from camtopod.codec import (
     EVENT_BYTES_MAX,
@@ -17,10 +18,12 @@ from camtopod.codec import (
     event_from_json,
     event_from_pack,
     read,
+    read_in_parts,
     to_json,
     to_pack,
 )
-from camtopod.records import Ack, Event, NextCamera, Prediction
+from camtopod.learn.learner import Learner
+from camtopod.records import Ack, Event, NextCamera, Prediction, Topology
 
 GOOD = {"camera": "lobby", "kind": "entry", "t": 1700000000.25, "x": 0.31, "y": 0.88, "track": "17"}
 NUMBERS = st.floats(0, 1)
@@ -181,3 +184,17 @@ def test_other_nouns() -> None:
     with pytest.raises(Rejected) as caught:
         read(Ack, b"\xc1", pack=True)
     assert caught.value.reason == "malformed"
+
+
+@pytest.mark.parametrize("part_bytes", [1, 50, 1000, 10**9])
+def test_in_parts_a_topology_is_the_same(part_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    learner = Learner()
+    for event in [*walkers(40), closing_event()]:
+        learner.receive(event)
+    packed = to_pack(learner.topology)
+    monkeypatch.setattr("camtopod.codec.PART_BYTES", part_bytes)
+    assert to_pack(read_in_parts(Topology, packed)) == packed
+    assert read_in_parts(Topology, packed) == learner.topology
+    for spoiled in (packed[:-1], packed[: len(packed) // 2], packed.replace(b"zones", b"zonen")):
+        with pytest.raises(Rejected):
+            read_in_parts(Topology, spoiled)

@@ -46,7 +46,7 @@ def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: P
     result = score(topology, truth)
     assert result.text() in done.stdout
     assert result.zones_matched >= 12
-    assert result.pair_recall >= 0.3  # three minutes tell of few ways
+    assert result.pair_recall >= 0.5  # three minutes tell of few ways
     assert topology.as_of < time.time()
     assert topology.events > 100
     assert re.search(r"^entrance - hall +overlapped +-\d", done.stdout, re.M)
@@ -112,7 +112,8 @@ def test_a_grabber_that_fails_ends_the_demo_with_its_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     broken = tmp_path / "python"
-    broken.write_text("#!/bin/sh\necho it is broken >&2\nexit 3\n")
+    grabber = 'case "$*" in *" grab "*) echo it is broken >&2; exit 3;; esac'
+    broken.write_text(f'#!/bin/sh\n{grabber}\nexec {sys.executable} "$@"\n')
     broken.chmod(0o755)
     recording = demo.Recording(demo.site(), [], Truth(TRUTH_SCHEMA, [], [], [], []), 1.0, {"hall": tmp_path / "x"})
     monkeypatch.setattr(demo, "_record", lambda *_: recording)

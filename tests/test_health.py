@@ -93,10 +93,18 @@ def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable
     return go.set
 
 
-def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+def stopped(daemon: Daemon) -> Callable[[], None]:
+    """Let the learner's process do nothing any more; returns what lets it go."""
+    assert daemon._process is not None
+    pid = daemon._process.pid
+    os.kill(pid, signal.SIGSTOP)
+    return lambda: os.kill(pid, signal.SIGCONT)
+
+
+def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon) -> None:
     time.sleep(0.7)  # longer than any loop is allowed
     assert (daemon.failing(), daemon.unready()) == ([], [])
-    let_go = stuck_in(daemon._learning, "_learn", monkeypatch)
+    let_go = stopped(daemon)
     put(daemon, Event("lobby", "entry", T0))
     wait_for(lambda: daemon.failing() != [], "it to be noticed")
     assert [reason.split()[0] for reason in daemon.failing()] == ["learn"]
@@ -109,9 +117,9 @@ def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon, mo
     assert daemon.status()["state"] == "running"
 
 
-def test_a_long_refit_has_its_own_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_refit_has_its_own_limit(tmp_path: Path) -> None:
     with Daemon(strict(tmp_path, stall_seconds=0.3, learn_seconds=60.0)) as daemon:
-        let_go = stuck_in(daemon._learning, "_learn", monkeypatch)
+        let_go = stopped(daemon)
         put(daemon, Event("lobby", "entry", T0))
         wait_for(lambda: daemon.status()["events"]["waiting"] == 1, "it to be learned")
         time.sleep(0.8)
@@ -370,12 +378,12 @@ def test_how_often_the_watchdog_is_fed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_daemon_whose_learner_hangs_does_not_feed_the_watchdog(
-    daemon: Daemon, systemd_socket: Systemd, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    daemon: Daemon, systemd_socket: Systemd, caplog: pytest.LogCaptureFixture
 ) -> None:
     with systemd.watchdog(daemon.failing, lambda: not daemon.started):
         assert systemd_socket.hear(0.4).count("WATCHDOG=1") >= 3
         assert not any(line.startswith("EXTEND") for line in systemd_socket.told)
-        let_go = stuck_in(daemon._learning, "_learn", monkeypatch)
+        let_go = stopped(daemon)
         put(daemon, Event("lobby", "entry", T0))
         wait_for(lambda: daemon.failing() != [], "it to be noticed")
         systemd_socket.hear(0.2)

@@ -40,14 +40,24 @@ def problems(module: str, source: str) -> list[str]:
     if folder == "learn":
         wrong += sorted(name for name in ours if name not in NOUNS and not name.startswith("camtopod.learn"))
         wrong += sorted(packages & {"logging", "threading", "socket", "time", "random", "sqlite3", "zenoh", "cv2"})
+    if folder == "districts":
+        wrong += sorted(
+            name for name in ours if name not in NOUNS and not name.startswith(("camtopod.districts", "camtopod.learn"))
+        )
+        wrong += sorted(packages & {"logging", "threading", "socket", "time", "random"})
+    if folder == "adapt":
+        wrong += sorted(name for name in ours if name not in NOUNS and not name.startswith("camtopod.adapt"))
+        wrong += sorted(packages & {"logging", "threading", "socket", "time", "random"})
     if folder == "vision":
         wrong += sorted(
             name for name in ours if name not in NOUNS | {"camtopod.redact"} and not name.startswith("camtopod.vision")
         )
-    if folder in ("serve", "sim", "export") or module == "config.py":
+    if folder in ("serve", "sim", "export", "client") or module == "config.py":
         wrong += sorted(name for name in ours if name.startswith("camtopod.cli"))
     if "zenoh" in packages and module != "serve/bus.py":
         wrong.append("zenoh")
+    if "paho" in packages and module != "serve/mqtt.py":
+        wrong.append("paho")
     if "cv2" in packages and folder not in ("vision", "sim", "export"):
         wrong.append("cv2")
     if "sqlite3" in packages and folder != "serve":
@@ -81,8 +91,12 @@ def test_the_guard_sees_a_wrong_import() -> None:
         "camtopod.serve", "zenoh", "zenoh",
     ]  # fmt: skip
     assert problems("records.py", "from camtopod import config") == ["camtopod.config"]
+    assert problems("districts/x.py", "import time\nfrom camtopod.serve import bus") == ["camtopod.serve", "time"]
+    assert problems("learn/x.py", "from camtopod.districts import line") == ["camtopod.districts"]
     assert problems("vision/x.py", "def f():\n    from camtopod.learn import settings") != []
     assert problems("serve/x.py", "import camtopod.cli.main") == ["camtopod.cli.main"]
+    assert problems("cli/x.py", "from paho.mqtt import client") == ["paho"]
+    assert problems("adapt/x.py", "import time\nfrom camtopod.serve import mqtt") == ["camtopod.serve", "time"]
     assert wall_clock_reads("import time\nnow = time.time()") == [2]
     assert wall_clock_reads("from time import time") == [1]
 

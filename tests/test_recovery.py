@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import signal
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
@@ -15,15 +16,17 @@ import msgspec
 import pytest
 from serving import closing_event, numbered, small_config, walkers
 
-from camtopod.codec import to_json, to_pack
+from camtopod.codec import to_pack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.records import Event, Topology
+from camtopod.records import Event
 from camtopod.serve import recovery, wal
 from camtopod.serve.cameras import Received
 from camtopod.serve.database import StateError, crc
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learning import Learning
+from camtopod.serve.progress import no_beat
 from camtopod.serve.recovery import recover
 from camtopod.serve.storing import Version
 
@@ -34,10 +37,13 @@ EVENTS = [*sorted(numbered(walkers(60)), key=lambda event: event.t), closing_eve
 class Installation:
     """A journal and the learning of a daemon on it, without the bus: stored, learned, stopped, started again."""
 
-    def __init__(self, directory: Path, settings: Settings = SETTINGS, snapshot_events: int = 10**9) -> None:
+    def __init__(
+        self, directory: Path, settings: Settings = SETTINGS, snapshot_events: int = 10**9, program: str = PROGRAM
+    ) -> None:
         self.journal = Journal(directory)
+        self.process = LearnerProcess(program)
         with contextlib.ExitStack() as undo:
-            undo.callback(self.journal.close)
+            undo.callback(self.close)
             self._begin(settings, snapshot_events)
             undo.pop_all()
 
@@ -46,10 +52,10 @@ class Installation:
         self._snapshot: list[Snapshot] = []
         self._versions: list[Version] = []
         self._epochs = iter("EFGHIJ"[len(self.journal.meta("epochs") or "") :])
-        recovered = recover(self.journal, settings, "s", self.new_epoch)
+        recovered = recover(self.journal, self.process, settings, "s", self.new_epoch)
         self.started_at = recovered.position
         self.learning = Learning(
-            recovered, self.journal, 10**6, snapshot_events,
+            recovered, self.process, self.journal, 10**6, snapshot_events,
             self._versions.append, self._snapshot.append, lambda _: None, self.new_epoch,
         )  # fmt: skip
 
@@ -79,9 +85,9 @@ class Installation:
                 stop.set()
 
         self.learning.work(stop, beat)
-        self.learning._tell()
-        for topology, _ in self._versions:
-            stored = StoredVersion(topology.epoch, topology.version, topology.digest, to_json(topology))
+        self.learning._tell(stop, no_beat)
+        for topology, content, *_ in self._versions:
+            stored = StoredVersion(topology.epoch, topology.version, topology.digest, content)
             self.journal.commit([], [stored])
             self.published.append((topology.epoch, topology.version, topology.digest))
         for snapshot in self._snapshot:
@@ -90,6 +96,7 @@ class Installation:
         self._snapshot.clear()
 
     def close(self) -> None:
+        self.process.close()
         self.journal.close()
 
 
@@ -192,24 +199,29 @@ def test_without_a_snapshot_and_the_oldest_events_an_epoch_begins(start: Start) 
     assert {epoch for epoch, _, _ in again.published} == {"F"}
 
 
+@pytest.mark.parametrize(
+    ("what", "status", "times"),
+    [
+        ("fails", 1, recovery.FAILURES_MAX),
+        ("crashes", -signal.SIGSEGV, recovery.FAILURES_MAX),
+        ("killed", -signal.SIGKILL, recovery.KILLS_MAX),
+    ],
+)
 def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
-    start: Start, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+    what: str, status: int, times: int, start: Start, caplog: pytest.LogCaptureFixture,
+    capfd: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     one = start()
     one.learn(EVENTS[:120])
-    receive = Learner.receive
-
-    def fail(learner: Learner, event: Event) -> str:
-        if event == EVENTS[130]:
-            raise ZeroDivisionError
-        return receive(learner, event)
-
-    monkeypatch.setattr(Learner, "receive", fail)
-    one.store(EVENTS[120:160])
-    for _ in range(recovery.FAILURES_MAX):
-        with pytest.raises(ZeroDivisionError):
-            start().run()
-    again = start()
+    one.store([*EVENTS[120:130], msgspec.structs.replace(EVENTS[130], track=what), *EVENTS[131:160]])
+    for _ in range(times):
+        failing = start(program="learners.faulty")
+        assert failing.started_at == 120
+        with pytest.raises(LearnerEnded) as ended:
+            failing.run()
+        assert (ended.value.status, ended.value.at) == (status, 131)
+    assert ("ZeroDivisionError: at " in capfd.readouterr().err) == (what == "fails")
+    again = start(program="learners.faulty")
     assert again.started_at == 131
     assert "begins anew behind it" in caplog.text
     again.run()
@@ -265,15 +277,8 @@ def test_of_an_epoch_that_has_ended_no_version_comes(start: Start) -> None:
     rows = one.journal._db.execute("SELECT * FROM version WHERE version = 1").fetchone()
     changed = (*rows[:4], "another digest", *rows[5:7])
     one.journal._db.execute("UPDATE version SET digest = ?, crc = ? WHERE version = 1", (changed[4], crc(*changed)))
-    again = start()
-    learner, step = again.learning._learner, Learner.updates
-
-    def all_at_once(self: Learner) -> list[Topology]:
-        return step(self) if self is not learner or len(self._updates) != 1 or self.epoch != "E" else []
-
-    with pytest.MonkeyPatch.context() as slow:
-        slow.setattr(Learner, "updates", all_at_once)
-        again.run()
+    again = start(program="learners.hoarding")
+    again.run()
     assert {epoch for epoch, _, _ in again.published} == {"F"}
 
 
@@ -318,18 +323,12 @@ def test_an_event_that_cannot_be_read_any_more_holds_no_start_up(start: Start) -
     assert recovery.recent_events(again.journal) == [e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS]
 
 
-def test_what_a_newer_program_has_learned_is_not_thrown_away(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = start(snapshot_events=50)
-    one.learn(EVENTS[:100])
-    one.learn(EVENTS[100:150])
-    with monkeypatch.context() as newer:
-        newer.setattr("camtopod.learn.snapshot.FORMAT", 2)
-        one.learn(EVENTS[150:220])
+def test_what_a_newer_program_has_learned_is_not_thrown_away(start: Start) -> None:
+    one = start(snapshot_events=50, program="learners.newer")
+    one.learn(EVENTS[:150])
     with pytest.raises(StateError, match="a newer camtopod has saved what was learned"):
         start()
-    with monkeypatch.context() as newer:
-        newer.setattr("camtopod.learn.snapshot.FORMAT", 2)
-        assert start().started_at == 220
+    assert start(program="learners.newer").started_at == 150
 
 
 def test_a_journal_of_nothing_is_a_first_start(start: Start) -> None:
@@ -345,9 +344,11 @@ def test_what_predictions_remember(start: Start) -> None:
     last = EVENTS[49].t
     assert recovery.recent_events(one.journal) == [e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS]
     one.learn(EVENTS[50:])
-    newest = recovery.newest_topology(one.journal, Learner(SETTINGS))
+    newest = recovery.newest_topology(one.journal, one.process)
     assert newest is not None
     assert newest.digest == one.published[-1][2]
+    one.journal._db.execute("DELETE FROM version")
+    assert recovery.newest_topology(one.journal, one.process) == newest, "as the learner has it"
 
 
 def test_a_closed_journal_can_be_opened_again(tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
 import random
+import signal
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
@@ -119,6 +121,28 @@ def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site
     assert (status["alarms"], status["score"]) == ([], expected.score)
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_daemon_whose_learner_is_killed_fails_and_goes_on_where_it_was(site: Site) -> None:
+    daemon = site.daemon()
+    events = [*numbered(walkers(40)), closing_event()]
+    put(site.client(daemon), *events[:100])
+    wait_for(
+        lambda: daemon.status()["events"]["stored"] == 100 and not daemon.status()["events"]["waiting"], "learning"
+    )
+    assert daemon._process is not None
+    os.kill(daemon._process.pid, signal.SIGKILL)
+    assert daemon.wait(5.0)
+    assert daemon.failing() == ["a part of the daemon has failed"]
+    daemon.stop()
+    again = site.daemon()
+    assert again.epoch == daemon.epoch
+    put(site.client(again), *events[100:])
+    expected = learned(events)
+    wait_for(lambda: again.topology is not None and again.topology.version == expected.version, "the last version")
+    assert again.topology is not None
+    assert again.topology.digest == expected.digest
+
+
 def test_a_restart_replays_the_journal_to_the_same_version(site: Site) -> None:
     daemon = site.daemon()
     bus = site.client(daemon)
@@ -198,6 +222,7 @@ def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
     put(bus, *numbered(walkers(60)), closing_event())
     wait_for(lambda: daemon.topology is not None and len(daemon.topology.links) > 0, "links")
     wait_for(lambda: daemon.status()["events"]["waiting"] == 0, "the learner")
+    wait_for(lambda: daemon.status()["version"] == daemon.status()["learner"]["version"], "what it learned to be used")
     predictions: list[Prediction] = []
     bus.subscribe("prediction/*", lambda key, raw: predictions.append(codec.read(Prediction, raw, pack=True)))
     t = T0 + 11 * serving.SPAN_SECONDS

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from serving import T0, closing_event, numbered, walkers
 
-from camtopod.codec import Rejected, to_pack
+from camtopod.codec import Rejected, to_json, to_pack
 from camtopod.config import Limits
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction
@@ -160,7 +160,8 @@ def first_version() -> Version:
     learner = Learner(epoch="E")
     for event in [*numbered(walkers(20)), closing_event()]:
         learner.receive(event)
-    return Version(learner.updates()[0], None)
+    topology = learner.updates()[0]
+    return Version(topology, to_json(topology), to_pack(topology), None)
 
 
 def test_a_version_that_could_not_be_stored_at_the_end_is_stored_before_a_snapshot_that_has_it(

@@ -33,7 +33,7 @@ def example() -> str:
     parts = [_HEAD, _table("site", TABLES["site"], {"name": "hq"})]
     parts += [_table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
     parts += [_CAMERAS + "\n".join(_settings(CameraSettings, {}))]
-    parts += [_table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health")]
+    parts += [_table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health", "shards")]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import faulthandler
 import logging
+import re
 from typing import Any
 
 from camtopod.cli import exits
@@ -33,6 +34,20 @@ def add_parser(subparsers: Any) -> None:
         "SIGHUP reads the configuration anew.",
     )
     parser.add_argument("--state", metavar="DIRECTORY", help="where the journal is kept (default: [state] directory)")
+    parser.add_argument(
+        "--shard",
+        metavar="I/N",
+        type=_shard,
+        help="share the site's cameras with N - 1 others; I from 0",
+    )
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """``2/8``: a shard's number and how many there are."""
+    found = re.fullmatch("([0-9]{1,4})/([1-9][0-9]{0,3})", text)
+    if found is None or int(found[1]) >= int(found[2]):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a shard: of 8 there are 0/8 to 7/8")
+    return int(found[1]), int(found[2])
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,7 +57,12 @@ def run(args: argparse.Namespace) -> int:
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
     with signals() as told, leaving(told.stop, LEAVE_SECONDS):
         config = configuration(args)
-        daemon = Daemon(config)
+        if args.shard and args.shard[1] > config.shards.districts:
+            raise CommandError(
+                f"--shard: {args.shard[1]} shards cannot share the {config.shards.districts} of [shards] districts",
+                exits.USAGE,
+            )
+        daemon = Daemon(config, shard=args.shard)
         try:
             with (
                 refusals_heard(),

@@ -82,14 +82,22 @@ class Bus:
             if not self._closed.is_set():
                 log.warning("cannot publish on %s: %s", key, error)
 
-    def subscribe(self, key: str, on_message: OnMessage) -> None:
-        """Hand every publication on ``key`` (may hold ``*``) to ``on_message``."""
+    def subscribe(self, key: str, on_message: OnMessage) -> Callable[[], None]:
+        """Hand every publication on ``key`` (may hold ``*``) to ``on_message``; returns what ends it."""
 
         def receive(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
                 on_message(self._below(str(sample.key_expr)), sample.payload.to_bytes())
 
-        self._declared.append(self._session.declare_subscriber(self._full(key), receive))
+        subscriber: Any = self._session.declare_subscriber(self._full(key), receive)
+        self._declared.append(subscriber)
+
+        def end() -> None:
+            self._declared.remove(subscriber)
+            with contextlib.suppress(zenoh.ZError):
+                subscriber.undeclare()
+
+        return end
 
     def answer(self, key: str, answer: Answer, schema: str) -> None:
         """Answer queries on ``key`` (may hold ``*``) in MessagePack, or JSON if format=application/json."""

@@ -2,8 +2,9 @@
 
 Theory of operation. Four threads besides the bus's own. *Receive* puts what came in in order and answers exits over the
 newest version. *Store* owns the journal: it commits what is in order, acknowledges it, and stores each version before
-it is published. *Learn* feeds the learner what is committed, in the journal's order. *Pull* asks the publishers' spools
-for what is missing. Every hand-over is a bounded queue; when one is full, events stay in the spools.
+it is published. *Learn* teaches the learner, which is in a process of its own, what is committed, in the journal's
+order. *Pull* asks the publishers' spools for what is missing. Every hand-over is a bounded queue; when one is full,
+events stay in the spools.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -23,17 +25,20 @@ from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
-from camtopod.serve.bus import Bus, QueryError, meet
+from camtopod.serve.bus import Bus, QueryError, dial, meet
 from camtopod.serve.changes import changes
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
+from camtopod.serve.learner_process import LearnerProcess
 from camtopod.serve.learning import Learning
 from camtopod.serve.live import Live
 from camtopod.serve.progress import Mark, Progress
 from camtopod.serve.puller import Puller
 from camtopod.serve.receiver import Receiver
-from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover
+from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover, told_by
 from camtopod.serve.rivals import Rivals
+from camtopod.serve.share import Share, Whole
+from camtopod.serve.sharing import Sharing
 from camtopod.serve.storing import Version
 
 log = logging.getLogger(__name__)
@@ -48,7 +53,8 @@ class Daemon:
     """Everything `camtopod run` does, also usable inside another process.
 
     With ``bus`` it works on that session and leaves it open; without, it opens (and closes) its own as the
-    configuration says. ``start`` returns when it is ready to receive. Raises `BusError` or `StateError`.
+    configuration says. ``shard``: (i, n) of a site that several share; none has it to itself. ``start`` returns when it
+    is ready to receive. Raises `BusError` or `StateError`.
     """
 
     def __init__(
@@ -56,13 +62,17 @@ class Daemon:
         config: Config,
         bus: Bus | None = None,
         clock: clocks.Clock = clocks.wall,
+        shard: tuple[int, int] | None = None,
     ) -> None:
         self._config, self._clock = config, clock
+        self._share = Whole() if shard is None else Share(config.shards, shard)
+        self._sharing: Sharing | None = None
         self._given_bus = bus
         self._bus: Bus | None = bus
         self._stopping = threading.Event()
         self._failed = threading.Event()
         self._threads: list[threading.Thread] = []
+        self._process: LearnerProcess | None = None
         self.started = False
         """Whether `start` has done its work."""
         self.progress = Progress()
@@ -85,37 +95,40 @@ class Daemon:
         """Read the journal, join the bus and begin; False if ``cancel`` was set before that was done."""
         cancelled = cancel or self._stopping
         self.progress.watch("start", self._config.health.learn_seconds)
-        self._journal = Journal(self._config.state_directory, self._config.keep)
+        config, share = self._config, self._share
+        directory = config.state_directory / share.folder
+        self._journal = Journal(directory, config.keep)
         try:
-            recovered = recover(self._journal, self._config.learn, self._config.site.name, self._new_epoch)
-            if cancelled.is_set():
-                self._journal.close()
-                return False
+            self._process = process = LearnerProcess()  # which loads its libraries while the bus is joined
             if self._bus is None:
-                self._bus = meet(self._config)
-            self._build(self._bus, recovered)
-            self._rivals = Rivals(self._bus, self._name())
-            self._rivals.refuse(self._config.bus.connect_seconds, cancelled)
+                self._bus = meet(config) if share.first else dial(config)
+            recovered = recover(self._journal, process, config.learn, config.site.name, self._new_epoch, share.portion)
+            if cancelled.is_set():
+                self._undo()
+                return False
+            self._build(self._bus, recovered, process, directory)
+            self._rivals = Rivals(self._bus, self._name(), share.shard)
+            self._rivals.refuse(config.bus.connect_seconds, cancelled)
             self._serve(self._bus)
         except sqlite3.Error as error:
             self._undo()
-            where = self._config.state_directory
-            raise StateError(f"cannot read the journal in {where}: {error}; it is left as it is") from None
+            raise StateError(f"cannot read the journal in {directory}: {error}; it is left as it is") from None
         except BaseException:
             self._undo()
             raise
-        if self.topology is not None:
+        if self.topology is not None and self._share.first:
             self._bus.put("topology", self.topology, "topology")
-        stall = self._config.health.stall_seconds
+        health, limits = config.health, config.limits
+        stall = health.stall_seconds
         self._run("receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall)
         self._run("store", lambda mark: self._receiver.store(self._stopping, mark.beat), stall)
-        self._run(
-            "learn", lambda mark: self._learning.work(self._stopping, mark.beat), self._config.health.learn_seconds
-        )
-        self._run(
-            "pull", lambda mark: self._puller.work(self._stopping, mark), self._config.limits.pull_seconds + stall
-        )
-        self._run("status", self._tell_status, self._config.limits.status_seconds + stall)
+        self._run("learn", lambda mark: self._learning.work(self._stopping, mark.beat), health.learn_seconds)
+        self._run("pull", lambda mark: self._puller.work(self._stopping, mark), limits.pull_seconds + stall)
+        self._run("status", self._tell_status, limits.status_seconds + stall)
+        if (sharing := self._sharing) is not None:
+            self._run("follow", lambda mark: sharing.follow(self._stopping, mark.beat), stall)
+            self._run("tell", lambda mark: sharing.tell(self._stopping, mark.beat), stall)
+            self._run("hear", lambda mark: sharing.hearing.work(self._stopping, mark.beat), stall)
         self.progress.forget("start")
         self.started = True
         log.info("site %s, epoch %s: ready at %s", self._config.site.name, self.epoch, self._bus.endpoint)
@@ -136,10 +149,16 @@ class Daemon:
         if self._bus is not None and self._given_bus is None:
             self._bus.close()
         running = {thread.name for thread in self._threads if thread.is_alive()}
+        if "learn" in running and self._process is not None:  # which does not even listen
+            self._process.kill()
         if "store" not in running:
             if self.started and "learn" not in running:
                 self._receiver.storing.last_words(None if self._failed.is_set() else self._learning.snapshot())
             self._journal.close()
+        if self._sharing is not None and "follow" not in running:
+            self._sharing.close()
+        if self._process is not None:
+            self._process.close()
 
     def failing(self) -> list[str]:
         """Why it should be started again; empty if all loops get on."""
@@ -151,7 +170,7 @@ class Daemon:
             return ["the daemon is stopping"]
         if not self.started or self._bus is None:
             return ["the daemon is starting"]
-        reasons = [self._receiver.storing.reason] if self._receiver.storing.reason else []
+        reasons = [self._storing_reason] if self._storing_reason else []
         if self._learning.replaying:
             reasons.append(f"{self._learning.replaying} entries of the journal are still to be learned")
         if not self._config.listens and not self._bus.connected:
@@ -172,11 +191,12 @@ class Daemon:
     def status(self) -> dict[str, Any]:
         """What ``status/daemon`` says: state, reason, counters."""
         receiver, learning = self._receiver, self._learning
-        reason = receiver.storing.reason or self._rivals.reason or "; ".join(self.failing())
+        reason = self._storing_reason or self._rivals.reason or "; ".join(self.failing())
         return {
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
             "site": self._config.site.name,
+            **({"shard": self._share.name} if isinstance(self._share, Share) else {}),
             "epoch": self.epoch,
             "version": 0 if self.topology is None else self.topology.version,
             "t": self._clock(),
@@ -203,6 +223,11 @@ class Daemon:
             },
         }
 
+    @property
+    def _storing_reason(self) -> str:
+        """Why nothing is stored at the moment; "" if all is well."""
+        return self._receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason)
+
     def _journal_status(self) -> dict[str, Any]:
         """Of a disk that cannot be read the reason."""
         known: dict[str, Any] = {"entries": len(self._journal), "damaged": self._learning.damaged}
@@ -221,8 +246,12 @@ class Daemon:
 
     def _undo(self) -> None:
         """A start that failed leaves nothing open."""
+        if self._process is not None:
+            self._process.close()
         if self._bus is not None and self._given_bus is None:
             self._bus.close()
+        if self._sharing is not None:
+            self._sharing.close()
         self._journal.close()
 
     def _new_epoch(self) -> str:
@@ -231,32 +260,41 @@ class Daemon:
         self._journal.set_meta("epoch", epoch)
         return epoch
 
-    def _build(self, bus: Bus, recovered: Recovered) -> None:
-        limits = self._config.limits
-        self.topology = newest_topology(self._journal, recovered.learner)
-        self._live = Live(self._publish_prediction)
-        if self.topology is not None:
-            self._live.use(self.topology)
-        self._live.remember(recent_events(self._journal))
+    def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess, directory: Path) -> None:
+        limits, share = self._config.limits, self._share
+        self._live = Live(self._publish_prediction, share.owns)
+        if isinstance(share, Whole):
+            self.topology = newest_topology(self._journal, process)
+            if self.topology is not None:
+                self._live.use(self.topology)
         self._receiver = Receiver(
             self._journal, bus, limits, self._clock,
             learn=lambda batch: self._learning.feed(batch), room=lambda: self._learning.room(),
-            publish=self._publish, see=self._live.see,
+            publish=self._publish, see=self._live.see, owns=share.owns,
         )  # fmt: skip
         storing = self._receiver.storing
         self._learning = Learning(
-            recovered, self._journal, limits.learn_events_max, self._config.keep.snapshot_events,
-            storing.on_version, storing.on_snapshot, self._receiver.on_deadline, self._new_epoch,
+            recovered, process, self._journal, limits.learn_events_max, self._config.keep.snapshot_events,
+            self._on_version, storing.on_snapshot, self._receiver.on_deadline, self._new_epoch,
         )  # fmt: skip
+        if isinstance(share, Share):
+            self._sharing = Sharing(
+                self._config, share, directory, bus, self._learning, told_by(process), self._clock, self._use
+            )
+        self._live.remember(recent_events(self._journal))
         receiver = self._receiver
         self._puller = Puller(bus, limits, receiver.streams.wanted, receiver.on_pulled, receiver.gap, receiver.rejects)
 
     def _serve(self, bus: Bus) -> None:
-        bus.answer("topology", lambda key, parameters: self._version(parameters), "topology")
+        if self._share.first:
+            bus.answer("topology", lambda key, parameters: self._version(parameters), "topology")
         bus.answer("predict/*", self._live.answer, "prediction")
-        bus.answer("status/daemon", lambda key, parameters: self.status(), "status")
-        bus.subscribe("event/*", self._receiver.on_event)
-        bus.watch_alive("grabber", self._on_alive)
+        bus.answer(self._share.status_key, lambda key, parameters: self.status(), "status")
+        if self._sharing is None:
+            bus.subscribe("event/*", self._receiver.on_event)
+            bus.watch_alive("grabber", self._on_alive)
+        else:
+            self._sharing.serve(self._receiver.on_event, self._on_alive)
         self._rivals.appear()
 
     def _name(self) -> str:
@@ -286,21 +324,42 @@ class Daemon:
         if (epoch, wanted) == (self.topology.epoch, str(self.topology.version)):
             return self.topology
         try:
-            content = self._journal.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
+            kept = self._journal if self._sharing is None or self._sharing.merger is None else self._sharing.merger
+            content = kept.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
             if content is not None:
                 return codec.read(Topology, content)
         except (sqlite3.Error, StateError, codec.Rejected) as error:
             raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
 
+    def _on_version(self, version: Version) -> None:
+        """A version that was learned."""
+        if self._sharing is None:
+            self._live.prepare(version.topology)
+        self._receiver.storing.on_version(version)
+
     def _publish(self, version: Version) -> None:
-        """A version that is stored: everybody may know it."""
+        """A version that is stored: everybody may know it, or the other shards."""
+        if self._sharing is None:
+            self._announce(version)
+        else:
+            self._sharing.publish(version)
+
+    def _use(self, newest: Version | Topology) -> None:
+        """The whole site's topology, of a shard."""
+        if isinstance(newest, Version):
+            self._announce(newest)
+        else:
+            self.topology = newest
+            self._live.use(newest)
+
+    def _announce(self, version: Version) -> None:
         assert self._bus is not None
-        self.topology = version.topology
         self._live.use(version.topology)
+        self.topology = version.topology
         if version.delta is not None:
-            self._bus.put("topology/delta", version.delta, "topology-delta")
-        self._bus.put("topology", version.topology, "topology")
+            self._bus.put_raw("topology/delta", version.delta, "topology-delta")
+        self._bus.put_raw("topology", version.packed, "topology")
         for alarm in version.topology.alarms or []:
             if alarm.version == version.topology.version:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
@@ -317,7 +376,7 @@ class Daemon:
     def _tell_status(self, mark: Mark) -> None:
         assert self._bus is not None
         while not self._stopping.wait(self._config.limits.status_seconds):
-            self._bus.put("status/daemon", self.status(), "status")
+            self._bus.put(self._share.status_key, self.status(), "status")
             mark.beat()
 
     def _run(self, name: str, work: Callable[[Mark], None], seconds_max: float) -> None:

@@ -1,42 +1,63 @@
-"""The learner in a thread of its own, so that a refit holds nothing up: first what the journal has beyond the
-snapshot, then what comes.
+"""What the learner is taught, in what order, and what becomes of it: first what the journal has beyond the snapshot,
+then what comes. The learning itself is done in a process of its own, so that a refit holds nothing up; order, ledger
+and failures are looked after here.
 """
 
 from __future__ import annotations
 
 import logging
 import queue
-import sqlite3
+import signal
 import threading
+import time
 from collections.abc import Callable
 
-from camtopod.learn.snapshot import pack
-from camtopod.learn.topology import make_delta
-from camtopod.records import Event, Topology
+from camtopod import codec
+from camtopod.records import Topology
 from camtopod.serve import memory
 from camtopod.serve.cameras import Received
-from camtopod.serve.journal import Journal, Snapshot
+from camtopod.serve.journal import Entry, Journal, Snapshot
+from camtopod.serve.learner_messages import (
+    LESSONS_MAX,
+    Answer,
+    Lesson,
+    Made,
+    NewEpoch,
+    Otherwise,
+    Question,
+    Refresh,
+    Save,
+    Saved,
+    Taught,
+    Teach,
+)
+from camtopod.serve.learner_process import LearnerEnded, LearnerProcess
 from camtopod.serve.progress import Beat, no_beat
-from camtopod.serve.recovery import Recovered, note_failure, received
+from camtopod.serve.recovery import Recovered, note_failure
 from camtopod.serve.storing import Version
 
 log = logging.getLogger(__name__)
 
+FINISH_SECONDS = 3.0
+"""When the daemon stops, a step may take so long yet. What is not learned is in the journal."""
+SAVE_SECONDS_MAX = 3.0
+"""And the snapshot of the end."""
+GATHER_SECONDS = 0.02
+"""What comes within this time is taught together: a message for each event would cost more than learning it."""
 _TICK_SECONDS = 0.2
 _PROGRESS_ENTRIES = 200_000
 
-Lesson = Event | float | None
-"""What an entry of the journal teaches: an event, that event time has come so far, nothing."""
-
 
 class Learning:
-    """Feeds a learner. Its thread gives each new version to ``on_version``, snapshots to ``on_snapshot`` (each after
-    the versions it has in it), and the deadline to ``on_deadline``; ``new_epoch`` begins and stores an epoch.
+    """Teaches the learner of ``process``, for which it is the only one to ask. Its thread gives each new version to
+    ``on_version``, snapshots to ``on_snapshot`` (each after the versions it has in it), and the deadline to
+    ``on_deadline``; ``new_epoch`` begins and stores an epoch.
     """
 
     def __init__(
         self,
         recovered: Recovered,
+        process: LearnerProcess,
         journal: Journal,
         events_max: int,
         snapshot_events: int,
@@ -45,31 +66,33 @@ class Learning:
         on_deadline: Callable[[float | None], None],
         new_epoch: Callable[[], str],
     ) -> None:
-        self._learner, self.position, self.epoch = recovered
-        self._journal = journal
+        self.position, self.epoch, taught = recovered
+        self._process, self._journal = process, journal
         self._events_max, self._snapshot_events = events_max, snapshot_events
         self._on_version, self._on_snapshot, self._on_deadline = on_version, on_snapshot, on_deadline
         self._new_epoch = new_epoch
-        self._stored = journal.versions(self.epoch)
-        self._newest_stored = max(self._stored, default=0)
         self._replay_until = len(journal)
         self._saved = self.position
         self._due = False
+        self._busy = False  # whether the process owes an answer
         self._queue: queue.SimpleQueue[list[Lesson]] = queue.SimpleQueue()
         self._waiting = 0
         self._mutex = threading.Lock()
-        self._topology = self._learner.topology
         self.damaged = 0
         """Damaged entries of the journal that were left out."""
-        self.statistics = self._learner.statistics()
+        self.statistics = taught.statistics
         """The learner's, as of its last step."""
-        on_deadline(self._learner.next_deadline())
+        self.reached, self.neighbours = taught.reached, frozenset(taught.neighbours)
+        """Of a shard: event time up to which all versions before `made` have everything, and whom it wants to hear."""
+        self.made = 0
+        """Versions handed over."""
+        on_deadline(taught.deadline)
 
     def feed(self, batch: list[Received]) -> None:
         """Learn these, in this order, soon. Any thread."""
         with self._mutex:
             self._waiting += len(batch)
-        self._queue.put([_lesson(one) for one in batch])
+        self._queue.put([one.entry.raw if one.event is not None else one.advance for one in batch])
 
     def room(self) -> int:
         """How many events may be fed at the moment."""
@@ -86,113 +109,132 @@ class Learning:
         return max(0, self._replay_until - self.position)
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
-        """Learn until ``stopping``; what is not learned by then is in the journal."""
-        failed = True
+        """Teach until ``stopping``; what is not learned by then is in the journal. Raises `LearnerEnded`."""
         try:
             self._catch_up(stopping, beat)
             self._go_on(stopping, beat)
-            failed = False
-        except (sqlite3.Error, OSError):  # the disk's failure, not the learner's
-            failed = False
+        except LearnerEnded as ended:
+            if stopping.is_set():
+                return
+            if ended.at:
+                note_failure(self._journal, ended.at, killed=ended.status == -signal.SIGKILL)
             raise
-        finally:
-            if failed:
-                note_failure(self._journal, self.position + 1)
 
     def snapshot(self) -> Snapshot | None:
-        """The learner as it is, for the next start; None if nothing has been learned since the last. Only while `work`
-        does not run.
+        """The learner as it is, for the next start; None if nothing has been learned since the last, or if it is in the
+        middle of something. Only while `work` does not run.
         """
-        if self.position == self._saved and not self._due:
+        if self._busy or (self.position == self._saved and not self._due):
             return None
-        return Snapshot(self.position, self.epoch, pack(self._learner.save()))
+        try:
+            saved = self._process.ask(Save(), SAVE_SECONDS_MAX)
+        except LearnerEnded as ended:
+            log.warning("what was learned last has to be learned again from the journal: %s", ended)
+            return None
+        assert isinstance(saved, Saved)
+        return Snapshot(self.position, self.epoch, saved.state)
 
     def _catch_up(self, stopping: threading.Event, beat: Beat) -> None:
         begun = self.position
-        self._learner.refresh()
-        self._take_versions()
+        self._learn(Refresh(begun), stopping, beat)
+        batch: list[Lesson] = []
         for number, entry in self._journal.entries(after=begun, up_to=self._replay_until):
+            if not batch:
+                self.position = number - 1
+            self.damaged += entry is None
+            batch.append(None if entry is None else _lesson(entry))
+            if len(batch) >= LESSONS_MAX or number == self._replay_until:
+                self._learn(Teach(self.position, batch), stopping, beat)
+                batch = []
             if stopping.is_set():
                 return
-            self.position = number - 1
-            if entry is None:
-                self.damaged += 1
-            else:
-                self._learn(_lesson(received(entry)))
-            self.position = number
-            beat()
             if (number - begun) % _PROGRESS_ENTRIES == 0:
                 log.info("replayed %d of %d journal entries", number - begun, self._replay_until - begun)
         self.position = max(self.position, self._replay_until)
         if self.damaged:
             log.error("%d damaged entries of the journal are left out; they are still in the file", self.damaged)
-        self._tell()
+        self._tell(stopping, beat)
 
     def _go_on(self, stopping: threading.Event, beat: Beat) -> None:
         while not stopping.is_set():
             try:
                 batch = self._queue.get(timeout=_TICK_SECONDS)
             except queue.Empty:
+                self._process.check()
                 beat()
                 continue
-            for lesson in batch:
-                self._learn(lesson)
-                self.position += 1
+            stopping.wait(GATHER_SECONDS)
+            while len(batch) < LESSONS_MAX and not self._queue.empty():
+                batch += self._queue.get()
+            for first in range(0, len(batch), LESSONS_MAX):
+                some = batch[first : first + LESSONS_MAX]
+                self._learn(Teach(self.position, some), stopping, beat)
+                with self._mutex:
+                    self._waiting -= len(some)
                 beat()
                 if stopping.is_set():
                     return
-            with self._mutex:
-                self._waiting -= len(batch)
-            self._tell()
+            self._tell(stopping, beat)
 
-    def _learn(self, lesson: Lesson) -> None:
-        """One committed entry into the learner, new versions out."""
-        if isinstance(lesson, Event):
-            self._learner.receive(lesson)
-        elif lesson is not None:
-            self._learner.advance(lesson)
-        self._take_versions()
+    def _learn(self, task: Refresh | Teach, stopping: threading.Event, beat: Beat) -> None:
+        """What there is to learn into the learner, new versions out."""
+        taught = self._ask(task, stopping, beat)
+        assert isinstance(taught, Taught)
+        self.position, self.statistics = taught.position, taught.statistics
+        self.reached, self.neighbours = taught.reached, frozenset(taught.neighbours)
+        self._on_deadline(taught.deadline)
+        if taught.unreadable:
+            log.error("%d entries of the journal cannot be read any more", taught.unreadable)
 
-    def _take_versions(self) -> None:
-        while made := self._learner.updates():
-            for topology in made:
-                self._hand_out(topology)
-
-    def _hand_out(self, topology: Topology) -> None:
-        """A version that is stored already must come out as it was, one that was and is not kept any more is passed
-        over; a new one is handed on.
-        """
-        if topology.epoch != self.epoch:
-            return  # made in the same step as the one that ended its epoch
-        stored = self._stored.pop(topology.version, None)
-        if stored is not None and stored != topology.digest:
-            self.epoch, self._stored, self._newest_stored, self._topology = self._new_epoch(), {}, 0, None
-            log.warning(
-                "version %d comes out otherwise than it was (another program or processor?): epoch %s begins",
-                topology.version, self.epoch,
-            )  # fmt: skip
-            self._learner.begin_epoch(self.epoch)
-            self._learner.refresh()
-            return
-        delta = None if self._topology is None else make_delta(self._topology, topology)
-        self._topology = topology
-        if topology.version > self._newest_stored:
-            self._due = True
-            self._on_version(Version(topology, delta))
-
-    def _tell(self) -> None:
-        """Between batches: a snapshot if one is due, and how things are."""
-        if self._due:
-            memory.give_back()  # a fit takes a lot for a moment
+    def _tell(self, stopping: threading.Event, beat: Beat) -> None:
+        """Between batches: a snapshot if one is due."""
         if self._due or self.position - self._saved >= self._snapshot_events:
-            snapshot = self.snapshot()
-            if snapshot is not None:
-                self._on_snapshot(snapshot)
-                self._saved, self._due = self.position, False
-        self.statistics = self._learner.statistics()
-        self._on_deadline(self._learner.next_deadline())
+            saved = self._ask(Save(), stopping, beat)
+            assert isinstance(saved, Saved)
+            self._on_snapshot(Snapshot(self.position, self.epoch, saved.state))
+            self._saved, self._due = self.position, False
+            memory.give_back()
+
+    def _ask(self, question: Question, stopping: threading.Event, beat: Beat) -> Answer:
+        """Everything it has to say about that; it gets on when it is at another entry. Raises `LearnerEnded`."""
+        self._busy = True
+        self._process.send(question)
+        told_at = None
+        while True:
+            answer = self._process.receive(_TICK_SECONDS)
+            if isinstance(answer, Made):
+                self._take(answer)
+            elif isinstance(answer, Otherwise):
+                self._begin_epoch(answer.version)
+            elif answer is not None:
+                self._busy = False
+                return answer
+            if answer is not None or self._process.got_on():
+                beat()
+            if stopping.is_set():
+                told_at = told_at or time.monotonic()
+                self._process.hurry()
+                if time.monotonic() - told_at > FINISH_SECONDS:
+                    self._process.kill()
+
+    def _take(self, made: Made) -> None:
+        """A new version."""
+        self._due = True
+        self.made += 1
+        topology = codec.read_in_parts(Topology, made.packed)
+        self._on_version(Version(topology, made.content, made.packed, made.delta, made.told))
+
+    def _begin_epoch(self, version: int) -> None:
+        self.epoch = self._new_epoch()
+        log.warning(
+            "version %d comes out otherwise than it was (another program or processor?): epoch %s begins",
+            version, self.epoch,
+        )  # fmt: skip
+        self._process.send(NewEpoch(self.epoch))
 
 
-def _lesson(one: Received) -> Lesson:
-    """Without the entry and its bytes, which are stored: thousands wait while a version is made."""
-    return one.advance if one.event is None else one.event
+def _lesson(entry: Entry) -> Lesson:
+    """Without what surrounds it, which is stored: thousands wait while a version is made."""
+    if entry.kind == "advance":
+        return float(entry.raw)
+    return entry.raw if entry.kind == "event" else None

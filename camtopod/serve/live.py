@@ -11,15 +11,19 @@ from camtopod.learn.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.cameras import Received
+from camtopod.serve.share import everything
 
 
 class Live:
-    """Show it events in the order they are stored. Asked from any thread."""
+    """Show it events in the order they are stored. Asked from any thread. ``owns``: the cameras whose exits it is for
+    this daemon to answer.
+    """
 
-    def __init__(self, publish: Callable[[Prediction], None]) -> None:
-        self._publish = publish
+    def __init__(self, publish: Callable[[Prediction], None], owns: Callable[[str], bool] = everything) -> None:
+        self._publish, self._owns = publish, owns
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
+        self._prepared: Predictor | None = None
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
@@ -30,7 +34,7 @@ class Live:
                 if time.monotonic() < until:
                     self._step(one.event)
                 else:
-                    self.counts["predictions_skipped"] += one.event.kind == "exit"
+                    self.counts["predictions_skipped"] += one.event.kind == "exit" and self._owns(one.event.camera)
 
     def remember(self, events: Sequence[Event]) -> None:
         """Events of before the start, so that the first predictions know what was going on."""
@@ -38,16 +42,26 @@ class Live:
             for event in events:
                 self._predictor.observe(event)
 
+    def prepare(self, topology: Topology) -> None:
+        """A version that is about to be used: what takes long is done, and predictions go on meanwhile. One thread."""
+        self._prepared = Predictor(topology)
+
     def use(self, topology: Topology) -> None:
         """Predict from this version on, remembering what was observed."""
-        newer = Predictor(topology)  # which takes a while, so predictions go on meanwhile
+        newer = self._prepared
+        if newer is None or newer.topology is not topology:
+            newer = Predictor(topology)
         with self._mutex:
             if self._predictor is not None:
                 newer.take_over(self._predictor)
             self._predictor = newer
 
-    def answer(self, key: str, parameters: dict[str, str]) -> Prediction:
-        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone. Raises `QueryError`."""
+    def answer(self, key: str, parameters: dict[str, str]) -> Prediction | None:
+        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone; None is no answer, as it is for another to
+        give. Raises `QueryError`.
+        """
+        if not self._owns(key.removeprefix("predict/")):
+            return None
         try:
             return self._predicted(key.removeprefix("predict/"), parameters)
         except QueryError:
@@ -69,7 +83,7 @@ class Live:
 
     def _step(self, event: Event) -> None:
         """The prediction leaves before its exit is taken note of."""
-        if event.kind == "exit":
+        if event.kind == "exit" and self._owns(event.camera):
             with self._mutex:
                 prediction = None if self._predictor is None else self._predictor.predict(event)
             if prediction is not None:

@@ -26,6 +26,7 @@ from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.merge import Merge
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.rejects import Rejects
+from camtopod.serve.share import everything
 from camtopod.serve.spool import SpoolBatch
 from camtopod.serve.storing import Storing, Version
 from camtopod.serve.streams import Streams
@@ -45,8 +46,6 @@ BUSY_EVENTS, PREDICT_SECONDS_BUSY = 1_000, 0.01
 """... when so many wait in the inbox only so long, as predictions that are late help nobody and events come first."""
 BOOTS_MAX = 16
 """Incarnations of one camera's publisher that are followed; the one not heard for longest is forgotten."""
-_JSON_STARTS = b"{ \t\r\n"
-"""An event that begins with one of these is JSON: a MessagePack map begins above 0x7f."""
 
 
 class Pulled(NamedTuple):
@@ -56,19 +55,12 @@ class Pulled(NamedTuple):
     asked_from: int
 
 
-def decode(raw: bytes) -> Event:
-    """An event as MessagePack, or as JSON. Raises `codec.Rejected`."""
-    if raw[:1] and raw[0] in _JSON_STARTS:
-        return codec.event_from_json(raw)
-    return codec.event_from_pack(raw)
-
-
 class Receiver:
     """Give it bytes with `on_event` and `on_pulled` (any thread), and run `work` and `store` in a thread each.
 
     ``see`` is shown what is about to be stored, once, in journal order, and may take so many seconds for it; ``learn``
     takes it when it is stored, and must not block; ``room()``: how many ``learn`` takes. ``publish``: called with each
-    version after it is stored.
+    version after it is stored. ``owns``: the cameras whose events it is for this daemon to acknowledge.
     """
 
     def __init__(
@@ -82,9 +74,10 @@ class Receiver:
         publish: Callable[[Version], None],
         see: Callable[[list[Received], float], None],
         steady: Clock | None = None,
+        owns: Callable[[str], bool] = everything,
     ) -> None:
         self._bus, self._limits, self._clock = bus, limits, clock
-        self._see, self._learn, self._learner_room = see, learn, room
+        self._see, self._learn, self._learner_room, self._owns = see, learn, room, owns
         self.storing = Storing(journal, clock, publish)
         self._steady = steady or steady_beside(clock)
         self.cameras = Cameras(limits)
@@ -228,7 +221,7 @@ class Receiver:
         self.counts["received"] += 1
         camera, raw = message
         try:
-            event = decode(raw)
+            event = codec.event_from_bytes(raw)
         except codec.Rejected as error:
             self.rejects.add(error.reason, f"event/{camera}", str(error), raw)
             return []
@@ -250,7 +243,7 @@ class Receiver:
         for seq, raw in batch.events:
             received = Received(Entry("refused", batch.camera, batch.boot, seq, raw[: codec.EVENT_BYTES_MAX]))
             try:
-                event = decode(raw)
+                event = codec.event_from_bytes(raw)
                 if (event.camera, event.boot, event.seq) == (batch.camera, batch.boot, seq):
                     received = self._judge(event, raw, wall, now, fresh=False)
                     times.append(event.t)
@@ -270,7 +263,7 @@ class Receiver:
         """Say it when a publisher has been told that more is stored than is: it is being filled in again."""
         stored = self._stored.get((batch.camera, batch.boot), -1)
         missing = sum(stored < seq <= (batch.acked or 0) for seq, _ in batch.events)
-        if missing:
+        if missing and self._owns(batch.camera):
             if not self.counts["refilled"]:
                 log.error(
                     "the journal has come back shorter than it was: what camera %s had stored after %d, and perhaps "
@@ -369,6 +362,8 @@ class Receiver:
             if key in self._stored:
                 self._dirty.add(key)
         for camera, boot in self._dirty:
+            if not self._owns(camera):
+                continue
             self._bus.put(f"ack/{camera}", Ack(camera, boot, self._stored[camera, boot]), "ack")
             self._beat()  # a put onto a dead link blocks for seconds
         self._dirty.clear()

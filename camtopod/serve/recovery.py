@@ -6,6 +6,7 @@ be promised any more a new one begins, with everything that is known.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Callable
 from typing import NamedTuple
@@ -13,40 +14,58 @@ from typing import NamedTuple
 import msgspec
 
 from camtopod import codec
-from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, unpack
 from camtopod.records import Event, Topology
-from camtopod.serve.cameras import Received
 from camtopod.serve.database import StateError
-from camtopod.serve.journal import Entry, Journal
-from camtopod.serve.receiver import decode
+from camtopod.serve.journal import Journal
+from camtopod.serve.learner_messages import Begin, Load, Loaded, Portion, Show, Shown, Taught, Unusable
+from camtopod.serve.learner_process import LearnerProcess
 
 log = logging.getLogger(__name__)
 
 FAILURES_MAX = 2
-"""When the learner has failed so often at one and the same entry it begins anew behind it."""
+"""When the learner has failed so often at one and the same entry it begins anew behind it ..."""
+KILLS_MAX = 5
+"""... or when its process was killed (SIGKILL) there so often. Who kills it once or twice is somebody outside; who
+always does it at the same entry is the system, as there is not the memory for what has been learned."""
 RECENT_EVENTS, RECENT_SECONDS = 4_000, 600.0
 """At most so many events of the last minutes before the start, which predictions remember."""
 
 
 class Failure(msgspec.Struct):
-    """The learner failed ``times`` times at the entry ``at``."""
+    """The learner failed ``times`` times at the entry ``at``, and ``kills`` times it was killed there."""
 
     at: int
     times: int
+    kills: int = 0
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether to give up what was learned."""
+        return self.times >= FAILURES_MAX or self.kills >= KILLS_MAX
 
 
 class Recovered(NamedTuple):
-    """A learner that has learned the journal's entries up to ``position``."""
+    """The learner has learned the journal's entries up to ``position``, and is as it says."""
 
-    learner: Learner
     position: int
     epoch: str
+    taught: Taught
 
 
-def recover(journal: Journal, settings: Settings, site: str, new_epoch: Callable[[], str]) -> Recovered:
-    """The learner to go on with. ``new_epoch`` begins one and stores its name. Raises `StateError`."""
+def recover(
+    journal: Journal, process: LearnerProcess, settings: Settings, site: str, new_epoch: Callable[[], str],
+    portion: Portion | None = None,
+) -> Recovered:  # fmt: skip
+    """The learner to go on with is in ``process`` then. ``new_epoch`` begins one and stores its name. Raises
+    `StateError`.
+    """
+
+    def begin(position: int, epoch: str, load: bool = False) -> Recovered:
+        taught = process.ask(Begin(settings, site, epoch, journal.versions(epoch), load, portion))
+        assert isinstance(taught, Taught)
+        return Recovered(position, epoch, taught)
+
     epoch = journal.meta("epoch")
     if epoch is None:
         epoch = new_epoch()
@@ -55,59 +74,55 @@ def recover(journal: Journal, settings: Settings, site: str, new_epoch: Callable
             epoch = new_epoch()
             log.warning("what the damaged log had in it may have been published: epoch %s begins", epoch)
             journal.set_meta("damaged log", damaged.name)
-    failure, found = read_failure(journal), _newest_state(journal)
+    failure, found = read_failure(journal), _newest_state(journal, process, portion)
     beyond = 0 if found is None else found[0]
-    if failure is not None and failure.times >= FAILURES_MAX and beyond < failure.at:
+    if failure is not None and failure.hopeless and beyond < failure.at:
         epoch = new_epoch()
         log.error(
-            "the learner has failed %d times at entry %d of the journal: it begins anew behind it, in epoch %s; "
-            "the entries up to there are still in the journal, please report this", failure.times, failure.at, epoch,
+            "the learner has failed %d times at entry %d of the journal and was killed there %d times: it begins anew "
+            "behind it, in epoch %s; the entries up to there are still in the journal, please report this",
+            failure.times, failure.at, failure.kills, epoch,
         )  # fmt: skip
-        return Recovered(Learner(settings, site, epoch), failure.at, epoch)
+        return begin(failure.at, epoch)
     if found is None:
         if journal.first() != 1 and journal.versions(epoch):
             epoch = new_epoch()
             log.warning("the oldest events are not kept any more and there is no snapshot: epoch %s begins", epoch)
-        return Recovered(Learner(settings, site, epoch), max(journal.first() - 1, 0), epoch)
+        return begin(max(journal.first() - 1, 0), epoch)
     position, state = found
     if (state.settings, state.site) != (settings, site):
         epoch = new_epoch()
         log.warning("settings of the learner have changed: with what is known, epoch %s begins", epoch)
-    learner = Learner(settings, site, epoch)
-    learner.load(state)
-    if state.epoch != epoch:
-        learner.begin_epoch(epoch)
-    return Recovered(learner, position, epoch)
+    return begin(position, epoch, load=True)
 
 
-def newest_topology(journal: Journal, learner: Learner) -> Topology | None:
+def newest_topology(journal: Journal, process: LearnerProcess) -> Topology | None:
     """The version that was published last, of whatever epoch; until there is another it still holds."""
     content = journal.newest_version()
-    if content is None:
-        return learner.topology
-    try:
-        return codec.read(Topology, content)
-    except codec.Rejected as error:
-        log.error("the newest version in the journal cannot be read any more: %s", error)
-        return learner.topology
-
-
-def received(entry: Entry) -> Received:
-    """An entry as it came; without its event if that cannot be read any more."""
-    if entry.kind == "advance":
-        return Received(entry, advance=float(entry.raw))
-    if entry.kind == "event":
+    if content is not None:
         try:
-            return Received(entry, decode(entry.raw))
-        except codec.Rejected as error:  # another program accepted it
-            log.error("an entry of the journal cannot be read any more: %s", error)
-    return Received(entry)
+            return codec.read(Topology, content)
+        except codec.Rejected as error:
+            log.error("the newest version in the journal cannot be read any more: %s", error)
+    shown = process.ask(Show())
+    assert isinstance(shown, Shown)
+    return None if shown.packed is None else codec.read(Topology, shown.packed, pack=True)
+
+
+def told_by(process: LearnerProcess) -> bytes | None:
+    """What the learner of a shard tells the others, as MessagePack."""
+    shown = process.ask(Show())
+    assert isinstance(shown, Shown)
+    return shown.told
 
 
 def recent_events(journal: Journal) -> list[Event]:
     """The newest events of the journal, for predictions to remember."""
-    entries = journal.entries(after=max(0, len(journal) - RECENT_EVENTS))
-    events = [event for _, entry in entries if entry is not None and (event := received(entry).event) is not None]
+    events = []
+    for _, entry in journal.entries(after=max(0, len(journal) - RECENT_EVENTS)):
+        if entry is not None and entry.kind == "event":
+            with contextlib.suppress(codec.Rejected):  # another program accepted it
+                events.append(codec.event_from_bytes(entry.raw))
     newest = max((event.t for event in events), default=0.0)
     return [event for event in events if event.t > newest - RECENT_SECONDS]
 
@@ -118,19 +133,29 @@ def read_failure(journal: Journal) -> Failure | None:
     return None if kept is None else codec.read(Failure, kept.encode())
 
 
-def note_failure(journal: Journal, at: int) -> None:
-    """The learner failed at the entry ``at``."""
-    before = read_failure(journal)
-    times = before.times + 1 if before is not None and before.at == at else 1
-    journal.set_meta("failure", codec.to_json(Failure(at, times)).decode())
+def note_failure(journal: Journal, at: int, killed: bool = False) -> None:
+    """The learner failed at the entry ``at``, or was ``killed`` there."""
+    failure = read_failure(journal)
+    if failure is None or failure.at != at:
+        failure = Failure(at, 0)
+    if killed:
+        failure.kills += 1
+    else:
+        failure.times += 1
+    journal.set_meta("failure", codec.to_json(failure).decode())
 
 
-def _newest_state(journal: Journal) -> tuple[int, LearnerState] | None:
+def _newest_state(journal: Journal, process: LearnerProcess, portion: Portion | None) -> tuple[int, Loaded] | None:
+    """The newest that can be read, which ``process`` then has ready."""
     for snapshot in journal.snapshots():
-        try:
-            return snapshot.position, unpack(snapshot.state)
-        except NewerSnapshot as error:
-            raise StateError(f"a newer camtopod has saved what was learned ({error}): use that one") from None
-        except SnapshotError as error:
-            log.error("the snapshot at entry %d cannot be used: %s", snapshot.position, error)
+        answer = process.ask(Load(snapshot.state, portion is not None))
+        if isinstance(answer, Loaded):
+            if answer.portion == portion:
+                return snapshot.position, answer
+            log.warning("the site is dealt out otherwise than before: what the journal has is learned again")
+            return None
+        assert isinstance(answer, Unusable)
+        if answer.newer:
+            raise StateError(f"a newer camtopod has saved what was learned ({answer.reason}): use that one")
+        log.error("the snapshot at entry %d cannot be used: %s", snapshot.position, answer.reason)
     return None

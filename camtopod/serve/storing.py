@@ -13,8 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from camtopod import codec
-from camtopod.records import Delta, Topology
+from camtopod.records import Topology
 from camtopod.serve.clock import Clock
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
@@ -26,10 +25,15 @@ _RETRY_SECONDS = 0.5
 
 
 class Version(NamedTuple):
-    """A new version on its way into the journal and then onto the bus."""
+    """A new version on its way into the journal and then onto the bus: itself, as JSON and as MessagePack; what has
+    changed, as MessagePack, unless it is the first; and of a shard what the others are told.
+    """
 
     topology: Topology
-    delta: Delta | None
+    content: bytes
+    packed: bytes
+    delta: bytes | None
+    told: bytes | None = None
 
 
 class Storing:
@@ -58,8 +62,8 @@ class Storing:
         snapshot = self._snapshots.popleft() if self._snapshots else None  # before the versions, which it must not pass
         versions = [self._versions.popleft() for _ in range(len(self._versions))]
         stored = [
-            StoredVersion(topology.epoch, topology.version, topology.digest, codec.to_json(topology))
-            for topology, _ in versions
+            StoredVersion(topology.epoch, topology.version, topology.digest, content)
+            for topology, content, *_ in versions
         ]
         while True:
             try:

@@ -18,6 +18,7 @@ from serving import camtopod, free_endpoint, wait_for
 from site_of import HERE
 from sizes import size
 
+from bench._site import resident
 from camtopod.config import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus import Bus, dial
@@ -86,9 +87,8 @@ class Flooded:
         return int(self.status()["cameras"].get(camera, {}).get("events", 0))
 
     def resident_bytes(self) -> int:
-        """Memory of the daemon."""
-        pages = int(Path(f"/proc/{self.daemon.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGESIZE")
+        """Of the daemon and its learner."""
+        return resident(self.daemon.pid)
 
     def close(self) -> None:
         """End it."""

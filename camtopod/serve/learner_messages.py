@@ -1,0 +1,227 @@
+"""What the daemon and the learner's process say to each other, in turns, over two pipes and a piece of memory.
+
+The daemon asks; the process answers with any number of `Made` and `Otherwise`, then with one of the others. A message
+is its length and itself as MessagePack. Both are this program: what does not fit is a mistake in it.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from camtopod.districts.dealing import Sharding
+from camtopod.learn.settings import Settings
+
+LESSONS_MAX = 1_000
+"""In one message: some hundred kilobytes, some hundredths of a second without a fit."""
+READ_BYTES_MAX = 1 << 20
+_LENGTH = struct.Struct("<Q")
+
+Lesson = bytes | float | None
+"""What an entry of the journal teaches: an event as it was received, that event time has come so far, nothing."""
+
+
+class Portion(Struct, frozen=True):
+    """Shard ``shard`` = (i, n) of a site dealt out like this."""
+
+    sharding: Sharding
+    shard: tuple[int, int]
+
+
+class Load(Struct, tag=True):
+    """Is this the state of a learner, or of a shard's? To be followed by `Begin`. Answer: `Loaded` or `Unusable`."""
+
+    state: bytes
+    sharded: bool = False
+
+
+class Begin(Struct, tag=True):
+    """A learner, with what was loaded last if anything was. ``stored``: digests of the epoch's versions that may have
+    been published; ``portion``: none for the whole site. Answer: `Taught`.
+    """
+
+    settings: Settings
+    site: str
+    epoch: str
+    stored: dict[int, str]
+    load: bool
+    portion: Portion | None = None
+
+
+class Refresh(Struct, tag=True):
+    """Make the first version of the epoch of what is known; to be asked once, before any lesson. Answer: `Taught`."""
+
+    position: int
+
+
+class Teach(Struct, tag=True):
+    """The entries of the journal behind ``position``. Answer: `Taught`."""
+
+    position: int
+    lessons: list[Lesson]
+
+
+class NewEpoch(Struct, tag=True):
+    """What `Otherwise` is told."""
+
+    epoch: str
+
+
+class Show(Struct, tag=True):
+    """The newest version, please. Answer: `Shown`."""
+
+
+class Save(Struct, tag=True):
+    """Everything learned, please. Answer: `Saved`."""
+
+
+class Loaded(Struct, tag=True):
+    """It is, of these settings and this site and epoch."""
+
+    settings: Settings
+    site: str
+    epoch: str
+    portion: Portion | None = None
+
+
+class Unusable(Struct, tag=True):
+    """It is not; or it is ``newer`` than this program."""
+
+    reason: str
+    newer: bool
+
+
+class Made(Struct, tag=True):
+    """A new version, not stored yet, as JSON and MessagePack; what changed since the one before, as MessagePack; and of
+    a shard what the others are told with it, as MessagePack.
+    """
+
+    epoch: str
+    version: int
+    digest: str
+    content: bytes
+    packed: bytes
+    delta: bytes | None
+    told: bytes | None = None
+
+
+class Otherwise(Struct, tag=True):
+    """A stored version has come out with another digest. Nothing more is learned before there is a `NewEpoch`."""
+
+    version: int
+
+
+class Taught(Struct, tag=True):
+    """Everything up to ``position`` is learned, which is less than was asked if there was no time. ``deadline``: event
+    time at which time may have to be said to have gone on; ``unreadable``: events that could not be read any more. Of a
+    shard: what it has ``reached`` and whom it has for ``neighbours``.
+    """
+
+    position: int
+    deadline: float | None
+    statistics: dict[str, int | float]
+    unreadable: int
+    reached: float | None = None
+    neighbours: list[str] = []
+
+
+class Shown(Struct, tag=True):
+    """The newest version as MessagePack, None before the first; and of a shard what the others are told with it."""
+
+    packed: bytes | None
+    told: bytes | None = None
+
+
+class Saved(Struct, tag=True):
+    """The packed state."""
+
+    state: bytes
+
+
+Question = Load | Begin | Refresh | Teach | NewEpoch | Show | Save
+Answer = Loaded | Unusable | Made | Otherwise | Taught | Shown | Saved
+
+_questions = msgspec.msgpack.Decoder(Question)
+_answers = msgspec.msgpack.Decoder(Answer)
+
+
+def send(fd: int, message: Question | Answer) -> None:
+    """Write a message. Raises `BrokenPipeError` when nobody reads any more."""
+    body = msgspec.msgpack.encode(message)
+    for part in (_LENGTH.pack(len(body)), body):
+        rest = memoryview(part)
+        while rest:
+            rest = rest[os.write(fd, rest) :]
+
+
+def question(fd: int) -> Question:
+    """Read one. Raises `EOFError` at the end."""
+    asked: Question = _read(fd, _questions.decode)
+    return asked
+
+
+def answer(fd: int) -> Answer:
+    """Read one. Raises `EOFError` at the end."""
+    told: Answer = _read(fd, _answers.decode)
+    return told
+
+
+def _read(fd: int, decode: Callable[[bytearray], Any]) -> Any:
+    (length,) = _LENGTH.unpack(_exactly(fd, _LENGTH.size))
+    return decode(_exactly(fd, length))
+
+
+def _exactly(fd: int, length: int) -> bytearray:
+    whole = bytearray()
+    while len(whole) < length:
+        part = os.read(fd, min(length - len(whole), READ_BYTES_MAX))
+        if not part:
+            raise EOFError
+        whole += part
+    return whole
+
+
+class Board:
+    """Memory that both see: what is being learned at this moment, and that it should end soon. It tells even of a
+    process that was killed, and costs less than a message for every entry.
+    """
+
+    _NOTHING, _AT, _HURRY = 0, 0, 1
+
+    def __init__(self, fd: int | None = None) -> None:
+        """``fd``: of the board of another process, for which this one gives it as `fd`."""
+        self.fd = os.memfd_create("learner") if fd is None else fd
+        if fd is None:
+            os.ftruncate(self.fd, mmap.PAGESIZE)
+        self._memory = mmap.mmap(self.fd, mmap.PAGESIZE)
+        self._cells = memoryview(self._memory).cast("q")
+
+    @property
+    def at(self) -> int:
+        """The entry of the journal that is being learned; 0: none."""
+        return int(self._cells[self._AT])
+
+    @at.setter
+    def at(self, entry: int) -> None:
+        self._cells[self._AT] = entry
+
+    @property
+    def hurry(self) -> bool:
+        """Whether to end after this entry."""
+        return self._cells[self._HURRY] != 0
+
+    @hurry.setter
+    def hurry(self, hurry: bool) -> None:
+        self._cells[self._HURRY] = hurry
+
+    def close(self) -> None:
+        """No more of it in this process."""
+        self._cells.release()
+        self._memory.close()
+        os.close(self.fd)

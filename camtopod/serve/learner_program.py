@@ -1,0 +1,227 @@
+"""The learner in a process of its own, so that a refit takes the interpreter from nobody who receives or predicts.
+
+    python -m camtopod.serve.learner_program BOARD
+
+`camtopod.serve.learner_process` starts it, asks on its standard input and reads its standard output. It neither stores
+nor publishes and keeps no ledger: it ends, at once and with what it knows, when the daemon does. An exception ends it,
+too; its traceback goes to standard error, and the daemon sees on the board at which entry of the journal it was.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import os
+import queue
+import sys
+import threading
+
+from camtopod import codec
+from camtopod.districts.shard import ShardLearner, ShardState, pack_shard, unpack_shard
+from camtopod.learn.learner import Learner
+from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
+from camtopod.learn.topology import make_delta
+from camtopod.records import Topology
+from camtopod.serve import learner_messages as messages
+from camtopod.serve import memory
+from camtopod.serve.learner_messages import (
+    Answer,
+    Begin,
+    Board,
+    Lesson,
+    Load,
+    Loaded,
+    Made,
+    NewEpoch,
+    Otherwise,
+    Portion,
+    Question,
+    Refresh,
+    Save,
+    Saved,
+    Show,
+    Shown,
+    Taught,
+    Teach,
+    Unusable,
+)
+from camtopod.serve.share import Told
+
+NICENESS = 5
+"""Added to the daemon's: where all cores are busy, predictions and acknowledgements come before a fit, which has time.
+Still enough of the processor that a machine with other work to do gets its versions."""
+
+
+class Pupil:
+    """Answers questions; ``learner`` makes the learner."""
+
+    def __init__(self, asked: queue.SimpleQueue[Question], out: int, board: Board, learner: type[Learner]) -> None:
+        self._asked, self._out, self._board, self._kind = asked, out, board, learner
+        self._loaded: LearnerState | ShardState | None = None
+        self._learner: Learner | ShardLearner
+
+    def work(self) -> None:
+        """Answer for ever."""
+        while True:
+            question = self._asked.get()
+            match question:
+                case Load(state, sharded):
+                    self._tell(self._load(state, sharded))
+                case Begin():
+                    self._begin(question)
+                    self._tell(self._taught(0, 0))
+                case Refresh(position):
+                    self._board.at = position + 1
+                    self._learner.refresh()
+                    self._take_versions()
+                    self._board.at = 0
+                    self._tell(self._taught(position, 0))
+                case Teach(position, lessons):
+                    self._tell(self._teach(position, lessons))
+                case Show():
+                    newest = self._learner.topology
+                    self._tell(Shown(None if newest is None else codec.to_pack(newest), self._told(everything=True)))
+                case Save():
+                    self._tell(Saved(self._save()))
+                case NewEpoch():
+                    raise ValueError("nobody has asked for an epoch")
+
+    def _save(self) -> bytes:
+        state = self._learner.save()
+        return pack_shard(state) if isinstance(state, ShardState) else pack(state)
+
+    def _load(self, packed: bytes, sharded: bool) -> Loaded | Unusable:
+        try:
+            self._loaded = unpack_shard(packed) if sharded else unpack(packed)
+        except SnapshotError as error:
+            return Unusable(str(error), isinstance(error, NewerSnapshot))
+        match self._loaded:
+            case LearnerState() as state:
+                return Loaded(state.settings, state.site, state.epoch)
+            case ShardState() as state:
+                of = state.districts[0].learner
+                return Loaded(of.settings, of.site, state.line.epoch, Portion(state.sharding, state.shard))
+
+    def _begin(self, given: Begin) -> None:
+        if given.portion is None:
+            self._learner = self._kind(given.settings, given.site, given.epoch)
+        else:
+            sharding, shard = given.portion.sharding, given.portion.shard
+            self._learner = ShardLearner(given.settings, sharding, shard, given.site, given.epoch)
+        if given.load and self._loaded is not None:
+            match self._learner, self._loaded:
+                case (Learner() as learner, LearnerState() as state):
+                    learner.load(state)
+                    before = state.epoch
+                case (ShardLearner() as learner, ShardState() as state):
+                    learner.load(state)
+                    before = state.line.epoch
+                case _:
+                    raise ValueError("what was loaded is of another kind of learner")
+            if before != given.epoch:
+                self._learner.begin_epoch(given.epoch)
+        self._loaded = None
+        with contextlib.suppress(PermissionError):  # where the unit allows no change of priorities
+            os.nice(NICENESS)  # only now, as a start is waited for
+        self._stored, self._newest_stored = given.stored, max(given.stored, default=0)
+        self._newest = self._learner.topology
+
+    def _teach(self, position: int, lessons: list[Lesson]) -> Taught:
+        unreadable = 0
+        for lesson in lessons:
+            self._board.at = position + 1
+            if isinstance(lesson, bytes):
+                try:
+                    event = codec.event_from_bytes(lesson)
+                except codec.Rejected:  # another program accepted it
+                    unreadable += 1
+                else:
+                    self._learner.receive(event)
+            elif lesson is not None:
+                self._learner.advance(lesson)
+            self._take_versions()
+            position += 1
+            if self._board.hurry:
+                break
+        self._board.at = 0
+        return self._taught(position, unreadable)
+
+    def _taught(self, position: int, unreadable: int) -> Taught:
+        taught = Taught(position, self._learner.next_deadline(), self._learner.statistics(), unreadable)
+        if isinstance(self._learner, ShardLearner):
+            taught.reached, taught.neighbours = self._learner.reached(), sorted(self._learner.neighbours)
+        return taught
+
+    def _told(self, everything: bool = False) -> bytes | None:
+        """What the other shards are told: parts that they do not know yet, or ``everything``: the newest of each."""
+        if not isinstance(self._learner, ShardLearner):
+            return None
+        parts = self._learner.newest_parts() if everything else self._learner.parts()
+        return codec.to_pack(Told(*self._learner.shard, self._learner.reached(), parts))
+
+    def _take_versions(self) -> None:
+        """One step's; those of an epoch are taken before the next step, or a version would be learned on from that is
+        not the one that was published.
+        """
+        while made := self._learner.updates():
+            for topology in made:
+                self._hand_out(topology)
+            memory.give_back()  # a fit takes a lot for a moment
+
+    def _hand_out(self, topology: Topology) -> None:
+        """A version that is stored already must come out as it was, one that was and is not kept any more is passed
+        over; a new one is handed on.
+        """
+        if topology.epoch != self._learner.epoch:
+            return  # made in the same step as the one that ended its epoch
+        stored = self._stored.pop(topology.version, None)
+        if stored is not None and stored != topology.digest:
+            self._begin_epoch(topology.version)
+            return
+        before, self._newest = self._newest, topology
+        if topology.version > self._newest_stored:
+            delta = None if before is None else codec.to_pack(make_delta(before, topology))
+            self._tell(
+                Made(
+                    topology.epoch, topology.version, topology.digest,
+                    codec.to_json(topology), codec.to_pack(topology), delta, self._told(),
+                )
+            )  # fmt: skip
+
+    def _begin_epoch(self, version: int) -> None:
+        self._tell(Otherwise(version))
+        told = self._asked.get()
+        assert isinstance(told, NewEpoch)
+        self._stored, self._newest_stored, self._newest = {}, 0, None
+        self._learner.begin_epoch(told.epoch)
+        self._learner.refresh()
+
+    def _tell(self, answer: Answer) -> None:
+        messages.send(self._out, answer)
+
+
+def main(learner: type[Learner] = Learner) -> None:
+    """Learn until the daemon ends; never returns."""
+    faulthandler.enable()
+    memory.limit_arenas()
+    out = os.dup(1)
+    os.dup2(2, 1)  # what anybody prints is no answer
+    asked: queue.SimpleQueue[Question] = queue.SimpleQueue()
+
+    def listen() -> None:
+        """In a thread, which sees that the daemon has gone in the middle of a fit, too."""
+        try:
+            while True:
+                asked.put(messages.question(0))
+        except EOFError:
+            os._exit(0)
+
+    threading.Thread(target=listen, name="listen", daemon=True).start()
+    try:
+        Pupil(asked, out, Board(int(sys.argv[1])), learner).work()
+    except BrokenPipeError:  # the daemon has gone
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,413 @@
+"""Several daemons share a site: who hears whom, and their parts become one topology with one version line."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sqlite3
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+from serving import T0, WAIT_SECONDS, numbered, small_config, wait_for, walkers
+
+from camtopod import codec
+from camtopod.cli import exits, main
+from camtopod.config import Config, KeepSettings
+from camtopod.districts.dealing import Sharding
+from camtopod.districts.shard import ShardLearner
+from camtopod.learn.settings import Settings
+from camtopod.records import Event, Topology
+from camtopod.serve import merger as mergers
+from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.hearing import SMALL_CAMERAS_MAX, Hearing
+from camtopod.serve.merger import Merger
+from camtopod.serve.publisher import Publisher
+from camtopod.serve.rivals import Rivals
+from camtopod.serve.share import Share, Told
+from camtopod.serve.spool import Spool
+from camtopod.serve.storing import Version
+from camtopod.serve.subscriber import TopologyView
+from camtopod.sim.network import simulate
+from camtopod.sim.settings import SimSettings
+
+SETTINGS = Settings(refit_share=0.3)
+SHARDING = Sharding(districts=4)
+EVENTS = simulate(SimSettings(cameras=6, hours=0.5, seed=4))[0]
+NOON = 1_700_000_000.0
+
+
+class FakeBus:
+    """Remembers what is subscribed to."""
+
+    site = "hq"
+
+    def __init__(self) -> None:
+        self.keys: list[str] = []
+        self.there: list[str] = []
+
+    def subscribe(self, key: str, on_message: object) -> Callable[[], None]:
+        self.keys.append(key)
+        return lambda: self.keys.remove(key)
+
+    def present(self, role: str) -> list[str]:
+        return self.there
+
+    def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
+        for name in self.there:
+            on_change(name, True)
+
+    def appear(self, role: str, name: str) -> None:
+        self.there.append(name)
+
+
+def shards_of(count: int) -> list[ShardLearner]:
+    return [ShardLearner(SETTINGS, SHARDING, (number, count), "hq", "e") for number in range(count)]
+
+
+def told(learner: ShardLearner) -> Told:
+    """As a daemon says it that has just started."""
+    return Told(*learner.shard, learner.reached(), learner.newest_parts())
+
+
+@pytest.fixture(scope="module")
+def alone() -> list[Topology]:
+    """The versions of one learner with all districts."""
+    learner, versions = shards_of(1)[0], list[Topology]()
+    for event in EVENTS:
+        learner.receive(event)
+        versions += learner.updates()
+    return versions
+
+
+class Site:
+    """A merger at work in a folder."""
+
+    def __init__(self, folder: Path, shards: int) -> None:
+        self.versions: list[Version] = []
+        self.merger = Merger(
+            folder, KeepSettings(), SETTINGS, "hq", shards, lambda: NOON, lambda version: self.versions.append(version)
+        )
+        self.stopping = threading.Event()
+        self.thread = threading.Thread(target=self.merger.work, args=(self.stopping,))
+        self.thread.start()
+
+    def __enter__(self) -> Site:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stopping.set()
+        self.thread.join()
+        self.merger.close()
+
+    def say(self, one: Told) -> None:
+        self.merger.on_part(f"part/{one.shard}", codec.to_pack(one))
+
+
+def content(topology: Topology) -> object:
+    return topology.version, topology.digest
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_shards_together_have_the_versions_of_one(count: int, tmp_path: Path, alone: list[Topology]) -> None:
+    learners = shards_of(count)
+    with Site(tmp_path, count) as site:
+        made = 0
+        for event in EVENTS:
+            for learner in learners:
+                learner.receive(event)
+            if any(learner.updates() for learner in learners):
+                for learner in learners:
+                    site.say(Told(*learner.shard, learner.reached(), learner.parts()))
+                made = len([version for version in alone if version.as_of <= min(x.reached() or 0 for x in learners)])
+        wait_for(lambda: len(site.versions) >= made, f"{made} versions")
+    assert made > 3
+    assert [content(version.topology) for version in site.versions] == [content(one) for one in alone[:made]]
+    assert all(version.delta is not None for version in site.versions[1:])
+
+
+def test_a_merger_that_starts_again_goes_on_with_the_line(tmp_path: Path) -> None:
+    learners, half = shards_of(2), len(EVENTS) // 2
+    for start, stop in ((0, half), (half, len(EVENTS))):
+        for event in EVENTS[start:stop]:
+            for learner in learners:
+                learner.receive(event)
+        with Site(tmp_path, 2) as site:
+            before = site.merger.topology
+            assert (before is None) == (start == 0)
+            for _ in range(2):  # what has been said is no news
+                for learner in learners:
+                    site.say(told(learner))
+            wait_for(lambda: bool(site.versions), "a version")
+            first = site.versions[0].topology
+            if before is not None:
+                assert (first.epoch, first.version) == (before.epoch, before.version + 1)
+                assert site.merger.version(before.epoch, before.version) == codec.to_json(before)
+    numbers = [version.topology.version for version in site.versions]
+    assert numbers == list(range(first.version, first.version + len(numbers)))
+
+
+def test_no_version_has_two_contents_if_the_newest_snapshot_is_damaged(tmp_path: Path) -> None:
+    """It would be made again from an older one, of other parts."""
+    learner, third = shards_of(1)[0], len(EVENTS) // 3
+    published: list[Topology] = []
+    for start in (0, third, 2 * third):
+        for event in EVENTS[start : start + third]:
+            learner.receive(event)
+        with Site(tmp_path, 1) as site:
+            site.say(told(learner))
+            wait_for(lambda site=site: bool(site.versions), "a version")  # type: ignore[misc]
+        published += [version.topology for version in site.versions]
+        if start == third:
+            with contextlib.closing(sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)) as journal:
+                journal.execute(
+                    "UPDATE snapshot SET state = x'00' WHERE position = (SELECT MAX(position) FROM snapshot)"
+                )
+    assert published[-1].epoch > published[0].epoch
+    assert len({(one.epoch, one.version) for one in published}) == len(published)
+
+
+def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mergers, "PATIENCE_SECONDS", 0.3)
+    learners = shards_of(2)
+    for event in EVENTS:
+        for learner in learners:
+            learner.receive(event)
+    with Site(tmp_path, 2) as site:
+        site.say(told(learners[0]))
+        wait_for(lambda: bool(site.versions), "a version without the other")
+        cameras = {camera.id for camera in site.versions[-1].topology.cameras}
+        assert cameras == {event.camera for event in EVENTS if learners[0].owns(event.camera)}
+        site.say(told(learners[0]))
+        site.say(told(learners[1]))
+        wait_for(
+            lambda: {camera.id for camera in site.versions[-1].topology.cameras} == {e.camera for e in EVENTS},
+            "both shards' cameras",
+        )
+
+
+def test_too_much_at_a_time_costs_versions_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mergers, "INBOX_MAX", 2)
+    learners = shards_of(2)
+    merger = Merger(tmp_path, KeepSettings(), SETTINGS, "hq", 2, lambda: NOON, lambda version: None)
+    for event in EVENTS:
+        for learner in learners:
+            learner.receive(event)
+            if made := learner.parts():
+                merger.tell(Told(*learner.shard, learner.reached(), made))
+    for learner in learners:
+        merger.tell(Told(*learner.shard, learner.reached()))
+    alone = shards_of(1)[0]
+    for event in EVENTS:
+        alone.receive(event)
+    stopping = threading.Event()
+    worker = threading.Thread(target=merger.work, args=(stopping,))
+    worker.start()
+    try:
+        wait_for(lambda: merger.topology is not None and merger.topology.digest == alone.topology.digest, "the end")  # type: ignore[union-attr]
+        assert merger.topology is not None
+        assert alone.topology is not None
+        assert merger.topology.version < alone.topology.version
+    finally:
+        stopping.set()
+        worker.join()
+        merger.close()
+
+
+def test_nonsense_changes_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with Site(tmp_path, 2) as site:
+        for one in (Told(2, 3, 5.0), Told(0, 3, 5.0)):
+            site.say(one)
+        site.merger.on_part("part/1", codec.to_pack(Told(0, 2, 5.0)))
+        site.merger.on_part("part/1", b"rubbish")
+        assert site.merger.topology is None
+    assert [record.levelname for record in caplog.records if record.levelno > logging.INFO] == ["ERROR"] * 4
+
+
+def test_what_a_shard_hears() -> None:
+    sharding = Sharding(districts=8, guest_turns=6, turn_hours=1.0)
+    share = Share(sharding, (1, 4))
+    cameras = [f"cam{number}" for number in range(300)]
+    own = {camera for camera in cameras if share.owns(camera)}
+    assert 40 < len(own) < 110
+    heard = [{camera for camera in cameras if share.hears(camera, NOON + hour * 3600.0)} for hour in range(6)]
+    assert all(own <= one for one in heard)
+    assert set.union(*heard) == set(cameras)
+    assert max(map(len, heard)) < 0.7 * len(cameras)
+    stranger = min(set(cameras) - heard[0])
+    share.neighbours = frozenset({stranger})
+    assert share.hears(stranger, NOON)
+
+
+def test_each_camera_is_owned_once() -> None:
+    shares = [Share(SHARDING, (number, 3)) for number in range(3)]
+    for number in range(50):
+        assert sum(share.owns(f"cam{number}") for share in shares) == 1
+
+
+def test_subscriptions_follow_turns_and_neighbours() -> None:
+    bus, now, said = FakeBus(), [NOON], list[tuple[str, bool]]()
+    share = Share(Sharding(districts=16, guest_turns=12), (0, 16))
+    hearing = Hearing(
+        bus, share, lambda: now[0], lambda key, raw: None,  # type: ignore[arg-type]
+        lambda camera, alive: said.append((camera, alive)), 10_000,
+    )  # fmt: skip
+    few = [f"c{number}" for number in range(SMALL_CAMERAS_MAX)]
+    hearing.know(few)
+    hearing.look()
+    assert hearing.heard == set(few)  # a small site
+    for number in range(500):
+        hearing.on_alive(f"cam{number}", True)
+    hearing.look()
+    before = hearing.heard
+    assert sorted(bus.keys) == sorted(f"event/{camera}" for camera in before)
+    assert len(before) < 300
+    assert {camera for camera, alive in said if alive} == {camera for camera in before if camera.startswith("cam")}
+    now[0] += 6 * 3600.0
+    hearing.look()
+    gone = before - hearing.heard
+    assert len(gone) > 20
+    assert {camera for camera, alive in said if not alive} == {camera for camera in gone if camera.startswith("cam")}
+    assert all(share.hears(camera, now[0]) for camera in hearing.heard)
+    hearing.on_alive("no/camera", True)
+    assert "no/camera" not in hearing.heard
+
+
+def test_shards_of_one_site_are_no_rivals() -> None:
+    bus = FakeBus()
+    first = Rivals(bus, "A", (0, 2))  # type: ignore[arg-type]
+    first.appear()
+    Rivals(bus, "B", (1, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]
+    assert first.reason == ""
+    for name, shard in (("B", (0, 2)), ("B", (1, 3)), ("B", None)):
+        with pytest.raises(OSError, match="another daemon"):
+            Rivals(bus, name, shard).refuse(0.0, threading.Event())  # type: ignore[arg-type]
+    Rivals(bus, "A", (0, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]  # its own trace
+
+
+def test_what_is_told_travels() -> None:
+    learner = shards_of(2)[0]
+    for event in EVENTS:
+        learner.receive(event)
+    one = told(learner)
+    assert one.parts
+    assert msgspec.msgpack.decode(codec.to_pack(one), type=Told) == one
+    assert isinstance(EVENTS[0], Event)
+
+
+def shared_config(state: Path, connect: str | None = None) -> Config:
+    return msgspec.structs.replace(small_config(state, connect), shards=Sharding(districts=4))
+
+
+def a_day() -> list[Event]:
+    """Some walkers, and at the end of each camera something that lets time go on."""
+    events = walkers(150)
+    return numbered([*events, *(Event(camera, "entry", T0 + 20 * 1200.0, 0.5, 0.5) for camera in "abc")])
+
+
+@contextlib.contextmanager
+def site_of(folder: Path, count: int) -> Iterator[list[Daemon]]:
+    """All shards of a site; the first is the meeting point."""
+    with contextlib.ExitStack() as stack:
+        daemons = [stack.enter_context(Daemon(shared_config(folder), shard=(0, count)))]
+        daemons += [
+            stack.enter_context(Daemon(shared_config(folder, daemons[0].endpoint), shard=(number, count)))
+            for number in range(1, count)
+        ]
+        yield daemons
+
+
+@contextlib.contextmanager
+def published(folder: Path, endpoint: str, events: list[Event]) -> Iterator[tuple[Bus, Publisher]]:
+    """Events in their cameras' spool and on the bus, until they are acknowledged."""
+    with dial(small_config(folder, endpoint)) as bus:
+        spool = Spool(folder / "spool.db", "b1", 100_000)
+        publisher = Publisher(spool, 100)
+        publisher.attach(bus)
+        publisher.publish(*events)
+        assert publisher.drained(WAIT_SECONDS)
+        yield bus, publisher
+        spool.close()
+
+
+def test_daemons_that_share_a_site_have_one_topology(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one learner of all districts has it; predictions come once, from the camera's owner."""
+    monkeypatch.setattr(mergers, "PATIENCE_SECONDS", WAIT_SECONDS)  # the machine may be busy
+    events = a_day()
+    alone = ShardLearner(shared_config(tmp_path).learn, Sharding(districts=4))
+    for event in events:
+        alone.receive(event)
+    expected = alone.updates()
+    assert expected[-1].links
+    with (
+        site_of(tmp_path / "state", 2) as daemons,
+        published(tmp_path, daemons[0].endpoint, events[:-3]) as (bus, publisher),
+    ):
+        for daemon in daemons:  # what lets time go on may not overtake anything on the way to the other shard
+            wait_for(lambda daemon=daemon: daemon.status()["events"]["stored"] == len(events) - 3, "all events")  # type: ignore[misc]
+        publisher.publish(*events[-3:])
+        seen = TopologyView(bus)
+        seen.wait_for(len(expected), WAIT_SECONDS)
+        assert seen.topology is not None
+        assert content(seen.topology) == content(expected[-1])
+        wait_for(lambda: daemons[1].topology == seen.topology, "the other shard to know it, too")
+        predictions: list[str] = []
+        bus.subscribe("prediction/*", lambda key, payload: predictions.append(key))
+        later = [Event(camera, "exit", T0 + 30_000.0, 0.9, 0.5, boot="b2", seq=1) for camera in "abc"]
+        for event in later:
+            bus.put(f"event/{event.camera}", event, "event")
+        wait_for(lambda: len(predictions) >= 3, "a prediction for each exit")
+        assert sorted(predictions) == [f"prediction/{camera}" for camera in "abc"]
+        for camera in "abc":
+            assert len(bus.ask(f"predict/{camera}", {"x": 0.9, "y": 0.5})) == 1
+        assert len(bus.ask("topology")) == 1
+        owned = [daemon.status()["shard"] for daemon in daemons]
+        assert owned == ["0/2", "1/2"]
+
+
+def _cameras(seen: TopologyView) -> set[str]:
+    newest = seen.update() or seen.topology
+    return set() if newest is None else {camera.id for camera in newest.cameras}
+
+
+def test_a_shard_that_was_away_goes_on(tmp_path: Path) -> None:
+    """Its cameras' events wait for it in the spool; the other's do not wait."""
+    events = a_day()
+    half = len(events) // 2
+    config, other = shared_config(tmp_path / "state"), Share(Sharding(districts=4), (1, 2))
+    mine = [event for event in events[half:] if not other.owns(event.camera)]
+    with Daemon(config, shard=(0, 2)) as first:
+        at = shared_config(tmp_path / "state", first.endpoint)
+        with dial(at) as bus:
+            spool = Spool(tmp_path / "spool.db", "b1", 100_000)
+            publisher = Publisher(spool, 100)
+            publisher.attach(bus)
+            with Daemon(at, shard=(1, 2)):
+                publisher.publish(*events[:half])
+                assert publisher.drained(WAIT_SECONDS)
+            publisher.publish(*events[half:])
+            left = len(events) - half - len(mine)
+            assert publisher.drained(WAIT_SECONDS, left)
+            assert publisher.unacknowledged == left > 0
+            with Daemon(at, shard=(1, 2)):
+                assert publisher.drained(WAIT_SECONDS)
+                seen = TopologyView(bus)
+                wait_for(lambda: len(_cameras(seen)) == 3, "all cameras")
+            spool.close()
+
+
+def test_a_shard_does_not_start_beside_itself_or_alone(tmp_path: Path) -> None:
+    with Daemon(shared_config(tmp_path / "one"), shard=(0, 2)) as first:
+        for shard in ((0, 2), (1, 3), None):
+            with pytest.raises(BusError, match="another daemon"):
+                Daemon(shared_config(tmp_path / "two", first.endpoint), shard=shard).start()
+
+
+def test_shards_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for given, said in (("2/2", "is not a shard"), ("x", "is not a shard"), ("1/99", "cannot share the 16")):
+        with contextlib.suppress(SystemExit):
+            assert main.main(["run", "--shard", given, "--state", str(tmp_path)]) == exits.USAGE
+        assert said in capsys.readouterr().err
