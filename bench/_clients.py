@@ -108,9 +108,9 @@ def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[s
     return {"acknowledged": acked[0], "put_seconds": put - begun, "seconds": acked[1] - begun}
 
 
-def sink(endpoint: str, ready: str) -> dict[str, Any]:
+def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
     """zenoh + msgspec doing nothing: decodes every event, counts, says how many from time to time."""
-    bus = meet(_config(listen=endpoint))
+    bus = _dialled(endpoint) if dials else meet(_config(listen=endpoint))
     decoder, count, done = msgspec.msgpack.Decoder(Event), [0], threading.Event()
 
     def on_event(sample: zenoh.Sample) -> None:
@@ -125,6 +125,18 @@ def sink(endpoint: str, ready: str) -> dict[str, Any]:
         bus._session.put(f"{PREFIX}/ack/all", to_pack(ack))
     bus.close()
     return {"received": count[0]}
+
+
+def router(endpoint: str, ready: str) -> dict[str, Any]:
+    """A meeting point and nothing else; the processor time that took."""
+    bus, done = meet(_config(listen=endpoint)), threading.Event()
+    _end_with_input(done)
+    _say_ready(bus, ready)
+    began = time.process_time()
+    done.wait()
+    used = time.process_time() - began
+    bus.close()
+    return {"cpu_seconds": used}
 
 
 def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
@@ -184,7 +196,7 @@ def learned_status(endpoint: str) -> Status:
 @contextmanager
 def client(role: str, folder: Path, **given: Any) -> Iterator[subprocess.Popen[str]]:
     """Run a role in a process of its own; one that is heard of when it is ready is waited for."""
-    if role in ("sink", "echo", "hear"):
+    if role in ("sink", "echo", "hear", "router"):
         given["ready"] = str(folder / f"{role}-{time.monotonic_ns()}")
     command = [sys.executable, "-m", "bench._clients", role, json.dumps(given)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -263,7 +275,9 @@ def _end_with_input(done: threading.Event) -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-ROLES: dict[str, Any] = {"put_paced": put_paced, "put_flood": put_flood, "sink": sink, "echo": echo, "hear": hear}
+ROLES: dict[str, Any] = {
+    "put_paced": put_paced, "put_flood": put_flood, "sink": sink, "echo": echo, "hear": hear, "router": router,
+}  # fmt: skip
 
 if __name__ == "__main__":
     print(json.dumps(ROLES[sys.argv[1]](**json.loads(sys.argv[2]))))

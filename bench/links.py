@@ -1,6 +1,6 @@
 """How fast `camtopod learn` keeps a topology, beside working out anew at every version what others would.
 
-    python -m bench links [--events 1000000] [--cameras 100] [--rate 0.3] [--json FILE]
+    python -m bench links [--events 1000000] [--cameras 100] [--rate 0.3] [--rounds 1] [--json FILE]
 
 Ours is `camtopod learn` over a made-up site, as a process of its own: events a second of processor time. The baselines
 of `bench quality` are run once over the newest events (true zones, no clutter; at most the newest ten million pairs of
@@ -11,12 +11,12 @@ would have to be run again to say what is new. To reach: 30,000 events a second,
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from bench import _ratios
 from bench._measure import LINK_METHODS, TAKE_CANDIDATES
 from bench.baselines.crossings import candidates, crossings
 from bench.scale import EVENTS_PER_OBJECT, learn
@@ -30,6 +30,7 @@ from camtopod.sim.truth import Truth
 
 EVENTS_PER_SECOND_MIN = 30_000.0
 TIMES_FASTER_MIN = 30.0
+OURS, TO_REACH = "camtopod learn", "to reach"
 
 
 def main(argv: Sequence[str]) -> int:
@@ -41,26 +42,37 @@ def main(argv: Sequence[str]) -> int:
         SimSettings(cameras=arguments.cameras, hours=seconds / 3600.0, seed=5, objects_per_second=objects)
     )
     minutes = (events[-1].t - events[0].t) / 60.0
+    print(f"{len(events)} events of {arguments.cameras} cameras in {minutes:.0f} minutes", flush=True)
+    costs: dict[str, list[float]] = {OURS: []}
     with tempfile.TemporaryDirectory() as folder:
         recorded, learned = Path(folder) / "events.jsonl", Path(folder) / "topology.json"
         with recorded.open("wb") as out:
             out.writelines(to_json(event) + b"\n" for event in events)
-        ours, memory = learn(recorded, learned)
+        for _ in range(arguments.rounds):
+            ours, memory = learn(recorded, learned)
+            costs[OURS].append(ours)
+            for name, once in baselines(events, truth).items():
+                costs.setdefault(name, []).append(once * minutes)
         topology = read_topology(str(learned))
     found = score(topology, truth)
-    once = baselines(events, truth)
-    quickest = min(once, key=lambda name: once[name])
-    rate, faster = len(events) / ours, once[quickest] * minutes / ours
-    print(f"{len(events)} events of {arguments.cameras} cameras in {minutes:.0f} minutes")
-    print(f"camtopod learn: {ours:.1f} s of processor time, {memory:.0f} MB, {topology.version} versions")
-    print(f"  links: precision {found.link_precision:.3f}, recall {found.link_recall:.3f}")
-    print(f"  {rate:.0f} events a second{_verdict(rate, EVENTS_PER_SECOND_MIN)}")
-    for name, cost in sorted(once.items(), key=lambda item: item[1]):
-        print(f"{name}: {cost:.2f} s once, {cost * minutes:.0f} s for a version a minute")
-    print(f"  {faster:.1f} times as fast as the quickest, {quickest}{_verdict(faster, TIMES_FASTER_MIN)}")
+    quickest = min((name for name in costs if name != OURS), key=lambda name: sum(costs[name]))
+    tables = [
+        _ratios.compare("a version a minute", "CPU s", costs, quickest, at_most={OURS: 1.0 / TIMES_FASTER_MIN}),
+        _ratios.compare(
+            "events a second of CPU", "events/s",
+            {OURS: [len(events) / cost for cost in costs[OURS]], TO_REACH: [EVENTS_PER_SECOND_MIN] * arguments.rounds},
+            TO_REACH, at_least={OURS: 1.0},
+        ),
+    ]  # fmt: skip
+    for table in tables:
+        print(*_ratios.lines(table), sep="\n")
+    print(
+        f"camtopod learn: {memory:.0f} MB, {topology.version} versions, "
+        f"links: precision {found.link_precision:.3f}, recall {found.link_recall:.3f}"
+    )
     if arguments.json is not None:
-        content = {"events": len(events), "minutes": minutes, "seconds": ours, "memory_mb": memory, "once": once}
-        arguments.json.write_text(json.dumps({"part": "links", **content}, indent=1) + "\n")
+        facts = {"events": len(events), "minutes": minutes, "memory_mb": memory, "versions": topology.version}
+        _ratios.write(arguments.json, "links", tables, **facts)
     return 0
 
 
@@ -83,14 +95,10 @@ def baselines(events: Sequence[Event], truth: Truth) -> dict[str, float]:
     return took
 
 
-def _verdict(value: float, wanted: float) -> str:
-    return f" (to reach {wanted:.0f}: {'yes' if value >= wanted else 'NO'})"
-
-
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench links", description="How fast links are kept up to date.")
     parser.add_argument("--events", type=int, default=1_000_000, help="events of the recording, about")
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument("--rate", type=float, default=0.3, help="events a second and camera (default 0.3)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    _ratios.add_arguments(parser, rounds=1)
     return parser.parse_args(argv)

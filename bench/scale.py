@@ -10,17 +10,18 @@ it found. The ratio is to the site before; 1.3 a step is to be reached.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from msgspec import Struct, to_builtins
 
-from bench._ratios import Spread, spread
+from bench import _ratios
+from bench._ratios import Row, Table, spread
 from camtopod.cli.predict import read_topology
 from camtopod.codec import to_json
 from camtopod.sim.network import SimSettings, simulate
@@ -43,8 +44,8 @@ class Size(Struct):
     events: int
     rate: float
     """Events a second and camera."""
-    microseconds: Spread
-    """Processor time per event."""
+    each_microseconds: list[float]
+    """Processor time per event, of each round."""
     memory_mb: float
     precision: float
     recall: float
@@ -61,8 +62,30 @@ def main(argv: Sequence[str]) -> int:
             sizes.append(measure(Path(folder), cameras, arguments.hours, arguments.rate, arguments.rounds))
             print(line(sizes), flush=True)
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps({"part": "scale", "sizes": to_builtins(sizes)}, indent=1) + "\n")
+        _ratios.write(arguments.json, "scale", tables(sizes), sizes=to_builtins(sizes))
     return 0
+
+
+def tables(sizes: Sequence[Size]) -> list[Table]:
+    """Each size beside the one before, and the memory of each beside what is allowed."""
+    steps = [
+        _ratios.compare(
+            f"cost of an event, {before.cameras} to {now.cameras} cameras", "us",
+            {name(size): size.each_microseconds for size in (before, now)}, name(before), at_most={name(now): STEP_MAX},
+        )
+        for before, now in pairwise(sizes)
+    ]  # fmt: skip
+    memory = []
+    for size in sizes:
+        allowed = MEMORY_MAX_MB.get(size.cameras)
+        share = size.memory_mb / (allowed or size.memory_mb)
+        memory.append(Row(name(size), spread([size.memory_mb]), spread([share]), None if allowed is None else 1.0))
+    return [*steps, Table("most memory of camtopod learn", "MB", "what is allowed", memory)]
+
+
+def name(size: Size) -> str:
+    """Of a row."""
+    return f"{size.cameras} cameras"
 
 
 def measure(folder: Path, cameras: int, hours: float, rate: float, rounds: int) -> Size:
@@ -76,7 +99,7 @@ def measure(folder: Path, cameras: int, hours: float, rate: float, rounds: int) 
     found: Score = score(read_topology(str(learned)), truth)
     return Size(
         cameras, len(events), len(events) / (3600.0 * hours * cameras),
-        spread([seconds / len(events) * 1e6 for seconds, _ in runs]), max(memory for _, memory in runs),
+        [seconds / len(events) * 1e6 for seconds, _ in runs], max(memory for _, memory in runs),
         found.link_precision, found.link_recall,
     )  # fmt: skip
 
@@ -94,8 +117,8 @@ def learn(recorded: Path, learned: Path) -> tuple[float, float]:
 
 def line(sizes: Sequence[Size]) -> str:
     """The newest size for a person, with its ratio to the one before."""
-    now, cost = sizes[-1], sizes[-1].microseconds
-    step = "" if len(sizes) < 2 else f"{cost.median / sizes[-2].microseconds.median:.2f}"
+    now, cost = sizes[-1], spread(sizes[-1].each_microseconds)
+    step = "" if len(sizes) < 2 else f"{cost.median / spread(sizes[-2].each_microseconds).median:.2f}"
     wanted = MEMORY_MAX_MB.get(now.cameras)
     too_much = "" if wanted is None or now.memory_mb <= wanted else f" (more than {wanted:.0f} MB)"
     dear = "" if not step or float(step) <= STEP_MAX else f" (more than {STEP_MAX})"
@@ -111,6 +134,5 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--cameras", default="100,1000,10000", help="sizes of site, comma-separated")
     parser.add_argument("--hours", type=float, default=0.5, help="length of the recordings (default 0.5)")
     parser.add_argument("--rate", type=float, default=0.1, help="events a second and camera (default 0.1)")
-    parser.add_argument("--rounds", type=int, default=1, help="runs of each size (default 1)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    _ratios.add_arguments(parser, rounds=1)
     return parser.parse_args(argv)

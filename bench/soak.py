@@ -25,6 +25,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from bench._site import resident
 from camtopod.config import BusSettings, Config, KeepSettings, Limits, StateSettings
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -145,12 +146,13 @@ class Soak:
         assert daemon.topology is not None
         self._made[daemon.topology.version] = daemon.topology.digest
         self._stored += daemon.status()["events"]["stored"]
-        daemon.stop()
         gc.collect()
         memory.give_back()  # what the plain learner beside the daemon took
+        taken = resident(os.getpid())  # its learner is a process of its own
+        daemon.stop()
         self.days.append(
             Day(
-                day, _resident(), _bytes(self._folder / "state"), _bytes(self._folder, "spool"),
+                day, taken, _bytes(self._folder / "state"), _bytes(self._folder, "spool"),
                 daemon.topology.version, ready, time.perf_counter() - started,
             )
         )  # fmt: skip
@@ -185,12 +187,6 @@ def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def _resident() -> int:
-    """Bytes of this process in memory."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def _bytes(folder: Path, prefix: str = "") -> int:

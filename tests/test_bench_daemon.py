@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench import _ratios, ingest, latency, memory
+from bench import _ratios, ingest, latency, memory, router
 from bench._site import traffic
 
 SMALL = ["--cameras", "4", "--learned", "400", "--rounds", "1"]
@@ -55,3 +55,11 @@ def test_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     [row] = json.loads((tmp_path / "out.json").read_text())["tables"][0]["rows"]
     assert 10.0 < row["cost"]["low"] <= row["cost"]["high"]
     assert " 600 " in capsys.readouterr().out
+
+
+def test_router(tmp_path: Path) -> None:
+    given = ["--cameras", "4", "--events", "1500", "--readers", "1,2", "--rounds", "1"]
+    assert router.main([*given, "--json", str(tmp_path / "out.json")]) == 0
+    [table] = json.loads((tmp_path / "out.json").read_text())["tables"]
+    assert [row["name"] for row in table["rows"]] == ["1 reader", "2 readers"]
+    assert all(row["cost"]["median"] > 0.0 for row in table["rows"])

@@ -1,0 +1,64 @@
+"""What a router costs that stands between the cameras and the daemons of a site.
+
+    python -m bench router [--cameras 100] [--events 200000] [--readers 1,4] [--rounds 3] [--json FILE]
+
+One process puts events as fast as they are taken, a router passes them on to so many readers, each of which hears
+everything and does nothing with it. Measured is the router's processor time per message that it hands out; the ratio is
+to one reader. The router is a session of zenoh in mode ``router``, as the daemon's own is; zenohd is the same code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import tempfile
+from functools import partial
+from pathlib import Path
+
+from bench import _ratios
+from bench._clients import client, ready_at, result, write_events
+from bench._site import traffic
+from bench.ingest import EVENTS_PER_SECOND_PER_CAMERA, Lost
+
+
+def main(argv: list[str]) -> int:
+    """Measure; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m bench router", description="A router's cost per message.")
+    parser.add_argument("--cameras", type=int, default=100)
+    parser.add_argument("--events", type=int, default=200_000)
+    parser.add_argument("--readers", default="1,4", help="how many hear everything, comma-separated")
+    _ratios.add_arguments(parser, rounds=3)
+    given = parser.parse_args(argv)
+    counts = [int(count) for count in given.readers.split(",")]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        rate = EVENTS_PER_SECOND_PER_CAMERA * given.cameras
+        events = write_events(folder / "events", traffic(given.cameras, rate, given.events))
+        costs = _ratios.take_turns(
+            {_name(count): partial(passed_on, folder, events, given.events, count) for count in counts}, given.rounds
+        )
+    table = _ratios.compare(f"{given.events} events passed on", "us a message", costs, _name(counts[0]))
+    print("\n".join(_ratios.lines(table)))
+    for row in table.rows:
+        print(f"  {row.name}: {1e6 / row.cost.median:,.0f} messages a second of a core")
+    if given.json:
+        _ratios.write(given.json, "router", [table], cameras=given.cameras, events=given.events)
+    return 0
+
+
+def passed_on(folder: Path, events: str, count: int, readers: int) -> float:
+    """Microseconds of the router's processor time for each message to a reader."""
+    with client("router", folder, endpoint="tcp/127.0.0.1:0") as router, contextlib.ExitStack() as stack:
+        endpoint = ready_at(router)
+        sinks = [stack.enter_context(client("sink", folder, endpoint=endpoint, dials=True)) for _ in range(readers)]
+        with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
+            result(sender)
+        received = [result(sink)["received"] for sink in sinks]
+        used = result(router)["cpu_seconds"]
+    if received != [count] * readers:
+        raise Lost(f"{count} events were put and {received} received")
+    return float(1e6 * used / (count * readers))
+
+
+def _name(readers: int) -> str:
+    return f"{readers} reader" + ("s" if readers > 1 else "")

@@ -1,0 +1,123 @@
+"""Several shards on a site so many times as large, beside one: what an event costs each, and what each has to hear.
+
+    python -m bench shards [--cameras 100] [--shards 4] [--hours 0.5] [--rate 0.1] [--rounds 1] [--json FILE]
+
+One shard learns a made-up site of so many cameras; then each of ``--shards`` learns its share of a site that is as many
+times as large, in districts of the same size and at the same traffic per camera. Compared are processor time per event
+of a shard's own cameras (to reach: within 10 %) and the events it hears for each of its own. Cameras are dealt by
+building (``together``), as somebody who shards a site would, and by the hash of their names, as happens without a word.
+Each camera is a guest in so many turns that the guests of a shard are a quarter of its own cameras.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from itertools import zip_longest
+
+import numpy as np
+from msgspec import Struct, to_builtins
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from bench import _ratios
+from bench.scale import EVENTS_PER_OBJECT
+from camtopod.districts.dealing import Sharding
+from camtopod.districts.shard import ShardLearner
+from camtopod.records import Event
+from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.truth import Truth
+
+DISTRICTS_PER_SHARD = 4
+SAME_WITHIN = 0.1
+TURN_HOURS = 0.1
+BY_PLACE = "by place"
+Site = tuple[list[Event], Truth]
+
+
+class Work(Struct):
+    """What one shard did."""
+
+    name: str
+    own: int
+    """Events of its own cameras."""
+    heard: int
+    """All that it had use for."""
+    site: int
+    seconds: float
+    """Processor time."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Measure, print the tables, write the figures; returns the exit status."""
+    arguments = _parse(argv)
+    small = site(arguments.cameras, arguments.hours, arguments.rate)
+    large = site(arguments.cameras * arguments.shards, arguments.hours, arguments.rate)
+    tables, done = [], list[Work]()
+    for dealt in (BY_PLACE, "by the hash of their names"):
+        costs: dict[str, list[float]] = {}
+        for _ in range(arguments.rounds):
+            shards = [(number, arguments.shards) for number in range(arguments.shards)]
+            runs = [work("one shard", small, (0, 1), dealt)]
+            runs += [work("shard {} of {}".format(*shard), large, shard, dealt) for shard in shards]
+            for run in runs:
+                costs.setdefault(run.name, []).append(run.seconds / run.own * 1e6)
+            done += runs
+        wanted = {name: 1.0 + SAME_WITHIN for name in costs if name != "one shard"}
+        tables.append(_ratios.compare(f"cost of an own event, cameras dealt {dealt}", "us", costs, "one shard", wanted))
+        print(*_ratios.lines(tables[-1]), sep="\n")
+        for run in runs:
+            heard = f"heard {run.heard / run.own:.2f} times as many"
+            print(f"    {run.name}: {run.own} own events, {heard}; {run.site} on the whole site")
+    if arguments.json is not None:
+        _ratios.write(arguments.json, "shards", tables, work=to_builtins(done))
+    return 0
+
+
+def site(cameras: int, hours: float, rate: float) -> Site:
+    """A made-up site's events."""
+    objects = rate * cameras / EVENTS_PER_OBJECT
+    return simulate(SimSettings(cameras=cameras, hours=hours, seed=cameras, objects_per_second=objects))
+
+
+def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
+    """Let one shard learn what it has use for."""
+    events, truth = site
+    districts = DISTRICTS_PER_SHARD * shard[1]
+    places = by_place(truth, districts) if dealt == BY_PLACE else ()
+    learner = ShardLearner(
+        sharding=Sharding(districts=districts, together=places, guest_turns=4 * shard[1], turn_hours=TURN_HOURS),
+        shard=shard,
+    )
+    own = heard = 0
+    began = time.process_time()
+    for event in events:
+        own += learner.owns(event.camera)
+        if learner.listens(event.camera, event.t):
+            heard += 1
+            learner.receive(event)
+    learner.flush()
+    return Work(name, own, heard, len(events), time.process_time() - began)
+
+
+def by_place(truth: Truth, districts: int) -> tuple[str, ...]:
+    """Patterns that put cameras which ways join into one district: cut from a line in which neighbours are near."""
+    number = {camera: k for k, camera in enumerate(truth.cameras)}
+    joined = np.zeros((len(number), len(number)))
+    for pair in truth.pairs:
+        a, b = (number[camera] for camera in pair.cameras)
+        joined[a, b] = joined[b, a] = 1.0
+    line = reverse_cuthill_mckee(csr_matrix(joined), symmetric_mode=True)
+    blocks = [[truth.cameras[k] for k in block] for block in np.array_split(line, districts)]
+    return tuple(camera or "nobody" for turn in zip_longest(*blocks) for camera in turn)
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench shards", description="Several shards beside one.")
+    parser.add_argument("--cameras", type=int, default=100, help="of the one shard's site (default 100)")
+    parser.add_argument("--shards", type=int, default=4, help="on the larger one (default 4)")
+    parser.add_argument("--hours", type=float, default=0.5, help="length of the recordings (default 0.5)")
+    parser.add_argument("--rate", type=float, default=0.1, help="events a second and camera (default 0.1)")
+    _ratios.add_arguments(parser, rounds=1)
+    return parser.parse_args(argv)
