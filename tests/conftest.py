@@ -5,6 +5,7 @@ Only the data that is not part of the repository may be missing: CAMTOPOD_TEST_D
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Generator
 
@@ -18,6 +19,16 @@ DATA = "CAMTOPOD_TEST_DATA"
 
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")  # that a busy machine is slow says nothing about what is tested
+
+
+@pytest.fixture(autouse=True)
+def _logging_as_it_was() -> Generator[None]:
+    """A command run inside a test sets up the process's log; what the next test finds in its own is not its doing."""
+    root = logging.getLogger()
+    level, handlers = root.level, root.handlers[:]
+    yield
+    root.setLevel(level)
+    root.handlers[:] = handlers
 
 
 @pytest.hookimpl(wrapper=True)
