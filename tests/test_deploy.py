@@ -10,7 +10,7 @@ from pathlib import Path
 from camtopod.cli.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
 from camtopod.cli.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.speaker import CLOSE_SECONDS
-from camtopod.config import HealthSettings
+from camtopod.config import HealthSettings, parse
 
 DEPLOY = Path(__file__).parent.parent / "deploy"
 UNITS = {"camtopod.service": "camtopod.service", "camtopod-grab@.service": "camtopod-grab@lobby.service"}
@@ -37,6 +37,29 @@ def test_what_the_configuration_names_is_handed_to_the_service() -> None:
         assert handed == set(named)
 
 
+def test_a_shard_is_the_daemon_but_for_its_name() -> None:
+    """What is mended in one unit is mended in the other."""
+    daemon, shard = (
+        (DEPLOY / name).read_text().splitlines() for name in ("camtopod.service", "camtopod-shard@.service")
+    )
+    own = [line for line in shard if line not in daemon and not line.startswith("#")]
+    assert [line.partition("=")[0] for line in own] == ["Description", "ExecStart", "StateDirectory"]
+    gone = [line for line in daemon if line not in shard and not line.startswith("#")]
+    assert [line.partition("=")[0] for line in gone] == ["Description", "ExecStart", "User", "StateDirectory"]
+    for drop_in in (DEPLOY / "camtopod.service.d").iterdir():
+        assert (DEPLOY / "camtopod-shard@.service.d" / drop_in.name).read_text() == drop_in.read_text()
+
+
+def test_kubernetes_starts_as_many_shards_as_it_says() -> None:
+    text = (DEPLOY / "kubernetes.yaml").read_text()
+    [shards] = re.findall(r'"--shard", "\$\(ORDINAL\)/([0-9]+)"', text)
+    assert re.findall(r"replicas: ([0-9]+) # as in --shard", text) == [shards]
+    [districts] = re.findall(r"districts = ([0-9]+)", text)
+    assert int(shards) <= int(districts)
+    body = text.split("camtopod.toml: |\n")[1].split("  router.json5")[0]
+    parse("\n".join(line[4:] for line in body.splitlines()))
+
+
 def test_services_can_read_the_configuration_that_is_installed() -> None:
     """Their users own nothing in /etc and are in no group of it."""
     modes = re.findall(r"install -Dm (\d+) \S+ /etc/camtopod/camtopod.toml", README)
@@ -56,7 +79,7 @@ def test_no_service_shares_its_user_or_gives_up() -> None:
 
 
 def test_systemd_takes_the_units(tmp_path: Path) -> None:
-    for file, name in UNITS.items():
+    for file, name in {**UNITS, "camtopod-shard@.service": "camtopod-shard@2-8.service"}.items():
         text = (DEPLOY / file).read_text()
         assert text.count("/opt/camtopod/bin/camtopod ") == 1
         (tmp_path / name).write_text(text.replace("/opt/camtopod/bin/camtopod ", "/bin/true "))
