@@ -279,7 +279,12 @@ def test_time_goes_on_without_events(site: Site) -> None:
     site.now += 4 * serving.SPAN_SECONDS
     wait_for(lambda: daemon.topology is not None, "a version")
     assert daemon.topology is not None
-    wait_for(lambda: daemon.status()["learner"]["learned"] == len(events), "every event to be learned")
+
+    def learned_and_out() -> bool:
+        learner = daemon.status()["learner"]
+        return bool(learner["learned"] == len(events) and learner["version"] == daemon.status()["version"])
+
+    wait_for(learned_and_out, "every event to be learned, and its versions")
     before = daemon.topology
     daemon.stop()
     assert site.daemon().topology == before, "the passing of time is in the journal too"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import random
+import signal
 import subprocess
 import sys
 import threading
@@ -19,6 +20,7 @@ import traffic
 from serving import camtopod, free_endpoint, wait_for
 
 from camtopod import codec
+from camtopod.cli import exits
 from camtopod.config import BusSettings, Config, parse
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
@@ -29,6 +31,8 @@ HERE = Path(__file__).parent
 OUTAGE_SECONDS_MAX = 60.0
 """No fault makes anything later than this, so the result does not depend on the order of arrival."""
 READY_SECONDS = 60.0
+LEARNER = "learner"
+"""The daemon's process that learns, which can be killed by itself: the daemon then ends, and is started again."""
 
 
 class Site:
@@ -53,6 +57,7 @@ class Site:
 
     def start(self, name: str) -> None:
         """Start ``router``, ``daemon`` or the publisher of a camera."""
+        name = _program(name)
         if name == "router":
             process = self._python("router.py", self.router_endpoint, stdout=subprocess.PIPE)
             self._await(process, process.stdout, b"ready")
@@ -81,14 +86,19 @@ class Site:
 
     def kill(self, name: str) -> None:
         """kill -9."""
-        process = self.processes.pop(name)
-        process.kill()
-        process.wait()
+        process = self.processes.pop(_program(name))
+        if name == LEARNER:
+            os.kill(_child(process.pid), signal.SIGKILL)
+            assert process.wait(READY_SECONDS) == exits.FAILED
+        else:
+            process.kill()
+            process.wait()
         self._close_pipes(process)
 
     def running(self, name: str) -> bool:
         """Whether it has not ended by itself."""
-        return name in self.processes and self.processes[name].poll() is None
+        program = _program(name)
+        return program in self.processes and self.processes[program].poll() is None
 
     def finish(self, seconds: float = 600.0) -> dict[str, Any]:
         """Wait for the publishers to have everything acknowledged and for the learner to have learned it, and end
@@ -244,6 +254,17 @@ def all_learned(status: dict[str, Any]) -> bool:
     taken = learner["accepted"] + learner["late"]
     at_end = taken == status["journal"]["entries"] and learner["held"] <= 2
     return bool(at_end and status["version"] == learner["version"])
+
+
+def _program(name: str) -> str:
+    """What has to be started for it to run."""
+    return "daemon" if name == LEARNER else name
+
+
+def _child(pid: int) -> int:
+    """The only child of a process."""
+    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return int(child)
 
 
 def _key(event: Event) -> tuple[str, float, str, str]:

@@ -1,4 +1,4 @@
-"""kill -9 of the real daemon, of publishers and of the router while events flow.
+"""kill -9 of the real daemon, of its learner, of publishers and of the router while events flow.
 
 The quick form is in test_links_cut.py: one site that all of it is done to.
 """
@@ -9,10 +9,10 @@ import time
 
 import pytest
 import traffic
-from site_of import MakeSite, check, kill_and_restart
+from site_of import LEARNER, MakeSite, check, kill_and_restart
 from sizes import size
 
-EVERYBODY = (("router",), ("daemon",), traffic.CAMERAS)
+EVERYBODY = (("router",), ("daemon",), (LEARNER,), traffic.CAMERAS)
 
 
 @pytest.mark.campaign

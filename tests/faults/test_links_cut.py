@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from site_of import MakeSite, Site, check, kill_and_restart
+from site_of import LEARNER, MakeSite, Site, check, kill_and_restart
 from sizes import size
 from streams import FaultProxy
 
@@ -38,6 +38,7 @@ def test_silent_links_and_kills(make_site: MakeSite) -> None:
     silent(for_daemon, 0.7, cut=True)
     kill_and_restart(site, 1, 1, (("router",),), print)
     kill_and_restart(site, 1, 1, (("daemon",),), print)
+    kill_and_restart(site, 1, 1, ((LEARNER,),), print)
     check(site)
     for_publishers.close()
     for_daemon.close()
