@@ -6,19 +6,19 @@ import difflib
 import math
 import re
 import tomllib
-from typing import Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import msgspec
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from camtopod import toml_lines
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-Endpoint = str
+ENDPOINT_PATTERN = r"^(tcp|udp|tls|quic|ws|unixsock-stream|vsock|serial)/\S+\Z"
+Endpoint = Annotated[str, Meta(pattern=ENDPOINT_PATTERN)]
 FLOAT_MAX = 9e9
 """No system waits for longer, in seconds; and a time before the year 2255."""
 _SYNTAX_ERRORS_MAX = 20
-_ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream|vsock|serial)/\S+\Z")
 _T = TypeVar("_T", bound=Struct)
 
 
@@ -114,7 +114,7 @@ class TableReader:
 
 def is_endpoint(value: object) -> bool:
     """Whether ``value`` looks like an endpoint of zenoh: protocol/address."""
-    return isinstance(value, str) and _ENDPOINT.match(value) is not None
+    return isinstance(value, str) and re.match(ENDPOINT_PATTERN, value) is not None
 
 
 def _check_number(value: Any, default: Any) -> None:

@@ -21,6 +21,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--example", action="store_true", help="write an example with every setting, its default and its unit"
     )
+    parser.add_argument("--schema", action="store_true", help="write the configuration's JSON Schema, for editors")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -29,6 +30,11 @@ def run(args: argparse.Namespace) -> int:
         from camtopod.cli.example import example
 
         sys.stdout.write(example())
+        return exits.DONE
+    if args.schema:
+        from camtopod.cli.schema import text
+
+        sys.stdout.write(text())
         return exits.DONE
     path = args.file or args.config
     if path is None:

@@ -14,6 +14,7 @@ from msgspec import Struct
 from camtopod.config import TABLES, CameraSettings
 
 _HEAD = """\
+#:schema ./camtopod.schema.json
 # camtopod: an example configuration. Every setting is here; a line with a leading # shows its default.
 # Made by `camtopod check --example`; see whether yours is right with `camtopod check FILE`.
 """

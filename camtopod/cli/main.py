@@ -21,7 +21,7 @@ import sys
 import threading
 import traceback
 import types
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -41,6 +41,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "ingest": ("camtopod.cli.ingest", "other programs' events onto the bus"),
     "keys": ("camtopod.cli.keys", "a private authority and certificates for the bus"),
     "check": ("camtopod.cli.check", "every mistake in a configuration, in one pass"),
+    "completion": ("camtopod.cli.completion", "makes the shell complete commands and options"),
 }
 """Command -> (module, one line for --help)."""
 
@@ -129,25 +130,32 @@ class _Parser(argparse.ArgumentParser):
 
 def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
     name = _command_in(arguments)
+    parser, modules = parser_of([name] if name in COMMANDS else [])
+    if name is not None and not modules:
+        parser.error(f"no command {name!r}; one of {', '.join(COMMANDS)}")
+    args = parser.parse_args(arguments)
+    args.connect = args.connect or []
+    return args, modules[args.command].run
+
+
+def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
+    """The parser, which knows the options of the commands in ``whole`` and of the others the names; the modules of
+    those in ``whole``.
+    """
     parser = _Parser(prog="camtopod", description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"camtopod {__version__}")
     _add_common(parser, top=True)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
-    module = None
+    modules = {}
     for command, (path, summary) in COMMANDS.items():
-        if command == name:
-            module = _import(path, command)
-            inner = module.add_parser(subparsers) or []
+        if command in whole:
+            modules[command] = _import(path, command)
+            inner = modules[command].add_parser(subparsers) or []
             for its in (subparsers.choices[command], *inner):
                 _add_common(its, top=False)
         else:
             subparsers.add_parser(command, help=summary)
-    if name is not None and module is None:
-        parser.error(f"no command {name!r}; one of {', '.join(COMMANDS)}")
-    args = parser.parse_args(arguments)
-    args.connect = args.connect or []
-    assert module is not None
-    return args, module.run
+    return parser, modules
 
 
 def _command_in(arguments: list[str]) -> str | None:

@@ -1,0 +1,80 @@
+"""The configuration's JSON Schema: what is right passes, and mistakes an editor should see do not."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from typing import Any
+
+import jsonschema
+import pytest
+
+from camtopod.cli.example import example
+from camtopod.cli.main import main
+from camtopod.cli.schema import schema, text
+from camtopod.config import TABLES, CameraSettings, parse
+
+VALIDATOR = jsonschema.Draft7Validator(schema())
+
+
+def wrong(toml: str) -> list[str]:
+    """Where the schema finds mistakes."""
+    return sorted(".".join(map(str, error.path)) for error in VALIDATOR.iter_errors(tomllib.loads(toml)))
+
+
+def test_it_is_a_schema_and_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    jsonschema.Draft7Validator.check_schema(schema())
+    assert main(["check", "--schema"]) == 0
+    assert capsys.readouterr().out == text()
+    assert json.loads(text())["properties"].keys() == schema()["properties"].keys()
+
+
+def test_the_example_is_right_with_and_without_its_defaults() -> None:
+    everything = re.sub(r"(?m)^# (\w+ = )", r"\1", example())
+    everything = re.sub(r'(?m)^source_file = ""\n', "", everything)  # beside a source
+    assert wrong(example()) == []
+    assert wrong(everything) == []
+    assert parse(everything).site.name == "hq"
+
+
+def test_an_editor_finds_it_from_the_example() -> None:
+    assert example().splitlines()[0] == "#:schema ./camtopod.schema.json"
+
+
+@pytest.mark.parametrize(
+    ("toml", "where"),
+    [
+        ("[sight]\n", ""),
+        ('[site]\nnmae = "hq"', "site"),
+        ('[site]\nname = "a/b"', "site.name"),
+        ('[learn]\nwindow_hours = "x"', "learn.window_hours"),
+        ("[limits]\ncommit_seconds = -1", "limits.commit_seconds"),
+        ("[limits]\npull_seconds = 0", "limits.pull_seconds"),
+        ('[bus]\nlisten = ["localhost"]', "bus.listen.0"),
+        ('[bus.tls]\nkey = "x"', "bus.tls"),
+        ("[cameras.lobby]\nspeed = 1.0", "cameras.lobby"),
+        ('[cameras.lobby]\nsource = "a"\nsource_file = "b"', "cameras.lobby"),
+        ('[cameras."a b"]\nsource = "0"', "cameras"),
+        ('[cameras.daemon]\nsource = "0"', "cameras"),
+        ('[health]\nlisten = "nowhere"', "health.listen"),
+    ],
+)
+def test_a_mistake_is_found_where_it_is(toml: str, where: str) -> None:
+    assert wrong(toml) == [where]
+
+
+def test_patterns_of_cameras_are_no_endpoints() -> None:
+    toml = '[shards]\ntogether = ["floor1-*"]'
+    assert wrong(toml) == []
+    assert parse(toml).shards.together == ("floor1-*",)
+
+
+def test_every_key_says_what_it_is() -> None:
+    def keys(table: dict[str, Any]) -> list[dict[str, Any]]:
+        return [key for each in table["properties"].values() for key in [each, *keys({"properties": {}, **each})]]
+
+    described = keys(schema()) + keys(schema()["properties"]["cameras"]["additionalProperties"])
+    assert all(key["description"] for key in described)
+    named = sum(len(kind.__struct_fields__) for kind in [*TABLES.values(), CameraSettings])
+    assert len(described) >= named
