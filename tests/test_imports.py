@@ -58,6 +58,8 @@ def problems(module: str, source: str) -> list[str]:
         wrong.append("zenoh")
     if "paho" in packages and module != "serve/mqtt.py":
         wrong.append("paho")
+    if "prometheus_client" in packages and module != "serve/metrics.py":
+        wrong.append("prometheus_client")
     if "cv2" in packages and folder not in ("vision", "sim", "export"):
         wrong.append("cv2")
     if "sqlite3" in packages and folder != "serve":
@@ -96,6 +98,7 @@ def test_the_guard_sees_a_wrong_import() -> None:
     assert problems("vision/x.py", "def f():\n    from camtopod.learn import settings") != []
     assert problems("serve/x.py", "import camtopod.cli.main") == ["camtopod.cli.main"]
     assert problems("cli/x.py", "from paho.mqtt import client") == ["paho"]
+    assert problems("serve/x.py", "import prometheus_client") == ["prometheus_client"]
     assert problems("adapt/x.py", "import time\nfrom camtopod.serve import mqtt") == ["camtopod.serve", "time"]
     assert wall_clock_reads("import time\nnow = time.time()") == [2]
     assert wall_clock_reads("from time import time") == [1]

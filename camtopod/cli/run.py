@@ -12,7 +12,7 @@ from camtopod.cli import exits
 from camtopod.cli.common import Told, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config
-from camtopod.serve import health, memory, systemd
+from camtopod.serve import health, memory, metrics, systemd
 from camtopod.serve.bus import BusError, refusals_heard
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.database import StateError
@@ -63,14 +63,15 @@ def run(args: argparse.Namespace) -> int:
                 exits.USAGE,
             )
         daemon = Daemon(config, shard=args.shard)
+        pages = {"/metrics": lambda: metrics.page(daemon, config.limits.cameras_max)}
         try:
             with (
                 refusals_heard(),
-                health.serving(config.health.listen, daemon.failing, daemon.unready) as listening,
+                health.serving(config.health.listen, daemon.failing, daemon.unready, pages) as listening,
                 systemd.watchdog(daemon.failing, lambda: not daemon.started),
             ):
                 if listening:
-                    log.info("health at http://%s/healthz and /readyz", listening)
+                    log.info("health at http://%s/healthz, /readyz and /metrics", listening)
                 systemd.notify(systemd.status("starting"))
                 _run(daemon, args, config, told)
         except StateError as error:

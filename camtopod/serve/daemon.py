@@ -83,8 +83,19 @@ class Daemon:
     @property
     def endpoint(self) -> str:
         """Where the others reach the bus; valid after `start`."""
+        return self.bus.endpoint
+
+    @property
+    def bus(self) -> Bus:
+        """The session it works on; valid after `start`."""
         assert self._bus is not None, "the daemon has not been started"
-        return self._bus.endpoint
+        return self._bus
+
+    @property
+    def learner_pid(self) -> int:
+        """Of the learner's process; valid after `start`."""
+        assert self._process is not None, "the daemon has not been started"
+        return self._process.pid
 
     @property
     def epoch(self) -> str:
@@ -216,7 +227,7 @@ class Daemon:
             "score": None if self.topology is None else self.topology.score,
             "alarms": [] if self.topology is None else (self.topology.alarms or [])[-STATUS_ALARMS:],
             "pulls": self._puller.pulls,
-            "journal": self._journal_status(),
+            "journal": {"damaged": self._learning.damaged, **self._journal.status()},
             "cameras": {
                 camera: {**counters, "alive": camera in self._puller.alive}
                 for camera, counters in sorted(receiver.cameras.status().items())
@@ -227,15 +238,6 @@ class Daemon:
     def _storing_reason(self) -> str:
         """Why nothing is stored at the moment; "" if all is well."""
         return self._receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason)
-
-    def _journal_status(self) -> dict[str, Any]:
-        """Of a disk that cannot be read the reason."""
-        known: dict[str, Any] = {"entries": len(self._journal), "damaged": self._learning.damaged}
-        try:
-            files = [path.name for path in self._journal.damaged_files()]
-            return {**known, "bytes": self._journal.size(), "damaged_files": files}
-        except (sqlite3.Error, OSError) as error:
-            return {**known, "reason": str(error)}
 
     def __enter__(self) -> Daemon:
         self.start()
@@ -354,12 +356,11 @@ class Daemon:
             self._live.use(newest)
 
     def _announce(self, version: Version) -> None:
-        assert self._bus is not None
         self._live.use(version.topology)
         self.topology = version.topology
         if version.delta is not None:
-            self._bus.put_raw("topology/delta", version.delta, "topology-delta")
-        self._bus.put_raw("topology", version.packed, "topology")
+            self.bus.put_raw("topology/delta", version.delta, "topology-delta")
+        self.bus.put_raw("topology", version.packed, "topology")
         for alarm in version.topology.alarms or []:
             if alarm.version == version.topology.version:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
@@ -370,13 +371,11 @@ class Daemon:
         )  # fmt: skip
 
     def _publish_prediction(self, prediction: Prediction) -> None:
-        assert self._bus is not None
-        self._bus.put(f"prediction/{prediction.camera}", prediction, "prediction")
+        self.bus.put(f"prediction/{prediction.camera}", prediction, "prediction")
 
     def _tell_status(self, mark: Mark) -> None:
-        assert self._bus is not None
         while not self._stopping.wait(self._config.limits.status_seconds):
-            self._bus.put(self._share.status_key, self.status(), "status")
+            self.bus.put(self._share.status_key, self.status(), "status")
             mark.beat()
 
     def _run(self, name: str, work: Callable[[Mark], None], seconds_max: float) -> None:

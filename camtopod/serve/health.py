@@ -1,4 +1,5 @@
-"""``GET /healthz``: does it get on? ``GET /readyz``: can it be relied on? Answered in JSON, 200 or 503.
+"""``GET /healthz``: does it get on? ``GET /readyz``: can it be relied on? Answered in JSON, 200 or 503. What other
+pages there are is for the caller to say.
 
 A client gets two seconds and four kilobytes for its request; a few are heard at a time, and whoever comes then
 waits until one of them is over. So a client that sends slowly, or nothing, holds nobody up for long.
@@ -15,10 +16,11 @@ import socketserver
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from http import HTTPStatus
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +38,18 @@ Reasons = Callable[[], list[str]]
 """Why not; empty if all is well."""
 
 
+class Page(NamedTuple):
+    """An answer."""
+
+    status: HTTPStatus
+    content_type: str
+    body: bytes
+
+
+Pages = Mapping[str, Callable[[], Page]]
+"""By path."""
+
+
 class _Handler(http.server.BaseHTTPRequestHandler):
     """One request on a connection."""
 
@@ -49,20 +63,19 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         self.rfile = io.BytesIO(_head(self.connection))
 
     def do_GET(self) -> None:
-        """/healthz and /readyz, and nothing else."""
-        question = self.server.questions.get(self.path.partition("?")[0])
-        if question is None:
+        """The pages there are, and nothing else."""
+        asked = self.server.pages.get(self.path.partition("?")[0])
+        if asked is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
-        reasons = question()[:REASONS_MAX]
-        body = json.dumps({"status": "failing" if reasons else "ok", "reasons": reasons}).encode() + b"\n"
-        self.send_response(HTTPStatus.SERVICE_UNAVAILABLE if reasons else HTTPStatus.OK)
-        self.send_header("Content-Type", "application/json")
-        self.send_header("Content-Length", str(len(body)))
+        page = asked()
+        self.send_response(page.status)
+        self.send_header("Content-Type", page.content_type)
+        self.send_header("Content-Length", str(len(page.body)))
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
         if self.command != "HEAD":
-            self.wfile.write(body)
+            self.wfile.write(page.body)
 
     do_HEAD = do_GET
 
@@ -77,8 +90,8 @@ class _Server(socketserver.ThreadingTCPServer):
     block_on_close = False
     request_queue_size = 64
 
-    def __init__(self, host: str, port: int, questions: dict[str, Reasons]) -> None:
-        self.questions = questions
+    def __init__(self, host: str, port: int, pages: Pages) -> None:
+        self.pages = pages
         self._free = threading.BoundedSemaphore(CONNECTIONS_MAX)
         if ":" in host:
             self.address_family = socket.AF_INET6
@@ -124,18 +137,25 @@ def _head(connection: socket.socket) -> bytes:
     return head if b"\r\n\r\n" in head or b"\n\n" in head else b""
 
 
+def _judgement(question: Reasons) -> Page:
+    reasons = question()[:REASONS_MAX]
+    body = json.dumps({"status": "failing" if reasons else "ok", "reasons": reasons}).encode() + b"\n"
+    return Page(HTTPStatus.SERVICE_UNAVAILABLE if reasons else HTTPStatus.OK, "application/json", body)
+
+
 @contextmanager
-def serving(listen: str, healthy: Reasons, ready: Reasons) -> Iterator[str]:
+def serving(listen: str, healthy: Reasons, ready: Reasons, others: Pages = MappingProxyType({})) -> Iterator[str]:
     """Answer at ``listen`` (host:port, port 0: a free one) while the block runs; gives the address.
 
-    ``listen`` "" means nowhere. Raises `ListenError`.
+    ``listen`` "" means nowhere. ``others``: pages beside /healthz and /readyz. Raises `ListenError`.
     """
     if not listen:
         yield ""
         return
     host, _, port = listen.rpartition(":")
+    pages = {"/healthz": lambda: _judgement(healthy), "/readyz": lambda: _judgement(ready), **others}
     try:
-        made = _Server(host.strip("[]"), int(port), {"/healthz": healthy, "/readyz": ready})
+        made = _Server(host.strip("[]"), int(port), pages)
     except (OSError, OverflowError) as error:
         raise ListenError(f"cannot listen at {listen} ([health] listen): {error}") from None
     with made as server:

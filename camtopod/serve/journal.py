@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from camtopod.config import KeepSettings
 from camtopod.serve import database
@@ -257,6 +257,14 @@ class Journal:
         """Bytes in use in the database."""
         with self._mutex, database.damage_noticed(self._path):
             return self._pragma("page_size") * (self._pragma("page_count") - self._pragma("freelist_count"))
+
+    def status(self) -> dict[str, Any]:
+        """How much there is; of a disk that cannot be read the reason."""
+        try:
+            files = [path.name for path in self.damaged_files()]
+            return {"entries": len(self), "bytes": self.size(), "damaged_files": files}
+        except (sqlite3.Error, OSError) as error:
+            return {"entries": len(self), "reason": str(error)}
 
     def damaged_files(self) -> list[Path]:
         """What was set aside of the database and its log and is still there, for somebody to look at."""

@@ -1,0 +1,220 @@
+"""``GET /metrics``: what the daemon counts anyway, for Prometheus. The one home of prometheus-client, an extra
+(``[metrics]``).
+
+Everything is read when it is asked for, from the daemon's status and, by a question on the bus, from those of the
+cameras' own processes; nothing is counted here. The only label is ``camera``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
+
+from camtopod import codec
+from camtopod.records import CAMERA_PATTERN
+from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.health import Page
+
+if TYPE_CHECKING:
+    from prometheus_client import Metric as Family
+
+PREFIX = "camtopod_"
+TEXT = "text/plain; charset=utf-8"
+_MISSING = "/metrics needs the package prometheus-client: pip install 'camtopod[metrics]'\n"
+
+
+class Metric(NamedTuple):
+    """One metric: its name below `PREFIX` (a counter's ends in ``_total``, anything else is a gauge), where its value
+    is in a status (names joined by dots), and what it means.
+    """
+
+    name: str
+    path: str
+    help: str
+
+
+SITE = (
+    Metric("events_received_total", "events.received", "Publications of events that came in"),
+    Metric("events_stored_total", "events.stored", "Events in the journal since the start"),
+    Metric("events_duplicate_total", "events.duplicate", "Events that had come before"),
+    Metric("events_future_total", "events.future", "Events too far ahead of this machine's clock, set aside"),
+    Metric("events_flood_total", "events.flood", "Events beyond what one view can show, not learned"),
+    Metric("events_put_off_total", "events.held_full", "Events too many of whose camera waited, to be pulled later"),
+    Metric("events_refilled_total", "events.refilled", "Events filled in again from a spool after damage"),
+    Metric("events_lost_total", "events.lost", "Events that no spool had any more"),
+    Metric("events_learned_total", "learner.learned", "Events learned in this epoch"),
+    Metric("events_late_total", "learner.late", "Events later than the lateness, stored and not learned"),
+    Metric("events_not_learned_total", "learner.refused", "Events of too many cameras or incarnations, not learned"),
+    Metric("events_waiting", "events.waiting", "Events stored and not learned yet"),
+    Metric("events_early", "events.early", "Events ahead of the clock that wait for their time"),
+    Metric("events_merging", "events.merging", "Events of backlogs that wait for each other"),
+    Metric("learner_held_events", "learner.held", "Events the learner holds until time has passed them"),
+    Metric("learner_window_events", "learner.window", "Events in the window that is learned from"),
+    Metric("watermark_timestamp_seconds", "learner.watermark", "Event time up to which everything is learned"),
+    Metric("connections_refused_total", "refused.connections", "Connections to the bus that were not let in"),
+    Metric("messages_denied_total", "refused.denied", "Messages that a certificate does not allow"),
+    Metric("messages_oversized_total", "refused.too-large", "Messages dropped for their size"),
+    Metric("predictions_total", "predictions", "Predictions published"),
+    Metric("predictions_skipped_total", "predictions_skipped", "Exits for whose prediction there was no time"),
+    Metric("questions_refused_total", "questions_refused", "Questions for a prediction that had no answer"),
+    Metric("pulls_total", "pulls", "Questions to the cameras' spools"),
+    Metric("journal_entries_total", "journal.entries", "Entries the journal has ever had"),
+    Metric("journal_bytes", "journal.bytes", "Size of the journal"),
+    Metric("journal_damaged_entries", "journal.damaged", "Damaged entries that were left out"),
+    Metric("journal_damaged_files", "journal.damaged_files", "Files set aside for damage"),
+    Metric("degraded", "degraded", "1 while the status gives a reason for not being well"),
+    Metric("topology_version", "version", "Newest version of the topology"),
+    Metric("topology_timestamp_seconds", "topology.as_of", "Event time of the newest version"),
+    Metric("topology_cameras", "topology.cameras", "Cameras in the topology"),
+    Metric("topology_zones", "topology.zones", "Zones in the topology"),
+    Metric("topology_links", "topology.links", "Links in the topology"),
+    Metric("alarm_timestamp_seconds", "topology.alarm", "Event time of the newest alarm"),
+    Metric("score_exits", "score.exits", "Predictions that the score is over"),
+    Metric("score_top1", "score.top1", "Share of next cameras that were the likeliest"),
+    Metric("score_top3", "score.top3", "Share of next cameras among the likeliest three"),
+    Metric("score_log_loss", "score.log_loss", "Mean log loss of the predictions, nats"),
+    Metric("score_baseline_top1", "score.baseline_top1", "The share of always naming the most frequent next camera"),
+    Metric("score_baseline_log_loss", "score.baseline_log_loss", "And its log loss, nats"),
+)
+REASONS = (
+    "malformed", "bad-value", "not-utf8", "too-deep", "too-long", "half-position", "half-sequence", "wrong-camera",
+    "too-many-cameras", "too-many-streams", "seq-jump", "future", "spool-refuses", "bad-batch",
+)  # fmt: skip
+"""Why something is rejected. Each is a metric of its own; a reason that is not among them is in the sum only."""
+CAMERA = (
+    Metric("events_total", "events", "Events taken from the camera since the start"),
+    Metric("event_timestamp_seconds", "newest", "Time of the camera's newest event"),
+    Metric("clock_ahead_seconds", "ahead", "How far the camera's last event was ahead of this machine's clock"),
+    Metric("camera_alive", "alive", "1 while whoever publishes the camera's events is there"),
+    Metric("events_dropped_total", "dropped", "Publications there was no room for; a spool still has them"),
+)
+GRABBER = (
+    Metric("grabber_running", "running", "1 while the camera gives pictures"),
+    Metric("grabber_restarts_total", "restarts", "How often the camera's process was started again"),
+    Metric("grabber_connections_total", "connections", "Connections to the camera"),
+    Metric("grabber_failures_total", "failures", "Connections that failed or were lost"),
+    Metric("grabber_frames_total", "frames_grabbed", "Pictures that came"),
+    Metric("grabber_frames_dropped_total", "frames_dropped", "Pictures too old to be used"),
+    Metric("grabber_frames_analysed_total", "frames_analysed", "Pictures looked at"),
+    Metric("grabber_analysis_cpu_seconds_total", "analysis_cpu_seconds", "Processor time for that"),
+    Metric("grabber_entries_total", "entries", "Objects that came into view"),
+    Metric("grabber_exits_total", "exits", "Objects that left"),
+    Metric("grabber_frame_timestamp_seconds", "last_frame_t", "Capture time of the latest picture"),
+    Metric("spool_events", "unacknowledged", "Events that the daemon has not stored yet"),
+    Metric("spool_dropped_total", "dropped", "Events lost because the spool was full"),
+    Metric("spool_damaged_files", "damaged_files", "Files of the spool set aside for damage"),
+)
+
+
+def page(daemon: Daemon, cameras_max: int) -> Page:
+    """The answer to a scrape, with at most ``cameras_max`` cameras; 501 without the extra."""
+    try:
+        from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+        from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
+    except ModuleNotFoundError:
+        return Page(HTTPStatus.NOT_IMPLEMENTED, TEXT, _MISSING.encode())
+    registry = CollectorRegistry()
+    ProcessCollector(registry=registry)
+    if daemon.started:
+        ProcessCollector(f"{PREFIX}learner", lambda: daemon.learner_pid, registry=registry)
+    registry.register(_Scrape(daemon, cameras_max))
+    return Page(HTTPStatus.OK, CONTENT_TYPE_PLAIN_0_0_4, generate_latest(registry))
+
+
+class _Scrape:
+    """What is known at one moment."""
+
+    def __init__(self, daemon: Daemon, cameras_max: int) -> None:
+        self._daemon, self._cameras_max = daemon, cameras_max
+
+    def collect(self) -> Iterator[Family]:
+        daemon = self._daemon
+        yield _family("healthy", "1 while all parts get on", {"": float(not daemon.failing())})
+        yield _family("ready", "1 while it can be relied on", {"": float(not daemon.unready())})
+        if not daemon.started:
+            return
+        status = site_status(daemon)
+        yield from (_family(one.name, one.help, _number({"": status}, one.path)) for one in SITE)
+        rejects: dict[str, int] = status["rejects"]
+        yield _family("rejected_total", "What came in and did not fit", {"": sum(rejects.values())})
+        for reason in REASONS:
+            name = f"rejected_{reason.replace('-', '_')}_total"
+            yield _family(name, f"Of these the ones counted as {reason}", {"": rejects.get(reason, 0)})
+        yield from self._families(CAMERA, status["cameras"])
+        if status.get("shard", "0/1").startswith("0/"):  # one of the shards asks
+            yield from self._families(GRABBER, grabbers(daemon.bus))
+
+    def _families(self, metrics: Iterable[Metric], cameras: Mapping[str, Any]) -> Iterator[Family]:
+        some = {camera: cameras[camera] for camera in sorted(cameras)[: self._cameras_max]}
+        yield from (_family(one.name, one.help, _number(some, one.path)) for one in metrics)
+
+
+def site_status(daemon: Daemon) -> dict[str, Any]:
+    """``status/daemon`` and what of the topology is of interest."""
+    status: dict[str, Any] = msgspec.to_builtins(daemon.status())
+    status["degraded"] = status["state"] != "running"
+    status["journal"]["damaged_files"] = len(status["journal"].get("damaged_files", ()))
+    status["learner"]["watermark"] = status["learner"]["watermark"] or None
+    refused = {"denied": 0, "too-large": 0, **status["refused"]}
+    refused["connections"] = sum(refused.values()) - refused["denied"] - refused["too-large"]
+    status["refused"] = refused
+    topology = daemon.topology
+    if topology is not None:
+        status["topology"] = {
+            "as_of": topology.as_of,
+            "cameras": len(topology.cameras),
+            "zones": len(topology.zones),
+            "links": len(topology.links),
+            "alarm": topology.alarms[-1].t if topology.alarms else None,
+        }
+    for camera, counters in status["cameras"].items():
+        counters["dropped"] = status["dropped"].pop(camera, 0)
+    if others := sum(status["dropped"].values()):
+        status["cameras"][""] = {"dropped": others}
+    return status
+
+
+def grabbers(bus: Bus) -> dict[str, dict[str, Any]]:
+    """What the cameras' processes say of themselves, as far as they answer in time."""
+    try:
+        answers = bus.ask("status/*")
+    except QueryError:
+        return {}
+    found: dict[str, dict[str, Any]] = {}
+    for key, payload in answers:
+        camera = key.removeprefix("status/")
+        if camera == "daemon" or not re.match(CAMERA_PATTERN, camera):
+            continue
+        try:
+            said = codec.read(dict[str, Any], payload, pack=True)
+        except codec.Rejected:
+            continue
+        found[camera] = {**said, "running": said.get("state") == "running"}
+    return found
+
+
+def _number(statuses: Mapping[str, Any], path: str) -> dict[str, float]:
+    """By camera the number at ``path``; where there is none, or something else, nothing."""
+    found = {}
+    for camera, value in statuses.items():
+        for name in path.split("."):
+            value = value.get(name) if isinstance(value, dict) else None
+        if isinstance(value, int | float):
+            found[camera] = float(value)
+    return found
+
+
+def _family(name: str, text: str, values: Mapping[str, float]) -> Family:
+    """A metric with its values by camera; "": of the site, without the label."""
+    from prometheus_client import Metric as Family
+
+    counter = name.endswith("_total")
+    family = Family(PREFIX + name.removesuffix("_total"), f"{text}.", "counter" if counter else "gauge")
+    for camera, value in values.items():
+        family.add_sample(PREFIX + name, {"camera": camera} if camera else {}, value)
+    return family
