@@ -23,7 +23,8 @@ FISH = 'source $argv[1]; complete -C "$argv[2]" | string replace -r "\\t.*" ""'
 ZSH = """
 zmodload zsh/zpty
 zpty z zsh -f -i
-zpty -w z "PS1='' ; fpath=($1 \\$fpath); autoload -U compinit; compinit -D -u; bindkey '^I' list-choices; echo BEGIN''NING"
+zpty -w z "PS1='' ; fpath=($1 \\$fpath); autoload -U compinit; compinit -D -u"
+zpty -w z "bindkey '^I' list-choices; echo BEGIN''NING"
 zpty -r z seen '*BEGINNING*'
 zpty -n -w z "$2"$'\\t'
 zpty -r -m z seen "*$3*" && print -r -- "$seen"

@@ -32,12 +32,10 @@ def test_the_manual_has_every_command_and_every_option() -> None:
     assert "--beat-fd" not in page, "it is for a camera's process only"
 
 
-@pytest.mark.parametrize(
-    "reader", [["mandoc", "-T", "lint"], ["groff", "-man", "-ww", "-T", "utf8"]], ids=lambda r: r[0]
-)
-def test_a_reader_of_manuals_has_nothing_to_say(reader: list[str]) -> None:
-    if shutil.which(reader[0]) is None:
-        pytest.skip(f"no {reader[0]}")
-    done = subprocess.run([*reader, str(DEPLOY / "camtopod.1")], capture_output=True, text=True)
-    said = done.stdout + done.stderr if reader[0] == "mandoc" else done.stderr
-    assert (done.returncode, said) == (0, "")
+@pytest.mark.parametrize("reader", ["mandoc -T lint", "groff -man -ww -T utf8 -z"])
+def test_a_reader_of_manuals_has_nothing_to_say(reader: str) -> None:
+    command = reader.split()
+    if shutil.which(command[0]) is None:
+        pytest.skip(f"no {command[0]}")
+    done = subprocess.run([*command, str(DEPLOY / "camtopod.1")], capture_output=True, text=True)
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")
