@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 PREFIX = "camtopod_"
 TEXT = "text/plain; charset=utf-8"
+EXPOSITION = "text/plain; version=0.0.4; charset=utf-8"
+"""The format that every Prometheus reads."""
 _MISSING = "/metrics needs the package prometheus-client: pip install 'camtopod[metrics]'\n"
 
 
@@ -115,7 +117,6 @@ def page(daemon: Daemon, cameras_max: int) -> Page:
     """The answer to a scrape, with at most ``cameras_max`` cameras; 501 without the extra."""
     try:
         from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
-        from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
     except ModuleNotFoundError:
         return Page(HTTPStatus.NOT_IMPLEMENTED, TEXT, _MISSING.encode())
     registry = CollectorRegistry()
@@ -123,7 +124,7 @@ def page(daemon: Daemon, cameras_max: int) -> Page:
     if daemon.started:
         ProcessCollector(f"{PREFIX}learner", lambda: daemon.learner_pid, registry=registry)
     registry.register(_Scrape(daemon, cameras_max))
-    return Page(HTTPStatus.OK, CONTENT_TYPE_PLAIN_0_0_4, generate_latest(registry))
+    return Page(HTTPStatus.OK, EXPOSITION, generate_latest(registry))
 
 
 class _Scrape:
