@@ -1,0 +1,101 @@
+"""`camtopod.client` for asyncio: the same, and what waits is awaited. No thread is held while nothing comes.
+
+async with aio.Topology.connect("hq") as site:
+    async for prediction in site.predictions():
+        print(prediction.next_[:1])
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Sequence
+from functools import partial
+from typing import TypeVar
+
+from camtopod.client.inbox import WAITING_MAX, Inbox
+from camtopod.client.news import News
+from camtopod.client.view import Settings, View
+from camtopod.records import Prediction
+from camtopod.records import Topology as Version
+
+T = TypeVar("T")
+
+
+class Topology(View):
+    """As `camtopod.client.Topology`. `predict`, `gate` and the others that need not wait are plain methods."""
+
+    @classmethod
+    @contextlib.asynccontextmanager
+    async def connect(
+        cls, site: str | None = None, connect: str | Sequence[str] = (), config: Settings = None
+    ) -> AsyncIterator[Topology]:
+        """``async with`` it; arguments and errors as in `camtopod.client.Topology.connect`."""
+        opening = asyncio.ensure_future(asyncio.to_thread(cls, site, connect, config))
+        try:
+            opened = await asyncio.shield(opening)
+        except asyncio.CancelledError:  # the thread goes on until it is open or has failed
+            with contextlib.suppress(OSError):
+                await asyncio.to_thread((await opening).close)
+            raise
+        try:
+            yield opened
+        finally:
+            await asyncio.to_thread(opened.close)
+
+    async def wait_for(self, version: int, seconds: float) -> Version:
+        """The newest version as soon as it is at least ``version``. Raises TimeoutError after ``seconds``, or when it
+        is closed meanwhile.
+        """
+        found = await _awaited(self._news, lambda: self._at_least(version), seconds)
+        if found is None:
+            raise TimeoutError(self._not_there(version, seconds))
+        return found
+
+    async def versions(self, seconds: float | None = None) -> AsyncIterator[Version]:
+        """The current version, if there is one, and each that comes after: as `camtopod.client.Topology.versions`."""
+        last = None
+        while (last := await _awaited(self._news, partial(self._newer, last), seconds)) is not None:
+            yield last
+
+    def predictions(
+        self, camera: str | None = None, seconds: float | None = None, waiting_max: int = WAITING_MAX
+    ) -> Predictions:
+        """The daemon's own predictions from now on: as `camtopod.client.Topology.predictions`."""
+        return self._opened(Predictions(self._bus, camera, seconds, waiting_max))
+
+
+class Predictions(Inbox):
+    """As `camtopod.client.Predictions`, for ``async for``; ``async with`` closes it."""
+
+    async def get(self, seconds: float | None = None) -> Prediction | None:
+        """The next one; None when none has come for ``seconds``, or when it is closed."""
+        return await _awaited(self._news, self._take, seconds)
+
+    async def __aiter__(self) -> AsyncIterator[Prediction]:
+        while (prediction := await self.get(self._seconds)) is not None:
+            yield prediction
+
+    async def __aenter__(self) -> Predictions:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+
+async def _awaited(news: News, found: Callable[[], T | None], seconds: float | None) -> T | None:
+    """As `News.wait_for`, in an event loop."""
+    loop, came = asyncio.get_running_loop(), asyncio.Event()
+
+    def tell() -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has been closed meanwhile
+            loop.call_soon_threadsafe(came.set)
+
+    with news.heard_by(tell), contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            while not news.closed:
+                if (value := found()) is not None:
+                    return value
+                await came.wait()
+                came.clear()
+    return None
