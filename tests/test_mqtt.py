@@ -12,11 +12,11 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import frigate_says as says
 import pytest
+from mosquitto import PROGRAM, mosquitto
 from serving import T0, small_config, wait_for
 
 from camtopod.cli import exits
@@ -24,60 +24,10 @@ from camtopod.cli.main import main
 from camtopod.serve import mqtt
 from camtopod.serve.daemon import Daemon
 
-PROGRAM = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin:/usr/local/sbin")
 USER, PASSWORD = "camtopod", "hunter2-long"
 
-publish = pytest.importorskip("paho.mqtt.publish", reason="needs paho-mqtt (camtopod[mqtt])")
+pytest.importorskip("paho.mqtt.publish", reason="needs paho-mqtt (camtopod[mqtt])")
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)")
-
-
-class Broker:
-    """A mosquitto on a port of its own, which it keeps when it is started again."""
-
-    def __init__(self, folder: Path, port: int, *options: str) -> None:
-        self.port, self._folder = port, folder
-        self._config = folder / "mosquitto.conf"
-        open_to_all = [] if any("password_file" in option for option in options) else ["allow_anonymous true"]
-        lines = ["user root", f"listener {port} 127.0.0.1", *open_to_all, *options]
-        self._config.write_text("\n".join(lines) + "\n")
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def start(self) -> bool:
-        """Whether it is there; its port may have been taken meanwhile."""
-        assert PROGRAM is not None
-        self._process = process = subprocess.Popen(
-            [PROGRAM, "-c", str(self._config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        wait_for(lambda: process.poll() is not None or self._answers(), "mosquitto")
-        return process.poll() is None
-
-    def stop(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-
-    def publish(self, lines: list[bytes], **options: object) -> None:
-        publish.multiple([("frigate/events", line, 1, False) for line in lines], "127.0.0.1", self.port, **options)
-
-    def _answers(self) -> bool:
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
-            return True
-        return False
-
-
-@contextlib.contextmanager
-def mosquitto(folder: Path, *options: str) -> Iterator[Broker]:
-    for _ in range(5):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            broker = Broker(folder, probe.getsockname()[1], *options)
-        if broker.start():
-            break
-        broker.stop()
-    try:
-        yield broker
-    finally:
-        broker.stop()
 
 
 class Ingest:

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import logging
-import os
 import re
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
-from camtopod import secret_files
 from camtopod.adapt.adapter import ANY_CAMERA, LINE_BYTES_MAX, Adapter, Size
 from camtopod.adapt.frigate import Frigate
 from camtopod.adapt.mot import Mot
 from camtopod.adapt.scenescape import SceneScape
-from camtopod.cli import exits
-from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli import broker, exits
+from camtopod.cli.exits import CommandError
 from camtopod.cli.lines import LineReader, numbered, open_input
 from camtopod.config import RESERVED
 from camtopod.records import Event
 from camtopod.serve import mqtt
 
-log = logging.getLogger(__name__)
-
 FORMATS = ("jsonl", "frigate", "mot", "scenescape")
-PASSWORD_VARIABLE = "CAMTOPOD_MQTT_PASSWORD"
 _OPTIONS = {
     "size": ("frigate", "mot", "scenescape"),
     "label": ("frigate", "scenescape"),
@@ -58,10 +51,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--fps", type=float, metavar="N", help="mot: frames a second")
     group.add_argument("--start", type=float, metavar="SECONDS", help="mot: time of the first frame (default 0)")
     group = parser.add_argument_group("MQTT", "FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX (frigate, scenescape)")
-    group.add_argument(
-        "--password-file", type=Path, metavar="FILE", help=f"the user's password (or in ${PASSWORD_VARIABLE})"
-    )
-    group.add_argument("--ca", metavar="FILE", help="mqtts: the authorities to trust (default: the system's)")
+    broker.add_options(group)
 
 
 def events(
@@ -124,23 +114,6 @@ def _sizes(given: list[str]) -> dict[str, Size]:
 
 
 def _messages(args: argparse.Namespace, topic: str) -> mqtt.Messages:
-    password = os.environ.get(PASSWORD_VARIABLE) or None
-    if args.password_file is not None:
-        try:
-            password = secret_files.read(args.password_file)
-        except OSError as error:
-            raise InputError(f"cannot read {args.password_file}: {error.strerror}") from None
-        for sentence in secret_files.exposed([args.password_file]):
-            log.warning("%s", sentence)
-    try:
-        source = mqtt.broker(args.file, password, args.ca)
-    except ValueError as error:
-        raise CommandError(str(error), exits.USAGE) from None
-    try:
+    source = broker.named(args, args.file)
+    with broker.connecting(exits.INPUT):
         return mqtt.Messages(source, topic)
-    except mqtt.MqttError as error:
-        raise InputError(str(error)) from None
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != "paho":
-            raise
-        raise CommandError("reading from MQTT needs the package paho-mqtt: pip install 'camtopod[mqtt]'") from None

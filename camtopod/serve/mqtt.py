@@ -1,11 +1,11 @@
-"""Messages of an MQTT broker. The one home of paho-mqtt, which is an extra (``[mqtt]``)."""
+"""Messages of an MQTT broker, and to one. The one home of paho-mqtt, which is an extra (``[mqtt]``)."""
 
 from __future__ import annotations
 
 import logging
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlsplit
 
@@ -28,6 +28,9 @@ CONNECT_SECONDS = 10.0
 KEEPALIVE_SECONDS = 30
 RETRY_SECONDS_MAX = 60
 """Largest wait before a lost connection is tried again; it begins with 1 s and doubles."""
+LEAVE_SECONDS = 2.0
+"""For the last message."""
+ONLINE, OFFLINE = "online", "offline"
 _TICK_SECONDS = 0.2
 
 
@@ -36,7 +39,9 @@ class MqttError(Exception):
 
 
 class Broker(Struct, frozen=True):
-    """Where messages come from. ``prefix``: the levels before a program's own topics, without a slash at the end."""
+    """Where messages come from or go to. ``prefix``: the levels before a program's own topics, without a slash at the
+    end.
+    """
 
     host: str
     port: int
@@ -48,15 +53,18 @@ class Broker(Struct, frozen=True):
     """File with the authorities to trust; None: the system's."""
 
 
-def broker(url: str, password: str | None = None, ca: str | None = None) -> Broker:
-    """From ``mqtt[s]://[USER@]HOST[:PORT]/PREFIX``. Raises `ValueError`, also for a password in it."""
+def broker(url: str, password: str | None = None, ca: str | None = None, prefix: str = "") -> Broker:
+    """From ``mqtt[s]://[USER@]HOST[:PORT]/PREFIX``; ``prefix`` stands for one that is left out.
+
+    Raises `ValueError`, also for a password in it.
+    """
     remember(url)
     parts = urlsplit(url)
     if parts.scheme not in PORTS or not parts.hostname:
         raise ValueError(f"{redact(url)!r}: write it like mqtt://USER@HOST:1883/PREFIX, or mqtts:// for TLS")
     if parts.password is not None:
         raise ValueError("others on this machine can read a password on the command line: put it in a file")
-    prefix = unquote(parts.path).strip("/")
+    prefix = unquote(parts.path).strip("/") or prefix
     if not prefix or "+" in prefix or parts.query or "#" in url:
         raise ValueError(f"{redact(url)!r}: it ends in the program's topic prefix, for example /frigate")
     user = None if parts.username is None else unquote(parts.username)
@@ -68,44 +76,84 @@ def broker(url: str, password: str | None = None, ca: str | None = None) -> Brok
     return Broker(parts.hostname, parts.port or PORTS[parts.scheme], tls, prefix, user, password, ca)
 
 
-class Messages:
-    """What comes under one topic below the broker's prefix, oldest first, until told to stop.
+class _Connection:
+    """A client of the broker.
 
-    Raises `MqttError` if the first connection fails; a later one that is lost is made again, for as long as it takes,
-    and what was published meanwhile is missing.
+    Raises `MqttError` if the first connection fails; a later one that is lost is made again, for as long as it takes.
     """
 
-    def __init__(self, source: Broker, topic: str, limit_messages: int = MESSAGES_MAX) -> None:
+    def __init__(self, at: Broker) -> None:
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion
 
-        self.topic = f"{source.prefix}/{topic}"
-        self.dropped = 0
-        """Messages that found ``limit_messages`` others waiting."""
-        self._source = source
-        self._waiting: queue.Queue[bytes] = queue.Queue(limit_messages)
+        self._at = at
         self._ready = threading.Event()
         self._refused: str | None = None
         self._client = client = Client(CallbackAPIVersion.VERSION2)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
-        client.on_subscribe, client.on_message = self._on_subscribe, self._on_message
         client.reconnect_delay_set(1, RETRY_SECONDS_MAX)
         client.connect_timeout = CONNECT_SECONDS
-        if source.user is not None:
-            client.username_pw_set(source.user, source.password)
+        if at.user is not None:
+            client.username_pw_set(at.user, at.password)
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._client.on_disconnect = None
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _connect(self) -> None:
+        at = self._at
         try:
-            if source.tls:
-                client.tls_set(source.ca)
-            client.connect(source.host, source.port, KEEPALIVE_SECONDS)
+            if at.tls:
+                self._client.tls_set(at.ca)
+            self._client.connect(at.host, at.port, KEEPALIVE_SECONDS)
         except (OSError, ValueError) as error:
-            raise MqttError(f"cannot reach {source.host}:{source.port}: {error}") from None
-        client.loop_start()
+            raise MqttError(f"cannot reach {at.host}:{at.port}: {error}") from None
+        self._client.loop_start()
         if not self._ready.wait(CONNECT_SECONDS):
             self.close()
-            raise MqttError(f"{source.host}:{source.port} does not answer as an MQTT broker")
+            raise MqttError(f"{at.host}:{at.port} does not answer as an MQTT broker")
         if self._refused is not None:
             self.close()
-            raise MqttError(f"{source.host}:{source.port} refuses: {self._refused}")
+            raise MqttError(f"{at.host}:{at.port} refuses: {self._refused}")
+
+    def _joined(self) -> None:
+        """Connected, for the first time or again."""
+        raise NotImplementedError
+
+    def _on_connect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
+        if code.is_failure:
+            self._tell(str(code))
+        else:
+            self._joined()
+
+    def _tell(self, refusal: str) -> None:
+        """At the start it ends the program; later on it is said, and tried again."""
+        if self._ready.is_set():
+            log.warning("%s:%d refuses: %s", self._at.host, self._at.port, refusal)
+            return
+        self._refused = refusal
+        self._ready.set()
+
+    def _on_disconnect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
+        if self._ready.is_set() and self._refused is None:
+            log.warning("lost %s:%d (%s); trying again", self._at.host, self._at.port, code)
+
+
+class Messages(_Connection):
+    """What comes under one topic below the broker's prefix, oldest first, until told to stop. What was published while
+    there was no connection is missing. Raises `MqttError`.
+    """
+
+    def __init__(self, source: Broker, topic: str, limit_messages: int = MESSAGES_MAX) -> None:
+        super().__init__(source)
+        self.topic = f"{source.prefix}/{topic}"
+        self.dropped = 0
+        """Messages that found ``limit_messages`` others waiting."""
+        self._waiting: queue.Queue[bytes] = queue.Queue(limit_messages)
+        self._client.on_subscribe, self._client.on_message = self._on_subscribe, self._on_message
+        self._connect()
 
     def read(self, stop: threading.Event) -> Iterator[bytes]:
         """The messages, until ``stop`` is set."""
@@ -115,37 +163,16 @@ class Messages:
             except queue.Empty:
                 continue
 
-    def close(self) -> None:
-        """Disconnect."""
-        self._client.on_disconnect = None
-        self._client.disconnect()
-        self._client.loop_stop()
-
-    def _on_connect(self, client: Client, _: Any, __: Any, code: ReasonCode, ___: Any) -> None:
-        if code.is_failure:
-            self._tell(str(code))
-            return
-        client.subscribe(self.topic, qos=1)
+    def _joined(self) -> None:
+        self._client.subscribe(self.topic, qos=1)
 
     def _on_subscribe(self, _: Client, __: Any, ___: int, codes: list[ReasonCode], ____: Any) -> None:
         failed = [str(code) for code in codes if code.is_failure]
         if failed:
             self._tell(f"{self.topic}: {failed[0]}")
             return
-        log.info("hearing %s at %s:%d", self.topic, self._source.host, self._source.port)
+        log.info("hearing %s at %s:%d", self.topic, self._at.host, self._at.port)
         self._ready.set()
-
-    def _tell(self, refusal: str) -> None:
-        """At the start it ends the program; later on it is said, and tried again."""
-        if self._ready.is_set():
-            log.warning("%s:%d refuses: %s", self._source.host, self._source.port, refusal)
-            return
-        self._refused = refusal
-        self._ready.set()
-
-    def _on_disconnect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
-        if self._ready.is_set() and self._refused is None:
-            log.warning("lost %s:%d (%s); trying again", self._source.host, self._source.port, code)
 
     def _on_message(self, _: Client, __: Any, message: MQTTMessage) -> None:
         try:
@@ -154,3 +181,43 @@ class Messages:
             self.dropped += 1
             if self.dropped == 1:
                 log.warning("messages come faster than they are read; those beyond %d are dropped", MESSAGES_MAX)
+
+
+class Board(_Connection):
+    """Retained messages, one a topic. ``availability`` is a topic that says ``online`` as long as this program is there
+    and the broker reaches it, and ``offline`` otherwise. Raises `MqttError`.
+
+    What is sent when the connection breaks may be lost, so everything is sent again with the next one; a quality of
+    service above 0 would then bring back what is out of date.
+    """
+
+    def __init__(self, target: Broker, availability: str) -> None:
+        super().__init__(target)
+        self._availability = availability
+        self._mutex = threading.Lock()
+        self._said: dict[str, str] = {}
+        self._client.will_set(availability, OFFLINE, qos=1, retain=True)
+        self._connect()
+
+    def show(self, messages: Mapping[str, str]) -> None:
+        """Publish what is not known to be there, by topic; what cannot be sent now is sent with the next call."""
+        with self._mutex:
+            for topic, text in messages.items():
+                if self._client.is_connected() and self._said.get(topic) != text:
+                    self._client.publish(topic, text, retain=True)
+                    self._said[topic] = text
+
+    def close(self) -> None:
+        """Say so and disconnect."""
+        if self._client.is_connected():
+            told = self._client.publish(self._availability, OFFLINE, qos=1, retain=True)
+            told.wait_for_publish(LEAVE_SECONDS)
+        super().close()
+
+    def _joined(self) -> None:
+        """Whatever the broker still has of before, it is told everything anew."""
+        with self._mutex:
+            self._said.clear()
+        self._client.publish(self._availability, ONLINE, qos=1, retain=True)
+        log.info("publishing below %s at %s:%d", self._at.prefix, self._at.host, self._at.port)
+        self._ready.set()

@@ -1,0 +1,128 @@
+"""`camtopod bridge`: the site in Home Assistant, through an MQTT broker."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import re
+import threading
+from typing import Any
+
+from camtopod import codec
+from camtopod.cli import broker, exits
+from camtopod.cli.common import configuration, start_logging, until_signal
+from camtopod.cli.exits import CommandError
+from camtopod.export import homeassistant
+from camtopod.export.homeassistant import DISCOVERY, PREFIX, Counted, Messages, Said, SiteSaid, Topics
+from camtopod.records import CAMERA_PATTERN, Prediction
+from camtopod.serve import mqtt
+from camtopod.serve.bus import Bus, BusError, QueryError, dial
+from camtopod.serve.subscriber import TopologyView
+
+LOOK_SECONDS = 1.0
+"""How often what has changed is published."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `bridge`."""
+    parser = subparsers.add_parser(
+        "bridge",
+        help="cameras, alarms and predictions in Home Assistant, by MQTT",
+        description="Publishes what is known of the site at an MQTT broker, in the form of Home Assistant's discovery, "
+        "until interrupted: there a device for the daemon and one for each camera appear by themselves.",
+    )
+    parser.add_argument(
+        "url", metavar="URL", help=f"mqtt[s]://[USER@]HOST[:PORT][/PREFIX]; PREFIX of the topics: {PREFIX}"
+    )
+    parser.add_argument(
+        "--discovery",
+        metavar="PREFIX",
+        default=DISCOVERY,
+        help="Home Assistant's discovery prefix (default: %(default)s)",
+    )
+    broker.add_options(parser)
+
+
+class Site:
+    """What is known of the site at the moment; filled by the bus's threads. At most ``cameras_max`` cameras."""
+
+    def __init__(self, bus: Bus, topics: Topics, cameras_max: int) -> None:
+        self._topics, self._cameras_max = topics, cameras_max
+        self._mutex = threading.Lock()
+        self._daemons: set[str] = set()
+        self._site = SiteSaid()
+        self._said: dict[str, Said] = {}
+        self._predictions: dict[str, Prediction] = {}
+        self._cameras: list[str] = []
+        self._discovery = homeassistant.discovery(topics, [])
+        self._view = TopologyView(bus)
+        bus.watch_alive("daemon", self._on_daemon)
+        bus.subscribe("status/*", self._on_status)
+        bus.subscribe("prediction/*", self._on_prediction)
+        with contextlib.suppress(QueryError):
+            for key, payload in bus.ask("status/*"):
+                self._on_status(key, payload)
+
+    def messages(self) -> Messages:
+        """Everything there is to say, by topic."""
+        self._view.update()
+        topics, topology = self._topics, self._view.topology
+        zones = {} if topology is None else {camera.id: len(camera.zones) for camera in topology.cameras}
+        with self._mutex:
+            said, predictions, alive, site = dict(self._said), dict(self._predictions), bool(self._daemons), self._site
+        known = (name for name in {*said, *site.cameras, *zones} if re.match(CAMERA_PATTERN, name))
+        cameras = sorted(known)[: self._cameras_max]
+        if cameras != self._cameras:
+            self._cameras, self._discovery = cameras, homeassistant.discovery(topics, cameras)
+        messages = self._discovery | homeassistant.site_state(topics, alive, site, topology)
+        for camera in cameras:
+            counted = site.cameras.get(camera, Counted())
+            messages |= homeassistant.camera_state(topics, camera, counted, said.get(camera), zones.get(camera, 0))
+            if camera in predictions:
+                messages |= homeassistant.prediction_state(topics, predictions[camera])
+        return messages
+
+    def _on_daemon(self, name: str, alive: bool) -> None:
+        with self._mutex:
+            (self._daemons.add if alive else self._daemons.discard)(name)
+
+    def _on_status(self, key: str, payload: bytes) -> None:
+        camera = key.removeprefix("status/")
+        with contextlib.suppress(codec.Rejected):
+            if camera == "daemon":
+                self._site = codec.read(SiteSaid, payload, pack=True)
+            else:
+                self._keep(self._said, camera, codec.read(Said, payload, pack=True))
+
+    def _on_prediction(self, key: str, payload: bytes) -> None:
+        camera = key.removeprefix("prediction/")
+        with contextlib.suppress(codec.Rejected):
+            prediction = codec.read(Prediction, payload, pack=True)
+            if prediction.camera == camera:
+                self._keep(self._predictions, camera, prediction)
+
+    def _keep(self, where: dict[str, Any], camera: str, noun: Any) -> None:
+        """The newest of each camera."""
+        with self._mutex:
+            if camera in where or len(where) < self._cameras_max:
+                where[camera] = noun
+
+
+def run(args: argparse.Namespace) -> int:
+    """Publish until SIGTERM or SIGINT."""
+    start_logging(args)
+    config = configuration(args)
+    target = broker.named(args, args.url, PREFIX)
+    topics = Topics(config.site.name, target.prefix, args.discovery.strip("/"))
+    with contextlib.ExitStack() as stack, until_signal() as stop:
+        try:
+            bus = stack.enter_context(dial(config))
+        except BusError as error:
+            raise CommandError(str(error), exits.BUS) from None
+        site = Site(bus, topics, config.limits.cameras_max)
+        with broker.connecting(exits.FAILED):
+            board = stack.enter_context(contextlib.closing(mqtt.Board(target, topics.bridge)))
+        while not stop.is_set():
+            board.show(site.messages())
+            stop.wait(LOOK_SECONDS)
+    return exits.DONE

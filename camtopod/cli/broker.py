@@ -1,0 +1,57 @@
+"""An MQTT broker on the command line: its URL, the password and the authorities to trust."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from camtopod import secret_files
+from camtopod.cli import exits
+from camtopod.cli.exits import CommandError, InputError
+from camtopod.serve import mqtt
+
+log = logging.getLogger(__name__)
+
+PASSWORD_VARIABLE = "CAMTOPOD_MQTT_PASSWORD"
+
+
+def add_options(group: Any) -> None:
+    """The options beside the URL, to a parser or a group of one."""
+    group.add_argument(
+        "--password-file", type=Path, metavar="FILE", help=f"the user's password (or in ${PASSWORD_VARIABLE})"
+    )
+    group.add_argument("--ca", metavar="FILE", help="mqtts: the authorities to trust (default: the system's)")
+
+
+def named(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Broker:
+    """The broker at ``url``; ``prefix`` stands for one that is left out. Raises `CommandError`."""
+    password = os.environ.get(PASSWORD_VARIABLE) or None
+    if args.password_file is not None:
+        try:
+            password = secret_files.read(args.password_file)
+        except OSError as error:
+            raise InputError(f"cannot read {args.password_file}: {error.strerror}") from None
+        for sentence in secret_files.exposed([args.password_file]):
+            log.warning("%s", sentence)
+    try:
+        return mqtt.broker(url, password, args.ca, prefix)
+    except ValueError as error:
+        raise CommandError(str(error), exits.USAGE) from None
+
+
+@contextlib.contextmanager
+def connecting(status: int) -> Iterator[None]:
+    """A broker that cannot be reached ends the command with ``status``, and it is said which extra is missing."""
+    try:
+        yield
+    except mqtt.MqttError as error:
+        raise CommandError(str(error), status) from None
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "paho":
+            raise
+        raise CommandError("MQTT needs the package paho-mqtt: pip install 'camtopod[mqtt]'") from None

@@ -1,0 +1,255 @@
+"""The site in Home Assistant: what discovery promises is published, by a real bridge at a real broker."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from mosquitto import PROGRAM, Broker, mosquitto
+from serving import T0, camtopod, closing_event, numbered, small_config, wait_for, walkers
+
+from camtopod.cli import exits
+from camtopod.cli.main import main
+from camtopod.export import homeassistant
+from camtopod.export.homeassistant import Counted, Said, SiteSaid, Topics
+from camtopod.records import TOPOLOGY_SCHEMA, Alarm, NextCamera, Prediction, SelfScore, Topology
+from camtopod.serve import bus as buses
+from camtopod.serve.daemon import Daemon
+
+TOPICS = Topics("hq")
+SCORE = SelfScore(200, 3, 1.25, 0.814, 0.93, 1.75, 0.55)
+ALARM = Alarm(8, T0, "link_closed", "lobby/1->hall/2", "share 0.60 until 5, 0.00 since")
+TOPOLOGY = Topology(
+    TOPOLOGY_SCHEMA, "hq", "01J", 9, T0, 0, "sha256:0", [], [], [], [], alarms=[ALARM], score=SCORE
+)  # fmt: skip
+needs_broker = pytest.mark.skipif(PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)")
+
+
+def decoded(messages: dict[str, str]) -> dict[str, Any]:
+    return {topic: json.loads(text) if text.startswith("{") else text for topic, text in messages.items()}
+
+
+def to_hall(leave: float, *shares: tuple[str, float]) -> Prediction:
+    nexts = [NextCamera(camera, f"{camera}/1", share, 5.0, 7.0, 9.0) for camera, share in shares]
+    return Prediction("lobby", "lobby/1", T0, "17", 9, leave, nexts)
+
+
+# --- what is published ----------------------------------------------------------------------------
+
+
+def test_every_entity_finds_its_figure() -> None:
+    """Its topic is one that is published, and has the field that its template takes."""
+    cameras = ["lobby", "north.gate", "a_b", "a.b"]
+    announced = decoded(homeassistant.discovery(TOPICS, cameras))
+    states = homeassistant.site_state(TOPICS, True, SiteSaid("running"), TOPOLOGY)
+    for camera in cameras:
+        states |= homeassistant.camera_state(TOPICS, camera, Counted(), None, 3)
+        states |= homeassistant.prediction_state(TOPICS, msgspec.structs.replace(to_hall(1.0), camera=camera))
+    published = decoded(states)
+    assert len(announced) == len({config["unique_id"] for config in announced.values()})
+    assert len(announced) == len(homeassistant.SITE_ENTITIES) + 4 * len(homeassistant.CAMERA_ENTITIES)
+    for topic, config in announced.items():
+        assert re.fullmatch(r"homeassistant/(sensor|binary_sensor)/[A-Za-z0-9_-]+/[A-Za-z0-9_-]+/config", topic)
+        [field] = re.findall(r"^\{\{ value_json\.(\w+) \}\}$", config["value_template"])
+        state = published[config["state_topic"]]
+        if "binary_sensor" in topic:
+            assert state[field] in ("ON", "OFF")
+        else:
+            assert isinstance(state[field], str | int | float)
+            assert len(str(state[field])) <= 255
+        for available in config["availability"]:
+            assert available["topic"] == TOPICS.bridge or published[available["topic"]] == "online"
+    devices = {tuple(config["device"]["identifiers"]): config["device"] for config in announced.values()}
+    assert {device.get("via_device") for device in devices.values()} == {None, "camtopod/hq"}
+    assert len(devices) == 5
+
+
+def test_the_states() -> None:
+    published = decoded(homeassistant.site_state(TOPICS, True, SiteSaid("degraded", "disk full"), TOPOLOGY))
+    state = published["camtopod/hq/daemon/state"]
+    assert (state["problem"], state["reason"], state["version"], state["score"]) == ("ON", "disk full", 9, 81.4)
+    assert published["camtopod/hq/daemon/alarm"]["alarm"] == "link_closed lobby/1->hall/2"
+    assert published["camtopod/hq/daemon/alarm"]["at"] == "2023-11-14T22:13:20+00:00"
+    nothing = decoded(homeassistant.site_state(TOPICS, False, SiteSaid("running"), None))
+    assert nothing["camtopod/hq/daemon/state"]["problem"] == "ON"
+    assert nothing["camtopod/hq/daemon/state"]["version"] is None
+    assert nothing["camtopod/hq/daemon/availability"] == "offline"
+    assert nothing["camtopod/hq/daemon/alarm"] == {"alarm": "none"}
+
+
+@pytest.mark.parametrize(
+    ("alive", "said", "online"),
+    [
+        (True, Said("running"), "ON"),
+        (True, None, "ON"),  # another program's camera, which says nothing
+        (True, Said("stalled", "no frame"), "OFF"),
+        (False, Said("running"), "OFF"),  # what it said before it was killed
+    ],
+)
+def test_when_a_camera_is_online(alive: bool, said: Said | None, online: str) -> None:
+    [state] = decoded(homeassistant.camera_state(TOPICS, "lobby", Counted(5, alive), said, 2)).values()
+    assert (state["online"], state["events"], state["zones"]) == (online, 5, 2)
+
+
+def test_the_next_camera_is_that_of_all_its_zones_together() -> None:
+    [state] = decoded(
+        homeassistant.prediction_state(TOPICS, to_hall(0.3, ("yard", 0.25), ("hall", 0.2), ("hall", 0.25)))
+    ).values()
+    assert (state["next"], state["probability"]) == ("hall", 0.45)
+    assert (state["from"], state["until"]) == ("2023-11-14T22:13:25+00:00", "2023-11-14T22:13:29+00:00")
+    [state] = decoded(homeassistant.prediction_state(TOPICS, to_hall(0.6, ("hall", 0.4)))).values()
+    assert (state["next"], state["until"]) == ("leaves", None)
+
+
+# --- with a broker --------------------------------------------------------------------------------
+
+
+class HomeAssistant:
+    """Somebody who listens to everything, and remembers the newest of each topic."""
+
+    def __init__(self, broker: Broker) -> None:
+        from paho.mqtt.client import Client
+        from paho.mqtt.enums import CallbackAPIVersion
+
+        self.heard: dict[str, str] = {}
+        self._client = client = Client(CallbackAPIVersion.VERSION2)
+        client.on_connect = lambda *_: client.subscribe("#", qos=1)
+        client.on_message = lambda _, __, message: self.heard.update({message.topic: message.payload.decode()})
+        client.reconnect_delay_set(1, 1)
+        client.connect("127.0.0.1", broker.port)
+        client.loop_start()
+
+    def of(self, topic: str, field: str) -> Any:
+        return json.loads(self.heard.get(f"camtopod/site/{topic}", "{}")).get(field)
+
+    def close(self) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+
+class Bridge:
+    def __init__(self, folder: Path, broker: Broker, endpoint: str) -> None:
+        self._err = folder / "err.txt"
+        url = f"mqtt://127.0.0.1:{broker.port}"
+        with self._err.open("wb") as err:
+            self.process = camtopod("--connect", endpoint, "bridge", url, stderr=err)
+        wait_for(lambda: "publishing below camtopod" in self.said or self.process.poll() is not None, "the bridge")
+        assert self.process.poll() is None, self.said
+
+    @property
+    def said(self) -> str:
+        return self._err.read_text()
+
+    def end(self, number: int) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(20)
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    pytest.importorskip("paho.mqtt.client", reason="needs paho-mqtt (camtopod[mqtt])")
+    with mosquitto(tmp_path) as one:
+        yield one
+
+
+@pytest.fixture
+def bridged(broker: Broker, tmp_path: Path) -> Iterator[tuple[Daemon, Bridge]]:
+    with Daemon(small_config(tmp_path / "state")) as daemon:
+        bridge = Bridge(tmp_path, broker, daemon.endpoint)
+        yield daemon, bridge
+        bridge.process.kill()
+        bridge.process.wait()
+
+
+@contextlib.contextmanager
+def listening(broker: Broker) -> Iterator[HomeAssistant]:
+    one = HomeAssistant(broker)
+    try:
+        yield one
+    finally:
+        one.close()
+
+
+@needs_broker
+def test_a_site_in_home_assistant(broker: Broker, bridged: tuple[Daemon, Bridge]) -> None:
+    daemon, bridge = bridged
+    events = numbered([*walkers(150), closing_event()])
+    for event in events:
+        daemon.bus.put(f"event/{event.camera}", event, "event")
+    wait_for(lambda: daemon.status()["learner"].get("accepted") == len(events), "all to be learned")
+    wait_for(lambda: daemon.status()["version"] == daemon.status()["learner"]["version"], "the last version")
+    assert daemon.topology is not None
+    assert daemon.topology.score is not None
+    daemon.bus.put("prediction/a", msgspec.structs.replace(to_hall(0.2, ("b", 0.8)), camera="a"), "prediction")
+    daemon.bus.put("status/c", {"state": "stalled", "reason": "no frame"}, "status")
+    for key in ("status/a", "prediction/a", "status/daemon"):
+        daemon.bus.put_raw(key, b"\xc1", "status")  # nonsense changes nothing
+    wild = msgspec.structs.replace(to_hall(1.0), camera="b", t=float("inf"))
+    daemon.bus.put("prediction/b", wild, "prediction")
+    daemon.bus.put("prediction/a", wild, "prediction")
+    version, top1 = daemon.topology.version, daemon.topology.score.top1
+    with listening(broker) as first:
+        wait_for(lambda: first.of("daemon/state", "version") == version, "the version")
+        wait_for(lambda: first.of("camera/a/prediction", "next") == "b", "the prediction")
+        wait_for(lambda: first.of("camera/b/prediction", "next") == "leaves", "one of no time at all")
+        wait_for(lambda: first.of("camera/c/state", "reason") == "no frame", "a camera's reason")
+    assert bridge.process.poll() is None, bridge.said
+    with listening(broker) as late:  # everything is retained
+        wait_for(lambda: len(late.heard) >= len(first.heard), "the retained messages")
+        assert late.of("daemon/state", "score") == round(100 * top1, 1)
+        assert late.of("camera/a/state", "events") == daemon.status()["cameras"]["a"]["events"]
+        assert late.of("camera/a/state", "zones") >= 2
+        assert late.of("daemon/alarm", "alarm") == "none"
+        configs = {topic for topic in late.heard if topic.startswith("homeassistant/")}
+        assert configs == set(homeassistant.discovery(Topics("site"), ["a", "b", "c", "late"]))
+        assert late.heard["camtopod/site/availability"] == "online"
+        assert late.heard["camtopod/site/daemon/availability"] == "online"
+        daemon.stop()
+        wait_for(lambda: late.heard["camtopod/site/daemon/availability"] == "offline", "the daemon's absence")
+        wait_for(lambda: late.of("daemon/state", "problem") == "ON", "the problem")
+        assert bridge.end(signal.SIGTERM) == exits.DONE
+        wait_for(lambda: late.heard["camtopod/site/availability"] == "offline", "the bridge's absence")
+
+
+@needs_broker
+def test_a_broker_that_forgot_everything_is_told_anew_and_a_killed_bridge_is_noticed(
+    broker: Broker, bridged: tuple[Daemon, Bridge]
+) -> None:
+    _, bridge = bridged
+    broker.stop()
+    wait_for(lambda: "trying again" in bridge.said, "the loss to be noticed")
+    assert broker.start()
+    with listening(broker) as heard:
+        wait_for(lambda: heard.of("daemon/state", "problem") == "OFF", "the states")
+        wait_for(lambda: len(heard.heard) >= 3 + len(homeassistant.SITE_ENTITIES), "the entities")
+        assert heard.heard["camtopod/site/availability"] == "online"
+        assert bridge.end(signal.SIGKILL) == -signal.SIGKILL
+        wait_for(lambda: heard.heard["camtopod/site/availability"] == "offline", "the broker to say so")
+
+
+@needs_broker
+def test_what_cannot_be_reached_and_what_is_missing(
+    broker: Broker, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["bridge", "mqtt://u:hunter2-long@h/x"]) == exits.USAGE
+    assert main(["bridge", "http://h"]) == exits.USAGE
+    meeting = buses.meet(small_config(tmp_path))
+    try:
+        connect = ["--connect", meeting.endpoint]
+        assert main([*connect, "bridge", "mqtt://127.0.0.1:1"]) == exits.FAILED
+        monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
+        assert main([*connect, "bridge", f"mqtt://127.0.0.1:{broker.port}"]) == exits.FAILED
+    finally:
+        meeting.close()
+    said = capsys.readouterr().err
+    assert "hunter2-long" not in said
+    assert "cannot reach 127.0.0.1:1" in said
+    assert "pip install 'camtopod[mqtt]'" in said
