@@ -11,7 +11,7 @@ _SECRET_CHARACTERS_MIN = 4
 
 _USERINFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)\S*@")
 """To the last @ of the word: passwords may hold @, : and /. It may hide the host too, never too little."""
-_PARAMETER = re.compile(r"(?i)\b(pass(?:word|wd)?|pwd|token|secret)=[^&\s]+")
+_PARAMETER = re.compile(r"(?i)(?<![a-z0-9])(pass(?:word|wd)?|pwd|token|secret)=[^&\s]+")
 _KEY = re.compile(r"-----BEGIN ([A-Z ]*PRIVATE KEY)-----.*?(-----END \1-----|\Z)", re.DOTALL)
 _known: set[str] = set()
 

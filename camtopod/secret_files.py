@@ -1,7 +1,8 @@
-"""Files that hold secrets: reading one, and whether others can read them."""
+"""Files that hold secrets: reading one, writing one, and whether others can read them."""
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 from collections.abc import Iterable
@@ -22,6 +23,23 @@ def read(path: Path) -> str:
     if not text:
         raise OSError(22, "has an empty first line", str(path))
     return text
+
+
+def write(path: Path, content: bytes) -> None:
+    """Whole or not at all, for its owner alone (0600) from its first byte on. Raises `OSError`."""
+    new = path.with_name(f".{path.name}.new")
+    new.unlink(missing_ok=True)
+    fd = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(fd, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(new, path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)  # or the old file could be back after a power cut
+    finally:
+        os.close(folder)
 
 
 def holds_password(source: str) -> bool:

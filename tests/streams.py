@@ -1,4 +1,4 @@
-"""Real streams for tests: an RTSP server, and a proxy in front of it that can stall, cut and refuse."""
+"""Real streams for tests: an RTSP server, a proxy in front of it that can stall, cut and refuse, and bad hosts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import shutil
 import socket
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -124,6 +124,56 @@ class FaultProxy:
         finally:
             _shut(source)
             _shut(target)
+
+
+class Host:
+    """A host that treats whoever connects as ``treat`` says, in a thread each."""
+
+    def __init__(self, treat: Callable[[socket.socket], None]) -> None:
+        self._treat = treat
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"rtsp://admin:p@ssw0rd@127.0.0.1:{self._listener.getsockname()[1]}/stream"
+        self.connections = 0
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                self.connections += 1
+                threading.Thread(target=self._one, args=(client,), daemon=True).start()
+
+    def _one(self, client: socket.socket) -> None:
+        with client, suppress(OSError):
+            self._treat(client)
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+
+
+def silent(client: socket.socket) -> None:
+    """Takes everything and says nothing."""
+    while client.recv(65536):
+        pass
+
+
+def hang_up(client: socket.socket) -> None:
+    """Closes at once."""
+
+
+def rtsp_answer(status: str) -> Callable[[socket.socket], None]:
+    """Answers every DESCRIBE with ``status``."""
+
+    def treat(client: socket.socket) -> None:
+        while request := client.recv(65536).decode():
+            said = "200 OK" if request.startswith("OPTIONS") else status
+            number = next(line for line in request.split("\r\n") if line.startswith("CSeq"))
+            more = "Public: OPTIONS, DESCRIBE" if said == "200 OK" else 'WWW-Authenticate: Digest realm="x", nonce="y"'
+            client.sendall(f"RTSP/1.0 {said}\r\n{number}\r\n{more}\r\n\r\n".encode())
+
+    return treat
 
 
 def _shut(side: socket.socket) -> None:

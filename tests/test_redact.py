@@ -56,6 +56,12 @@ def test_parameters_are_hidden() -> None:
     assert "channel=1" in text
 
 
+def test_a_password_in_a_path_is_hidden() -> None:
+    text = redact.redact("rtsp://192.0.2.7:554/user=admin_password=hunter2_channel=1_stream=0.sdp is slow")
+    assert "hunter2" not in text
+    assert text.endswith("is slow")
+
+
 def test_other_text_is_left_alone() -> None:
     for text in ("rtsp://192.0.2.7:554/live stalled", "a@b", "camera lobby: 3 events", ""):
         assert redact.redact(text) == text

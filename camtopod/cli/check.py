@@ -1,4 +1,4 @@
-"""`camtopod check`: every mistake in a configuration, in one pass; or an example with every default."""
+"""`camtopod check`: every mistake in a configuration, in one pass, and what of it is there; or an example."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--example", action="store_true", help="write an example with every setting, its default and its unit"
     )
+    parser.add_argument("--probe", action="store_true", help="also open every camera of it, and the bus")
     parser.add_argument("--schema", action="store_true", help="write the configuration's JSON Schema, for editors")
 
 
@@ -51,4 +52,8 @@ def run(args: argparse.Namespace) -> int:
     for warning in warnings:
         print(f"{path}: warning: {warning}", file=sys.stderr)
     print(f"{path}: no mistakes; site {loaded.site.name}, {len(loaded.cameras)} cameras", file=sys.stderr)
-    return exits.DONE
+    if not args.probe:
+        return exits.DONE
+    from camtopod.cli.probe import check_site
+
+    return check_site(path, loaded)

@@ -31,14 +31,15 @@ _WIDTH = 110
 
 def example() -> str:
     """The text of a configuration file which is right as it stands and says what everything means."""
-    parts = [_HEAD, _table("site", TABLES["site"], {"name": "hq"})]
-    parts += [_table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
+    parts = [_HEAD, table("site", TABLES["site"], {"name": "hq"})]
+    parts += [table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
     parts += [_CAMERAS + "\n".join(_settings(CameraSettings, {}))]
-    parts += [_table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health", "shards")]
+    parts += [table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health", "shards")]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
 
-def _table(name: str, kind: type[Struct], given: dict[str, Any]) -> str:
+def table(name: str, kind: type[Struct], given: dict[str, Any]) -> str:
+    """A table with every setting; those not ``given`` are comments that show the default."""
     return "\n".join([f"[{name}]", *_settings(kind, given)])
 
 

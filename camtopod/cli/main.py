@@ -31,6 +31,7 @@ from camtopod.redact import redact
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("camtopod.cli.demo", "the whole system on made-up cameras, nothing to configure"),
+    "init": ("camtopod.cli.init", "looks at cameras and writes a configuration with them"),
     "grab": ("camtopod.cli.grab", "one camera (or a configuration's cameras) to entry and exit events"),
     "run": ("camtopod.cli.run", "the daemon: learns the topology from events on the bus and predicts"),
     "learn": ("camtopod.cli.learn", "the same learner over recorded event lines"),

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import datetime
 import ipaddress
-import os
 import re
 import shutil
 from collections.abc import Sequence
@@ -22,6 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Struct
 
+from camtopod import secret_files
 from camtopod.keys.rules import Access, Certificate, Role
 from camtopod.records import CAMERA_PATTERN
 
@@ -99,9 +99,9 @@ class Authority:
         builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         builder = builder.add_extension(_usage(signs=True), critical=True)
         builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-        _write(secret / "ca.key", _pem(key))
-        _write(secret / CA, builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
-        _write(secret / "issued.json", msgspec.json.encode(Ledger(site, [])))
+        secret_files.write(secret / "ca.key", _pem(key))
+        secret_files.write(secret / CA, builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+        secret_files.write(secret / "issued.json", msgspec.json.encode(Ledger(site, [])))
         return cls(folder, now)
 
     @property
@@ -220,9 +220,9 @@ class Authority:
         builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         made = builder.sign(loaded, hashes.SHA256())
         _make_folder(folder)
-        _write(folder / PRIVATE_KEY, _pem(key))
-        _write(folder / CERTIFICATE, made.public_bytes(serialization.Encoding.PEM))
-        _write(folder / CA, ca.public_bytes(serialization.Encoding.PEM))
+        secret_files.write(folder / PRIVATE_KEY, _pem(key))
+        secret_files.write(folder / CERTIFICATE, made.public_bytes(serialization.Encoding.PEM))
+        secret_files.write(folder / CA, ca.public_bytes(serialization.Encoding.PEM))
         return made.not_valid_after_utc.timestamp()
 
     def _folder(self, role: Role, name: str) -> Path:
@@ -231,7 +231,7 @@ class Authority:
     def _keep(self, issued: list[Issued]) -> None:
         self._ledger = Ledger(self.site, issued)
         encoded = msgspec.json.format(msgspec.json.encode(self._ledger), indent=1)
-        _write(self.folder / "authority" / "issued.json", encoded)
+        secret_files.write(self.folder / "authority" / "issued.json", encoded)
 
 
 def check_name(role: Role, name: str) -> None:
@@ -264,7 +264,7 @@ def day(seconds: float) -> str:
 
 def write_public(path: Path, text: str) -> None:
     """A file without secrets beside the keys, for its owner alone all the same."""
-    _write(path, text.encode())
+    secret_files.write(path, text.encode())
 
 
 def _builder(
@@ -310,20 +310,3 @@ def _make_folder(folder: Path) -> None:
     """For its owner alone, also if it was there before."""
     folder.mkdir(mode=0o700, exist_ok=True)
     folder.chmod(0o700)
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all, 0600 from its first byte on."""
-    new = path.with_name(f".{path.name}.new")
-    new.unlink(missing_ok=True)
-    fd = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(fd, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(new, path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)  # or a name could be given out twice after a power cut
-    finally:
-        os.close(folder)

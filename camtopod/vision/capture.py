@@ -65,7 +65,7 @@ class Capture:
         self._width_max = settings.working_width
         self._picture: Luma | None = None
         """Used again for each frame: a new one of this size costs more than filling it."""
-        if kind != "device" and _pixel_format(self._capture) in LUMA_FORMATS:
+        if kind != "device" and _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT) in LUMA_FORMATS:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
 
     @property
@@ -78,6 +78,17 @@ class Capture:
         """What the source says its frame rate is; 0.0 where it does not."""
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
         return fps if 0.0 < fps < 1000.0 else 0.0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its pictures, pixels."""
+        get = self._capture.get
+        return int(get(cv2.CAP_PROP_FRAME_WIDTH)), int(get(cv2.CAP_PROP_FRAME_HEIGHT))
+
+    @property
+    def codec(self) -> str:
+        """The four characters of its codec; "" where it is not known."""
+        return _four_characters(self._capture, cv2.CAP_PROP_FOURCC).strip("\0 ")
 
     def grab(self) -> Grab | None:
         """Take the next frame without converting it; None when the source has ended or died."""
@@ -131,8 +142,8 @@ def _environment(stream: bool) -> Iterator[None]:
         del os.environ[_OPTIONS_VARIABLE]
 
 
-def _pixel_format(capture: cv2.VideoCapture) -> str:
-    code = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT))
+def _four_characters(capture: cv2.VideoCapture, of: int) -> str:
+    code = int(capture.get(of))
     return code.to_bytes(4, "little").decode("latin-1") if 0 <= code < 1 << 32 else ""
 
 

@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 LEVEL_VARIABLE = "OPENCV_FFMPEG_LOGLEVEL"
-LEVEL_ERRORS = "16"
+LEVEL_WARNINGS = "24"
 LEVEL_NOTHING = "-8"
 _READ_BYTES = 65536
 _STANDARD_OUTPUT = 1
-_REFUSED = re.compile(rb"failed: (?:Server returned )?([45]\d\d)\b")
+_REFUSED = re.compile(rb"(?:failed: (?:Server returned )?|HTTP error )([45]\d\d)\b")
 _STATUSES = {
     401: "the camera refuses the user name or password",
     403: "the camera refuses the user name or password",
@@ -31,7 +31,9 @@ _PHRASES = {
     b"No route to host": "there is no way to the host",
     b"Network is unreachable": "there is no way to the host",
     b"Connection timed out": "the host does not answer",
-    b"Connection reset": "the host closed the connection",
+    b"Immediate exit requested": "the host does not answer",
+    b"End of file": "the host closes the connection: is it a camera's port?",
+    b"Connection reset": "the host closes the connection: is it a camera's port?",
 }
 
 
@@ -71,7 +73,7 @@ class Complaints:
 @contextmanager
 def listening() -> Iterator[Complaints]:
     """Standard output is FFmpeg's while the block runs, so only for a process that has no data for it."""
-    os.environ.setdefault(LEVEL_VARIABLE, LEVEL_ERRORS)
+    os.environ.setdefault(LEVEL_VARIABLE, LEVEL_WARNINGS)
     sys.stdout.flush()
     heard, written = os.pipe()
     for fd in (heard, written):

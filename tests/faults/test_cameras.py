@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import msgspec
 import pytest
 from scenes import FPS, Person, Scene, line
 from serving import WAIT_SECONDS, camtopod, small_config, wait_for
-from streams import FaultProxy, missing, served, transcode
+from streams import FaultProxy, Host, hang_up, missing, rtsp_answer, served, silent, transcode
 
 from camtopod.cli.heartbeat import Ear
 from camtopod.serve.daemon import Daemon
@@ -42,56 +42,6 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Person(line(3.5 + 3.0 * n, (-0.05, 0.7), (1.05, 0.65), 4.0), seed=n) for n in range(round(FILM_SECONDS / 3) - 2)
     ]
     return Scene(people).film(tmp_path_factory.mktemp("film") / "film.mp4", FILM_SECONDS)
-
-
-class Host:
-    """A host that treats whoever connects as ``treat`` says, in a thread each."""
-
-    def __init__(self, treat: Callable[[socket.socket], None]) -> None:
-        self._treat = treat
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.url = f"rtsp://admin:p@ssw0rd@127.0.0.1:{self._listener.getsockname()[1]}/stream"
-        self.connections = 0
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self._listener.accept()
-                self.connections += 1
-                threading.Thread(target=self._one, args=(client,), daemon=True).start()
-
-    def _one(self, client: socket.socket) -> None:
-        with client, contextlib.suppress(OSError):
-            self._treat(client)
-
-    def close(self) -> None:
-        with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-
-
-def silent(client: socket.socket) -> None:
-    """Takes everything and says nothing."""
-    while client.recv(65536):
-        pass
-
-
-def hang_up(client: socket.socket) -> None:
-    """Closes at once."""
-
-
-def rtsp_answer(status: str) -> Callable[[socket.socket], None]:
-    """Answers every DESCRIBE with ``status``."""
-
-    def treat(client: socket.socket) -> None:
-        while request := client.recv(65536).decode():
-            said = "200 OK" if request.startswith("OPTIONS") else status
-            number = next(line for line in request.split("\r\n") if line.startswith("CSeq"))
-            more = "Public: OPTIONS, DESCRIBE" if said == "200 OK" else 'WWW-Authenticate: Digest realm="x", nonce="y"'
-            client.sendall(f"RTSP/1.0 {said}\r\n{number}\r\n{more}\r\n\r\n".encode())
-
-    return treat
 
 
 @pytest.fixture

@@ -1,0 +1,97 @@
+"""A look at several cameras at once, each in a process of its own, which may hang or crash."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+
+import msgspec
+
+from camtopod import toml_lines
+from camtopod.cli import exits
+from camtopod.cli.child import in_words
+from camtopod.config import Config
+from camtopod.redact import redact, remember
+from camtopod.serve.bus import BusError, dial
+from camtopod.vision.probe import LOOK_SECONDS, Probe, Question
+from camtopod.vision.settings import VisionSettings
+
+PROGRAM = "camtopod.vision.probe"
+PROCESSES_MAX = 8
+START_SECONDS = 30.0
+"""What a process may take beyond its look, to load its libraries on a machine that is busy."""
+
+
+def probe_all(
+    sources: Mapping[str, str], settings: VisionSettings, on_probe: Callable[[str, Probe], None]
+) -> dict[str, Probe]:
+    """What each source is like, by the camera's id; ``on_probe`` is told as soon as one is known."""
+    for source in sources.values():
+        remember(source)
+    with ThreadPoolExecutor(PROCESSES_MAX) as pool:
+        looks = {pool.submit(_probe, source, settings): camera for camera, source in sources.items()}
+        found = {}
+        for look in as_completed(looks):
+            camera = looks[look]
+            found[camera] = look.result()
+            on_probe(camera, found[camera])
+    return {camera: found[camera] for camera in sources}
+
+
+def _probe(source: str, settings: VisionSettings) -> Probe:
+    """The source goes to the process through a pipe, as everybody can read a command line."""
+    seconds = settings.open_timeout_seconds + settings.read_timeout_seconds + LOOK_SECONDS + START_SECONDS
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", PROGRAM],
+            input=msgspec.json.encode(Question(source, settings)),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,  # libraries write there, perhaps with the password
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},  # it finds the same modules as this process
+            timeout=seconds,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return Probe(f"no answer within {seconds:.0f} s")
+    if done.returncode != 0:
+        return Probe(f"the process that looked at it {in_words(done.returncode)}")
+    return msgspec.json.decode(done.stdout, type=Probe)
+
+
+def check_site(path: Path, config: Config) -> int:
+    """Open every camera and the bus; what is found goes to standard error, a line each. The worst exit status."""
+    lines = toml_lines.key_lines(path.read_text(encoding="utf-8"))
+    status = exits.DONE
+
+    def tell(camera: str, probe: Probe) -> None:
+        nonlocal status
+        status = max(status, exits.INPUT if probe.problem else exits.DONE)
+        where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
+        print(redact(f"{where}: {'; '.join(probe.words)}"), file=sys.stderr, flush=True)
+
+    sources = {}
+    for camera in config.cameras:
+        try:
+            sources[camera] = config.for_camera(camera).cameras[camera].source
+        except OSError as error:
+            tell(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
+    probe_all(sources, config.vision, tell)
+    problem, found = _bus(config)
+    print(f"{path}: bus: {redact(problem or found)}", file=sys.stderr)
+    return max(status, exits.BUS if problem else exits.DONE)
+
+
+def _bus(config: Config) -> tuple[str, str]:
+    """What is wrong with the bus, or "", and what is there."""
+    camera = next(iter(config.cameras), "")
+    try:
+        with dial(config.certified(camera)) as bus:
+            if not bus.present("daemon") and not config.bus.tls.ca:  # which a camera's certificate is not shown
+                return f"{bus.endpoint} is reached, but no daemon of site {bus.site} is there: `camtopod run`", ""
+            return "", f"{bus.endpoint} is reached, site {bus.site}"
+    except BusError as error:
+        return str(error), ""

@@ -1,0 +1,263 @@
+"""`init` and `check --probe`: cameras that are there and that are not, their names, and where their passwords go."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scenes import FPS, Scene
+from serving import camtopod, small_config
+from streams import Host, hang_up, missing, rtsp_answer, served, silent, transcode
+
+from camtopod import config, redact
+from camtopod.cli import probe as probes
+from camtopod.cli.init import named
+from camtopod.cli.main import main
+from camtopod.config import VisionSettings
+from camtopod.serve.daemon import Daemon
+from camtopod.vision.probe import PIXELS_MAX, Probe
+
+QUICK = VisionSettings(open_timeout_seconds=1.0, read_timeout_seconds=1.0)
+PASSWORD = "p@ss:w/0rd"
+
+
+@pytest.fixture(autouse=True)
+def _forget(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(redact, "_known", set())
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds of nobody."""
+    return Scene([]).film(tmp_path_factory.mktemp("film") / "yard.mp4", 3.0)
+
+
+def painted(path: Path, size: tuple[int, int], fps: float) -> Path:
+    """A grey film of this size."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+    for _ in range(5):
+        writer.write(np.full((size[1], size[0], 3), 90, np.uint8))
+    writer.release()
+    return path
+
+
+def everything_below(folder: Path) -> dict[str, tuple[int, str]]:
+    """Mode and content of each file."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): (path.stat().st_mode & 0o777, path.read_text()) for path in files}
+
+
+# --- what a source is ----------------------------------------------------------------------------
+
+
+def test_a_file_and_what_could_be_better_about_it(film: Path, tmp_path: Path) -> None:
+    huge = painted(tmp_path / "huge.mp4", (2560, 1440), 2.0)
+    assert PIXELS_MAX < 2560 * 1440
+    good, bad, none = probes.probe_all(
+        {"good": str(film), "bad": str(huge), "none": str(tmp_path / "x.mp4")}, QUICK, lambda name, probe: None
+    ).values()
+    assert good == Probe("", "MPEG-4", 192, 144, FPS)
+    assert good.words == ["MPEG-4, 192x144, 7 frames a second"]
+    assert (bad.problem, bad.width, bad.fps) == ("", 2560, 2.0)
+    assert [remark.partition(":")[0] for remark in bad.remarks] == [
+        "the picture is of one colour",
+        "so few frames a second that people who walk fast are missed",
+        "larger than is of use",
+    ]
+    assert none == Probe("No such file or directory")
+
+
+def test_what_is_wrong_with_a_stream_is_said_in_words(tmp_path: Path) -> None:
+    hosts = {
+        "secret": Host(rtsp_answer("401 Unauthorized")),
+        "other": Host(rtsp_answer("404 Not Found")),
+        "silent": Host(silent),
+        "shy": Host(hang_up),
+    }
+    told = []
+    with socket.socket() as reserved:
+        reserved.bind(("127.0.0.1", 0))  # bound, not listening
+        away = f"rtsp://127.0.0.1:{reserved.getsockname()[1]}/x"
+        sources = {**{name: host.url for name, host in hosts.items()}, "away": away, "device": "4242"}
+        found = probes.probe_all(sources, QUICK, lambda name, probe: told.append(name))
+    for host in hosts.values():
+        host.close()
+    assert list(found) == list(sources)
+    assert sorted(told) == sorted(sources)
+    assert {name: probe.problem.removeprefix("it cannot be opened: ") for name, probe in found.items()} == {
+        "secret": "the camera refuses the user name or password (401)",
+        "other": "the camera has no such stream (404)",
+        "silent": "the host does not answer",
+        "shy": "the host closes the connection: is it a camera's port?",
+        "away": "nothing listens at this address and port",
+        "device": "there is no /dev/video4242",
+    }
+
+
+def test_a_process_that_hangs_or_crashes_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "fifo")  # opening it blocks for ever
+    monkeypatch.setattr(probes, "START_SECONDS", -3.0)
+    assert probes.probe_all({"a": str(tmp_path / "fifo")}, QUICK, lambda *_: None) == {
+        "a": Probe("no answer within 1 s")
+    }
+    monkeypatch.setattr(probes, "START_SECONDS", 30.0)
+    monkeypatch.setattr(probes, "PROGRAM", "camtopod.none_such")
+    assert probes.probe_all({"a": "0"}, QUICK, lambda *_: None)["a"].problem.endswith("failed (status 1)")
+
+
+# --- names ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("source", "name"),
+    [
+        ("rtsp://lobby.example.org:554/stream1", "lobby"),
+        ("rtsp://admin:p@ss:w/rd@192.0.2.10/Streaming/Channels/101", "192-0-2-10"),
+        ("rtsp://[2001:db8::5]/x", "2001-db8-5"),
+        ("rtsp://127.0.0.1:8554/front%20door", "front-20door"),
+        ("rtsp://localhost/garden", "garden"),
+        ("rtsp://user=admin_password=x", "user-admin_password-x"),
+        ("/data/some clip.mp4", "some-clip"),
+        ("0", "device-0"),
+        ("rtsp://", "camera"),
+        ("rtsp://[oops/x", "camera"),
+        ("rtsp://daemon/x", "daemon-2"),
+        ("rtsp://" + 80 * "a", 64 * "a"),
+    ],
+)
+def test_a_camera_is_called_after_its_host_or_path(source: str, name: str) -> None:
+    assert named([("", source)]) == {name: source}
+    config.parse(f'[cameras.{name}]\nsource = "0"')
+
+
+def test_names_are_different_and_one_s_own_stay() -> None:
+    nvr = "rtsp://192.0.2.9/ch"
+    given = [("", f"{nvr}1"), ("", f"{nvr}2"), ("", f"{nvr}2?sub=1"), ("", "rtsp://hall/"), ("hall", "rtsp://x/y")]
+    assert list(named(given)) == ["192-0-2-9-ch1", "192-0-2-9-ch2", "192-0-2-9-ch2-2", "hall-2", "hall"]
+    secret = "rtsp://192.0.2.9/user=admin_password=hunter2_channel="
+    assert list(named([("", f"{secret}1"), ("", f"{secret}2")])) == ["192-0-2-9", "192-0-2-9-2"]
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def test_passwords_go_into_files_of_their_own(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "yard.mp4").write_bytes(film.read_bytes())
+    host = Host(rtsp_answer("401 Unauthorized"))
+    url = host.url.replace("p@ssw0rd", PASSWORD)
+    parameter = "rtsp://127.0.0.1:1/dvr?user=admin&password=hunter2&channel=1"
+    assert main(["init", "yard.mp4", "--out", "site/camtopod.toml"]) == 1
+    assert "cannot write" in capsys.readouterr().err, "the folder is not there"
+    (tmp_path / "site").mkdir()
+    arguments = ["init", "yard.mp4", f"front.door={url}", parameter, "--out", "site/camtopod.toml"]
+    assert main(["--site", "hq", *arguments]) == 66
+    host.close()
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "front.door  it cannot be opened: the camera refuses the user name or password (401)" in err
+    assert "yard        MPEG-4, 192x144, 7 frames a second" in err
+    assert err.endswith("    camtopod --config site/camtopod.toml run\n    camtopod --config site/camtopod.toml grab\n")
+    files = everything_below(tmp_path / "site")
+    assert files.pop("camtopod.toml")[0] & 0o444
+    assert files == {"secrets/front.door": (0o600, f"{url}\n"), "secrets/dvr": (0o600, f"{parameter}\n")}
+    assert (tmp_path / "site/secrets").stat().st_mode & 0o777 == 0o700
+    written = (tmp_path / "site/camtopod.toml").read_text()
+    for text in (written, err):
+        assert PASSWORD not in text
+        assert "w/0rd" not in text
+        assert "hunter2" not in text
+    assert "# MPEG-4, 192x144, 7 frames a second\nsource = " in written
+    loaded = config.load(tmp_path / "site/camtopod.toml")
+    assert (loaded.site.name, loaded.cameras["yard"].source) == ("hq", str(tmp_path / "yard.mp4"))
+    assert loaded.for_camera("front.door").cameras["front.door"].source == url
+    assert main(["check", "site/camtopod.toml"]) == 0
+
+
+def test_nothing_is_overwritten_unless_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probes, "_probe", lambda source, settings: Probe("", "H.264", 640, 480, 15.0))
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "lobby=rtsp://u:first@h/x"]) == 0
+    before = everything_below(tmp_path)
+    assert set(before) == {"camtopod.toml", "secrets/lobby"}
+    assert main(["init", "rtsp://other/x"]) == 1
+    assert main(["init", "lobby=rtsp://u:second@h/x", "--out", "other.toml"]) == 1
+    assert "secrets/lobby: there already; --force overwrites" in capsys.readouterr().err
+    assert everything_below(tmp_path) == before
+    assert main(["init", "--force", "lobby=rtsp://u:second@h/x"]) == 0
+    assert everything_below(tmp_path)["secrets/lobby"] == (0o600, "rtsp://u:second@h/x\n")
+
+
+def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> None:
+    out = tmp_path / "c.toml"
+    command = ["--connect", "tcp/192.0.2.1:7447", "init", "-", "--out", str(out)]
+    process = camtopod(*command, stdin=-1, stderr=-1)
+    _, err = process.communicate(b"\nlobby=4242\n  4243  \n", timeout=60)
+    assert process.returncode == 66
+    assert err.decode().endswith(f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab\n")
+    loaded = config.load(out)
+    assert ({name: each.source for name, each in loaded.cameras.items()}, loaded.bus.connect) == (
+        {"lobby": "4242", "device-4243": "4243"}, ("tcp/192.0.2.1:7447",),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "arguments", [["init"], ["init", "a=0", "a=1"], ["init", "daemon=0"], ["--site", "a/b", "init", "0"]]
+)
+def test_usage(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    try:
+        status = main(arguments)
+    except SystemExit as error:
+        status = error.code  # type: ignore[assignment]
+    assert status == 2
+    assert not list(tmp_path.iterdir())
+
+
+# --- check --probe -------------------------------------------------------------------------------
+
+
+def test_check_probe_opens_the_cameras_and_the_bus(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.toml"
+    cameras = f"[cameras.yard]\nsource = {json.dumps(str(film))}\n"
+    with Daemon(small_config(tmp_path / "state")) as daemon:
+        bus = f'[bus]\nconnect_seconds = 0.5\nconnect = ["{daemon.endpoint}"]\n'
+        path.write_text(bus + cameras)
+        assert main(["check", str(path), "--probe"]) == 0
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert f"{path}:4: cameras.yard: MPEG-4, 192x144, 7 frames a second\n" in err
+        assert f"{path}: bus: {daemon.endpoint} is reached, site site\n" in err
+        path.write_text(f'{bus}[site]\nname = "other"\n{cameras}[cameras.gone]\nsource_file = "none"\n')
+        assert main(["check", str(path), "--probe"]) == 69
+        err = capsys.readouterr().err
+        assert f"{path}:8: cameras.gone: cannot read {tmp_path}/none: No such file" in err
+        assert "is reached, but no daemon of site other is there" in err
+    path.write_text(f'{bus}[cameras.gone]\nsource = "4242"\n')
+    assert main(["check", str(path), "--probe"]) == 69
+    err = capsys.readouterr().err
+    assert f"{path}:4: cameras.gone: it cannot be opened: there is no /dev/video4242\n" in err
+    assert "cannot reach the bus at" in err
+
+
+@pytest.mark.skipif(missing() is not None, reason=f"needs an RTSP server: {missing()}")
+def test_a_real_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = Scene([]).film(tmp_path / "film.mp4", 5.0)
+    transcode(film, tmp_path / "served.mp4", FPS)
+    with served(tmp_path / "served.mp4") as port:
+        assert main(["init", f"rtsp://127.0.0.1:{port}/camera", "--out", str(tmp_path / "c.toml")]) == 0
+    loaded = config.load(tmp_path / "c.toml")
+    assert loaded.cameras["camera"].source == f"rtsp://127.0.0.1:{port}/camera"
+    rate = float(capsys.readouterr().err.partition("H.264, 192x144, ")[2].split()[0])
+    assert rate == pytest.approx(FPS, rel=0.15)
