@@ -1,0 +1,70 @@
+"""`camtopod report`: the page of one topology as a file that needs no server."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from camtopod.cli import exits
+from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.export import load
+from camtopod.codec import Rejected, read
+from camtopod.records import Topology
+from camtopod.web.bundle import page
+from camtopod.web.report import gather
+
+OLDER_MAX = 200
+"""Older versions on the time line; each is as large as the topology."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `report`."""
+    parser = subparsers.add_parser(
+        "report",
+        help="the page of one topology as a file",
+        description="Writes what `camtopod web` shows of a topology as one HTML file: map, cameras, links, versions. "
+        "It needs no server and loads nothing from elsewhere.",
+    )
+    parser.add_argument("topology", metavar="TOPOLOGY.json", help="what `learn` wrote ('-': standard input)")
+    parser.add_argument("--out", metavar="FILE", default="-", help="default: standard output")
+    parser.add_argument(
+        "--updates", metavar="FILE", type=Path, help="the versions before it, what `learn --updates` wrote"
+    )
+    parser.add_argument(
+        "--pictures", metavar="DIR", type=Path, help="a folder with a picture a camera, CAMERA.jpg or CAMERA.png"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the report; raises `CommandError`."""
+    topology = load(args.topology)
+    if args.pictures is not None and not args.pictures.is_dir():
+        raise InputError(f"--pictures {args.pictures}: there is no such folder")
+    older = [] if args.updates is None else _older(args.updates, topology)
+    text = page(gather(topology, older, args.pictures))
+    if args.out == "-":
+        sys.stdout.write(text)
+        return exits.DONE
+    try:
+        Path(args.out).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CommandError(f"report: cannot write {args.out}: {error.strerror}") from None
+    return exits.DONE
+
+
+def _older(path: Path, topology: Topology) -> list[Topology]:
+    """The versions of the same epoch before ``topology``, the newest `OLDER_MAX`."""
+    found: dict[int, Topology] = {}
+    with path.open("rb") as file:  # an OSError is told by the caller of every command
+        for number, line in enumerate(file, 1):
+            try:
+                one = read(Topology, line)
+            except Rejected as error:
+                raise InputError(f"{path}, line {number} is not a topology: {error}") from None
+            if one.epoch == topology.epoch and one.version < topology.version:
+                found[one.version] = one
+                if len(found) > OLDER_MAX:
+                    del found[min(found)]
+    return [found[version] for version in sorted(found)]

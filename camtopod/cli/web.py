@@ -1,0 +1,117 @@
+"""`camtopod web`: the page."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ipaddress
+import logging
+import re
+import socket
+import threading
+from pathlib import Path
+from typing import Any
+
+from camtopod.cli import exits
+from camtopod.cli.common import configuration, leaving, start_logging, until_signal
+from camtopod.cli.exits import CommandError, InputError
+from camtopod.serve import clock
+from camtopod.serve.bus import BusError, dial
+
+log = logging.getLogger(__name__)
+
+LISTEN = "127.0.0.1:8780"
+LEAVE_SECONDS = 5.0
+_LOOK_SECONDS = 1.0
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `web`."""
+    parser = subparsers.add_parser(
+        "web",
+        help="the page: map, cameras, links, versions and health in a browser",
+        description="Shows what the daemon has learned, and predictions as they come, in a browser. It only reads. "
+        "Nothing is loaded from elsewhere.",
+    )
+    parser.add_argument(
+        "--listen", metavar="HOST:PORT", default=LISTEN,
+        help=f"where (default: {LISTEN}, this machine only; port 0: a free one)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--pictures", metavar="DIR", type=Path, help="a folder with a picture a camera, CAMERA.jpg or CAMERA.png"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGTERM or SIGINT."""
+    start_logging(args)
+    try:
+        from camtopod.web import app
+    except ModuleNotFoundError as error:
+        if error.name not in ("starlette", "uvicorn"):
+            raise
+        raise CommandError("the page needs starlette and uvicorn: pip install 'camtopod[web]'") from None
+    from camtopod.web.feed import Feed
+    from camtopod.web.mailbox import Hub
+    from camtopod.web.past import Past
+
+    config = configuration(args)
+    host, port = address(args.listen)
+    if args.pictures is not None and not args.pictures.is_dir():
+        raise InputError(f"--pictures {args.pictures}: there is no such folder")
+    with until_signal() as stop, leaving(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
+        listener = stack.enter_context(listening(host, port))
+        try:
+            bus = stack.enter_context(dial(config))
+        except BusError as error:
+            raise CommandError(str(error), exits.BUS) from None
+        hub = Hub()
+        feed = Feed(bus, hub, clock.wall)
+        threads = [threading.Thread(target=work, args=[stop], daemon=True) for work in (feed.versions, feed.messages)]
+        site = app.Site(feed, Past(bus), hub, args.pictures)
+        server = app.Server(app.application(site, hosts(host)), listener)
+        stack.callback(server.close)
+        stack.callback(hub.close)
+        for thread in threads:
+            thread.start()
+        log.info("the page is at http://%s/", _shown(listener))
+        if not is_loopback(host):
+            log.warning("anybody who reaches %s can read it: there is no password", _shown(listener))
+        while not stop.wait(_LOOK_SECONDS):
+            if not all(thread.is_alive() for thread in threads):  # its traceback has been written
+                raise CommandError("a part of the page's server has failed")
+    return exits.DONE
+
+
+def address(text: str) -> tuple[str, int]:
+    """HOST:PORT, ``[::1]:8780`` for IPv6. Raises `CommandError`."""
+    match = re.fullmatch(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})", text)
+    if match is None or int(match[2]) > 65535:
+        raise CommandError(f"--listen {text!r}: write it like {LISTEN} or 0.0.0.0:8780", exits.USAGE)
+    return match[1].strip("[]"), int(match[2])
+
+
+def hosts(host: str) -> list[str]:
+    """Names to answer to: on this machine only its own, else another site's page could read it through a name."""
+    return ["localhost", "127.0.0.1", "[::1]", host] if is_loopback(host) else ["*"]
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches ``host``."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """A socket that listens there. Raises `CommandError`."""
+    try:
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        raise CommandError(f"--listen {host}:{port}: {error.strerror}; choose another port, or 0") from None
+
+
+def _shown(listener: socket.socket) -> str:
+    host, port = listener.getsockname()[:2]
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -1,0 +1,76 @@
+"""The page as one file: styles, scripts and data in it, nothing loaded from anywhere."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from importlib import resources
+from typing import Any
+
+import msgspec
+
+STATIC = resources.files("camtopod.web") / "static"
+FIRST = "main.js"
+_IMPORT = re.compile(r'^import (\{[^}]*\}) from "\./([a-z]+\.js)";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?:async )?(?:function|class|const) (\w+)", re.MULTILINE)
+
+
+def page(data: Any) -> str:
+    """The HTML of a report that shows ``data`` (what `camtopod.web.report` gathers).
+
+    Its policy lets this one script and this one style sheet run and nothing else.
+    """
+    style = (STATIC / "app.css").read_text("utf-8")
+    script = f'"use strict";\n{scripts()}'
+    icon = base64.b64encode((STATIC / "icon.svg").read_bytes()).decode()
+    policy = (
+        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    held = msgspec.json.encode(data).decode().replace("<", "\\u003c")  # no text in it can end the element
+    return f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>camtopod</title>
+<link rel="icon" href="data:image/svg+xml;base64,{icon}">
+<style>{style}</style>
+</head>
+<body>
+<script type="application/json" id="report">{held}</script>
+<script type="module">{script}</script>
+</body>
+</html>
+"""
+
+
+def scripts() -> str:
+    """All modules as one script: each a function that returns what it exports, in the order they need each other."""
+    done: dict[str, str] = {}
+    _add(FIRST, done)
+    return "\n".join(done.values())
+
+
+def _add(name: str, done: dict[str, str]) -> None:
+    """Add a module behind those it imports. The modules import each other in no circle."""
+    if name in done:
+        return
+    source = (STATIC / name).read_text("utf-8")
+    for _, other in _IMPORT.findall(source):
+        _add(other, done)
+    exported = ", ".join(_EXPORT.findall(source))
+    body = _IMPORT.sub(lambda match: f"const {match[1]} = {_variable(match[2])};\n", source)
+    body = re.sub(r"^export ", "", body, flags=re.MULTILINE)
+    done[name] = f"const {_variable(name)} = (() => {{\n{body}\nreturn {{ {exported} }};\n}})();"
+
+
+def _variable(name: str) -> str:
+    return f"module_{name.removesuffix('.js')}"
+
+
+def _hash(text: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"

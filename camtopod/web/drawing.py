@@ -1,0 +1,205 @@
+"""The map as the page draws it: cameras with places, one edge a related pair, and what changed from map to map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from msgspec import Struct
+
+from camtopod.export.graph import Edge, edges
+from camtopod.learn.settings import Settings
+from camtopod.records import Alarm, Link, Pair, PairRelation, SelfScore, Topology
+from camtopod.web.layout import Place, places
+
+SETTLED_TRANSITIONS_MIN = 30.0
+"""A path that fewer are known to have taken is provisional: its median transit time is a fifth of its spread unsure."""
+SUSPECTED_Q_MAX = 0.05
+SUSPECTED_TRANSITIONS_MIN = 5.0
+"""Evidence that is not published is on the map from this on, as provisional."""
+
+
+class MapCamera(Struct, frozen=True):
+    """A node. ``x``, ``y``: as `camtopod.web.layout.places`."""
+
+    x: float
+    y: float
+    zones: int
+    entries: int
+    exits: int
+
+
+class Way(Struct, frozen=True, rename={"from_": "from"}):
+    """One direction of an edge; times in seconds, of the most walked link."""
+
+    from_: str
+    to: str
+    mode: float
+    q10: float
+    q50: float
+    q90: float
+    probability: float
+    transitions: float
+
+
+class MapEdge(Struct, frozen=True):
+    """A pair of cameras that belong together; ``provisional`` says why it is not settled, "" if it is."""
+
+    relation: PairRelation
+    provisional: str
+    transitions: float
+    ways: list[Way]
+
+
+class Map(Struct, frozen=True):
+    """Everything the map shows of one version. An edge's key is its two camera ids, sorted, with a space between."""
+
+    site: str
+    epoch: str
+    version: int
+    as_of: float
+    events: int
+    cameras: dict[str, MapCamera]
+    edges: dict[str, MapEdge]
+    score: SelfScore | None
+    alarms: list[Alarm]
+
+
+class MapChange(Struct, frozen=True):
+    """What makes the map of version ``since`` the newer one: new or changed items whole, gone ones by key."""
+
+    site: str
+    epoch: str
+    since: int
+    version: int
+    as_of: float
+    events: int
+    cameras: dict[str, MapCamera]
+    edges: dict[str, MapEdge]
+    gone_cameras: list[str]
+    gone_edges: list[str]
+    score: SelfScore | None
+    alarms: list[Alarm]
+
+
+def draw(topology: Topology, before: Map | None = None) -> Map:
+    """The map of a version; cameras keep their places of ``before`` as far as the network is the same."""
+    drawn = map_edges(topology)
+    entries: dict[str, list[int]] = {camera.id: [0, 0] for camera in topology.cameras}
+    for zone in topology.zones:
+        entries[zone.camera][0] += zone.entries
+        entries[zone.camera][1] += zone.exits
+    at = _places(topology, drawn, before)
+    cameras = {
+        camera.id: MapCamera(*at[camera.id], len(camera.zones), *(_steady(n) for n in entries[camera.id]))
+        for camera in topology.cameras
+    }
+    return Map(
+        topology.site, topology.epoch, topology.version, topology.as_of, topology.events,
+        cameras, drawn, topology.score, topology.alarms or [],
+    )  # fmt: skip
+
+
+def change(old: Map, new: Map) -> MapChange:
+    """What a page that shows ``old`` needs to show ``new``."""
+    return MapChange(
+        new.site, new.epoch, old.version, new.version, new.as_of, new.events,
+        {name: camera for name, camera in new.cameras.items() if old.cameras.get(name) != camera},
+        {key: edge for key, edge in new.edges.items() if old.edges.get(key) != edge},
+        [name for name in old.cameras if name not in new.cameras],
+        [key for key in old.edges if key not in new.edges],
+        new.score, new.alarms,
+    )  # fmt: skip
+
+
+def map_edges(topology: Topology) -> dict[str, MapEdge]:
+    """The published pairs, and those for which there is evidence that is nearly enough."""
+    camera = {zone.id: zone.camera for zone in topology.zones}
+    ways: dict[str, list[Edge]] = {}
+    best: dict[str, float] = {}
+    suspected = [
+        link
+        for link in topology.weak_links or []
+        if link.q_value <= SUSPECTED_Q_MAX and link.transitions >= SUSPECTED_TRANSITIONS_MIN
+    ]
+    pairs = {_key(*pair.cameras): pair for pair in topology.pairs}
+    for published, links in ((True, topology.links), (False, suspected)):
+        known = set(ways)
+        for edge in edges(_with(topology, links)):
+            key = _key(edge.from_, edge.to)
+            if published or key not in known:
+                ways.setdefault(key, []).append(edge)
+        for link in links:
+            key = _key(camera[link.from_], camera[link.to])
+            best[key] = min(best.get(key, math.inf), link.q_value)
+    result = {}
+    for key in sorted(ways):
+        there = ways[key]
+        transitions = sum(way.transitions for way in there)
+        overlapped: PairRelation = "overlapped" if any(way.overlapped for way in there) else "unseen_path"
+        pair = pairs.get(key)
+        result[key] = MapEdge(
+            pair.relation if pair else overlapped,
+            doubt(pair, transitions, best[key]),
+            _digits(transitions, 2),
+            [_way(edge) for edge in there],
+        )
+    return result
+
+
+def doubt(pair: Pair | None, transitions: float, q_value: float) -> str:
+    """Why an edge is provisional, in words; "" if it is settled."""
+    if pair is None:
+        return f"not published: the evidence (q = {q_value:.1g}) is below the rule of q ≤ {Settings().publish_q_max:g}"
+    if transitions < SETTLED_TRANSITIONS_MIN:
+        return f"new: only about {transitions:.0f} are known to have taken it"
+    if pair.by_lags is not None and pair.by_sum_rule is not None and pair.by_lags != pair.by_sum_rule:
+        return f"the two tests of its kind differ{f' ({pair.reason})' if pair.reason else ''}"
+    return ""
+
+
+def _places(topology: Topology, drawn: Mapping[str, MapEdge], before: Map | None) -> dict[str, Place]:
+    names = [camera.id for camera in topology.cameras]
+    joined = _joined(drawn)
+    held = {} if before is None else {name: (camera.x, camera.y) for name, camera in before.cameras.items()}
+    if before is not None and joined == _joined(before.edges) and set(names) == set(held):
+        return held
+    return places(names, joined, held)
+
+
+def _joined(drawn: Mapping[str, MapEdge]) -> dict[tuple[str, str], bool]:
+    """The edges that shape the map."""
+    result = {}
+    for key, edge in drawn.items():
+        if not edge.provisional.startswith("not published"):
+            a, b = key.split(" ")
+            result[a, b] = edge.relation == "overlapped"
+    return result
+
+
+def _with(topology: Topology, links: list[Link]) -> Topology:
+    return Topology(
+        topology.schema, topology.site, topology.epoch, topology.version, topology.as_of, topology.events,
+        topology.digest, topology.cameras, topology.zones, links, [],
+    )  # fmt: skip
+
+
+def _key(a: str, b: str) -> str:
+    return " ".join(sorted((a, b)))
+
+
+def _way(edge: Edge) -> Way:
+    t = edge.transit
+    mode, q10, q50, q90 = (_digits(value, 3) for value in (t.mode, t.q10, t.q50, t.q90))
+    return Way(
+        edge.from_, edge.to, mode, q10, q50, q90, _digits(edge.probability, 2), _digits(edge.transitions, 2)
+    )  # fmt: skip
+
+
+def _digits(value: float, digits: int) -> float:
+    """Fewer digits: what nobody could see on a map is not worth a message to every page."""
+    return float(f"{value:.{digits}g}")
+
+
+def _steady(count: int) -> int:
+    return int(_digits(count, 2))

@@ -1,0 +1,210 @@
+"""The bus as the page sees it: the newest map, who is well, and what is live; changes go to the open pages.
+
+Two threads besides the bus's own. *Versions* follows the topology and draws its map once a version. *Messages* takes
+predictions, events and status from a bounded inbox. The bus's threads only put things there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+
+from camtopod import codec
+from camtopod.records import Event, Prediction, Topology
+from camtopod.serve.bus import Bus
+from camtopod.serve.clock import Clock
+from camtopod.serve.subscriber import TopologyView
+from camtopod.web.drawing import Map, change, draw
+from camtopod.web.mailbox import Hub
+
+log = logging.getLogger(__name__)
+
+INBOX_MAX = 10_000
+"""Messages from the bus that wait to be looked at; beyond it they are dropped and counted."""
+CAMERAS_MAX = 5_000
+"""Cameras whose status is held."""
+PREDICTIONS_PER_SECOND_MAX = 25
+"""Predictions shown a second, of all cameras together: more nobody can follow."""
+PREDICTIONS_HELD = 20
+SILENT_SECONDS = 6.0
+"""A daemon that has said nothing for so long is not live."""
+_TICK_SECONDS = 0.2
+DAEMON = "daemon"
+
+
+class Feed:
+    """Follows one site's bus. `versions` and `messages` are to be run in a thread each."""
+
+    def __init__(self, bus: Bus, hub: Hub, clock: Clock) -> None:
+        self._bus, self._hub, self._clock = bus, hub, clock
+        self._inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(INBOX_MAX)
+        self._mutex = threading.Lock()
+        self._status: dict[str, dict[str, Any]] = {}
+        self._heard = -1e18
+        self._live: dict[str, Any] = {"live": False, "reason": "waiting for the daemon", "since": clock()}
+        self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
+        self._second, self._this_second = 0, 0
+        self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
+        self._view = TopologyView(bus)
+        self.topology: Topology | None = None
+        """The newest version."""
+        self.map: Map | None = None
+        self.map_json = b"null"
+        self.dropped = 0
+        """Messages for which there was no room."""
+        bus.subscribe("status/*", self._put)
+        bus.subscribe("prediction/*", self._put)
+
+    def versions(self, stop: threading.Event) -> None:
+        """Follow the topology until told to stop."""
+        while not stop.wait(_TICK_SECONDS):
+            if (newest := self._view.update()) is not None:
+                self.use(newest)
+
+    def use(self, topology: Topology) -> None:
+        """Show a version from now on."""
+        before = self.map
+        drawn = draw(topology, before)
+        self.topology, self.map, self.map_json = topology, drawn, codec.to_json(drawn)
+        if before is not None and before.epoch == drawn.epoch:
+            self._hub.tell("map", codec.to_json(change(before, drawn)))
+        else:
+            self._hub.tell("resync", b"{}")
+
+    def messages(self, stop: threading.Event) -> None:
+        """Work off the inbox, and notice when the daemon falls silent, until told to stop."""
+        for key, payload in self._bus.ask("status/*"):
+            self._on_status(key.removeprefix("status/"), payload)
+        while not stop.is_set():
+            with contextlib.suppress(queue.Empty):
+                key, payload = self._inbox.get(timeout=_TICK_SECONDS)
+                kind, _, name = key.partition("/")
+                {"status": self._on_status, "prediction": self._on_prediction, "event": self._on_event}[kind](
+                    name, payload
+                )
+            self._look()
+
+    def hello(self) -> bytes:
+        """What a page that has just connected is told: server-sent events."""
+        with self._mutex:
+            live, predictions = msgspec.json.encode(self._live), list(self._predictions)
+        version = None if self.map is None else [self.map.epoch, self.map.version]
+        said = [b"event: live\ndata: " + live, b"event: version\ndata: " + msgspec.json.encode(version)]
+        return b"".join(line + b"\n\n" for line in [*said, *(b"event: past\ndata: " + one for one in predictions)])
+
+    def beat(self) -> bytes:
+        """What a page is told when nothing else happens, so that it knows the connection is alive."""
+        return b'event: beat\ndata: {"now":%.3f}\n\n' % self._clock()
+
+    def health(self) -> dict[str, Any]:
+        """The daemon's status, every camera's, and what is live."""
+        with self._mutex:
+            status, live = dict(self._status), dict(self._live)
+        daemon = status.pop(DAEMON, None)
+        known: dict[str, Any] = (daemon or {}).get("cameras", {})
+        drawn = self.map.cameras if self.map is not None else {}
+        return {
+            "now": self._clock(),
+            "live": live,
+            "dropped": self.dropped,
+            "daemon": {k: v for k, v in (daemon or {}).items() if k not in ("cameras", "reject_samples", "alarms")},
+            "cameras": [_row(name, status.get(name), known.get(name)) for name in sorted({*status, *known, *drawn})],
+        }
+
+    @contextlib.contextmanager
+    def watching(self, camera: str) -> Iterator[None]:
+        """Events of ``camera`` are passed on while the block runs; several may watch the same."""
+        with self._mutex:
+            count, end = self._watched.get(camera) or (0, self._bus.subscribe(f"event/{camera}", self._put))
+            self._watched[camera] = (count + 1, end)
+        try:
+            yield
+        finally:
+            with self._mutex:
+                count, end = self._watched.pop(camera)
+                if count > 1:
+                    self._watched[camera] = (count - 1, end)
+                else:
+                    end()
+
+    def _put(self, key: str, payload: bytes) -> None:
+        try:
+            self._inbox.put_nowait((key, payload))
+        except queue.Full:
+            self.dropped += 1
+
+    def _on_status(self, name: str, payload: bytes) -> None:
+        try:
+            status = msgspec.msgpack.decode(payload, type=dict[str, Any])
+        except (msgspec.MsgspecError, UnicodeDecodeError):
+            return
+        with self._mutex:
+            before = self._status.get(name)
+            if before is None and len(self._status) >= CAMERAS_MAX:
+                return
+            self._status[name] = status
+        if name == DAEMON:
+            self._heard = self._clock()
+        elif before is None or any(before.get(k) != status.get(k) for k in ("state", "reason")):
+            self._hub.tell("health", msgspec.json.encode(_row(name, status, None)))
+
+    def _on_prediction(self, name: str, payload: bytes) -> None:
+        second = int(self._clock())
+        self._second, self._this_second = second, self._this_second + 1 if second == self._second else 1
+        if self._this_second > PREDICTIONS_PER_SECOND_MAX:
+            return
+        try:
+            prediction = codec.read(Prediction, payload, pack=True)
+        except codec.Rejected:
+            return
+        content = codec.to_json(msgspec.structs.replace(prediction, next_=prediction.next_[:3], track=None))
+        with self._mutex:
+            self._predictions.append(content)
+        self._hub.tell("prediction", content, passing=True)
+
+    def _on_event(self, name: str, payload: bytes) -> None:
+        try:
+            event = codec.event_from_bytes(payload)
+        except codec.Rejected:
+            return
+        shown = Event(event.camera, event.kind, event.t, event.x, event.y)
+        self._hub.tell("event", codec.to_json(shown), camera=name, passing=True)
+
+    def _look(self) -> None:
+        """Say when the daemon is live, or no longer."""
+        now = self._clock()
+        if not self._bus.connected:
+            reason = f"the bus at {self._bus.endpoint} is not reached"
+        elif not -SILENT_SECONDS < now - self._heard < SILENT_SECONDS:
+            reason = f"the daemon has said nothing for {SILENT_SECONDS:.0f} s"
+        else:
+            reason = ""
+        with self._mutex:
+            if self._live["reason"] == reason:
+                return
+            if not reason or self._live["live"]:  # another reason for the same silence goes on counting
+                self._live["since"] = now if not reason else max(self._heard, now - SILENT_SECONDS)
+            self._live = {**self._live, "live": not reason, "reason": reason}
+            told = msgspec.json.encode(self._live)
+        self._hub.tell("live", told)
+
+
+def _row(name: str, status: dict[str, Any] | None, counted: dict[str, Any] | None) -> dict[str, Any]:
+    """A camera on the health page; ``counted``: what the daemon says of it."""
+    said, known = status or {}, counted or {}
+    return {
+        "id": name,
+        "state": said.get("state") or ("unknown" if known.get("alive") else "no grabber"),
+        "reason": said.get("reason") or "",
+        "restarts": said.get("restarts"),
+        "events": known.get("events"),
+        "newest": known.get("newest"),
+        "ahead": known.get("ahead"),
+    }

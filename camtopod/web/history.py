@@ -1,0 +1,138 @@
+"""Versions side by side: a line on each for the time line, and what changed between any two, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from msgspec import Struct
+
+from camtopod.learn.topology import link_key
+from camtopod.records import Alarm, Link, Pair, SelfScore, Topology, Zone
+
+SHARE_CHANGE_MIN = 0.05
+"""A link whose share changed by less is the same to a reader."""
+TIME_CHANGE_SD = 3.0
+TIME_CHANGE_SHARE = 0.1
+"""A transit time has changed by this many standard errors and by this share of itself."""
+ZONE_MOVED_MIN = 0.05
+"""Of the picture's width or height."""
+KINDS = {"overlapped": "overlapping views", "unseen_path": "an unseen path"}
+
+
+class Summary(Struct, frozen=True):
+    """A version on the time line."""
+
+    epoch: str
+    version: int
+    as_of: float
+    events: int
+    cameras: int
+    zones: int
+    links: int
+    """Between views."""
+    pairs: int
+    score: SelfScore | None
+    alarms: list[Alarm]
+    """Those of this version."""
+
+
+class Change(Struct, frozen=True):
+    """One difference. ``sign``: "+" is new, "-" is gone, "~" is other than before; ``subject`` is what a page opens."""
+
+    sign: str
+    kind: str
+    subject: list[str]
+    text: str
+
+
+def summary(topology: Topology) -> Summary:
+    """The time line's entry of a version."""
+    return Summary(
+        topology.epoch, topology.version, topology.as_of, topology.events,
+        len(topology.cameras), len(topology.zones), sum(link.relation != "visible" for link in topology.links),
+        len(topology.pairs), topology.score,
+        [alarm for alarm in topology.alarms or [] if alarm.version == topology.version],
+    )  # fmt: skip
+
+
+def changes(old: Topology, new: Topology) -> list[Change]:
+    """What is new, gone or different in ``new``: cameras, pairs, links between views, then zones."""
+    result = [
+        *_came_and_went("camera", {c.id: c for c in old.cameras}, {c.id: c for c in new.cameras}),
+        *_pairs({p.cameras: p for p in old.pairs}, {p.cameras: p for p in new.pairs}),
+        *_links(old, new),
+        *_zones({z.id: z for z in old.zones}, {z.id: z for z in new.zones}),
+    ]
+    moved = {c.id: c.clock_offset for c in old.cameras}
+    for camera in new.cameras:
+        if abs(camera.clock_offset - moved.get(camera.id, camera.clock_offset)) >= 0.5:
+            text = f"clock {moved[camera.id]:+.1f} s → {camera.clock_offset:+.1f} s"
+            result.append(Change("~", "clock", [camera.id], text))
+    return result
+
+
+def _came_and_went(kind: str, old: Iterable[str], new: Iterable[str]) -> list[Change]:
+    before, after = set(old), set(new)
+    return [Change("+", kind, [name], "new") for name in sorted(after - before)] + [
+        Change("-", kind, [name], "gone") for name in sorted(before - after)
+    ]
+
+
+def _pairs(old: dict[tuple[str, str], Pair], new: dict[tuple[str, str], Pair]) -> list[Change]:
+    result = []
+    for cameras in sorted({*old, *new}):
+        was, now = old.get(cameras), new.get(cameras)
+        if now is None and was is not None:
+            result.append(Change("-", "pair", list(cameras), f"was {KINDS[was.relation]}"))
+        elif was is None and now is not None:
+            result.append(Change("+", "pair", list(cameras), KINDS[now.relation]))
+        elif was is not None and now is not None and was.relation != now.relation:
+            result.append(Change("~", "pair", list(cameras), f"{KINDS[was.relation]} → {KINDS[now.relation]}"))
+    return result
+
+
+def _links(old: Topology, new: Topology) -> list[Change]:
+    before = {link_key(link): link for link in old.links if link.relation != "visible"}
+    after = {link_key(link): link for link in new.links if link.relation != "visible"}
+    result = []
+    for key in sorted({*before, *after}):
+        was, now = before.get(key), after.get(key)
+        if now is None and was is not None:
+            result.append(Change("-", "link", list(key), f"{_told(was)} before"))
+        elif was is None and now is not None:
+            result.append(Change("+", "link", list(key), _told(now)))
+        elif was is not None and now is not None and (text := _difference(was, now)):
+            result.append(Change("~", "link", list(key), text))
+    return result
+
+
+def _difference(was: Link, now: Link) -> str:
+    parts = []
+    if abs(was.probability - now.probability) >= SHARE_CHANGE_MIN:
+        parts.append(f"share {_percent(was.probability)} → {_percent(now.probability)}")
+    apart = abs(was.transit.q50 - now.transit.q50)
+    error = math.hypot(was.transit.q50_sd or 0.0, now.transit.q50_sd or 0.0)
+    if apart > max(TIME_CHANGE_SD * error, TIME_CHANGE_SHARE * abs(was.transit.q50)):
+        parts.append(f"median time {was.transit.q50:.1f} s → {now.transit.q50:.1f} s")
+    return ", ".join(parts)
+
+
+def _told(link: Link) -> str:
+    return f"{link.relation}, share {_percent(link.probability)}, {link.transit.q50:.1f} s"
+
+
+def _zones(old: dict[str, Zone], new: dict[str, Zone]) -> list[Change]:
+    result = _came_and_went("zone", old, new)
+    for name in sorted(set(old) & set(new)):
+        was, now = old[name], new[name]
+        if was.x is None or was.y is None or now.x is None or now.y is None:
+            continue
+        apart = max(abs(was.x - now.x), abs(was.y - now.y))
+        if apart >= ZONE_MOVED_MIN:
+            result.append(Change("~", "zone", [name], f"moved by {_percent(apart)} of the picture"))
+    return result
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"

@@ -1,0 +1,80 @@
+"""Older versions, asked of the daemon one at a time; what has been asked is remembered within limits."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+
+from camtopod import codec
+from camtopod.records import Topology
+from camtopod.serve.bus import Bus, QueryError
+from camtopod.web.history import Summary, summary
+
+WHOLE_MAX = 4
+"""Old topologies that are held."""
+SUMMARIES_MAX = 1_000
+
+
+class Past:
+    """From any thread; a question waits for the one before it."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._asking = threading.Lock()
+        self._mutex = threading.Lock()
+        self._whole: OrderedDict[tuple[str, int], Topology] = OrderedDict()
+        self._summaries: OrderedDict[tuple[str, int], Summary] = OrderedDict()
+
+    def summaries(self, newest: Topology) -> list[Summary]:
+        """Those known of the newest version's epoch, oldest first."""
+        self._note(newest)
+        with self._mutex:
+            return [self._summaries[key] for key in sorted(self._summaries) if key[0] == newest.epoch]
+
+    def summary(self, newest: Topology, version: int) -> Summary | None:
+        """One version's; None if it is not kept."""
+        with self._mutex:
+            known = self._summaries.get((newest.epoch, version))
+        if known is not None:
+            return known
+        found = self.version(newest, version)
+        return None if found is None else summary(found)
+
+    def version(self, newest: Topology, version: int) -> Topology | None:
+        """An older version of the epoch of ``newest``; None if it is not kept."""
+        if version == newest.version:
+            return newest
+        key = (newest.epoch, version)
+        with self._asking:
+            with self._mutex:
+                if (held := self._whole.get(key)) is not None:
+                    self._whole.move_to_end(key)
+                    return held
+            found = self._ask(key)
+        if found is not None:
+            self._note(found)
+            with self._mutex:
+                self._whole[key] = found
+                while len(self._whole) > WHOLE_MAX:
+                    self._whole.popitem(last=False)
+        return found
+
+    def _ask(self, key: tuple[str, int]) -> Topology | None:
+        try:
+            answers = self._bus.ask("topology", {"epoch": key[0], "version": key[1]})
+        except QueryError:
+            return None
+        for _, payload in answers:
+            try:
+                found = codec.read(Topology, payload, pack=True)
+            except codec.Rejected:
+                continue
+            if (found.epoch, found.version) == key:
+                return found
+        return None
+
+    def _note(self, topology: Topology) -> None:
+        with self._mutex:
+            self._summaries[topology.epoch, topology.version] = summary(topology)
+            while len(self._summaries) > SUMMARIES_MAX:
+                self._summaries.popitem(last=False)

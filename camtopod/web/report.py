@@ -1,0 +1,57 @@
+"""What a report holds: everything the page would ask the server for, gathered beforehand."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from camtopod.records import Link, Topology
+from camtopod.web import stories
+from camtopod.web.drawing import draw
+from camtopod.web.history import changes, summary
+from camtopod.web.pictures import TYPES, picture_of
+
+LINKS_MAX = 6_000
+"""Links that are told in full, the most walked first; a large site has more than a browser opens as one file."""
+COMPARED_MAX = 20
+"""The newest versions, each compared with each."""
+
+
+def gather(topology: Topology, older: Sequence[Topology], pictures: Path | None) -> dict[str, Any]:
+    """The data of a report on ``topology``; ``older``: versions before it, oldest first. Raises OSError."""
+    drawn = draw(topology)
+    cameras = [camera.id for camera in topology.cameras]
+    files = {camera: path for camera in cameras if (path := picture_of(pictures, camera)) is not None}
+    told = {camera: stories.camera_story(topology, camera) for camera in cameras}
+    versions = [*older, topology]
+    compared = versions[-COMPARED_MAX:]
+    return {
+        "map": drawn,
+        "cameras": {name: {**(story or {}), "picture": name in files} for name, story in told.items()},
+        "pairs": {key: stories.pair_story(topology, *key.split(" ")) for key in drawn.edges},
+        "links": {
+            f"{link.from_} {link.to} {link.relation}": stories.link_story(topology, link.from_, link.to, link.relation)
+            for link in _told(topology)
+        },
+        "versions": [summary(one) for one in versions],
+        "changes": {
+            f"{old.version} {new.version}": changes(old, new)
+            for k, new in enumerate(compared)
+            for old in compared[: k + 1]
+        },
+        "pictures": {name: _inline(path) for name, path in files.items()},
+    }
+
+
+def _told(topology: Topology) -> list[Link]:
+    """Links between views before passages within one."""
+    camera = {zone.id: zone.camera for zone in topology.zones}
+    links = [*topology.links, *(link for link in topology.weak_links or [] if camera[link.from_] != camera[link.to])]
+    links.sort(key=lambda link: (link.relation == "visible", link.q_value > 0.05, -link.transitions))
+    return links[:LINKS_MAX]
+
+
+def _inline(path: Path) -> str:
+    return f"data:{TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"

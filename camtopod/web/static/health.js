@@ -1,0 +1,79 @@
+// Who is well: the daemon, and every camera with its reason. Asked anew every few seconds while it is shown.
+
+import { fact } from "./camera.js";
+import { fill, h } from "./dom.js";
+import { link } from "./place.js";
+import { ago, count, plural, seconds, troubled } from "./words.js";
+
+const EVERY_SECONDS = 4;
+const ROWS = 200;
+
+export class Health {
+  #timer = null;
+  #rows = ROWS;
+  #text = "";
+  #content = null;
+
+  constructor(app) {
+    this.app = app;
+    const input = h("input", { type: "search", placeholder: "Filter by name, state or reason", "aria-label": "Filter cameras",
+      on: { input: () => { this.#text = input.value.trim().toLowerCase(); this.#draw(); } } });
+    this.daemon = h("div", { class: "card" });
+    this.said = h("p", { class: "quiet", role: "status" });
+    this.table = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Cameras" });
+    this.element = h("section", { class: "page" }, h("h1", {}, "Health"), this.daemon, h("h2", {}, "Cameras"), h("div", { class: "tools" }, input), this.said, this.table);
+  }
+
+  async shown() {
+    this.hidden();
+    this.#timer = setInterval(() => this.#ask(), 1000 * EVERY_SECONDS);
+    await this.#ask();
+  }
+
+  hidden() {
+    clearInterval(this.#timer);
+  }
+
+  async #ask() {
+    if (document.hidden && this.#content) return;
+    try {
+      this.#content = await this.app.source.health();
+    } catch (error) {
+      if (!(error instanceof TypeError)) throw error; // the server is away, which the banner says
+      return;
+    }
+    this.app.heardHealth(this.#content.cameras);
+    this.#draw();
+  }
+
+  #draw() {
+    if (!this.#content) return;
+    const { daemon, live, now, cameras, dropped } = this.#content;
+    const events = daemon.events ?? {};
+    const rejected = Object.values(daemon.rejects ?? {}).reduce((sum, n) => sum + n, 0);
+    fill(this.daemon, h("h2", {}, "Daemon ", h("span", { class: `pill ${live.live && daemon.state === "running" ? "good" : "bad"}` }, live.live ? daemon.state : "not live")),
+      daemon.reason || live.reason ? h("p", { class: "reason" }, daemon.reason || live.reason) : null,
+      h("dl", { class: "figures wide" },
+        fact("Events stored", count(events.stored)),
+        fact("Waiting to be learned", count(events.waiting)),
+        fact("Duplicates", count(events.duplicate)),
+        fact("Late", count(daemon.learner?.late)),
+        fact("Rejected", count(rejected), Object.entries(daemon.rejects ?? {}).map(([why, n]) => `${why}: ${n}`).join(", ") || null),
+        fact("Predictions", count(daemon.predictions)),
+        dropped ? fact("Not shown here", count(dropped), "Messages that this page's server had no room for") : null));
+    const wanted = cameras.filter((row) => `${row.id} ${row.state} ${row.reason}`.toLowerCase().includes(this.#text));
+    const bad = (row) => (troubled(row.state) ? 0 : row.reason ? 1 : row.state === "no grabber" ? 2 : 3);
+    wanted.sort((a, b) => bad(a) - bad(b) || (a.id < b.id ? -1 : 1));
+    const ill = cameras.filter((row) => troubled(row.state)).length;
+    this.said.textContent = `${plural(cameras.length, "camera")}, ${ill ? plural(ill, "needs", "need") + " attention" : "none needs attention"}`;
+    fill(this.table, h("table", { class: "wide" },
+      h("thead", {}, h("tr", {}, ["Camera", "State", "Events", "Last heard", "Reason"].map((name, k) => h("th", { scope: "col", class: k === 2 || k === 3 ? "number" : null }, name)))),
+      h("tbody", {}, wanted.slice(0, this.#rows).map((row) => h("tr", {},
+        h("th", { scope: "row" }, h("a", { href: link("camera", row.id) }, row.id)),
+        h("td", {}, h("span", { class: `pill ${troubled(row.state) ? "bad" : row.state === "no grabber" ? "off" : "good"}` }, row.state)),
+        h("td", { class: "number" }, count(row.events)),
+        h("td", { class: "number" }, row.newest ? ago(now - row.newest) : "–"),
+        h("td", { class: "reason" }, [row.reason, row.ahead > 1 ? `clock ${seconds(row.ahead)} ahead` : null].filter(Boolean).join("; ")))))),
+    wanted.length > this.#rows ? h("button", { type: "button", class: "more", on: { click: () => { this.#rows += ROWS; this.#draw(); } } }, "Show more") : null);
+  }
+}

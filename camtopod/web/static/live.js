@@ -1,0 +1,65 @@
+// The connection that brings what is new. It comes back by itself; what was missed is fetched.
+
+const SILENT_SECONDS = 12; // the server says something every 4 s
+const RETRY_SECONDS = 2;
+
+export class Connection {
+  #events = null;
+  #camera = null;
+  #heard = performance.now();
+  #lostSince = null;
+
+  // handlers: {map, resync, version, live, prediction, past, event, health, beat, lost(since or null)}
+  constructor(handlers) {
+    this.handlers = handlers;
+    this.offset = 0; // seconds that the server's clock is ahead of this one's
+    this.#open();
+    setInterval(() => this.#look(), 1000);
+  }
+
+  // Ask for the entries and exits of one camera, or (null) of none.
+  watch(camera) {
+    if (camera === this.#camera) return;
+    this.#camera = camera;
+    this.#open();
+  }
+
+  // The server's time, seconds since the epoch.
+  now() {
+    return Date.now() / 1000 + this.offset;
+  }
+
+  #open() {
+    this.#events?.close();
+    const query = this.#camera === null ? "" : `?${new URLSearchParams({ camera: this.#camera })}`;
+    const events = (this.#events = new EventSource(`live${query}`));
+    this.#heard = performance.now();
+    const names = ["map", "resync", "version", "live", "prediction", "past", "event", "health", "beat"];
+    for (const name of names) {
+      events.addEventListener(name, (message) => {
+        const content = JSON.parse(message.data);
+        this.#alive(name === "beat" ? content.now : null);
+        this.handlers[name]?.(content);
+      });
+    }
+  }
+
+  #alive(now) {
+    this.#heard = performance.now();
+    if (now !== null) this.offset = now - Date.now() / 1000;
+    if (this.#lostSince !== null) {
+      this.#lostSince = null;
+      this.handlers.lost(null);
+    }
+  }
+
+  #look() {
+    const quiet = (performance.now() - this.#heard) / 1000;
+    const closed = this.#events.readyState !== EventSource.OPEN;
+    if (this.#lostSince === null && (quiet > SILENT_SECONDS || (closed && quiet > RETRY_SECONDS))) {
+      this.#lostSince = Date.now() / 1000 - quiet;
+      this.handlers.lost(this.#lostSince);
+    }
+    if (this.#events.readyState === EventSource.CLOSED || quiet > SILENT_SECONDS) this.#open();
+  }
+}

@@ -1,0 +1,293 @@
+// The network map: cameras as nodes, black edges overlap, grey edges are unseen paths; dashed while provisional.
+
+import { fill, h, s } from "./dom.js";
+import { Flow } from "./flow.js";
+import { Labels } from "./labels.js";
+import { go } from "./place.js";
+import { View } from "./view.js";
+import { count, percent, plural, seconds, span } from "./words.js";
+
+const UNIT = 110; // pixels of the map a hop, at scale 1
+const NODE_PIXELS = [3.2, 11]; // radius, far away and near
+const NEAR_SCALE = 0.8;
+const PICK_PIXELS = 14;
+const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
+const INSETS = { top: 76, right: 40, bottom: 96, left: 40 };
+const SIDES = [[0, 1], [0, -1], [1, 0], [-1, 0]];
+const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+export class NetworkMap {
+  nodes = new Map(); // id -> {id, x, y, camera, element}
+  edges = new Map(); // "a b" -> {key, a, b, edge, width, element}
+  #frame = 0;
+  #focused = null;
+  #chosen = [];
+  #found = null; // ids that match the search, or null
+
+  constructor(element) {
+    this.svg = s("svg", { class: "map", role: "group", "aria-label": "Network map. Arrow keys go from camera to camera, Enter opens one, plus and minus zoom." });
+    this.world = s("g", {});
+    this.edgeLayer = s("g", { class: "edges" });
+    this.flowLayer = s("g", { class: "flow", "aria-hidden": "true" });
+    this.nodeLayer = s("g", { class: "nodes" });
+    this.labelLayer = s("g", { class: "labels", "aria-hidden": "true" });
+    this.world.append(this.edgeLayer, this.flowLayer, this.nodeLayer);
+    this.svg.append(this.world, this.labelLayer);
+    this.tip = h("div", { class: "tip", hidden: true });
+    this.nothing = h("div", { class: "nothing" }, h("h2", {}, "Nothing learned yet"),
+      h("p", {}, "The map appears with the first version, some minutes after the first events."));
+    element.append(this.svg, this.tip, this.nothing);
+    this.view = new View(this.svg, () => this.redraw(), (x, y) => this.#tap(x, y));
+    this.labels = new Labels(this.labelLayer);
+    this.flow = new Flow(this.flowLayer, this);
+    this.svg.addEventListener("pointermove", (event) => this.#hover(event));
+    this.svg.addEventListener("pointerleave", () => this.#point(null));
+    this.svg.addEventListener("keydown", (event) => this.#key(event));
+    new ResizeObserver(() => (this.view.touched ? this.redraw() : this.fit())).observe(this.svg);
+  }
+
+  // Show a map; what is the same object as before is left alone.
+  update(map) {
+    const fresh = this.nodes.size === 0;
+    for (const [id, camera] of Object.entries(map.cameras)) {
+      const held = this.nodes.get(id);
+      if (held?.camera !== camera) this.#place(id, camera, held);
+    }
+    for (const [id, node] of this.nodes) {
+      if (!(id in map.cameras)) this.#drop(this.nodes, id, node);
+    }
+    this.traffic = Math.max(1, ...Object.values(map.edges).map((edge) => edge.transitions));
+    for (const [key, edge] of Object.entries(map.edges)) this.#join(key, edge);
+    for (const [key, drawn] of this.edges) {
+      if (!(key in map.edges)) this.#drop(this.edges, key, drawn);
+    }
+    this.#findSides();
+    this.nothing.hidden = this.nodes.size > 0;
+    if (this.#focused === null || !this.nodes.has(this.#focused)) this.#roam(this.nodes.keys().next().value ?? null);
+    this.#mark();
+    if (fresh || !this.view.touched) this.fit();
+    else this.redraw();
+  }
+
+  fit() {
+    const nodes = [...this.nodes.values()];
+    if (!nodes.length || !this.svg.clientWidth) return;
+    const xs = nodes.map((node) => node.x);
+    const ys = nodes.map((node) => node.y);
+    const [x, y] = [Math.min(...xs), Math.min(...ys)];
+    this.view.fit({ x, y, width: Math.max(...xs) - x, height: Math.max(...ys) - y }, INSETS);
+    this.view.touched = false;
+  }
+
+  // Mark the cameras or the edge that are open beside the map.
+  choose(...ids) {
+    this.#chosen = ids;
+    this.#mark();
+    this.redraw();
+  }
+
+  // Mark the cameras whose id holds `text`; returns them, all if there is no text.
+  search(text) {
+    const wanted = text.trim().toLowerCase();
+    this.#found = wanted ? [...this.nodes.keys()].filter((id) => id.toLowerCase().includes(wanted)) : null;
+    this.#mark();
+    this.redraw();
+    return this.#found;
+  }
+
+  // Go to a camera on the map.
+  show(id) {
+    const node = this.nodes.get(id);
+    if (node) this.view.centre(node.x, node.y, NEAR_SCALE);
+  }
+
+  focus(id) {
+    if (!this.nodes.has(id)) return;
+    this.#roam(id);
+    this.nodes.get(id).element.focus({ preventScroll: true });
+  }
+
+  // Mark who is not well: id -> state and reason.
+  health(troubles) {
+    for (const [id, node] of this.nodes) node.element.classList.toggle("ill", troubles.has(id));
+  }
+
+  // Draw with the next frame.
+  redraw() {
+    this.#frame ||= requestAnimationFrame(() => {
+      this.#frame = 0;
+      const { x, y, scale } = this.view;
+      this.world.setAttribute("transform", `translate(${x.toFixed(2)} ${y.toFixed(2)}) scale(${scale})`);
+      const near = Math.min(1, scale / NEAR_SCALE);
+      const radius = NODE_PIXELS[0] + (NODE_PIXELS[1] - NODE_PIXELS[0]) * near;
+      this.world.style.setProperty("--radius", `${radius / scale}px`);
+      this.world.style.setProperty("--thin", Math.max(0.35, near).toFixed(2));
+      this.labels.draw(this, radius, new Set([...this.#chosen, ...(this.#found ?? []).slice(0, 40)]));
+    });
+  }
+
+  #place(id, camera, held) {
+    const [x, y] = [camera.x * UNIT, camera.y * UNIT];
+    const node = held ?? { id, element: s("g", { class: "node", role: "button", tabindex: "-1", data: { id } }, s("circle", {}), s("title", {})) };
+    Object.assign(node, { x, y, camera });
+    node.element.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
+    node.element.setAttribute("aria-label", `Camera ${id}, ${plural(camera.zones, "zone")}`);
+    if (held) return;
+    this.nodes.set(id, node);
+    node.element.addEventListener("focus", () => this.#focusedNode(node));
+    this.nodeLayer.append(node.element);
+  }
+
+  #join(key, edge) {
+    let drawn = this.edges.get(key);
+    const [a, b] = key.split(" ").map((id) => this.nodes.get(id));
+    if (!drawn) {
+      drawn = { key, element: s("line", { data: { key } }) };
+      this.edges.set(key, drawn);
+      this.edgeLayer.append(drawn.element);
+    }
+    const share = Math.sqrt(edge.transitions / this.traffic);
+    const width = WIDTH_PIXELS[0] + (WIDTH_PIXELS[1] - WIDTH_PIXELS[0]) * share;
+    Object.assign(drawn, { a, b, edge, width });
+    for (const [name, value] of Object.entries({ x1: a.x, y1: a.y, x2: b.x, y2: b.y })) drawn.element.setAttribute(name, value.toFixed(1));
+    drawn.element.style.setProperty("--width", width.toFixed(2));
+    drawn.element.setAttribute("class", `edge ${edge.relation}${edge.provisional ? " provisional" : ""}`);
+  }
+
+  // On which side of each node its name has most room.
+  #findSides() {
+    const towards = new Map([...this.nodes.keys()].map((id) => [id, []]));
+    for (const { a, b } of this.edges.values()) {
+      const length = Math.hypot(b.x - a.x, b.y - a.y) || 1;
+      const [dx, dy] = [(b.x - a.x) / length, (b.y - a.y) / length];
+      towards.get(a.id).push([dx, dy]);
+      towards.get(b.id).push([-dx, -dy]);
+    }
+    for (const [id, node] of this.nodes) {
+      const crowd = ([x, y]) => Math.max(0, ...towards.get(id).map(([dx, dy]) => dx * x + dy * y));
+      node.side = SIDES.reduce((best, side) => (crowd(side) < crowd(best) - 0.15 ? side : best));
+    }
+  }
+
+  #drop(held, key, drawn) {
+    drawn.element.remove();
+    held.delete(key);
+  }
+
+  #mark() {
+    const chosen = new Set(this.#chosen);
+    const found = this.#found && new Set(this.#found);
+    for (const [id, { element }] of this.nodes) {
+      element.classList.toggle("chosen", chosen.has(id));
+      element.classList.toggle("faint", Boolean(found && !found.has(id)));
+    }
+    for (const { element, a, b } of this.edges.values()) {
+      const both = chosen.has(a.id) && chosen.has(b.id);
+      element.classList.toggle("chosen", both || (chosen.size === 1 && (chosen.has(a.id) || chosen.has(b.id))));
+      element.classList.toggle("faint", Boolean(found && !found.has(a.id) && !found.has(b.id)));
+    }
+  }
+
+  // The node or edge at a place on the screen, nodes first.
+  #at(px, py) {
+    const { x, y, scale } = this.view;
+    const [mx, my, near] = [(px - x) / scale, (py - y) / scale, PICK_PIXELS / scale];
+    let best = null;
+    let least = near;
+    for (const node of this.nodes.values()) {
+      const apart = Math.hypot(node.x - mx, node.y - my);
+      if (apart < least) [best, least] = [{ node }, apart];
+    }
+    if (best) return best;
+    least = 0.7 * near;
+    for (const drawn of this.edges.values()) {
+      const apart = fromLine(mx, my, drawn.a, drawn.b);
+      if (apart < least) [best, least] = [{ drawn }, apart];
+    }
+    return best;
+  }
+
+  #tap(x, y) {
+    const hit = this.#at(x, y);
+    if (hit?.node) go("camera", hit.node.id);
+    else if (hit?.drawn) go("pair", hit.drawn.a.id, hit.drawn.b.id);
+    else if (this.#chosen.length) go("map");
+  }
+
+  #hover(event) {
+    if (event.pointerType === "touch" || event.buttons) return;
+    const [x, y] = this.view.local(event);
+    this.#point(this.#at(x, y), x, y);
+  }
+
+  #point(hit, x, y) {
+    this.svg.classList.toggle("over", Boolean(hit));
+    for (const old of this.svg.querySelectorAll(".pointed")) old.classList.remove("pointed");
+    this.tip.hidden = !hit;
+    if (!hit) return;
+    (hit.node ?? hit.drawn).element.classList.add("pointed");
+    fill(this.tip, hit.node ? nodeTip(hit.node) : edgeTip(hit.drawn));
+    const left = Math.min(x + 16, this.svg.clientWidth - this.tip.offsetWidth - 8);
+    this.tip.style.transform = `translate(${Math.max(8, left)}px, ${y + 18 + this.tip.offsetHeight > this.svg.clientHeight ? y - this.tip.offsetHeight - 12 : y + 18}px)`;
+  }
+
+  // Exactly one node can be reached by Tab; the arrows go on from there.
+  #roam(id) {
+    this.nodes.get(this.#focused)?.element.setAttribute("tabindex", "-1");
+    this.#focused = id;
+    this.nodes.get(id)?.element.setAttribute("tabindex", "0");
+  }
+
+  #focusedNode(node) {
+    this.#roam(node.id);
+    const [x, y] = this.view.toScreen(node.x, node.y);
+    const margin = 60;
+    if (x < margin || y < margin || x > this.svg.clientWidth - margin || y > this.svg.clientHeight - margin) this.show(node.id);
+  }
+
+  #key(event) {
+    const node = this.nodes.get(this.#focused);
+    if (event.ctrlKey || event.metaKey || event.altKey || !node) return;
+    if (event.key in DIRECTIONS) this.focus(this.#nextTo(node, DIRECTIONS[event.key])?.id);
+    else if (event.key === "Enter" || event.key === " ") go("camera", node.id);
+    else if (event.key === "+" || event.key === "=") this.view.zoom(1.4);
+    else if (event.key === "-") this.view.zoom(1 / 1.4);
+    else if (event.key === "0") this.fit();
+    else return;
+    event.preventDefault();
+  }
+
+  // The nearest camera in a direction: what lies aside counts double.
+  #nextTo(from, [dx, dy]) {
+    let best = null;
+    let least = Infinity;
+    for (const node of this.nodes.values()) {
+      const [x, y] = [node.x - from.x, node.y - from.y];
+      const ahead = x * dx + y * dy;
+      const aside = Math.abs(x * dy - y * dx);
+      if (ahead > 1 && ahead > 0.4 * aside && ahead + 2 * aside < least) [best, least] = [node, ahead + 2 * aside];
+    }
+    return best;
+  }
+}
+
+function nodeTip({ id, camera }) {
+  return [h("b", {}, id), h("span", {}, `${plural(camera.zones, "zone")} · ${count(camera.entries)} in, ${count(camera.exits)} out`)];
+}
+
+function edgeTip({ a, b, edge }) {
+  const kind = edge.relation === "overlapped" ? "Overlapping views" : "Unseen path";
+  return [
+    h("b", {}, `${a.id} – ${b.id}`),
+    h("span", {}, kind + (edge.provisional ? ", provisional" : "")),
+    edge.ways.map((way) => h("span", {}, `${way.from} → ${way.to}: ${seconds(way.mode)} (${span(way.q10, way.q90)}), ${percent(way.probability)}`)),
+    edge.provisional ? h("span", { class: "note" }, edge.provisional) : null,
+  ];
+}
+
+function fromLine(x, y, a, b) {
+  const [dx, dy] = [b.x - a.x, b.y - a.y];
+  const along = Math.min(1, Math.max(0, ((x - a.x) * dx + (y - a.y) * dy) / (dx * dx + dy * dy || 1)));
+  return Math.hypot(a.x + along * dx - x, a.y + along * dy - y);
+}
+

@@ -1,0 +1,60 @@
+// Numbers and times as people read them.
+
+export function seconds(value) {
+  if (value === null || value === undefined) return "–";
+  const size = Math.abs(value);
+  const text = size < 10 ? size.toFixed(1) : size < 120 ? size.toFixed(0) : "";
+  return (value < 0 ? "−" : "") + (text ? `${text} s` : `${(size / 60).toFixed(1)} min`);
+}
+
+export function span(low, high) {
+  const digits = Math.max(Math.abs(low), Math.abs(high)) < 10 ? 1 : 0;
+  return `${signed(low, digits)} to ${signed(high, digits)} s`;
+}
+
+export function percent(share) {
+  if (share === null || share === undefined) return "–";
+  return `${(100 * share).toFixed(share > 0 && share < 0.0995 ? 1 : 0)} %`;
+}
+
+export function count(value) {
+  if (value === null || value === undefined) return "–";
+  return Math.abs(value) < 9.5 && !Number.isInteger(value) ? value.toFixed(1) : Math.round(value).toLocaleString("en");
+}
+
+export function plural(value, one, many = `${one}s`) {
+  return `${count(value)} ${value === 1 ? one : many}`;
+}
+
+// A very small or large number with two digits: 1.2e-12 as 1.2 × 10⁻¹².
+export function scientific(value) {
+  if (value === 0) return "0";
+  if (Math.abs(value) >= 0.001 && Math.abs(value) < 1000) return String(Number(value.toPrecision(2)));
+  const [digits, power] = value.toExponential(1).split("e");
+  const raised = [...String(Number(power))].map((c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(c)])).join("");
+  return `${Number(digits)} × 10${raised}`;
+}
+
+// Time of day, with the date where it is not today's.
+export function clock(t) {
+  const date = new Date(1000 * t);
+  const time = date.toLocaleTimeString("en-GB");
+  return date.toDateString() === new Date().toDateString() ? time : `${date.toLocaleDateString("en-CA")} ${time}`;
+}
+
+export function ago(age) {
+  if (!Number.isFinite(age)) return "–";
+  if (age < 1.5) return "now";
+  if (age < 90) return `${age.toFixed(0)} s ago`;
+  if (age < 5400) return `${(age / 60).toFixed(0)} min ago`;
+  return age < 172800 ? `${(age / 3600).toFixed(0)} h ago` : `${(age / 86400).toFixed(0)} days ago`;
+}
+
+// Whether a camera's state asks for attention.
+export function troubled(state) {
+  return !["running", "live", "ok", "unknown", "no grabber", undefined].includes(state);
+}
+
+function signed(value, digits) {
+  return (value < 0 ? "−" : "") + Math.abs(value).toFixed(digits);
+}

@@ -1,0 +1,228 @@
+"""What the page says of one camera, one pair or one link: figures to draw, and in plain words why it is believed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn import mahalanobis, montecarlo
+from camtopod.learn.joint import smooth
+from camtopod.learn.lags import LagBins
+from camtopod.learn.links import MONTE_CARLO_SEED
+from camtopod.learn.settings import Settings
+from camtopod.records import Link, Model, Pair, Topology, ZoneModel
+from camtopod.web.drawing import doubt
+
+CURVE_SHARE_MIN = 0.004
+"""Where the fitted curve is lower than this share of its peak it is not drawn."""
+COMMON_SHARE = 0.8
+"""Between the quantiles q10 and q90."""
+
+
+def camera_story(topology: Topology, camera: str) -> dict[str, Any] | None:
+    """Zones, figures and links of a camera; None for one that is not there."""
+    found = next((one for one in topology.cameras if one.id == camera), None)
+    if found is None:
+        return None
+    of_zone, of_camera = _models(topology.model)
+    inside = {zone.id for zone in topology.zones if zone.camera == camera}
+    known = of_camera.get(camera)
+    return {
+        "id": camera,
+        "version": topology.version,
+        "clock_offset": found.clock_offset,
+        "clock_offset_sd": found.clock_offset_sd,
+        "share": known and known.share,
+        "last_event": known and known.last_event,
+        "zones": [
+            {**msgspec.to_builtins(zone), "arrival_rate": of_zone[zone.id].arrival_rate if zone.id in of_zone else None}
+            for zone in topology.zones
+            if zone.camera == camera
+        ],
+        "links": [brief(link) for link in topology.links if link.from_ in inside or link.to in inside],
+        "alarms": [alarm for alarm in topology.alarms or [] if _is_about(alarm.subject, camera)],
+    }
+
+
+def pair_story(topology: Topology, a: str, b: str) -> dict[str, Any] | None:
+    """The links between two cameras, each way, weak ones included; None if there are none."""
+    camera = {zone.id: zone.camera for zone in topology.zones}
+    sides = {a, b}
+
+    def between(links: list[Link] | None) -> list[Link]:
+        chosen = [link for link in links or [] if {camera[link.from_], camera[link.to]} == sides and a != b]
+        return sorted(chosen, key=lambda link: -link.transitions)
+
+    links, weak = between(topology.links), between(topology.weak_links)
+    if not links and not weak:
+        return None
+    pair = next((pair for pair in topology.pairs if set(pair.cameras) == sides), None)
+    shown = links or weak
+    return {
+        "cameras": sorted(sides),
+        "relation": pair and pair.relation,
+        "provisional": doubt(pair, sum(link.transitions for link in shown), min(link.q_value for link in shown)),
+        "why": _why_pair(pair),
+        "links": [brief(link) for link in links],
+        "weak": [brief(link) for link in weak],
+    }
+
+
+def link_story(topology: Topology, from_: str, to: str, relation: str) -> dict[str, Any] | None:
+    """All there is to show of a link; None for one that is not there.
+
+    ``counts`` and ``curve`` are expected transitions in the lag bins from ``first`` on, whose edges are
+    ``scale * sinh(step * k)`` seconds; ``background`` is what chance brings, per second of lag.
+    """
+    for weak, links in ((False, topology.links), (True, topology.weak_links or [])):
+        for link in links:
+            if (link.from_, link.to, link.relation) == (from_, to, relation):
+                return _link_story(topology, link, weak)
+    return None
+
+
+def brief(link: Link) -> dict[str, Any]:
+    """A link without its histogram."""
+    content: dict[str, Any] = msgspec.to_builtins(link)
+    content.pop("histogram", None)
+    return content
+
+
+def _link_story(topology: Topology, link: Link, weak: bool) -> dict[str, Any]:
+    of_zone, _ = _models(topology.model)
+    source, target = of_zone.get(link.from_), of_zone.get(link.to)
+    background = source.departures * target.arrival_rate if source and target else None
+    camera = {zone.id: zone.camera for zone in topology.zones}
+    return {
+        **brief(link),
+        "version": topology.version,
+        "weak": weak,
+        "cameras": [camera[link.from_], camera[link.to]],
+        "departures": source and source.departures,
+        "background": background,
+        "chart": _chart(topology.model, link),
+        "why": why(link, weak, source, background),
+    }
+
+
+def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
+    """Histogram, fitted curve and Monte Carlo samples; None where the topology holds no histogram of it."""
+    if model is None or link.histogram is None or not link.histogram.mass:
+        return None
+    bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
+    counts = np.zeros((1, bins.size))
+    start = link.histogram.first - bins.first
+    counts[0, start : start + len(link.histogram.mass)] = link.histogram.mass
+    curve = smooth(counts)[0]
+    density = curve / bins.widths
+    samples = montecarlo.observe(density, np.array([link.transit.sd]), bins, MONTE_CARLO_SEED)
+    drawn = np.flatnonzero((density[0] > CURVE_SHARE_MIN * density[0].max()) | (counts[0] > 0))
+    shown = slice(int(drawn[0]), int(drawn[-1]) + 1)
+    return {
+        "scale": bins.scale,
+        "step": bins.step,
+        "first": bins.first + int(drawn[0]),
+        "counts": _short(counts[0, shown]),
+        "curve": _short(curve[0, shown]),
+        "samples": _short(np.sort(samples[0])),
+    }
+
+
+def why(link: Link, weak: bool, source: ZoneModel | None, background: float | None) -> list[str]:
+    """Why a link is believed, or is not yet, a sentence each."""
+    if link.relation == "visible":
+        return [
+            f"Both zones are in one view: {_count(link.transitions)} were seen to come in at {link.from_} "
+            f"and leave at {link.to}, {_share(link.probability)} of those that came in there.",
+            f"Half of them took at most {_seconds(link.transit.q50)}; four in five between "
+            f"{_seconds(link.transit.q10)} and {_seconds(link.transit.q90)}.",
+        ]
+    departures = f"{source.departures:,} objects" if source else "the objects"
+    said = [
+        f"Of {departures} that left at {link.from_}, about {_count(link.transitions)} appeared next at {link.to}: "
+        f"{_share(link.probability)}.",
+        _time_taken(link),
+    ]
+    if background is not None:
+        span = link.transit.q90 - link.transit.q10
+        expected, found = background * span, COMMON_SHARE * link.transitions
+        said.append(
+            f"Unrelated arrivals would fall into these {_seconds(span)} about {_count(expected)} times; "
+            f"{_count(found)} more than that were found there."
+        )
+    rule = Settings().publish_q_max
+    said.append(f"Of links with as much evidence as this one, {_odds(link.q_value)} would be there by mere chance.")
+    said.append(
+        f"The variance of its transit times is {_share(link.mahalanobis_variance)} of what chance would give "
+        f"(Var(d) = {link.mahalanobis_variance:.2g}; the thesis asks for at most {mahalanobis.LINKED_VARIANCE_MAX:g})."
+    )
+    if weak:
+        said.append(
+            f"It is not published: a link needs q ≤ {rule:g} and {_share(Settings().publish_probability_min)} of those "
+            "who leave. Until then it only weighs in predictions."
+        )
+    return said
+
+
+def _time_taken(link: Link) -> str:
+    t = link.transit
+    if t.q50 < 0:
+        return (
+            f"They are seen at {link.to} before they leave at {link.from_}, {_seconds(-t.q50)} in the middle: "
+            "the two views show the same place."
+        )
+    sure = f" (known to ± {_seconds(t.q50_sd)})" if t.q50_sd is not None else ""
+    common = f"{_seconds(t.q10)} and {_seconds(t.q90)}"
+    return f"Half of them need at most {_seconds(t.q50)}{sure}; four in five between {common}."
+
+
+def _why_pair(pair: Pair | None) -> list[str]:
+    if pair is None:
+        return ["The evidence is not enough to publish this pair. It only weighs in predictions."]
+    kinds = {"overlapped": "their views overlap", "unseen_path": "a path that no camera sees joins them"}
+    said = [f"The two cameras belong together: {kinds[pair.relation]}."]
+    if pair.by_lags is not None and pair.by_lags == pair.by_sum_rule:
+        said.append("When objects come and go, and how many do, both say so.")
+    elif pair.by_lags is not None:
+        said.append(f"When objects come and go says: {kinds[pair.by_lags]}.")
+        counted = kinds[pair.by_sum_rule] if pair.by_sum_rule else "nothing, as it could not be tested"
+        said.append(f"How many do (table 4.4 of the thesis) says: {counted}.")
+    if pair.reason:
+        said.append(f"Noted: {pair.reason}.")
+    return said
+
+
+def _models(model: Model | None) -> tuple[dict[str, ZoneModel], dict[str, Any]]:
+    if model is None:
+        return {}, {}
+    return {one.zone: one for one in model.zones}, {one.camera: one for one in model.cameras}
+
+
+def _is_about(subject: str, camera: str) -> bool:
+    """Whether an alarm's subject (a camera, a zone, or two zones) has to do with a camera."""
+    return any(part == camera or part.rpartition("/")[0] == camera for part in subject.split("->"))
+
+
+def _short(values: NDArray[np.float64]) -> list[float]:
+    return [float(f"{value:.3g}") for value in values]
+
+
+def _count(number: float) -> str:
+    return f"{number:,.0f}" if number >= 9.5 else f"{number:.1f}".removesuffix(".0")
+
+
+def _share(value: float) -> str:
+    return f"{value:.0%}".replace("%", " %") if value >= 0.095 else f"{value:.1%}".replace("%", " %")
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.1f} s" if abs(value) < 10 else f"{value:.0f} s"
+
+
+def _odds(q_value: float) -> str:
+    if q_value < 1e-6:
+        return "less than one in a million"
+    return f"about one in {1 / q_value:,.0f}" if q_value < 0.3 else "most"
