@@ -52,14 +52,16 @@ def problems(module: str, source: str) -> list[str]:
         wrong += sorted(
             name for name in ours if name not in NOUNS | {"camtopod.redact"} and not name.startswith("camtopod.vision")
         )
-    if folder in ("serve", "sim", "export", "client") or module == "config.py":
-        wrong += sorted(name for name in ours if name.startswith("camtopod.cli"))
+    if folder in ("serve", "sim", "export", "client", "web") or module == "config.py":
+        wrong += sorted(name for name in ours if f"{name}.".startswith("camtopod.cli."))
     if "zenoh" in packages and module != "serve/bus.py":
         wrong.append("zenoh")
     if "paho" in packages and module != "serve/mqtt.py":
         wrong.append("paho")
     if "prometheus_client" in packages and module != "serve/metrics.py":
         wrong.append("prometheus_client")
+    if packages & {"starlette", "uvicorn"} and module != "web/app.py":
+        wrong.append("starlette")
     if "cv2" in packages and folder not in ("vision", "sim", "export"):
         wrong.append("cv2")
     if "sqlite3" in packages and folder != "serve":
@@ -97,6 +99,10 @@ def test_the_guard_sees_a_wrong_import() -> None:
     assert problems("learn/x.py", "from camtopod.districts import line") == ["camtopod.districts"]
     assert problems("vision/x.py", "def f():\n    from camtopod.learn import settings") != []
     assert problems("serve/x.py", "import camtopod.cli.main") == ["camtopod.cli.main"]
+    assert problems("web/x.py", "import uvicorn\nfrom camtopod.cli import exits")[1:] == [
+        "camtopod.cli.exits",
+        "starlette",
+    ]
     assert problems("cli/x.py", "from paho.mqtt import client") == ["paho"]
     assert problems("serve/x.py", "import prometheus_client") == ["prometheus_client"]
     assert problems("adapt/x.py", "import time\nfrom camtopod.serve import mqtt") == ["camtopod.serve", "time"]
