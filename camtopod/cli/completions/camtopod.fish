@@ -50,8 +50,8 @@ function _shtab_camtopod_using
   test "$_shtab_camtopod_cmdpath" = "$argv"
 end
 
-set -g _shtab_camtopod_commands demo grab run learn predict simulate watch export ingest keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check completion
-set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --log-format --loiterers --lost --minutes --missed --moved --objects-per-second --open-after-hours --out --overlap-share --password-file --path-sd --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --updates --zone-separation --zone-stretch
+set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch export ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check completion
+set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --log-format --loiterers --lost --minutes --missed --moved --objects-per-second --open-after-hours --out --overlap-share --password-file --path-sd --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --updates --zone-separation --zone-stretch
 
 complete -c camtopod -e
 complete -c camtopod -f
@@ -72,6 +72,14 @@ complete -c camtopod -n '_shtab_camtopod_using demo' -l config -xka "(__fish_com
 complete -c camtopod -n '_shtab_camtopod_using demo' -l site -x -d 'name of the site, second part of every key'
 complete -c camtopod -n '_shtab_camtopod_using demo' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
 complete -c camtopod -n '_shtab_camtopod_using demo' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
+complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a init -d 'looks at cameras and writes a configuration with them'
+complete -c camtopod -n '_shtab_camtopod_using init' -s h -l help -d 'show this help message and exit'
+complete -c camtopod -n '_shtab_camtopod_using init' -l out -xka "(__fish_complete_path (commandline -ct))" -d 'write it here (default: camtopod.toml)'
+complete -c camtopod -n '_shtab_camtopod_using init' -l force -d 'overwrite files that are there already'
+complete -c camtopod -n '_shtab_camtopod_using init' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
+complete -c camtopod -n '_shtab_camtopod_using init' -l site -x -d 'name of the site, second part of every key'
+complete -c camtopod -n '_shtab_camtopod_using init' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
+complete -c camtopod -n '_shtab_camtopod_using init' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a grab -d 'one camera to entry and exit events'
 complete -c camtopod -n '_shtab_camtopod_using grab' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using grab' -l camera -x -d 'the camera'"'"'s id, [A-Za-z0-9_.-]{1,64}'
@@ -189,6 +197,15 @@ complete -c camtopod -n '_shtab_camtopod_using ingest' -l connect -x -d 'zenoh e
 complete -c camtopod -n '_shtab_camtopod_using ingest' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
 complete -c camtopod -n '_shtab_camtopod_using ingest; and test $_shtab_camtopod_npos -eq 0' -ka "jsonl frigate mot scenescape" -d 'one of: jsonl, frigate, mot, scenescape'
 complete -c camtopod -n '_shtab_camtopod_using ingest; and test $_shtab_camtopod_npos -eq 1' -ka "(__fish_complete_path (commandline -ct))" -d 'default: standard input'
+complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a bridge -d 'cameras, alarms and predictions in Home Assistant, by MQTT'
+complete -c camtopod -n '_shtab_camtopod_using bridge' -s h -l help -d 'show this help message and exit'
+complete -c camtopod -n '_shtab_camtopod_using bridge' -l discovery -x -d 'Home Assistant'"'"'s discovery prefix (default: homeassistant)'
+complete -c camtopod -n '_shtab_camtopod_using bridge' -l password-file -xka "(__fish_complete_path (commandline -ct))" -d 'the user'"'"'s password (or in $CAMTOPOD_MQTT_PASSWORD)'
+complete -c camtopod -n '_shtab_camtopod_using bridge' -l ca -xka "(__fish_complete_path (commandline -ct))" -d 'mqtts: the authorities to trust (default: the system'"'"'s)'
+complete -c camtopod -n '_shtab_camtopod_using bridge' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
+complete -c camtopod -n '_shtab_camtopod_using bridge' -l site -x -d 'name of the site, second part of every key'
+complete -c camtopod -n '_shtab_camtopod_using bridge' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
+complete -c camtopod -n '_shtab_camtopod_using bridge' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a keys -d 'certificates for the bus'
 complete -c camtopod -n '_shtab_camtopod_using keys' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using keys' -l keys -xka "(__fish_complete_directories)" -d 'default: camtopod-keys'
@@ -254,6 +271,7 @@ complete -c camtopod -n '_shtab_camtopod_using keys list' -l log-format -xka "te
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a check -d 'every mistake in a configuration, in one pass'
 complete -c camtopod -n '_shtab_camtopod_using check' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using check' -l example -d 'write an example with every setting, its default and its unit'
+complete -c camtopod -n '_shtab_camtopod_using check' -l probe -d 'also open every camera of it, and the bus'
 complete -c camtopod -n '_shtab_camtopod_using check' -l schema -d 'write the configuration'"'"'s JSON Schema, for editors'
 complete -c camtopod -n '_shtab_camtopod_using check' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
 complete -c camtopod -n '_shtab_camtopod_using check' -l site -x -d 'name of the site, second part of every key'

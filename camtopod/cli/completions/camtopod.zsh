@@ -10,12 +10,14 @@
 
 _shtab_camtopod_commands() {
   local _commands=(
+    bridge:'cameras, alarms and predictions in Home Assistant, by MQTT'
     check:'every mistake in a configuration, in one pass'
     completion:'makes the shell complete commands and options'
     demo:'the whole system on one machine: rendered cameras, real grabbers, a real bus, the real daemon'
     export:'a topology as a picture or in an exchange format'
     grab:'one camera to entry and exit events'
     ingest:'other programs'"'"' events onto the bus'
+    init:'looks at cameras and writes a configuration with them'
     keys:'certificates for the bus'
     learn:'the same learner over recorded event lines'
     predict:'for each exit of recorded events, where the object appears next'
@@ -50,9 +52,25 @@ _shtab_camtopod_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_defaults_added=0
 
+_shtab_camtopod_bridge_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--discovery[Home Assistant\'s discovery prefix (default\: homeassistant)]:PREFIX:"
+  "--password-file[the user\'s password (or in \$CAMTOPOD_MQTT_PASSWORD)]:FILE:_files"
+  "--ca[mqtts\: the authorities to trust (default\: the system\'s)]:FILE:_files"
+  "--config[configuration, a TOML file]:FILE:_files"
+  "--site[name of the site, second part of every key]:NAME:"
+  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  ":mqtt\[s\]\:\/\/\[USER\@\]HOST\[\:PORT\]\[\/PREFIX\]\; PREFIX of the topics\: camtopod:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_bridge_defaults_added=0
+
 _shtab_camtopod_check_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--example[write an example with every setting, its default and its unit]"
+  "--probe[also open every camera of it, and the bus]"
   "--schema[write the configuration\'s JSON Schema, for editors]"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, second part of every key]:NAME:"
@@ -146,6 +164,20 @@ _shtab_camtopod_ingest_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_ingest_defaults_added=0
+
+_shtab_camtopod_init_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--out[write it here (default\: camtopod.toml)]:FILE:_files"
+  "--force[overwrite files that are there already]"
+  "--config[configuration, a TOML file]:FILE:_files"
+  "--site[name of the site, second part of every key]:NAME:"
+  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  "(*):rtsp\:\/\/ URL, video file or device number\; \'-\'\: read them from standard input, a line each, as others on this machine can read passwords on a command line:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_init_defaults_added=0
 
 _shtab_camtopod_keys_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -367,12 +399,14 @@ _shtab_camtopod() {
       (( CURRENT += 1 ))
       curcontext="${curcontext%:*:*}:_shtab_camtopod-$line[1]:"
       case $line[1] in
+        bridge) _arguments -C -s $_shtab_camtopod_bridge_options ;;
         check) _arguments -C -s $_shtab_camtopod_check_options ;;
         completion) _arguments -C -s $_shtab_camtopod_completion_options ;;
         demo) _arguments -C -s $_shtab_camtopod_demo_options ;;
         export) _arguments -C -s $_shtab_camtopod_export_options ;;
         grab) _arguments -C -s $_shtab_camtopod_grab_options ;;
         ingest) _arguments -C -s $_shtab_camtopod_ingest_options ;;
+        init) _arguments -C -s $_shtab_camtopod_init_options ;;
         keys) _shtab_camtopod_keys ;;
         learn) _arguments -C -s $_shtab_camtopod_learn_options ;;
         predict) _arguments -C -s $_shtab_camtopod_predict_options ;;
