@@ -50,8 +50,8 @@ function _shtab_camtopod_using
   test "$_shtab_camtopod_cmdpath" = "$argv"
 end
 
-set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch export ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check completion
-set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --log-format --loiterers --lost --minutes --missed --moved --objects-per-second --open-after-hours --out --overlap-share --password-file --path-sd --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --updates --zone-separation --zone-stretch
+set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check completion
+set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --objects-per-second --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --updates --zone-separation --zone-stretch
 
 complete -c camtopod -e
 complete -c camtopod -f
@@ -169,6 +169,14 @@ complete -c camtopod -n '_shtab_camtopod_using watch' -l config -xka "(__fish_co
 complete -c camtopod -n '_shtab_camtopod_using watch' -l site -x -d 'name of the site, second part of every key'
 complete -c camtopod -n '_shtab_camtopod_using watch' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
 complete -c camtopod -n '_shtab_camtopod_using watch' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
+complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a web -d 'the page: map, cameras, links, versions and health in a browser'
+complete -c camtopod -n '_shtab_camtopod_using web' -s h -l help -d 'show this help message and exit'
+complete -c camtopod -n '_shtab_camtopod_using web' -l listen -x -d 'where (default: 127.0.0.1:8780, this machine only; port 0: a free one)'
+complete -c camtopod -n '_shtab_camtopod_using web' -l pictures -xka "(__fish_complete_directories)" -d 'a folder with a picture a camera, CAMERA.jpg or CAMERA.png'
+complete -c camtopod -n '_shtab_camtopod_using web' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
+complete -c camtopod -n '_shtab_camtopod_using web' -l site -x -d 'name of the site, second part of every key'
+complete -c camtopod -n '_shtab_camtopod_using web' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
+complete -c camtopod -n '_shtab_camtopod_using web' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a export -d 'a topology as a picture or in an exchange format'
 complete -c camtopod -n '_shtab_camtopod_using export' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using export' -l format -xka "dot graphml svg json aicity" -d format
@@ -178,6 +186,16 @@ complete -c camtopod -n '_shtab_camtopod_using export' -l site -x -d 'name of th
 complete -c camtopod -n '_shtab_camtopod_using export' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
 complete -c camtopod -n '_shtab_camtopod_using export' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
 complete -c camtopod -n '_shtab_camtopod_using export; and test $_shtab_camtopod_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'what `learn` wrote ('"'"'-'"'"': standard input)'
+complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a report -d 'the page of one topology as a file'
+complete -c camtopod -n '_shtab_camtopod_using report' -s h -l help -d 'show this help message and exit'
+complete -c camtopod -n '_shtab_camtopod_using report' -l out -xka "(__fish_complete_path (commandline -ct))" -d 'default: standard output'
+complete -c camtopod -n '_shtab_camtopod_using report' -l updates -xka "(__fish_complete_path (commandline -ct))" -d 'the versions before it, what `learn --updates` wrote'
+complete -c camtopod -n '_shtab_camtopod_using report' -l pictures -xka "(__fish_complete_directories)" -d 'a folder with a picture a camera, CAMERA.jpg or CAMERA.png'
+complete -c camtopod -n '_shtab_camtopod_using report' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
+complete -c camtopod -n '_shtab_camtopod_using report' -l site -x -d 'name of the site, second part of every key'
+complete -c camtopod -n '_shtab_camtopod_using report' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
+complete -c camtopod -n '_shtab_camtopod_using report' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
+complete -c camtopod -n '_shtab_camtopod_using report; and test $_shtab_camtopod_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'what `learn` wrote ('"'"'-'"'"': standard input)'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a ingest -d 'other programs'"'"' events onto the bus'
 complete -c camtopod -n '_shtab_camtopod_using ingest' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using ingest' -l out -xka "(__fish_complete_path (commandline -ct))" -d 'write event lines here ('"'"'-'"'"': standard output), use no bus'

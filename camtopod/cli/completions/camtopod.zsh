@@ -21,9 +21,11 @@ _shtab_camtopod_commands() {
     keys:'certificates for the bus'
     learn:'the same learner over recorded event lines'
     predict:'for each exit of recorded events, where the object appears next'
+    report:'the page of one topology as a file'
     run:'the daemon'
     simulate:'a made-up camera network: event lines and the truth about them'
     watch:'live view in the terminal'
+    web:'the page: map, cameras, links, versions and health in a browser'
   )
   _describe 'camtopod commands' _commands
 }
@@ -306,6 +308,21 @@ _shtab_camtopod_predict_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_predict_defaults_added=0
 
+_shtab_camtopod_report_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--out[default\: standard output]:FILE:_files"
+  "--updates[the versions before it, what \`learn --updates\` wrote]:FILE:_files"
+  "--pictures[a folder with a picture a camera, CAMERA.jpg or CAMERA.png]:DIR:_files -/"
+  "--config[configuration, a TOML file]:FILE:_files"
+  "--site[name of the site, second part of every key]:NAME:"
+  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+  ":what \`learn\` wrote (\'-\'\: standard input):_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_report_defaults_added=0
+
 _shtab_camtopod_run_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--state[where the journal is kept (default\: \[state\] directory)]:DIRECTORY:_files -/"
@@ -380,6 +397,19 @@ _shtab_camtopod_watch_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_watch_defaults_added=0
 
+_shtab_camtopod_web_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--listen[where (default\: 127.0.0.1\:8780, this machine only\; port 0\: a free one)]:HOST:PORT:"
+  "--pictures[a folder with a picture a camera, CAMERA.jpg or CAMERA.png]:DIR:_files -/"
+  "--config[configuration, a TOML file]:FILE:_files"
+  "--site[name of the site, second part of every key]:NAME:"
+  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_web_defaults_added=0
+
 
 _shtab_camtopod() {
   local context state line curcontext="$curcontext" one_or_more='(*)' remainder='(-)*:' default='*::: :->camtopod'
@@ -410,9 +440,11 @@ _shtab_camtopod() {
         keys) _shtab_camtopod_keys ;;
         learn) _arguments -C -s $_shtab_camtopod_learn_options ;;
         predict) _arguments -C -s $_shtab_camtopod_predict_options ;;
+        report) _arguments -C -s $_shtab_camtopod_report_options ;;
         run) _arguments -C -s $_shtab_camtopod_run_options ;;
         simulate) _arguments -C -s $_shtab_camtopod_simulate_options ;;
         watch) _arguments -C -s $_shtab_camtopod_watch_options ;;
+        web) _arguments -C -s $_shtab_camtopod_web_options ;;
       esac
   esac
 }
