@@ -11,7 +11,7 @@ _SECRET_CHARACTERS_MIN = 4
 
 _USERINFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)\S*@")
 """To the last @ of the word: passwords may hold @, : and /. It may hide the host too, never too little."""
-_PARAMETER = re.compile(r"(?i)(?<![a-z0-9])(pass(?:word|wd)?|pwd|token|secret)=[^&\s]+")
+_PARAMETER = re.compile(r"(?i)(?<![a-z0-9])(user(?:name)?|pass(?:word|wd)?|pwd|token|secret|\w*private_key\w*)=[^&\s]+")
 _KEY = re.compile(r"-----BEGIN ([A-Z ]*PRIVATE KEY)-----.*?(-----END \1-----|\Z)", re.DOTALL)
 _known: set[str] = set()
 
@@ -30,7 +30,7 @@ def remember(source: str) -> None:
 
 
 def redact(text: str) -> str:
-    """``text`` without the user names and passwords of URLs, password parameters, private keys, and remembered
+    """``text`` without the user names and passwords of URLs, also as parameters, private keys, and remembered
     secrets.
     """
     text = _KEY.sub(HIDDEN, text)

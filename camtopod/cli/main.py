@@ -45,6 +45,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bridge": ("camtopod.cli.bridge", "cameras, alarms and predictions in Home Assistant, by MQTT"),
     "keys": ("camtopod.cli.keys", "a private authority and certificates for the bus"),
     "check": ("camtopod.cli.check", "every mistake in a configuration, in one pass"),
+    "doctor": ("camtopod.cli.doctor", "what a bug report needs, without secrets"),
     "completion": ("camtopod.cli.completion", "makes the shell complete commands and options"),
 }
 """Command -> (module, one line for --help)."""

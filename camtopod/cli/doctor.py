@@ -1,0 +1,219 @@
+"""`camtopod doctor`: what a bug report needs, without a secret. Everything goes through `camtopod.redact`, twice:
+each value by itself, and the whole text.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import re
+import shutil
+import stat
+import sys
+import tarfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from camtopod import secret_files
+from camtopod.cli import exits, machine
+from camtopod.cli.common import configuration
+from camtopod.cli.exits import CommandError
+from camtopod.config import TABLES, Config
+from camtopod.redact import redact, remember
+from camtopod.serve import clock, guard, inspection
+from camtopod.serve.bus import BusError, dial
+from camtopod.serve.database import StateError
+
+FILES_MAX = 200
+"""Of the state directory."""
+_BUNDLES = (".tar.gz", ".tgz")
+_LOOKS = {"journal.db": inspection.journal, "spool-*.db": inspection.spool}
+_SECRET_NAME = re.compile(r"(?i)pass|pwd|secret|token|credential")
+_SECRET_CHARACTERS_MIN = 6
+"""Of an environment variable: 'true' and 'false' are no secrets."""
+_REFUSALS = ("rejects", "refused", "reject_samples")
+_QUOTED = re.compile(r""": ['"].*""", re.DOTALL)
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add `doctor`."""
+    parser = subparsers.add_parser(
+        "doctor",
+        help="what a bug report needs, without secrets",
+        description="Collects what somebody who helps wants to know: versions, machine, clock, configuration, what is "
+        "on disk, and what the daemon and the cameras say of themselves. Passwords, keys and events are not in it; "
+        "look through it all the same before you hand it on. Nothing is changed.",
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write it here; with .tar.gz a file for each part")
+
+
+def run(args: argparse.Namespace) -> int:
+    """To standard output, unless --out says otherwise."""
+    try:
+        config, mistakes = configuration(args), ""
+    except CommandError as error:
+        config, mistakes = Config(), str(error)
+    _remember_secrets(config)
+    parts: dict[str, Callable[[], list[str]]] = {
+        "versions": machine.versions,
+        "machine": machine.machine,
+        "clock": lambda: machine.clock(clock.wall()),
+        "video": _video,
+        "configuration": lambda: [mistakes] if mistakes else list(_configuration(config, args.config)),
+        "state": lambda: list(_state(config)),
+        "bus": lambda: list(_bus(config)),
+    }
+    report = {name: redact("\n".join(part())) + "\n" for name, part in parts.items()}
+    text = "\n".join(f"== {name} ==\n{part}" for name, part in report.items())
+    if args.out is None:
+        sys.stdout.write(text)
+        return exits.DONE
+    content = _bundle(report) if args.out.name.endswith(_BUNDLES) else text.encode()
+    try:
+        secret_files.write(args.out, content)
+    except OSError as error:
+        raise CommandError(f"cannot write {args.out}: {error.strerror}") from None
+    print(f"{args.out} is written; look through it before you hand it on", file=sys.stderr)
+    return exits.DONE
+
+
+def _remember_secrets(config: Config) -> None:
+    """So that they are hidden wherever they may turn up."""
+    for camera in config.cameras:
+        try:
+            config.for_camera(camera)
+        except OSError:
+            continue
+    for name, value in os.environ.items():
+        remember(value)
+        if _SECRET_NAME.search(name) and len(value) >= _SECRET_CHARACTERS_MIN and not Path(value).is_absolute():
+            remember(f"secret://:{value}@")
+    folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
+    for path in Path(folder).iterdir() if folder and Path(folder).is_dir() else ():
+        try:
+            secret = secret_files.read(path)
+        except OSError:
+            continue
+        remember(secret)
+        remember(f"secret://:{secret}@")
+
+
+def _video() -> list[str]:
+    from camtopod.vision.probe import decoders
+
+    return decoders()
+
+
+def _configuration(config: Config, path: Path | None) -> Iterator[str]:
+    """Settings that are not the defaults, and whether others can read or reach what they should not."""
+    yield f"file: {path} ({_mode(path)})" if path else "no file"
+    given = {name: _at(config, name) for name in TABLES} | {f"cameras.{n}": c for n, c in config.cameras.items()}
+    for name, table in given.items():
+        for field in msgspec.structs.fields(table):
+            value = getattr(table, field.name)
+            if value not in ("", field.default) and not isinstance(value, msgspec.Struct):
+                yield f"{name}.{field.name} = {json.dumps(_clean(value))}"
+    for file in config.secrets(path or Path()):
+        yield f"holds a secret: {file} ({_mode(file)})"
+    yield from secret_files.exposed(config.secrets(path or Path()))
+    if (open_to := guard.openness(config)) is not None:
+        yield open_to
+
+
+def _at(config: Config, name: str) -> Any:
+    """The table of this dotted name."""
+    value: Any = config
+    for part in name.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def _state(config: Config) -> Iterator[str]:
+    """Sizes and permissions of what is on disk, and how much the databases hold."""
+    directory = config.state_directory
+    yield f"{directory} ({_mode(directory)})"
+    try:
+        disk = shutil.disk_usage(directory)
+        files = sorted(path for path in directory.rglob("*") if path.is_file())
+    except OSError as error:
+        yield f"cannot be read: {error.strerror}"
+        return
+    yield f"disk: {disk.free / 2**20:.0f} MiB free of {disk.total / 2**20:.0f}"
+    for path in files[:FILES_MAX]:
+        yield f"{path.relative_to(directory)}: {_mode(path)}"
+        for look in (look for pattern, look in _LOOKS.items() if path.match(pattern)):
+            try:
+                yield f"  at the last checkpoint: {', '.join(f'{name} {n}' for name, n in look(path).items())}"
+            except StateError as error:
+                yield f"  {error}"
+    if len(files) > FILES_MAX:
+        yield f"and {len(files) - FILES_MAX} more files"
+
+
+def _mode(path: Path) -> str:
+    try:
+        found = path.stat()
+    except OSError as error:
+        return str(error.strerror)
+    age = max(0.0, clock.wall() - found.st_mtime)
+    return (
+        f"{stat.filemode(found.st_mode)}, user {found.st_uid}{' (this one)' if found.st_uid == os.geteuid() else ''}, "
+        f"{found.st_size} bytes, changed {age:.0f} s ago"
+    )
+
+
+def _bus(config: Config) -> Iterator[str]:
+    """Whether it answers, who is there, and what they say of themselves; of what was refused the reasons only."""
+    began = time.monotonic()
+    try:
+        bus = dial(config.certified(next(iter(config.cameras), "")))
+    except BusError as error:
+        yield str(error)
+        return
+    with bus:
+        yield f"{bus.endpoint} is reached after {time.monotonic() - began:.2f} s, site {bus.site}"
+        for role in ("daemon", "grabber"):
+            yield f"{role}s there: {', '.join(sorted(bus.present(role))) or 'none seen'}"
+        statuses = {key.removeprefix("status/"): _status(raw) for key, raw in bus.ask("status/*")}
+    for name, status in sorted(statuses.items()):
+        refusals = {key: status.pop(key) for key in _REFUSALS if key in status}
+        yield f"{name}: {json.dumps(_clean(status))}"
+        if refusals:
+            samples = refusals.get("reject_samples", {})  # with what was refused behind the reason
+            refusals["reject_samples"] = {why: [_QUOTED.sub("", one) for one in each] for why, each in samples.items()}
+            yield f"{name} refused: {json.dumps(_clean(refusals))}"
+    if not statuses:
+        yield "nobody answers for a status"
+
+
+def _status(raw: bytes) -> dict[str, Any]:
+    try:
+        return msgspec.msgpack.decode(raw, type=dict[str, Any])
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        return {"unreadable": str(error)}
+
+
+def _clean(value: Any) -> Any:
+    """Without secrets, before quoting changes how they are spelled."""
+    if isinstance(value, str):
+        return redact(value)
+    if isinstance(value, dict):
+        return {_clean(key): _clean(inner) for key, inner in value.items()}
+    return [_clean(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+def _bundle(report: dict[str, str]) -> bytes:
+    """A file for each part."""
+    out = io.BytesIO()
+    with tarfile.open(fileobj=out, mode="w:gz") as bundle:
+        for name, text in report.items():
+            entry = tarfile.TarInfo(f"camtopod-doctor/{name}.txt")
+            entry.size, entry.mtime = len(text.encode()), int(clock.wall())
+            bundle.addfile(entry, io.BytesIO(text.encode()))
+    return out.getvalue()

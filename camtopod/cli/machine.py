@@ -1,0 +1,76 @@
+"""What a bug report has to say of the machine: versions, memory, clock. Nothing here names a person or a place."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from camtopod import __version__
+
+PACKAGES = (
+    "eclipse-zenoh", "opencv-python-headless", "numpy", "scipy", "msgspec", "cryptography", "paho-mqtt", "rich",
+    "starlette", "uvicorn", "prometheus-client",
+)  # fmt: skip
+"""Those that running needs, and those of the extras."""
+CLOCK_COMMANDS = (
+    ("chronyc", "-n", "tracking"),
+    ("timedatectl", "show", "--property=NTP", "--property=NTPSynchronized"),
+)
+"""Programs that know whether the clock is set from elsewhere."""
+_ASK_SECONDS = 5.0
+_ABOUT_THE_PROGRAM = ("CAMTOPOD_", "OPENCV_", "OMP_", "OPENBLAS_", "MKL_", "RUST_", "ZENOH_")
+_DIRECTORIES = ("STATE_DIRECTORY", "XDG_STATE_HOME", "CREDENTIALS_DIRECTORY", "NOTIFY_SOCKET", "WATCHDOG_USEC")
+
+
+def versions() -> list[str]:
+    """camtopod, Python and the packages, a line each."""
+    lines = [f"camtopod {__version__}", f"Python {sys.version.split()[0]} ({platform.python_implementation()})"]
+    for package in PACKAGES:
+        try:
+            lines.append(f"{package} {importlib.metadata.version(package)}")
+        except importlib.metadata.PackageNotFoundError:
+            lines.append(f"{package}: not installed")
+    return lines
+
+
+def machine() -> list[str]:
+    """Operating system, cores and memory; of the environment the names only."""
+    memory = dict(line.split(":", 1) for line in _text(Path("/proc/meminfo")).splitlines())
+    release = dict(line.split("=", 1) for line in _text(Path("/etc/os-release")).splitlines() if "=" in line)
+    load = " ".join(f"{one:.1f}" for one in os.getloadavg())
+    named = sorted(name for name in os.environ if name.startswith(_ABOUT_THE_PROGRAM) or name in _DIRECTORIES)
+    return [
+        f"{release.get('PRETTY_NAME', 'unknown').strip(chr(34))}, {platform.system()} {platform.release()}",
+        f"{platform.machine()}, {os.cpu_count()} cores, {len(os.sched_getaffinity(0))} for this program, load {load}",
+        f"memory: {memory.get('MemTotal', '?').strip()}, available {memory.get('MemAvailable', '?').strip()}",
+        f"limit of the control group: {_text(Path('/sys/fs/cgroup/memory.max')).strip() or 'unknown'}",
+        f"environment variables that are set: {', '.join(named) or 'none'}",
+    ]
+
+
+def clock(wall: float) -> list[str]:
+    """Whether this machine's clock is set from elsewhere, as far as a program here knows it; ``wall``: now."""
+    lines = [f"now: {wall:.3f}"]
+    for command in CLOCK_COMMANDS:
+        if shutil.which(command[0]) is None:
+            continue
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=_ASK_SECONDS, check=False)
+        except (OSError, subprocess.TimeoutExpired):
+            continue
+        if done.returncode == 0:
+            lines += [f"{command[0]}: {line}" for line in done.stdout.splitlines()]
+    return lines if len(lines) > 1 else [*lines, "synchronisation unknown: neither chronyc nor timedatectl answers"]
+
+
+def _text(path: Path) -> str:
+    """A file of the system; "" where it is not there."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError:
+        return ""

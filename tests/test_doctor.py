@@ -1,0 +1,185 @@
+"""`doctor`: what it tells, also when much is wrong, and that no secret is in it, wherever it stands."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import tarfile
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+from serving import closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+
+from camtopod import redact
+from camtopod.cli import doctor, machine
+from camtopod.cli.main import main
+from camtopod.config import Config
+from camtopod.serve.bus import BusError, dial
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.inspection import journal, spool
+from camtopod.serve.publisher import Publisher
+from camtopod.serve.spool import open_spool
+
+SECRETS = {
+    "url": "p@ss:w/0rd",
+    "quoted": 'in "quotes" and ünïcode\\n',
+    "parameter": "Parameter77",
+    "path": "InThePath88",
+    "file": "from-a-file-99",
+    "credential": "from-systemd-11",
+    "mqtt": "mosquitto-22",
+    "environment": "environment-33",
+    "endpoint": "c2VjcmV0LWtleQ==",
+    "status": "said-by-a-camera-44",
+    "rejected": "in-an-event-55",
+    "key": "MC4CAQAwBQYDK2VwBCIEI66",
+}
+
+
+@pytest.fixture(autouse=True)
+def _alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(redact, "_known", set())
+    for name in ("STATE_DIRECTORY", "CREDENTIALS_DIRECTORY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state-home"))
+
+
+@pytest.fixture
+def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A configuration that has a secret, or the way to one, in every place there is."""
+    credentials = tmp_path / "credentials"
+    credentials.mkdir()
+    (credentials / "source").write_text(f"rtsp://admin:{SECRETS['credential']}@192.0.2.4/x\n")
+    (credentials / "mqtt").write_text(f"{SECRETS['mqtt']}\n")
+    (credentials / "private.key").write_text(
+        f"-----BEGIN PRIVATE KEY-----\n{SECRETS['key']}\n-----END PRIVATE KEY-----\n"
+    )
+    (tmp_path / "lobby").write_text(f"rtsp://admin:{SECRETS['file']}@192.0.2.5/x\n")
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(credentials))
+    monkeypatch.setenv("CAMTOPOD_MQTT_PASSWORD", SECRETS["mqtt"])
+    monkeypatch.setenv("CAMERA_URL", f"rtsp://u:{SECRETS['environment']}@h/x")
+    sources = {
+        "url": f"rtsp://admin:{SECRETS['url']}@192.0.2.1/x",
+        "quoted": f"rtsp://admin:{SECRETS['quoted']}@192.0.2.2/x",
+        "parameter": f"rtsp://192.0.2.3/x?user=admin&password={SECRETS['parameter']}&channel=1",
+        "path": f"rtsp://192.0.2.3/user=admin_password={SECRETS['path']}_channel=1",
+    }
+    text = f'# rtsp://old:{SECRETS["environment"]}@192.0.2.9/x\n[site]\nname = "hq"\n'
+    text += "".join(
+        f"[cameras.{name}]\nsource = {json.dumps(source, ensure_ascii=False)}\n" for name, source in sources.items()
+    )
+    text += f'[cameras.file]\nsource_file = "{tmp_path}/lobby"\n'
+    text += '[cameras.credential]\nsource_file = "$CREDENTIALS_DIRECTORY/source"\n'
+    path = tmp_path / "camtopod.toml"
+    path.write_text(text)
+    return path
+
+
+def without_secrets(text: str) -> str:
+    """The text, after a look for each secret, in the forms that quoting gives it."""
+    for name, secret in SECRETS.items():
+        for form in (secret, json.dumps(secret)[1:-1], repr(secret)[1:-1]):
+            assert form not in text, name
+    assert "admin" not in text
+    return text
+
+
+def test_no_secret_is_in_it(planted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = small_config(tmp_path / "daemon")
+    with Daemon(config) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
+        bus.put("event/yard", {"camera": "yard", "note": f"mqtt://u:{SECRETS['rejected']}@h"}, "event")
+        bus.put_raw("event/yard", f'{{"password":"{SECRETS["rejected"]}"}}'.encode(), "event")
+        wait_for(lambda: daemon.status()["rejects"] != {}, "the events to be refused")
+        said = {
+            "camera": "lobby",
+            "state": "stalled",
+            "reason": f"rtsp://u:{SECRETS['status']}@h and {SECRETS['quoted']}",
+        }
+        bus.answer("status/lobby", lambda key, parameters: said, "status")
+        connect = f"{daemon.endpoint}#connect_private_key_base64={SECRETS['endpoint']}"
+        planted.write_text(f'{planted.read_text()}[bus]\nconnect_seconds = 0.5\nconnect = ["{connect}"]\n')
+        for form in ([], ["--out", str(tmp_path / "all.txt")], ["--out", str(tmp_path / "all.tar.gz")]):
+            assert main(["--config", str(planted), "--site", "site", "doctor", *form]) == 0
+    out, err = capsys.readouterr()
+    without_secrets(err)
+    text = without_secrets(out)
+    without_secrets((tmp_path / "all.txt").read_text())
+    assert stat.S_IMODE((tmp_path / "all.txt").stat().st_mode) == 0o600
+    with tarfile.open(tmp_path / "all.tar.gz") as bundle:
+        files = {name: bundle.extractfile(name).read().decode() for name in bundle.getnames()}  # type: ignore[union-attr]
+    for content in files.values():
+        without_secrets(content)
+    assert {"camtopod-doctor/versions.txt", "camtopod-doctor/bus.txt"} <= set(files)
+    for told in (
+        'cameras.url.source = "rtsp://***@',
+        'cameras.parameter.source = "rtsp://192.0.2.3/x?user=***&password=***&channel=1"',
+        f"holds a secret: {tmp_path}/lobby (-rw-r--r--",
+        f"{tmp_path}/lobby holds a secret and can be read by others",
+        f"{daemon.endpoint}#connect_private_key_base64=*** is reached after",
+        'lobby: {"camera": "lobby", "state": "stalled", "reason": "rtsp://***@h and ***"}',
+        "daemon refused: ",
+        "CAMTOPOD_MQTT_PASSWORD",
+    ):
+        assert told in text
+
+
+def test_what_is_on_disk_is_counted_and_not_touched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = small_config(tmp_path / "state")
+    events = numbered([*walkers(20), closing_event()])
+    with Daemon(config) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
+        spooled = open_spool(tmp_path / "state" / "spool-a.db", config.limits)
+        publisher = Publisher(spooled, 100)
+        publisher.attach(bus)
+        publisher.publish(*events)
+        wait_for(lambda: publisher.drained(0.1), "the events to be stored")
+        spooled.close()
+    before = {path: path.read_bytes() for path in sorted((tmp_path / "state").iterdir())}
+    assert journal(tmp_path / "state" / "journal.db")["first entry"] == 1
+    assert journal(tmp_path / "state" / "journal.db")["last entry"] >= len(events)
+    assert spool(tmp_path / "state" / "spool-a.db")["events"] == len(events)
+    (tmp_path / "state" / "spool-b.db").write_bytes(b"no database, at all" * 100)
+    (tmp_path / "c.toml").write_text(f'[state]\ndirectory = "{tmp_path}/state"\n[bus]\nconnect_seconds = 0.1\n')
+    connect = free_endpoint()
+    assert main(["--config", str(tmp_path / "c.toml"), "--connect", connect, "doctor"]) == 0
+    text = capsys.readouterr().out
+    assert "journal.db: -rw-------, user" in text
+    assert "  at the last checkpoint: first entry 1, last entry " in text
+    assert f"  at the last checkpoint: events {len(events)}, " in text
+    assert "spool-b.db: file is not a database" in text
+    assert f"cannot reach the bus at {connect}" in text
+    after = {path: path.read_bytes() for path in sorted((tmp_path / "state").iterdir()) if path.name != "spool-b.db"}
+    assert after == before
+
+
+def test_a_wrong_configuration_and_nothing_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('[cameras.lobby]\nsource = "rtsp://u:hunter2@h"\nspede = 1\npassword = "hunter2"\n')
+
+    def away(config: Config) -> NoReturn:
+        raise BusError("the bus is away")
+
+    monkeypatch.setattr(machine.shutil, "which", lambda name: None)
+    monkeypatch.setattr(doctor, "dial", away)
+    assert main(["--config", str(path), "doctor"]) == 0
+    text = capsys.readouterr().out
+    assert "hunter2" not in text
+    assert f"{path}:3: cameras.lobby.spede: no such key; did you mean 'speed'?" in text
+    assert f"{tmp_path}/state-home/camtopod (No such file or directory)" in text
+    assert "synchronisation unknown" in text
+    assert "== bus ==\nthe bus is away\n" in text
+    assert main(["doctor", "--out", str(tmp_path / "none" / "x.txt")]) == 1
+
+
+def test_the_clock_s_keeper_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "chronyc"
+    program.write_text("#!/bin/sh\necho 'System time : 0.000012 seconds fast of NTP time'\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    assert "chronyc: System time : 0.000012 seconds fast of NTP time" in machine.clock(5.0)
+    program.write_text("#!/bin/sh\nexit 1\n")
+    monkeypatch.setattr(machine, "CLOCK_COMMANDS", machine.CLOCK_COMMANDS[:1])
+    assert machine.clock(5.0) == ["now: 5.000", "synchronisation unknown: neither chronyc nor timedatectl answers"]
