@@ -7,6 +7,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from camtopod.cli.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
 from camtopod.cli.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.speaker import CLOSE_SECONDS
@@ -15,6 +17,12 @@ from camtopod.config import HealthSettings, parse
 DEPLOY = Path(__file__).parent.parent / "deploy"
 UNITS = {"camtopod.service": "camtopod.service", "camtopod-grab@.service": "camtopod-grab@lobby.service"}
 """File -> the unit it is started as."""
+OTHERS = {
+    "camtopod-shard@.service": "camtopod-shard@2-8.service",
+    **{f: f for f in ("camtopod-web.service", "camtopod-bridge.service")},
+}
+EXPOSURE_MAX = 2.0
+"""Of ten, as `systemd-analyze security` counts; what is left is the network, and cameras among the devices."""
 README = (DEPLOY / "README.md").read_text()
 
 
@@ -78,14 +86,33 @@ def test_no_service_shares_its_user_or_gives_up() -> None:
         assert float(unit["TimeoutStopSec"][0]) > max(RUN_LEAVE_SECONDS, GRAB_LEAVE_SECONDS + CLOSE_SECONDS)
 
 
-def test_systemd_takes_the_units(tmp_path: Path) -> None:
-    for file, name in {**UNITS, "camtopod-shard@.service": "camtopod-shard@2-8.service"}.items():
-        text = (DEPLOY / file).read_text()
-        assert text.count("/opt/camtopod/bin/camtopod ") == 1
-        (tmp_path / name).write_text(text.replace("/opt/camtopod/bin/camtopod ", "/bin/true "))
-        shutil.copytree(DEPLOY / f"{file}.d", tmp_path / f"{name}.d")
-        if shutil.which("systemd-analyze") is None:  # elsewhere the other tests have to do
-            continue
-        verify = ["systemd-analyze", "verify", "--man=no", str(tmp_path / name)]
-        done = subprocess.run(verify, capture_output=True, text=True)
-        assert (done.returncode, done.stderr) == (0, "")
+def test_readers_are_confined_as_the_daemon_is() -> None:
+    """Save for what the daemon's learner needs."""
+    for reader in ("camtopod-web.service", "camtopod-bridge.service"):
+        daemon, its = directives(DEPLOY / "camtopod.service"), directives(DEPLOY / reader)
+        names = list(daemon)[list(daemon).index("NoNewPrivileges") :]
+        assert {name: its[name] for name in names if name != "SystemCallFilter"} == {
+            name: daemon[name] for name in names if name != "SystemCallFilter"
+        }
+        assert its["SystemCallFilter"] == daemon["SystemCallFilter"][:2]
+        assert (its["DynamicUser"], its["StartLimitIntervalSec"]) == (["yes"], ["0"])
+        [keys] = (DEPLOY / f"{reader}.d").iterdir()
+        name = reader.removeprefix("camtopod-").removesuffix(".service")
+        assert all(f":/etc/camtopod/keys/{name}/" in value for value in directives(keys)["LoadCredential"])
+
+
+@pytest.mark.parametrize(("file", "name"), [*UNITS.items(), *OTHERS.items()])
+def test_systemd_takes_the_units(file: str, name: str, tmp_path: Path) -> None:
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("needs systemd-analyze (Debian: systemd)")
+    text = (DEPLOY / file).read_text()
+    assert text.count("/opt/camtopod/bin/camtopod ") == 1
+    unit = tmp_path / name
+    unit.write_text(text.replace("/opt/camtopod/bin/camtopod ", "/bin/true "))
+    shutil.copytree(DEPLOY / f"{file}.d", tmp_path / f"{name}.d")
+    done = subprocess.run(["systemd-analyze", "verify", "--man=no", str(unit)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    threshold = f"--threshold={round(10 * EXPOSURE_MAX)}"
+    security = ["systemd-analyze", "security", "--offline=true", "--no-pager", threshold, str(unit)]
+    done = subprocess.run(security, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
