@@ -31,6 +31,9 @@ from camtopod.records import Event, Kind, Topology
 
 Floats = NDArray[np.float64]
 
+OUTSIDE_SHARE_MIN = 0.05
+"""Zones with a smaller share of entries from outside do not tell how long was learned from."""
+
 
 class _Onward(NamedTuple):
     """Where who left a zone appears next; all of it sums to 1."""
@@ -56,6 +59,7 @@ class Gate:
         self._hazards = Hazards(topology)
         self._surroundings = Surroundings(topology)
         self._ahead = {camera.id: camera.clock_offset for camera in topology.cameras}
+        self._new = self._rates_from_outside()
 
     def gate(self, from_zone: str, t_exit: float, to_camera: str, t_entry: float, to_zone: str | None = None) -> float:
         """ln of the density, in 1/s of ``t_entry``, with which an object that left ``from_zone`` at ``t_exit`` appears
@@ -80,12 +84,12 @@ class Gate:
         return math.log(chance / self._hazards.bins.widths[at]) if chance > 0 else -math.inf
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
-        """ln of the rate, in 1/s, at which objects from outside appear at a camera, or at a zone of it: those that no
-        exit anywhere explains, false ones among them. Raises `UnknownPlace`, a KeyError.
+        """ln of the rate, in 1/s, at which objects from outside appear at a camera, or at a zone of it: those that have
+        not left another zone before, false ones among them. Raises `UnknownPlace`, a KeyError.
 
         One figure for all times: the mean over the window that was learned from.
         """
-        return math.log(sum(self._hazards.arrival_rate[zone] for zone in self._zones(to_camera, to_zone)))
+        return math.log(self._new[self._zones(to_camera, to_zone)].sum())
 
     def gate_gone(self, from_zone: str, seconds: float = math.inf) -> float:
         """ln of the probability that who left ``from_zone`` has not appeared anywhere ``seconds`` later; without
@@ -119,7 +123,7 @@ class Gate:
         came = np.array([self._right(entries[k]) for k in known])
         left = [self._right(event) if event.camera in self._ahead else -math.inf for event in exits]
         until = max([*left, *came.tolist()]) if now is None else now
-        new = np.log(np.array(self._hazards.arrival_rate))[to]
+        new = np.log(self._new)[to]
         for row, event in enumerate(exits):
             zone = self._predictor.zone_of(event)
             if zone is not None:
@@ -127,6 +131,26 @@ class Gate:
                 gone = math.log(self._gone(onward, until - left[row]))
                 odds[row, known] = self._log_density(onward, to, came - left[row]) - new - gone
         return odds
+
+    def _rates_from_outside(self) -> Floats:
+        """(zones,) per second, such that as many are expected to have come as to have left before.
+
+        The version has the rate of arrivals that no exit explains at all. Those that may as well have come by chance
+        (`Outcome.doubt`) are gone, for their exits; so for their entries they are from outside.
+        """
+        rate = np.array(self._hazards.arrival_rate)
+        entries = np.array([float(zone.entries) for zone in self.topology.zones])
+        explained, surely = np.zeros(len(rate)), np.zeros(len(rate))
+        for zone, outcomes in self._hazards.outcomes.items():
+            departures = self._hazards.departures[zone]
+            explained[outcomes.targets] += departures * outcomes.share
+            surely[outcomes.targets] += departures * self._onward(zone).chance.sum(axis=1)
+        some = entries - explained > OUTSIDE_SHARE_MIN * entries
+        if not some.any():
+            return rate
+        span = np.median((entries - explained)[some] / rate[some])  # seconds, of what was learned from
+        balanced: Floats = np.maximum(rate, (entries - surely) / span)
+        return balanced
 
     def _zones(self, camera: str, zone: str | None) -> list[int]:
         return zones_of(self.topology, camera) if zone is None else [zone_at(self.topology, zone, camera)]

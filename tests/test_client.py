@@ -1,0 +1,393 @@
+"""The client library against a real daemon on a real bus: what it holds, what it says, what it waits for."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+
+from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, aio
+from camtopod.codec import read
+from camtopod.config import BusSettings, Config, SiteSettings, TlsSettings
+from camtopod.keys import rules
+from camtopod.keys.authority import Authority
+from camtopod.learn.learner import Learner
+from camtopod.records import Event, Prediction
+from camtopod.records import Topology as Version
+from camtopod.serve.bus import Bus, dial
+from camtopod.serve.daemon import Daemon
+
+NOW = T0 + 20 * SPAN_SECONDS
+LEFT = {"camera": "a", "t": NOW, "x": 0.9, "y": 0.5}
+
+
+def started(directory: Path, endpoint: str, bus: BusSettings | None = None, name: str = "site") -> Daemon:
+    config = small_config(directory / "state")
+    config = msgspec.structs.replace(config, bus=bus or BusSettings(listen=(endpoint,)), site=SiteSettings(name))
+    daemon = Daemon(config, clock=lambda: NOW)
+    daemon.start()
+    return daemon
+
+
+def there(site: Topology | aio.Topology) -> None:
+    """Until the daemon knows of what has been subscribed to: a question takes the same way."""
+    site._bus.ask("topology")
+
+
+def put(bus: Bus, *events: Event) -> None:
+    for event in events:
+        bus.put(f"event/{event.camera}", event, "event")
+
+
+def later(events: list[Event], spans: int) -> list[Event]:
+    return [msgspec.structs.replace(event, t=event.t + spans * SPAN_SECONDS) for event in events]
+
+
+def learned(daemon: Daemon, events: list[Event]) -> Version:
+    """The daemon's version once it has learned what the plain learner learns of these events, by time."""
+    learner = Learner(small_config(Path()).learn, site="site", epoch="any")
+    for event in events:
+        learner.receive(event)
+    assert learner.topology is not None
+    digest = learner.topology.digest
+    wait_for(lambda: daemon.topology is not None and daemon.topology.digest == digest, "the events to be learned")
+    assert daemon.topology is not None
+    return daemon.topology
+
+
+class Hub:
+    """A daemon that has learned from 200 walkers, and somebody who puts events."""
+
+    def __init__(self, directory: Path) -> None:
+        self.endpoint = free_endpoint()
+        self.daemon = started(directory, self.endpoint)
+        self.bus = dial(small_config(directory, self.endpoint))
+        events = [*numbered(walkers(200)), closing_event()]
+        put(self.bus, *events)
+        learned(self.daemon, events)
+
+    def walks(self, count: int, span: int) -> list[Event]:
+        """So many people, so many spans later."""
+        events = later(walkers(count, seed=span), span)
+        put(self.bus, *events)
+        return events
+
+    def close(self) -> None:
+        self.bus.close()
+        self.daemon.stop()
+
+
+@pytest.fixture(scope="module")
+def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
+    one = Hub(tmp_path_factory.mktemp("hub"))
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def site(hub: Hub) -> Iterator[Topology]:
+    with Topology.connect(connect=hub.endpoint) as one:
+        yield one
+
+
+# --- what is held ---------------------------------------------------------------------------------
+
+
+def test_what_has_been_learned_is_there_at_once(hub: Hub, site: Topology) -> None:
+    assert site.current is not None
+    assert hub.daemon.topology is not None
+    assert site.current.version >= 1
+    wait_for(lambda: site.current == hub.daemon.topology, "what other tests have put")
+    assert (site.site, site.version, site.stale_since) == ("site", site.current.version, None)
+    assert site.wait_for(1, 0.0) is site.current
+    assert next(site.versions()) is site.current
+
+
+def test_versions_come_by_themselves(tmp_path: Path) -> None:
+    daemon = started(tmp_path, endpoint := free_endpoint())
+    with Topology.connect(connect=endpoint) as site, dial(small_config(tmp_path, endpoint)) as bus:
+        assert (site.current, site.version, site.stale_since) == (None, 0, None)
+        with pytest.raises(TimeoutError, match=r"no version 1 of site site within 0\.1 s, .* 0; the daemon is there"):
+            site.wait_for(1, 0.1)
+        with pytest.raises(NothingLearned, match="nothing has been learned yet"):
+            site.predict(**LEFT)
+        with pytest.raises(LookupError):
+            site.gate("a/1", 0.0, "b", 8.0)
+        events = [*numbered(walkers(60)), closing_event()]
+        put(bus, *events)
+        seen = [next(site.versions(20.0))]
+        site.observe(Event("a", "entry", NOW, 0.1, 0.5, "7"))
+        last = learned(daemon, events)
+        for version in site.versions(20.0):
+            seen.append(version)
+            if version.version >= last.version:
+                break
+        numbers = [one.version for one in seen]
+        assert numbers == sorted(numbers)
+        assert site.wait_for(last.version, 10.0) == last, "delta by delta, the same as the daemon's"
+        put(bus, *later(walkers(60, seed=2), 12), Event("late", "entry", T0 + 16 * SPAN_SECONDS))
+        newer = site.wait_for(last.version + 1, 20.0)
+        assert site._held is not None
+        assert site._held.predictor.topology.version >= newer.version
+        assert site._held.predictor.save().under_way[0][:2] == ("a", "7"), "what was observed outlives a version"
+    assert [one.version for one in site.versions()] == [], "closed"
+    assert site.predict(**LEFT).next_, "what is held stays usable"
+    assert site.stale_since is not None
+    daemon.stop()
+
+
+def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
+    daemon = started(tmp_path, endpoint := free_endpoint())
+    with Topology.connect(connect=endpoint) as site:
+        before = time.time()
+        daemon.stop()
+        wait_for(lambda: site.stale_since is not None, "staleness to be noticed")
+        assert before <= (site.stale_since or 0.0) <= time.time()
+        with pytest.raises(TimeoutError, match="no daemon is there"):
+            site.wait_for(1, 0.0)
+        daemon = started(tmp_path, endpoint)
+        wait_for(lambda: site.stale_since is None, "the daemon to be noticed")
+        with dial(small_config(tmp_path, endpoint)) as bus:
+            put(bus, *numbered(walkers(40)), closing_event())
+            assert site.wait_for(1, 20.0).links
+    daemon.stop()
+
+
+# --- what is said ---------------------------------------------------------------------------------
+
+
+def test_a_prediction_is_the_daemons(hub: Hub, site: Topology) -> None:
+    said = site.predict(**LEFT, track="7")
+    (answer,) = hub.bus.ask("predict/a", {"zone": said.zone, "t": NOW})
+    asked = read(Prediction, answer[1], pack=True)
+    assert (said.camera, said.t, said.track, said.version) == ("a", NOW, "7", site.version)
+    assert [one.zone for one in said.next_[:2]] == [one.zone for one in asked.next_[:2]]
+    assert {one.camera for one in said.next_[:2]} == {"b", "c"}
+    assert said.next_[0].probability == pytest.approx(asked.next_[0].probability, abs=0.01)
+    assert 7 < said.next_[0].q50 < 11
+    by_zone = site.predict("a", NOW, zone=said.zone)
+    assert by_zone.next_[0].probability == pytest.approx(said.next_[0].probability, abs=0.05)
+
+
+def test_who_tells_of_one_camera_does_not_make_the_others_dead(site: Topology) -> None:
+    before = site.predict(**LEFT)
+    for number in range(3000):
+        site.observe(Event("a", "entry", NOW + number, 0.1, 0.5))
+    after = site.predict("a", NOW + 3600, x=0.9, y=0.5)
+    assert [one.probability for one in after.next_] == pytest.approx([one.probability for one in before.next_])
+
+
+def test_priors_are_those_of_the_version_held(site: Topology) -> None:
+    assert site.gate("a/2", NOW, "b", NOW + 9.0) > site.gate_new("b") + site.gate_gone("a/2")
+    odds = site.affinity(
+        [Event("a", "exit", NOW, 0.9, 0.5), Event("a", "exit", NOW + 20.0, 0.9, 0.5)],
+        [Event("b", "entry", NOW + 9.0, 0.1, 0.5), Event("c", "entry", NOW + 29.0, 0.1, 0.5)],
+    )
+    assert (odds[0, 0], odds[1, 1]) > (0.0, 0.0)
+    assert odds[0, 1] < 0
+    assert odds[1, 0] < 0
+
+
+def test_what_makes_no_sense_is_said(hub: Hub, site: Topology) -> None:
+    with pytest.raises(UnknownPlace, match="no camera 'd'; there are"):
+        site.predict("d", NOW, x=0.5, y=0.5)
+    with pytest.raises(KeyError, match=r"no zone of a called 'b/1'; there are a/\d, a/\d"):
+        site.predict("a", NOW, zone="b/1")
+    with pytest.raises(ValueError, match="a zone or a position, not both"):
+        site.predict(**LEFT, zone="a/1")
+    with pytest.raises(ValueError, match="x and y go together"):
+        site.predict("a", NOW, x=0.5)
+    with pytest.raises(ValueError, match="camera 'a/b': 1 to 64"):
+        site.predictions("a/b")
+    with pytest.raises(ValueError, match=r"connect '192\.0\.2\.1': write it like tcp/"):
+        Topology.connect(connect="192.0.2.1")
+    with pytest.raises(ValueError, match="site 'h q': 1 to 64"):
+        Topology.connect("h q")
+    tls = Config(bus=BusSettings(tls=TlsSettings("ca.pem", "certificate.pem", "key.pem")))
+    with pytest.raises(ValueError, match="write tls/"):
+        Topology.connect(connect=hub.endpoint, config=tls)
+
+
+def test_nobody_there_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "camtopod.toml"
+    path.write_text("[bus]\nconnect_seconds = 0.2\n")
+    with pytest.raises(BusError, match="is `camtopod run` running there"):
+        Topology.connect(connect=free_endpoint(), config=path)
+
+
+def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
+    authority = Authority.make(tmp_path / "keys", "hq", time.time(), 7300, replace=False)
+    for role, name in (("daemon", "daemon"), ("reader", "wall")):
+        authority.issue(role, name, 100)
+    access = tmp_path / "access.json"
+    access.write_bytes(msgspec.json.encode(rules.Access("hq", authority.access.certificates)))
+
+    def files(folder: str) -> list[str]:
+        return [str(tmp_path / "keys" / folder / name) for name in ("ca.pem", "certificate.pem", "private.key")]
+
+    endpoint = free_endpoint().replace("tcp/127.0.0.1", "tls/localhost")
+    bus = BusSettings(listen=(endpoint,), tls=TlsSettings(*files("daemon"), access=str(access)))
+    daemon = started(tmp_path, endpoint, bus, "hq")
+    ca, certificate, private_key = files("reader/wall")
+    config = tmp_path / "reader.toml"
+    config.write_text(
+        f'[site]\nname = "hq"\n[bus]\nconnect = ["{endpoint}"]\n'
+        f'[bus.tls]\nca = "{ca}"\ncertificate = "{certificate}"\nprivate_key = "{private_key}"\n'
+    )
+    with Topology.connect(config=config) as site:
+        assert (site.site, site.version, site.stale_since) == ("hq", 0, None)
+        put(daemon.bus, *numbered(walkers(40)), closing_event())
+        assert site.wait_for(1, 20.0).links
+        with site.predictions() as predictions:
+            there(site)
+            put(daemon.bus, Event("a", "exit", NOW, 0.9, 0.5))
+            assert predictions.get(10.0) is not None
+    daemon.stop()
+
+
+# --- the daemon's own predictions -----------------------------------------------------------------
+
+
+def test_each_exit_is_heard_of(hub: Hub, site: Topology) -> None:
+    with site.predictions() as everywhere, site.predictions("b", seconds=0.5) as of_b:
+        there(site)
+        exits = sorted((e.camera, e.t, e.track) for e in hub.walks(5, 14) if e.kind == "exit")
+        heard = [everywhere.get(10.0) for _ in exits]
+        assert sorted((p.camera, p.t, p.track) for p in heard if p is not None) == exits
+        assert everywhere.get(0.0) is None
+        assert [p.t for p in of_b] == [t for camera, t, _ in exits if camera == "b"], "ends when none comes for 0.5 s"
+        assert (everywhere.dropped, everywhere.unreadable) == (0, 0)
+        hub.bus.put_raw("prediction/b", b"\xc1", "prediction")
+        wait_for(lambda: everywhere.unreadable == of_b.unreadable == 1, "what is no prediction")
+
+
+def test_who_does_not_read_loses_the_oldest_and_is_told(hub: Hub, site: Topology) -> None:
+    with site.predictions("a", waiting_max=3) as predictions:
+        there(site)
+        times = sorted(e.t for e in hub.walks(10, 15) if e.kind == "exit" and e.camera == "a")
+        wait_for(lambda: predictions.dropped == 7, "the oldest to be dropped")
+        assert [getattr(predictions.get(0.0), "t", None) for _ in range(4)] == [*times[-3:], None]
+
+
+def test_closing_lets_go_who_waits(hub: Hub) -> None:
+    site = Topology.connect(connect=hub.endpoint)
+    ended: list[str] = []
+
+    def read_on() -> None:
+        ended.extend(str(p) for p in site.predictions())
+        ended.append("predictions")
+
+    def follow() -> None:
+        ended.extend("" for version in site.versions() if version.version > 10**6)
+        ended.append("versions")
+
+    threads = [threading.Thread(target=work) for work in (read_on, follow)]
+    for thread in threads:
+        thread.start()
+    wait_for(lambda: bool(site._inboxes), "somebody to wait")
+    site.close()
+    site.close()
+    for thread in threads:
+        thread.join(10.0)
+    assert sorted(ended) == ["predictions", "versions"]
+    with pytest.raises(TimeoutError):
+        site.wait_for(10**6, 10.0)
+
+
+# --- asyncio --------------------------------------------------------------------------------------
+
+
+def test_asyncio_has_the_same(hub: Hub) -> None:
+    async def main() -> None:
+        async with aio.Topology.connect(connect=hub.endpoint) as site:
+            assert site.stale_since is None
+            assert site.predict(**LEFT).next_
+            assert await site.wait_for(1, 0.0) is site.current
+            with pytest.raises(TimeoutError, match="no version 1000000"):
+                await site.wait_for(10**6, 0.05)
+            versions = [one.version async for one in site.versions(seconds=0.05)]
+            assert versions[0] >= 1
+            async with site.predictions("b", seconds=0.5) as predictions:
+                there(site)
+                exits = [e.t for e in hub.walks(4, 16) if e.kind == "exit" and e.camera == "b"]
+                assert [p.t async for p in predictions] == exits
+                assert await predictions.get(0.0) is None
+        assert [one.version async for one in site.versions()] == []
+
+    asyncio.run(main())
+
+
+def test_what_waits_in_asyncio_can_be_cancelled(hub: Hub) -> None:
+    async def main() -> tuple[float, int]:
+        async with aio.Topology.connect(connect=hub.endpoint) as site:
+            waiting = [
+                asyncio.create_task(site.wait_for(10**6, 60.0)), asyncio.create_task(site.predictions().get()),
+            ]  # fmt: skip
+            await asyncio.sleep(0)
+            for task in waiting:
+                task.cancel()
+            started = time.monotonic()
+            await asyncio.wait(waiting)
+            assert all(task.cancelled() for task in waiting)
+            return time.monotonic() - started, len(site._news._listeners)
+
+    seconds, listeners = asyncio.run(main())
+    assert seconds < 5.0
+    assert listeners == 0
+
+
+def test_asyncio_says_that_nobody_is_there(tmp_path: Path) -> None:
+    config = Config(bus=BusSettings(connect=(free_endpoint(),), connect_seconds=0.2))
+
+    async def main() -> None:
+        async with aio.Topology.connect(config=config):
+            raise AssertionError
+
+    with pytest.raises(BusError, match="cannot reach the bus"):
+        asyncio.run(main())
+
+
+def test_a_connection_that_is_given_up_is_closed(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = []
+    monkeypatch.setattr(aio.Topology, "close", lambda self: (closed.append(self), super(aio.Topology, self).close()))
+
+    async def main() -> None:
+        async def hold() -> None:
+            async with aio.Topology.connect(connect=hub.endpoint):
+                await asyncio.sleep(60)
+
+        task = asyncio.create_task(hold())
+        await asyncio.sleep(0)  # the thread has begun to dial
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    asyncio.run(main())
+    assert len(closed) == 1
+
+
+# --- as a package ---------------------------------------------------------------------------------
+
+
+def test_it_needs_only_the_core_packages() -> None:
+    """And of those not OpenCV: a program in which nothing else can be imported imports it."""
+    program = """
+import sys
+class Only:
+    def find_spec(self, name, path=None, target=None):
+        top = name.split(".")[0]
+        if top[0] != "_" and top not in {"camtopod", "zenoh", "numpy", "scipy", "msgspec", *sys.stdlib_module_names}:
+            raise ModuleNotFoundError(f"{name} is not among them", name=name)
+sys.meta_path.insert(0, Only())
+import camtopod.client.aio
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stderr == ""

@@ -1,0 +1,241 @@
+"""The log-priors for a tracker's association: what they sum to, and how right the association is that they make."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from scipy.optimize import linear_sum_assignment
+
+from camtopod.client import Gate, UnknownPlace
+from camtopod.learn.learner import Learner
+from camtopod.learn.predict import Predictor
+from camtopod.learn.settings import Settings
+from camtopod.records import (
+    TOPOLOGY_SCHEMA,
+    Camera,
+    CameraModel,
+    Event,
+    Link,
+    Model,
+    Topology,
+    Transit,
+    Zone,
+    ZoneModel,
+)
+from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.score import calibration_error, next_entries
+
+COV = [[0.001, 0.0], [0.0, 0.001]]
+STEP = 0.05
+TRAIN_SHARE = 0.7
+CUTOFFS_SECONDS = (5.0, 10.0, 20.0, 30.0, 60.0, 120.0)
+
+
+def link(from_: str, to: str, probability: float, median: float) -> Link:
+    transit = Transit(median, median, 1.0, median - 1.0, median, median + 1.0)
+    return Link(from_, to, "unseen", probability, 100 * probability, transit, 0.0, 0.1)
+
+
+def a_topology(*links: Link, ahead: float = 0.0) -> Topology:
+    """Cameras a (two zones), b and c (one each); from outside somebody comes to each zone every 1,000 s. The clock of b
+    is ``ahead``.
+    """
+    zones = [
+        Zone("a/1", "a", 100, 100, 0.1, 0.5, COV), Zone("a/2", "a", 100, 100, 0.9, 0.5, COV),
+        Zone("b/1", "b", 100, 100, 0.5, 0.5, COV), Zone("c/1", "c", 100, 100),
+    ]  # fmt: skip
+    model = Model(
+        4.0, 0.1, -20.0, 120.0, [ZoneModel(zone.id, 100, 0.001, []) for zone in zones],
+        [CameraModel(name, 1 / 3, 0.0) for name in "abc"], clocks_corrected=True,
+    )  # fmt: skip
+    cameras = [
+        Camera(name, [zone.id for zone in zones if zone.camera == name], ahead * (name == "b")) for name in "abc"
+    ]
+    return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 7, 0.0, 800, "", cameras, zones, [*links], [], model=model)
+
+
+THREE = a_topology(link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.3, 20.0), link("a/1", "a/2", 0.1, 30.0))
+LEFT = Event("a", "exit", 1000.0, 0.1, 0.5, "17")
+
+
+def came(camera: str, t: float, x: float | None = 0.5) -> Event:
+    return Event(camera, "entry", t, x, None if x is None else 0.5)
+
+
+def integral(gate: Gate, from_zone: str, to_camera: str, to_zone: str | None = None) -> float:
+    """Of the density over all times."""
+    times = np.arange(-20.0, 190.0, STEP) + STEP / 2
+    return sum(math.exp(gate.gate(from_zone, 0.0, to_camera, float(t), to_zone)) for t in times) * STEP
+
+
+# --- what it means --------------------------------------------------------------------------------
+
+
+def test_the_density_sums_to_the_probability_of_the_link() -> None:
+    gate = Gate(THREE)
+    found = [integral(gate, "a/1", camera) for camera in "bca"]
+    assert found == pytest.approx([0.5, 0.3, 0.1], abs=0.002)
+    assert sum(found) + math.exp(gate.gate_gone("a/1")) == pytest.approx(1.0, abs=0.002)
+    assert integral(gate, "a/1", "a", "a/2") == pytest.approx(0.1, abs=0.002)
+    assert integral(gate, "a/1", "a", "a/1") == 0.0
+    assert gate.gate_gone("b/1") == 0.0, "nobody was ever seen again"
+
+
+def test_it_is_densest_at_the_usual_transit_time() -> None:
+    gate = Gate(THREE)
+    at_8, at_11, at_60 = (gate.gate("a/1", 1000.0, "b", 1000.0 + lag) for lag in (8.0, 11.0, 60.0))
+    assert -2.0 < at_8 < 0.0
+    assert -50 < at_11 < at_8
+    assert at_60 < -50
+    assert gate.gate("a/1", 1000.0, "b", 2000.0) == -math.inf
+
+
+def test_gone_falls_as_those_who_appear_have_appeared() -> None:
+    gate = Gate(THREE)
+    found = [math.exp(gate.gate_gone("a/1", seconds)) for seconds in (0.0, 14.0, 25.0, math.inf)]
+    assert found == pytest.approx([1.0, 0.5, 0.2, 0.1], abs=0.02)
+
+
+def test_clocks_that_are_ahead_are_taken_into_account() -> None:
+    right, wrong = Gate(THREE), Gate(a_topology(*THREE.links, ahead=100.0))
+    assert wrong.gate("a/1", 1000.0, "b", 1108.0) == right.gate("a/1", 1000.0, "b", 1008.0)
+    odds = wrong.affinity([LEFT], [came("b", 1108.0)])
+    assert odds == pytest.approx(right.affinity([LEFT], [came("b", 1008.0)]))
+
+
+def test_odds_are_those_of_one_object_against_two() -> None:
+    gate = Gate(THREE)
+    exits = [LEFT, replace(LEFT, t=1004.0, x=0.9)]
+    entries = [came("b", 1009.0), came("c", 1021.0, None), came("a", 1030.0, 0.9)]
+    odds = gate.affinity(exits, entries)
+    assert odds.shape == (2, 3)
+    gone = gate.gate_gone("a/1", 30.0)
+    for column, (entry, zone) in enumerate(zip(entries, ("b/1", "c/1", "a/2"), strict=True)):
+        same = gate.gate("a/1", LEFT.t, entry.camera, entry.t, zone)
+        assert odds[0, column] == pytest.approx(same - gate.gate_new(entry.camera, zone) - gone)
+    assert (odds[1] == -math.inf).all(), "from a/2 no way is known"
+    assert gate.affinity(exits, entries, now=1e9)[0] == pytest.approx(odds[0] + gone - gate.gate_gone("a/1"))
+
+
+def test_as_many_come_from_outside_as_no_exit_accounts_for() -> None:
+    """100 at each zone in 100,000 s, of which all that another zone does not lead to come from outside."""
+    assert THREE.model is not None
+    unexplained = zip(THREE.zones, (1.0, 0.9, 0.5, 0.7), strict=True)
+    zones = [ZoneModel(zone.id, 100, share / 1000.0, []) for zone, share in unexplained]
+    gate = Gate(replace(THREE, model=replace(THREE.model, zones=zones)))
+    rates = [math.exp(gate.gate_new(camera)) * 1000 for camera in "abc"]
+    assert rates == pytest.approx([1.0 + 0.9, 0.5, 0.7], abs=0.01)
+    assert math.exp(gate.gate_new("a", "a/2")) * 1000 == pytest.approx(0.9, abs=0.01)
+
+
+def test_what_is_not_there_is_said() -> None:
+    gate = Gate(THREE)
+    with pytest.raises(UnknownPlace, match=r"version 7 has no zone 'a/3'; there are a/\d, .*c/1"):
+        gate.gate("a/3", 0.0, "b", 8.0)
+    with pytest.raises(KeyError, match="no camera 'd'; there are"):
+        gate.gate("a/1", 0.0, "d", 8.0)
+    with pytest.raises(KeyError, match="no zone of b called 'a/1'; there are b/1"):
+        gate.gate_new("b", "a/1")
+    with pytest.raises(ValueError, match=r"an entry of b at 3\.0 among what should be exit events"):
+        gate.affinity([came("b", 3.0)], [])
+
+
+def test_of_an_unknown_camera_nothing_is_said() -> None:
+    odds = Gate(THREE).affinity([LEFT, replace(LEFT, camera="new")], [came("b", 1008.0), came("new", 1008.0)])
+    assert odds[0, 0] > 0
+    assert (odds[:, 1] == 0).all()
+    assert (odds[1] == 0).all()
+    assert Gate(THREE).affinity([], [came("b", 1.0)]).shape == (0, 1)
+    assert Gate(THREE).affinity([LEFT], []).shape == (1, 0)
+
+
+# --- how right it is ------------------------------------------------------------------------------
+
+
+class Site:
+    """A made-up site of 12 cameras, learned from the first 70 % of 48 minutes; the rest is to be associated."""
+
+    def __init__(self, seed: int) -> None:
+        events, truth = simulate(SimSettings(cameras=12, hours=0.8, seed=seed, objects_per_second=0.12))
+        learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
+        cut = int(TRAIN_SHARE * len(events))
+        for event in events[:cut]:
+            learner.receive(event)
+        learner.flush()
+        assert learner.topology is not None
+        self.topology = learner.topology
+        exits = [k for k in range(cut, len(events)) if events[k].kind == "exit"]
+        entries = [k for k in range(cut, len(events)) if events[k].kind == "entry"]
+        following = next_entries(events, truth)
+        column = {k: number for number, k in enumerate(entries)}
+        self.exits, self.entries = [events[k] for k in exits], [events[k] for k in entries]
+        self.truth = np.array([column.get(following[k], -1) for k in exits])
+        """(exits,) which entry is the same object's next, -1: none."""
+        self.lag = np.array([[came.t - left.t for came in self.entries] for left in self.exits])
+
+    def right(self, value: np.ndarray) -> float:
+        """Share of the exits for which the matching with the largest sum of values above 0 says what is true."""
+        rows, columns = linear_sum_assignment(np.maximum(value, 0.0), maximize=True)
+        said = np.full(len(self.truth), -1)
+        some = value[rows, columns] > 0
+        said[rows[some]] = columns[some]
+        return float(np.mean(said == self.truth))
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def site(request: pytest.FixtureRequest) -> Site:
+    return Site(request.param)
+
+
+def test_association_beats_the_nearest_in_time(site: Site) -> None:
+    """By a quarter of the exits, even if that is told which cameras are linked and the best cutoff; and it beats the
+    nearest to the learned median of the two zones' link, with the best cutoff, too.
+    """
+    found = site.right(Gate(site.topology).affinity(site.exits, site.entries))
+    pairs = {frozenset(pair.cameras) for pair in site.topology.pairs}
+    linked = np.array([[frozenset((a.camera, b.camera)) in pairs for b in site.entries] for a in site.exits])
+    forward = np.where(linked & (site.lag > 0), site.lag, np.inf)
+    nearest = max(site.right(cutoff - forward) for cutoff in CUTOFFS_SECONDS)
+    assert found >= nearest + 0.25
+    predictor = Predictor(site.topology)
+    median = {(one.from_, one.to): one.transit.q50 for one in site.topology.links if one.relation != "visible"}
+    out, into = ([site.topology.zones[predictor.zone_of(e)].id for e in some] for some in (site.exits, site.entries))
+    usual = np.array([[median.get((a, b), np.inf) for b in into] for a in out])
+    window = max(site.right(cutoff - np.abs(site.lag - usual)) for cutoff in CUTOFFS_SECONDS)
+    assert found >= window + 0.02
+
+
+def test_what_it_holds_for_likely_is_as_often_true(site: Site) -> None:
+    """Of each entry's possible pasts, outside among them, the posterior probabilities beside what is true."""
+    ratio = np.exp(Gate(site.topology).affinity(site.exits, site.entries, now=-math.inf))  # nobody is gone by then
+    posterior = ratio / (1.0 + ratio.sum(axis=0))
+    true = np.zeros(posterior.shape, bool)
+    rows = np.flatnonzero(site.truth >= 0)
+    true[rows, site.truth[rows]] = True
+    looked_at = posterior > 0.02
+    assert calibration_error(posterior[looked_at].tolist(), true[looked_at].tolist()) <= 0.05
+    sure = posterior > 0.8
+    assert true[sure].mean() >= 0.88
+    assert posterior.sum() == pytest.approx(len(rows), rel=0.2), "as many as are seen again"
+
+
+def test_it_is_what_the_predictor_says_before_anything_has_been_seen() -> None:
+    """Zone by zone, of a site without overlapping views."""
+    events, _ = simulate(SimSettings(cameras=6, hours=0.5, seed=4, overlap_share=0.0))
+    learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
+    for event in events:
+        learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+    gate, predictor = Gate(learner.topology), Predictor(learner.topology)
+    compared = 0
+    for number, zone in enumerate(learner.topology.zones[:8]):
+        said = predictor.predict_from(number, 0.0)
+        assert math.exp(gate.gate_gone(zone.id)) == pytest.approx(said.leave, abs=0.01)
+        for choice in said.next_[:1]:
+            assert integral(gate, zone.id, choice.camera, choice.zone) == pytest.approx(choice.probability, abs=0.01)
+            compared += 1
+    assert compared > 4
