@@ -8,7 +8,6 @@ import ipaddress
 import logging
 import re
 import socket
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -51,10 +50,6 @@ def run(args: argparse.Namespace) -> int:
         if error.name not in ("starlette", "uvicorn"):
             raise
         raise CommandError("the page needs starlette and uvicorn: pip install 'camtopod[web]'") from None
-    from camtopod.web.feed import Feed
-    from camtopod.web.mailbox import Hub
-    from camtopod.web.past import Past
-
     config = configuration(args)
     host, port = address(args.listen)
     if args.pictures is not None and not args.pictures.is_dir():
@@ -65,20 +60,12 @@ def run(args: argparse.Namespace) -> int:
             bus = stack.enter_context(dial(config))
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
-        hub = Hub()
-        feed = Feed(bus, hub, clock.wall)
-        threads = [threading.Thread(target=work, args=[stop], daemon=True) for work in (feed.versions, feed.messages)]
-        site = app.Site(feed, Past(bus), hub, args.pictures)
-        server = app.Server(app.application(site, hosts(host)), listener)
-        stack.callback(server.close)
-        stack.callback(hub.close)
-        for thread in threads:
-            thread.start()
+        running = stack.enter_context(app.serving(bus, listener, hosts(host), args.pictures, clock.wall))
         log.info("the page is at http://%s/", _shown(listener))
         if not is_loopback(host):
             log.warning("anybody who reaches %s can read it: there is no password", _shown(listener))
         while not stop.wait(_LOOK_SECONDS):
-            if not all(thread.is_alive() for thread in threads):  # its traceback has been written
+            if not running():  # its traceback has been written
                 raise CommandError("a part of the page's server has failed")
     return exits.DONE
 

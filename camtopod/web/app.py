@@ -6,7 +6,7 @@ import contextlib
 import re
 import socket
 import threading
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from camtopod.records import CAMERA_PATTERN, Topology
-from camtopod.web import stories
+from camtopod.serve.bus import Bus
+from camtopod.serve.clock import Clock
 from camtopod.web.feed import Feed
 from camtopod.web.history import changes
 from camtopod.web.mailbox import Hub
@@ -80,7 +81,7 @@ class Site:
     def camera(self, request: Request) -> Response:
         """One camera's zones and links, and whether there is a picture."""
         name = request.path_params["camera"]
-        story = None if self._feed.topology is None else stories.camera_story(self._feed.topology, name)
+        story = self._feed.stories.camera(name) if self._feed.stories else None
         if story is None:
             return _json({"error": f"camera {name} has not been learned yet"}, 404)
         return _json({**story, "picture": picture_of(self._pictures, name) is not None})
@@ -88,29 +89,29 @@ class Site:
     def pair(self, request: Request) -> Response:
         """The links between two cameras."""
         a, b = request.path_params["a"], request.path_params["b"]
-        story = None if self._feed.topology is None else stories.pair_story(self._feed.topology, a, b)
+        story = self._feed.stories.pair(a, b) if self._feed.stories else None
         return _json(story) if story else _json({"error": f"nothing joins {a} and {b} in the newest version"}, 404)
 
     def link(self, request: Request) -> Response:
         """One link: ``from``, ``to``, ``relation``."""
         key = [request.query_params.get(name, "") for name in ("from", "to", "relation")]
-        story = None if self._feed.topology is None else stories.link_story(self._feed.topology, *key)
+        story = self._feed.stories.link(*key) if self._feed.stories else None
         return _json(story) if story else _json({"error": f"{key[0]} → {key[1]} is not in the newest version"}, 404)
 
     def versions(self, request: Request) -> Response:
         """Summaries of the versions known without asking, and the newest version."""
-        newest = self._feed.topology
+        newest = self._newest
         return _json([] if newest is None else self._past.summaries(newest))
 
     def version(self, request: Request) -> Response:
         """A version's summary, which the daemon may have to be asked for."""
-        newest, number = self._feed.topology, request.path_params["version"]
+        newest, number = self._newest, request.path_params["version"]
         found = None if newest is None else self._past.summary(newest, number)
         return _json(found) if found else _not_kept(number)
 
     def changes(self, request: Request) -> Response:
         """What changed from version ``old`` to ``new``."""
-        newest = self._feed.topology
+        newest = self._newest
         numbers = request.path_params["old"], request.path_params["new"]
         found: list[Topology] = []
         for number in numbers:
@@ -119,6 +120,10 @@ class Site:
                 return _not_kept(number)
             found.append(one)
         return _json(changes(*found))
+
+    @property
+    def _newest(self) -> Topology | None:
+        return None if self._feed.stories is None else self._feed.stories.topology
 
     def picture(self, request: Request) -> Response:
         """A camera's picture, if there is one in the folder."""
@@ -175,24 +180,35 @@ def application(site: Site, hosts: list[str]) -> Starlette:
     return app
 
 
-class Server:
-    """Serves in a thread of its own from a socket that listens already."""
-
-    def __init__(self, app: Starlette, listener: socket.socket) -> None:
-        config = uvicorn.Config(
-            app, log_config=None, log_level="warning", access_log=False, lifespan="off", server_header=False,
-            limit_concurrency=CONNECTIONS_MAX, timeout_graceful_shutdown=CLOSE_SECONDS,
-        )  # fmt: skip
-        self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(
-            target=self._server.run, kwargs={"sockets": [listener]}, name="page", daemon=True
-        )
-        self._thread.start()
-
-    def close(self) -> None:
-        """End within `CLOSE_SECONDS` or so; close the hub first."""
-        self._server.should_exit = True
-        self._thread.join(CLOSE_SECONDS + 1)
+@contextlib.contextmanager
+def serving(
+    bus: Bus, listener: socket.socket, hosts: list[str], pictures: Path | None, clock: Clock
+) -> Iterator[Callable[[], bool]]:
+    """Serve the page from a socket that listens, in threads, while the block runs; yields whether all of them live."""
+    stop = threading.Event()
+    hub = Hub()
+    feed = Feed(bus, hub, clock)
+    config = uvicorn.Config(
+        application(Site(feed, Past(bus), hub, pictures), hosts), log_config=None, log_level="warning",
+        access_log=False, lifespan="off", server_header=False, limit_concurrency=CONNECTIONS_MAX,
+        timeout_graceful_shutdown=CLOSE_SECONDS,
+    )  # fmt: skip
+    server = uvicorn.Server(config)
+    threads = [
+        threading.Thread(target=server.run, args=[[listener]], name="page", daemon=True),
+        threading.Thread(target=feed.versions, args=[stop], name="versions", daemon=True),
+        threading.Thread(target=feed.messages, args=[stop], name="messages", daemon=True),
+    ]
+    for thread in threads:
+        thread.start()
+    try:
+        yield lambda: all(thread.is_alive() for thread in threads)
+    finally:
+        stop.set()
+        hub.close()
+        server.should_exit = True
+        for thread in threads:
+            thread.join(CLOSE_SECONDS + 1)
 
 
 def _json(content: Any, status: int = 200) -> Response:

@@ -23,6 +23,7 @@ from camtopod.serve.clock import Clock
 from camtopod.serve.subscriber import TopologyView
 from camtopod.web.drawing import Map, change, draw
 from camtopod.web.mailbox import Hub
+from camtopod.web.stories import Stories
 
 log = logging.getLogger(__name__)
 
@@ -53,8 +54,8 @@ class Feed:
         self._second, self._this_second = 0, 0
         self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
         self._view = TopologyView(bus)
-        self.topology: Topology | None = None
-        """The newest version."""
+        self.stories: Stories | None = None
+        """Of the newest version."""
         self.map: Map | None = None
         self.map_json = b"null"
         self.dropped = 0
@@ -72,7 +73,7 @@ class Feed:
         """Show a version from now on."""
         before = self.map
         drawn = draw(topology, before)
-        self.topology, self.map, self.map_json = topology, drawn, codec.to_json(drawn)
+        self.stories, self.map, self.map_json = Stories(topology), drawn, codec.to_json(drawn)
         if before is not None and before.epoch == drawn.epoch:
             self._hub.tell("map", codec.to_json(change(before, drawn)))
         else:

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from camtopod.records import Link, Topology
-from camtopod.web import stories
 from camtopod.web.drawing import draw
 from camtopod.web.history import changes, summary
 from camtopod.web.pictures import TYPES, picture_of
+from camtopod.web.stories import Stories
 
-LINKS_MAX = 6_000
+LINKS_MAX = 3_000
 """Links that are told in full, the most walked first; a large site has more than a browser opens as one file."""
 COMPARED_MAX = 20
 """The newest versions, each compared with each."""
@@ -24,15 +24,16 @@ def gather(topology: Topology, older: Sequence[Topology], pictures: Path | None)
     drawn = draw(topology)
     cameras = [camera.id for camera in topology.cameras]
     files = {camera: path for camera in cameras if (path := picture_of(pictures, camera)) is not None}
-    told = {camera: stories.camera_story(topology, camera) for camera in cameras}
+    stories = Stories(topology)
+    told = {camera: stories.camera(camera) for camera in cameras}
     versions = [*older, topology]
     compared = versions[-COMPARED_MAX:]
     return {
         "map": drawn,
         "cameras": {name: {**(story or {}), "picture": name in files} for name, story in told.items()},
-        "pairs": {key: stories.pair_story(topology, *key.split(" ")) for key in drawn.edges},
+        "pairs": {key: stories.pair(*key.split(" ")) for key in drawn.edges},
         "links": {
-            f"{link.from_} {link.to} {link.relation}": stories.link_story(topology, link.from_, link.to, link.relation)
+            f"{link.from_} {link.to} {link.relation}": stories.link(link.from_, link.to, link.relation)
             for link in _told(topology)
         },
         "versions": [summary(one) for one in versions],

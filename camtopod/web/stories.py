@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -13,7 +14,7 @@ from camtopod.learn.joint import smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import MONTE_CARLO_SEED
 from camtopod.learn.settings import Settings
-from camtopod.records import Link, Model, Pair, Topology, ZoneModel
+from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
 from camtopod.web.drawing import doubt
 
 CURVE_SHARE_MIN = 0.004
@@ -21,67 +22,97 @@ CURVE_SHARE_MIN = 0.004
 COMMON_SHARE = 0.8
 """Between the quantiles q10 and q90."""
 
+_Item = TypeVar("_Item")
 
-def camera_story(topology: Topology, camera: str) -> dict[str, Any] | None:
-    """Zones, figures and links of a camera; None for one that is not there."""
-    found = next((one for one in topology.cameras if one.id == camera), None)
-    if found is None:
+
+class Stories:
+    """Of one version; what is looked up often is sorted out once."""
+
+    def __init__(self, topology: Topology) -> None:
+        self.topology = topology
+        self._cameras = {camera.id: camera for camera in topology.cameras}
+        self._camera_of = {zone.id: zone.camera for zone in topology.zones}
+        self._zones = _grouped(topology.zones, lambda zone: {zone.camera})
+        self._links = _grouped(topology.links, self._ends)
+        self._weak = _grouped(topology.weak_links or [], self._ends)
+        self._pairs = {pair.cameras: pair for pair in topology.pairs}
+        model = topology.model
+        self._zone_models = {} if model is None else {one.zone: one for one in model.zones}
+        self._camera_models = {} if model is None else {one.camera: one for one in model.cameras}
+
+    def camera(self, camera: str) -> dict[str, Any] | None:
+        """Zones, figures and links of a camera; None for one that is not there."""
+        found = self._cameras.get(camera)
+        if found is None:
+            return None
+        known = self._camera_models.get(camera)
+        return {
+            "id": camera,
+            "version": self.topology.version,
+            "clock_offset": found.clock_offset,
+            "clock_offset_sd": found.clock_offset_sd,
+            "share": known and known.share,
+            "last_event": known and known.last_event,
+            "zones": [{**msgspec.to_builtins(zone), **self._arrivals(zone)} for zone in self._zones.get(camera, [])],
+            "links": [brief(link) for link in self._links.get(camera, [])],
+            "alarms": [alarm for alarm in self.topology.alarms or [] if _is_about(alarm.subject, camera)],
+        }
+
+    def pair(self, a: str, b: str) -> dict[str, Any] | None:
+        """The links between two cameras, each way, weak ones included; None if there are none."""
+        first, second = sorted((a, b))
+        links, weak = (
+            sorted(
+                (link for link in held.get(first, []) if self._ends(link) == {first, second}),
+                key=lambda link: -link.transitions,
+            )
+            for held in (self._links, self._weak)
+        )
+        shown = links or weak
+        if not shown or first == second:
+            return None
+        pair = self._pairs.get((first, second))
+        return {
+            "cameras": [first, second],
+            "relation": pair and pair.relation,
+            "provisional": doubt(pair, sum(link.transitions for link in shown), min(link.q_value for link in shown)),
+            "why": why_pair(pair),
+            "links": [brief(link) for link in links],
+            "weak": [brief(link) for link in weak],
+        }
+
+    def link(self, from_: str, to: str, relation: str) -> dict[str, Any] | None:
+        """All there is to show of a link; None for one that is not there.
+
+        ``chart``: ``counts`` and ``curve`` are expected transitions in the lag bins from ``first`` on, whose edges are
+        ``scale * sinh(step * k)`` seconds. ``background``: what chance brings, per second of lag.
+        """
+        for weak, held in ((False, self._links), (True, self._weak)):
+            for link in held.get(self._camera_of.get(from_, ""), []):
+                if (link.from_, link.to, link.relation) == (from_, to, relation):
+                    return self._told(link, weak)
         return None
-    of_zone, of_camera = _models(topology.model)
-    inside = {zone.id for zone in topology.zones if zone.camera == camera}
-    known = of_camera.get(camera)
-    return {
-        "id": camera,
-        "version": topology.version,
-        "clock_offset": found.clock_offset,
-        "clock_offset_sd": found.clock_offset_sd,
-        "share": known and known.share,
-        "last_event": known and known.last_event,
-        "zones": [
-            {**msgspec.to_builtins(zone), "arrival_rate": of_zone[zone.id].arrival_rate if zone.id in of_zone else None}
-            for zone in topology.zones
-            if zone.camera == camera
-        ],
-        "links": [brief(link) for link in topology.links if link.from_ in inside or link.to in inside],
-        "alarms": [alarm for alarm in topology.alarms or [] if _is_about(alarm.subject, camera)],
-    }
 
+    def _told(self, link: Link, weak: bool) -> dict[str, Any]:
+        source, target = self._zone_models.get(link.from_), self._zone_models.get(link.to)
+        background = source.departures * target.arrival_rate if source and target else None
+        return {
+            **brief(link),
+            "version": self.topology.version,
+            "weak": weak,
+            "cameras": [self._camera_of[link.from_], self._camera_of[link.to]],
+            "departures": source and source.departures,
+            "background": background,
+            "chart": _chart(self.topology.model, link),
+            "why": why(link, weak, source, background),
+        }
 
-def pair_story(topology: Topology, a: str, b: str) -> dict[str, Any] | None:
-    """The links between two cameras, each way, weak ones included; None if there are none."""
-    camera = {zone.id: zone.camera for zone in topology.zones}
-    sides = {a, b}
+    def _ends(self, link: Link) -> set[str]:
+        return {self._camera_of[link.from_], self._camera_of[link.to]}
 
-    def between(links: list[Link] | None) -> list[Link]:
-        chosen = [link for link in links or [] if {camera[link.from_], camera[link.to]} == sides and a != b]
-        return sorted(chosen, key=lambda link: -link.transitions)
-
-    links, weak = between(topology.links), between(topology.weak_links)
-    if not links and not weak:
-        return None
-    pair = next((pair for pair in topology.pairs if set(pair.cameras) == sides), None)
-    shown = links or weak
-    return {
-        "cameras": sorted(sides),
-        "relation": pair and pair.relation,
-        "provisional": doubt(pair, sum(link.transitions for link in shown), min(link.q_value for link in shown)),
-        "why": _why_pair(pair),
-        "links": [brief(link) for link in links],
-        "weak": [brief(link) for link in weak],
-    }
-
-
-def link_story(topology: Topology, from_: str, to: str, relation: str) -> dict[str, Any] | None:
-    """All there is to show of a link; None for one that is not there.
-
-    ``counts`` and ``curve`` are expected transitions in the lag bins from ``first`` on, whose edges are
-    ``scale * sinh(step * k)`` seconds; ``background`` is what chance brings, per second of lag.
-    """
-    for weak, links in ((False, topology.links), (True, topology.weak_links or [])):
-        for link in links:
-            if (link.from_, link.to, link.relation) == (from_, to, relation):
-                return _link_story(topology, link, weak)
-    return None
+    def _arrivals(self, zone: Zone) -> dict[str, float | None]:
+        model = self._zone_models.get(zone.id)
+        return {"arrival_rate": None if model is None else model.arrival_rate}
 
 
 def brief(link: Link) -> dict[str, Any]:
@@ -91,21 +122,13 @@ def brief(link: Link) -> dict[str, Any]:
     return content
 
 
-def _link_story(topology: Topology, link: Link, weak: bool) -> dict[str, Any]:
-    of_zone, _ = _models(topology.model)
-    source, target = of_zone.get(link.from_), of_zone.get(link.to)
-    background = source.departures * target.arrival_rate if source and target else None
-    camera = {zone.id: zone.camera for zone in topology.zones}
-    return {
-        **brief(link),
-        "version": topology.version,
-        "weak": weak,
-        "cameras": [camera[link.from_], camera[link.to]],
-        "departures": source and source.departures,
-        "background": background,
-        "chart": _chart(topology.model, link),
-        "why": why(link, weak, source, background),
-    }
+def _grouped(items: Iterable[_Item], cameras: Callable[[_Item], set[str]]) -> dict[str, list[_Item]]:
+    """The items of each camera."""
+    result: dict[str, list[_Item]] = {}
+    for item in items:
+        for camera in cameras(item):
+            result.setdefault(camera, []).append(item)
+    return result
 
 
 def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
@@ -179,7 +202,8 @@ def _time_taken(link: Link) -> str:
     return f"Half of them need at most {_seconds(t.q50)}{sure}; four in five between {common}."
 
 
-def _why_pair(pair: Pair | None) -> list[str]:
+def why_pair(pair: Pair | None) -> list[str]:
+    """Why two cameras are taken to belong together, or not yet, a sentence each."""
     if pair is None:
         return ["The evidence is not enough to publish this pair. It only weighs in predictions."]
     kinds = {"overlapped": "their views overlap", "unseen_path": "a path that no camera sees joins them"}
@@ -193,12 +217,6 @@ def _why_pair(pair: Pair | None) -> list[str]:
     if pair.reason:
         said.append(f"Noted: {pair.reason}.")
     return said
-
-
-def _models(model: Model | None) -> tuple[dict[str, ZoneModel], dict[str, Any]]:
-    if model is None:
-        return {}, {}
-    return {one.zone: one for one in model.zones}, {one.camera: one for one in model.cameras}
 
 
 def _is_about(subject: str, camera: str) -> bool:

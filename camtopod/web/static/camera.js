@@ -2,7 +2,7 @@
 
 import { fill, h, s } from "./dom.js";
 import { link } from "./place.js";
-import { ago, clock, count, percent, plural, seconds, span, troubled } from "./words.js";
+import { ago, clock, count, percent, plural, seconds, span, stateClass } from "./words.js";
 
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const SPREAD = 2; // standard deviations that a zone's ellipse shows
@@ -87,7 +87,7 @@ function zoneTable(story) {
 function showStatus(element, row, app) {
   if (!row) return fill(element);
   return fill(element,
-    h("span", { class: `pill ${troubled(row.state) ? "bad" : row.state === "no grabber" ? "off" : "good"}` }, row.state),
+    h("span", { class: stateClass(row.state) }, row.state),
     row.newest ? h("span", { class: "quiet" }, `heard ${ago(app.now() - row.newest)}`) : null,
     row.reason ? h("span", { class: "reason" }, row.reason) : null);
 }

@@ -3,7 +3,7 @@
 import { fact } from "./camera.js";
 import { fill, h } from "./dom.js";
 import { link } from "./place.js";
-import { ago, count, plural, seconds, troubled } from "./words.js";
+import { ago, count, plural, seconds, stateClass, troubled } from "./words.js";
 
 const EVERY_SECONDS = 4;
 const ROWS = 200;
@@ -67,13 +67,17 @@ export class Health {
     const ill = cameras.filter((row) => troubled(row.state)).length;
     this.said.textContent = `${plural(cameras.length, "camera")}, ${ill ? plural(ill, "needs", "need") + " attention" : "none needs attention"}`;
     fill(this.table, h("table", { class: "wide" },
-      h("thead", {}, h("tr", {}, ["Camera", "State", "Events", "Last heard", "Reason"].map((name, k) => h("th", { scope: "col", class: k === 2 || k === 3 ? "number" : null }, name)))),
+      h("thead", {}, h("tr", {}, ["Camera", "State", "Events", "Last heard", "Reason"].map((name, k) => h("th", { scope: "col", class: k === 4 ? "apart" : k > 1 ? "number" : null }, name)))),
       h("tbody", {}, wanted.slice(0, this.#rows).map((row) => h("tr", {},
-        h("th", { scope: "row" }, h("a", { href: link("camera", row.id) }, row.id)),
-        h("td", {}, h("span", { class: `pill ${troubled(row.state) ? "bad" : row.state === "no grabber" ? "off" : "good"}` }, row.state)),
+        h("th", { scope: "row" }, h("a", { href: link("camera", row.id) }, row.id), h("span", { class: "below reason" }, why(row))),
+        h("td", {}, h("span", { class: stateClass(row.state) }, row.state)),
         h("td", { class: "number" }, count(row.events)),
         h("td", { class: "number" }, row.newest ? ago(now - row.newest) : "–"),
-        h("td", { class: "reason" }, [row.reason, row.ahead > 1 ? `clock ${seconds(row.ahead)} ahead` : null].filter(Boolean).join("; ")))))),
+        h("td", { class: "apart reason" }, why(row)))))),
     wanted.length > this.#rows ? h("button", { type: "button", class: "more", on: { click: () => { this.#rows += ROWS; this.#draw(); } } }, "Show more") : null);
   }
+}
+
+function why(row) {
+  return [row.reason, row.ahead > 1 ? `clock ${seconds(row.ahead)} ahead` : null].filter(Boolean).join("; ");
 }

@@ -37,7 +37,8 @@ export class Labels {
       const half = (CHARACTER_PIXELS * node.id.length) / 2;
       const middle = [x + dx * (radius + half + 5), y + dy * (radius + LINE_PIXELS / 2 + 3)];
       const box = [middle[0] - half, middle[1] - LINE_PIXELS / 2, middle[0] + half, middle[1] + LINE_PIXELS / 2];
-      if (!taken.free(...box)) continue;
+      const inside = box[0] >= 0 && box[1] >= 0 && box[2] <= width && box[3] <= height;
+      if (!first.has(node.id) && !(inside && taken.free(...box))) continue;
       taken.add(...box);
       wanted.push({ text: node.id, x: middle[0], y: middle[1] + 4, kind: first.has(node.id) ? "name first" : "name" });
     }

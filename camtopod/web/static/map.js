@@ -8,11 +8,13 @@ import { View } from "./view.js";
 import { count, percent, plural, seconds, span } from "./words.js";
 
 const UNIT = 110; // pixels of the map a hop, at scale 1
-const NODE_PIXELS = [3.2, 11]; // radius, far away and near
+const NODE_SHARE = 0.14; // radius of a node, of a hop
+const DOT_PIXELS_MIN = 2.6;
+const NODE_PIXELS = [1.8, 11];
 const NEAR_SCALE = 0.8;
 const PICK_PIXELS = 14;
 const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
-const INSETS = { top: 76, right: 40, bottom: 96, left: 40 };
+const INSETS = { top: 76, right: 40, bottom: 112, left: 40 };
 const SIDES = [[0, 1], [0, -1], [1, 0], [-1, 0]];
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
@@ -82,6 +84,7 @@ export class NetworkMap {
   // Mark the cameras or the edge that are open beside the map.
   choose(...ids) {
     this.#chosen = ids;
+    if (ids.length && !this.#inSight(ids)) this.show(ids[0]);
     this.#mark();
     this.redraw();
   }
@@ -119,9 +122,11 @@ export class NetworkMap {
       const { x, y, scale } = this.view;
       this.world.setAttribute("transform", `translate(${x.toFixed(2)} ${y.toFixed(2)}) scale(${scale})`);
       const near = Math.min(1, scale / NEAR_SCALE);
-      const radius = NODE_PIXELS[0] + (NODE_PIXELS[1] - NODE_PIXELS[0]) * near;
+      const radius = Math.min(NODE_PIXELS[1], Math.max(NODE_PIXELS[0], NODE_SHARE * UNIT * scale));
       this.world.style.setProperty("--radius", `${radius / scale}px`);
-      this.world.style.setProperty("--thin", Math.max(0.35, near).toFixed(2));
+      this.world.style.setProperty("--thin", Math.max(0.4, near).toFixed(2));
+      this.world.style.setProperty("--dot", `${Math.max(DOT_PIXELS_MIN, 0.55 * radius) / scale}px`);
+      this.world.style.setProperty("--ring", `${(0.25 * radius).toFixed(2)}px`);
       this.labels.draw(this, radius, new Set([...this.#chosen, ...(this.#found ?? []).slice(0, 40)]));
     });
   }
@@ -205,6 +210,15 @@ export class NetworkMap {
       if (apart < least) [best, least] = [{ drawn }, apart];
     }
     return best;
+  }
+
+  #inSight(ids) {
+    const { clientWidth: width, clientHeight: height } = this.svg;
+    return ids.every((id) => {
+      const node = this.nodes.get(id);
+      const [x, y] = node ? this.view.toScreen(node.x, node.y) : [0, 0];
+      return !node || !width || (x > 0 && y > 0 && x < width && y < height);
+    });
   }
 
   #tap(x, y) {

@@ -4,12 +4,16 @@ import { fill, h } from "./dom.js";
 import { go, link } from "./place.js";
 import { count, percent, plural, span } from "./words.js";
 
+const OPEN_MAX = 100; // cameras; on the map of a larger site the predictions' list would hide too much
 const HITS_SHOWN = 8;
 const PREDICTIONS_SHOWN = 5;
+const LIST_MILLISECONDS = 700; // no list is read that changes faster
 const NARROW = matchMedia("(max-width: 720px)");
 
 export class Overlays {
   #predictions = [];
+  #timer = null;
+  #shown = false;
 
   constructor(stage, app) {
     this.app = app;
@@ -37,6 +41,8 @@ export class Overlays {
   }
 
   update(map) {
+    if (!this.#shown && Object.keys(map.cameras).length > OPEN_MAX) this.predictions.open = false;
+    this.#shown = true;
     const edges = Object.values(map.edges);
     const overlapped = edges.filter((edge) => edge.relation === "overlapped").length;
     this.summary.textContent = `${plural(Object.keys(map.cameras).length, "camera")}, ${plural(edges.length, "pair")} (${count(overlapped)} overlapping)`;
@@ -44,6 +50,11 @@ export class Overlays {
 
   predicted(prediction) {
     this.#predictions = [prediction, ...this.#predictions].slice(0, PREDICTIONS_SHOWN);
+    this.#timer ??= setTimeout(() => this.#list(), LIST_MILLISECONDS);
+  }
+
+  #list() {
+    this.#timer = null;
     this.predictions.hidden = false;
     fill(this.list, this.#predictions.map((one) => {
       const next = one.next[0];

@@ -44,6 +44,10 @@ export class Versions {
     await this.#refresh();
     const [, last] = this.#ends();
     if (last === undefined) return;
+    if (last === 1) {
+      fill(this.compare, h("h2", {}, "What changed"), h("p", { class: "quiet" }, "There is one version so far."));
+      return;
+    }
     const versions = [Number(old) || Math.max(1, last - 1), Number(now) || last];
     await this.#compareThem(Math.min(...versions), Math.max(...versions));
     if (this.app.source.live) await this.#askForOlder();
@@ -103,14 +107,14 @@ export class Versions {
 
   #table(all) {
     return h("table", {},
-      h("thead", {}, h("tr", {}, ["Version", "As of", "Events", "Links", "Pairs", ""].map((name, k) => h("th", { scope: "col", class: k > 1 ? "number" : null }, name)))),
+      h("thead", {}, h("tr", {}, ["Version", "As of", "Events", "Links", "Pairs", "Alarms"].map((name, k) => h("th", { scope: "col", class: k > 1 ? "number" : null }, name)))),
       h("tbody", {}, [...all].reverse().slice(0, LISTED).map((one) => h("tr", {},
         h("th", { scope: "row" }, h("a", { href: link("versions", Math.max(1, one.version - 1), one.version), title: "What changed with it" }, one.version)),
         h("td", { class: "nowrap" }, clock(one.as_of)),
         h("td", { class: "number" }, count(one.events)),
         h("td", { class: "number" }, count(one.links)),
         h("td", { class: "number" }, count(one.pairs)),
-        h("td", { class: "number" }, one.alarms.length ? h("span", { class: "pill bad" }, plural(one.alarms.length, "alarm")) : null)))));
+        h("td", { class: "number" }, one.alarms.length ? h("span", { class: "pill bad", title: plural(one.alarms.length, "alarm") }, one.alarms.length) : null)))));
   }
 
   async #compareThem(old, now) {

@@ -52,7 +52,12 @@ export function ago(age) {
 
 // Whether a camera's state asks for attention.
 export function troubled(state) {
-  return !["running", "live", "ok", "unknown", "no grabber", undefined].includes(state);
+  return !["running", "unknown", "no grabber", undefined].includes(state);
+}
+
+// The look of a state.
+export function stateClass(state) {
+  return `pill ${troubled(state) ? "bad" : state === "running" ? "good" : "off"}`;
 }
 
 function signed(value, digits) {
