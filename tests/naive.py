@@ -251,7 +251,7 @@ def joint_fit(departures, arrivals, pairs, hazard, bins, exposure, zones, outsid
 
 
 def pooled(counts, camera, exposure, came, steps):
-    """`JointFitter._pooled`: transitions per exposed departure of each pair of zones if only the cameras counted.
+    """`Prior.pooled`: transitions per exposed departure of each pair of zones if only the cameras counted.
 
     ``counts``: (u, v) -> (bins,); ``came``: arrivals by zone, at least 1.
     """
@@ -263,6 +263,20 @@ def pooled(counts, camera, exposure, came, steps):
         share = came[v] / sum(came[z] for z in zones if camera[z] == camera[v])
         result[u, v] = [share * total[k] / max(left[k], 1.0) for k in range(size)]
     return result
+
+
+def returning(rates):
+    """`Prior.returning`: what each pair of zones would have if it were taken as the other way round is.
+
+    ``rates``: (u, v) -> (bins,) transitions per exposed departure.
+    """
+    return {(u, v): rates.get((v, u), 0.0 * row) for (u, v), row in rates.items()}
+
+
+def two_way(transitions, beforehand):
+    """`Prior.two_way`: share of the transitions (u, v) -> number that as many come back from."""
+    both = sum(min(number, transitions.get((v, u), 0.0)) for (u, v), number in transitions.items())
+    return (both + beforehand) / (sum(transitions.values()) + beforehand)
 
 
 def appears_again(zone, hazard, bins, exposure):

@@ -152,25 +152,6 @@ def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: 
     )
 
 
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 10**6))
-def test_what_cameras_lend_their_zones_equals_its_slow_twin(seed: int) -> None:
-    departures, arrivals = made(seed, 20, 20, zones=4)
-    camera = np.array([0, 0, 1, 3], np.int32)
-    departures = departures._replace(camera=camera[departures.zone])
-    arrivals = arrivals._replace(camera=camera[arrivals.zone])
-    fitter = JointFitter(departures, arrivals, find_candidates(departures, arrivals, SHORT, 4), SHORT, 4, 60.0)
-    counts = np.random.default_rng(seed).random((fitter.pairs, SHORT.size))
-    named = list(zip(fitter.candidates.source.tolist(), fitter.candidates.target.tolist(), strict=True))
-    seen = {*departures.zone.tolist(), *arrivals.zone.tolist()}
-    of = [int(camera[z]) if z in seen else 0 for z in range(4)]
-    came = [max(int((arrivals.zone == z).sum()), 1) for z in range(4)]
-    slow = naive.pooled(
-        dict(zip(named, counts, strict=True)), of, fitter.exposure, came, joint.SMOOTHING_SD_BINS
-    )  # fmt: skip
-    assert fitter._pooled(counts) == pytest.approx(np.array([slow[pair] for pair in named]).reshape(-1, SHORT.size))
-
-
 # --- what it finds ---
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess
-from camtopod.learn.grouping import numbered, rows_of, summed
+from camtopod.learn.grouping import rows_of
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.rates import Chance
 from camtopod.learn.slowness import NO_PERSISTENCE, Persistence, adjusted_lag, agreement, combined, persistence
@@ -108,7 +108,7 @@ class JointFitter:
         self.bins, self.zones = bins, zones
         self.candidates, self.departures, self.arrivals = candidates, departures, arrivals
         self.exposure = exposures(departures, bins, zones, until) if exposure is None else exposure
-        self.sparsity = self.pooling = 0.0
+        self.sparsity = 0.0
         self._camera = np.zeros(zones, np.int64)
         self._camera[departures.zone] = departures.camera
         self._camera[arrivals.zone] = arrivals.camera
@@ -247,23 +247,14 @@ class JointFitter:
         smoothed, stays = smooth(counts * kept)
         self._own = np.repeat(stays, self.bins.size) / np.maximum(smoothed.ravel(), 1e-300)
         exposed = np.maximum(self.exposure[self.candidates.source], 1.0)
-        if self.pooling:
-            smoothed = smoothed + self.pooling * self._pooled(counts)
-            exposed = exposed + self.pooling
-        return smoothed / (exposed * self.bins.widths)
+        beforehand, departures = self._beforehand(counts, smoothed / exposed)
+        return (smoothed + beforehand) / ((exposed + departures) * self.bins.widths)
 
-    def _pooled(self, counts: Floats) -> Floats:
-        """Transitions per exposed departure (P, bins) if only the cameras counted, and in them the traffic of the
-        zones.
+    def _beforehand(self, counts: Floats, rates: Floats) -> tuple[Floats, float]:
+        """Transitions (P, bins) that pairs are expected to have before any is seen, and of how many departures;
+        ``rates`` (P, bins): transitions per exposed departure as seen.
         """
-        source, target = self._camera[self.candidates.source], self._camera[self.candidates.target]
-        cameras = int(self._camera.max()) + 1
-        present, pair = numbered(source * cameras + target, cameras * cameras)
-        pooled, exposed = summed(counts, pair, len(present)), summed(self.exposure, self._camera, cameras)
-        rates = smooth(pooled)[0] / np.maximum(exposed[present // cameras], 1.0)
-        share = self._per_zone / np.bincount(self._camera, self._per_zone)[self._camera]
-        lent: Floats = rates[pair] * share[self.candidates.target][:, None]
-        return lent
+        return np.zeros(1), 0.0
 
     def _appears(self, hazard: Floats) -> Floats:
         """Probability (P, bins) that an object leaving at the source appears next at the target in that lag bin."""

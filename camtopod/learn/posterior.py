@@ -8,6 +8,7 @@ Beside the hazards of the joint fit this one has
   entry, by zone of entry, and one that counts from the exit. Both start from what exceeds chance: started from the exit
   alone, views that end where another begins would take each other's arrivals from the views between;
 * *skipped views* (`skipped`): whoever a camera misses is seen next where that camera would have led;
+* a *prior* (`prior`): what leaves elsewhere in the view, and what comes back, foretells what has not been seen yet;
 * *contexts* of a departure (`contexts`), and leaving the network as an outcome like the others;
 * a test of whether two views overlap at all: without it what is seen elsewhere by chance counts for something;
 * *sampling* at the end (`sampling`): what is believed is half of the fit and half of what its samples say.
@@ -25,6 +26,7 @@ from camtopod.learn.contexts import Contexts, Level, multipliers
 from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import LEAVE_FLOOR, START_FLOOR, Fit, JointFitter, smooth
 from camtopod.learn.lags import LagBins
+from camtopod.learn.prior import Prior
 from camtopod.learn.rates import Chance
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.significance import RESPONSIBILITY_MAX
@@ -35,8 +37,6 @@ Ints = NDArray[np.int32]
 
 FIRST_NOISE_SD = 3.0
 """A fit from nothing starts with what exceeds chance by this many standard deviations."""
-POOLING = 1.0
-"""What leaves anywhere in a camera's view counts for each of its zones as much as this many departures."""
 FIRST_ROUNDS, FIRST_ITERATIONS = 3, 5
 """Without contexts; speed is looked at after each round."""
 SCOUT_ITERATIONS = 5
@@ -110,7 +110,7 @@ class PosteriorFitter(JointFitter):
         until: float, exposure: Floats | None = None,
     ) -> None:  # fmt: skip
         super().__init__(departures, arrivals, candidates, bins, zones, until, exposure)
-        self.pooling = POOLING
+        self._prior = Prior(candidates, self._camera, self.exposure, self._per_zone)
         self.hazard = self.counts = np.zeros((self.pairs, bins.size))
         self.share, self.leave, self.levels = np.zeros(self.pairs), np.ones(zones), list[Level]()
         self.contexts = Contexts(departures, arrivals, zones, int(self._camera.max(initial=0)) + 1)
@@ -262,6 +262,9 @@ class PosteriorFitter(JointFitter):
         self._look_outside()
         self.counts = self._count(self._at_exit)
         return self._hazards(self.counts)
+
+    def _beforehand(self, counts: Floats, rates: Floats) -> tuple[Floats, float]:
+        return self._prior.transitions(counts, rates)
 
     def _find_skips(self, hazard: Floats) -> None:
         """Hazards of skipped views, by the links and passages as they are known now."""

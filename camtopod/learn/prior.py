@@ -1,0 +1,76 @@
+"""What is expected of a pair of zones before anything has been seen there: a hierarchical prior over the hazards.
+
+Two things are known of any site. What leaves a camera's view goes much the same ways, whichever of its zones it left
+by. And a way is as a rule taken in both directions, by about the same share and in about the same time: of a few
+departures, what comes back from a zone says more about who goes there than they do. Both are counted as transitions of
+so many further departures, so enough of a zone's own outweigh them. How far ways are taken in both directions is
+learned from the site: where traffic goes one way only, nothing is made of what does not come back.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camtopod.learn.candidates import Candidates
+from camtopod.learn.grouping import numbered, summed
+from camtopod.learn.joint import smooth
+
+Floats = NDArray[np.float64]
+
+POOLING = 1.0
+"""What leaves anywhere in a camera's view counts for each of its zones as much as this many departures."""
+RETURNING = 10.0
+"""What comes from a zone counts for what goes there as much as this many departures, where all ways are two-way."""
+TWO_WAY_TRANSITIONS = 20.0
+"""That they are is believed beforehand as much as this many transitions say."""
+
+
+class Prior:
+    """Of the pairs of zones of ``candidates``; ``camera``, ``came`` (zones,): each zone's camera and arrivals, at least
+    1; ``exposure`` (zones, bins).
+    """
+
+    def __init__(self, candidates: Candidates, camera: NDArray[np.int64], exposure: Floats, came: Floats) -> None:
+        cameras = int(camera.max(initial=0)) + 1
+        source, target = camera[candidates.source], camera[candidates.target]
+        self._views, self._pair = numbered(source * cameras + target, cameras * cameras)
+        self._exposed = np.maximum(summed(exposure, camera, cameras), 1.0)[self._views // cameras]
+        self._share = (came / np.bincount(camera, came)[camera])[candidates.target][:, None]
+        self._back = _leading_back(candidates, len(camera))
+
+    def transitions(self, counts: Floats, rates: Floats) -> tuple[Floats, float]:
+        """(P, bins), and of how many departures they are, from the ``counts`` (P, bins) seen and from their ``rates``:
+        per exposed departure, smoothed.
+        """
+        back = RETURNING * self.two_way(counts.sum(axis=1))
+        return POOLING * self.pooled(counts) + back * self.returning(rates), POOLING + back
+
+    def two_way(self, transitions: Floats) -> float:
+        """Share of the ``transitions`` (P,) that as many come back from."""
+        returned = np.where(self._back < 0, 0.0, transitions[self._back])
+        both = float(np.minimum(transitions, returned).sum())
+        return (both + TWO_WAY_TRANSITIONS) / (float(transitions.sum()) + TWO_WAY_TRANSITIONS)
+
+    def pooled(self, counts: Floats) -> Floats:
+        """Transitions per exposed departure (P, bins) if only the cameras counted, and in them the traffic of the
+        zones.
+        """
+        rates = smooth(summed(counts, self._pair, len(self._views)))[0] / self._exposed
+        lent: Floats = rates[self._pair] * self._share
+        return lent
+
+    def returning(self, rates: Floats) -> Floats:
+        """Transitions per exposed departure (P, bins) if every way were taken in both directions alike."""
+        alike: Floats = np.where(self._back[:, None] < 0, 0.0, rates[self._back])
+        return alike
+
+
+def _leading_back(candidates: Candidates, zones: int) -> NDArray[np.int64]:
+    """The pair (P,) from each pair's target to its source, -1 if there is none. Pairs come by source, then target."""
+    source, target = candidates.source.astype(np.int64), candidates.target.astype(np.int64)
+    there, back = source * zones + target, target * zones + source
+    if len(there) == 0:
+        return back
+    at = np.minimum(np.searchsorted(there, back), len(there) - 1)
+    return np.where(there[at] == back, at, -1)
