@@ -12,77 +12,23 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from hub import NOW, Hub, later, learned, put, started
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
 from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, aio
 from camtopod.codec import read
-from camtopod.config import BusSettings, Config, SiteSettings, TlsSettings
+from camtopod.config import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority
-from camtopod.learn.learner import Learner
 from camtopod.records import Event, Prediction
-from camtopod.records import Topology as Version
-from camtopod.serve.bus import Bus, dial
-from camtopod.serve.daemon import Daemon
+from camtopod.serve.bus import dial
 
-NOW = T0 + 20 * SPAN_SECONDS
 LEFT = {"camera": "a", "t": NOW, "x": 0.9, "y": 0.5}
-
-
-def started(directory: Path, endpoint: str, bus: BusSettings | None = None, name: str = "site") -> Daemon:
-    config = small_config(directory / "state")
-    config = msgspec.structs.replace(config, bus=bus or BusSettings(listen=(endpoint,)), site=SiteSettings(name))
-    daemon = Daemon(config, clock=lambda: NOW)
-    daemon.start()
-    return daemon
 
 
 def there(site: Topology | aio.Topology) -> None:
     """Until the daemon knows of what has been subscribed to: a question takes the same way."""
     site._bus.ask("topology")
-
-
-def put(bus: Bus, *events: Event) -> None:
-    for event in events:
-        bus.put(f"event/{event.camera}", event, "event")
-
-
-def later(events: list[Event], spans: int) -> list[Event]:
-    return [msgspec.structs.replace(event, t=event.t + spans * SPAN_SECONDS) for event in events]
-
-
-def learned(daemon: Daemon, events: list[Event]) -> Version:
-    """The daemon's version once it has learned what the plain learner learns of these events, by time."""
-    learner = Learner(small_config(Path()).learn, site="site", epoch="any")
-    for event in events:
-        learner.receive(event)
-    assert learner.topology is not None
-    digest = learner.topology.digest
-    wait_for(lambda: daemon.topology is not None and daemon.topology.digest == digest, "the events to be learned")
-    assert daemon.topology is not None
-    return daemon.topology
-
-
-class Hub:
-    """A daemon that has learned from 200 walkers, and somebody who puts events."""
-
-    def __init__(self, directory: Path) -> None:
-        self.endpoint = free_endpoint()
-        self.daemon = started(directory, self.endpoint)
-        self.bus = dial(small_config(directory, self.endpoint))
-        events = [*numbered(walkers(200)), closing_event()]
-        put(self.bus, *events)
-        learned(self.daemon, events)
-
-    def walks(self, count: int, span: int) -> list[Event]:
-        """So many people, so many spans later."""
-        events = later(walkers(count, seed=span), span)
-        put(self.bus, *events)
-        return events
-
-    def close(self) -> None:
-        self.bus.close()
-        self.daemon.stop()
 
 
 @pytest.fixture(scope="module")

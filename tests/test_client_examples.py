@@ -1,0 +1,99 @@
+"""The examples of the client library as their readers run them, against a real daemon; README shows the same."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hub import NOW, Hub
+from serving import wait_for
+
+from camtopod.codec import to_json
+from camtopod.records import Event
+
+EXAMPLES = Path(__file__).parent / "examples"
+README = (Path(__file__).parent.parent / "README.md").read_text()
+LINES_MAX = 10
+"""Without imports."""
+
+
+@pytest.fixture(scope="module")
+def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
+    one = Hub(tmp_path_factory.mktemp("hub"))
+    yield one
+    one.close()
+
+
+def said(hub: Hub, name: str, events: list[Event]) -> list[str]:
+    """What an example prints when it is told of the events."""
+    command = [sys.executable, str(EXAMPLES / name), hub.endpoint]
+    lines = b"".join(to_json(event) + b"\n" for event in events)
+    done = subprocess.run(command, input=lines, capture_output=True, timeout=100)
+    assert done.stderr == b""
+    return done.stdout.decode().splitlines()
+
+
+def walk(track: int, t: float, to: str) -> list[Event]:
+    """From the view of a to another, which takes 9 s."""
+    a, other = (str(10 * track + k) for k in (1, 2))
+    return [
+        Event("a", "entry", t, 0.11, 0.5, a),
+        Event("a", "exit", t + 4, 0.89, 0.5, a),
+        Event(to, "entry", t + 13, 0.11, 0.5, other),
+        Event(to, "exit", t + 17, 0.89, 0.5, other),
+    ]
+
+
+def test_where_next(hub: Hub) -> None:
+    found = re.fullmatch(r"a -> [bc] (\d+)%, in (\d+) to (\d+) s", said(hub, "next_camera.py", walk(1, NOW, "b"))[0])
+    assert found is not None
+    chance, soonest, latest = map(int, found.groups())
+    assert 40 <= chance <= 60
+    assert 6 <= soonest < 9 < latest <= 12
+
+
+def test_who_is_who(hub: Hub) -> None:
+    events = sorted([*walk(1, NOW, "b"), *walk(2, NOW + 6, "c"), *walk(3, NOW + 60, "b")], key=lambda event: event.t)
+    assert sorted(said(hub, "gating.py", events)) == ["a/11 = b/12", "a/21 = c/22", "a/31 = b/32"]
+
+
+def test_as_it_comes(hub: Hub) -> None:
+    """Until interrupted, after which nothing keeps the process."""
+    command = [sys.executable, "-u", str(EXAMPLES / "in_asyncio.py"), hub.endpoint]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
+        assert running.stdout is not None
+        lines: list[str] = []
+        reader = threading.Thread(target=lines.extend, args=(running.stdout,))
+        reader.start()
+
+        def heard() -> bool:
+            hub.walks(1, 15)
+            return any(re.match(r"a -> \['[bc]'\]", line) for line in lines)
+
+        wait_for(heard, "a prediction")
+        running.send_signal(signal.SIGINT)
+        running.wait(30)
+        reader.join()
+    assert re.match(r"version \d+: \d pairs of cameras", lines[0])
+
+
+@pytest.mark.parametrize("name", ["next_camera.py", "gating.py"])
+def test_it_takes_ten_lines(name: str) -> None:
+    lines = [line for line in code(name).splitlines() if line and not line.startswith(("import ", "from "))]
+    assert len(lines) <= LINES_MAX
+
+
+def test_readme_has_the_tested_lines() -> None:
+    section = README.split("\n## For trackers\n")[1].split("\n## ")[0]
+    assert f"```python\n{code('gating.py')}```" in section
+
+
+def code(name: str) -> str:
+    """An example without its docstring."""
+    return (EXAMPLES / name).read_text().split('"""', 2)[2].lstrip()
