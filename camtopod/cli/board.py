@@ -1,0 +1,177 @@
+"""What `camtopod watch` knows at the moment: filled by the bus's threads, and put into words for whoever draws it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import msgspec
+
+from camtopod import codec
+from camtopod.records import Alarm, Link, Prediction, Topology
+
+PREDICTIONS_KEPT = 30
+ALARMS_SHOWN = 5
+NEXT_SHOWN = 3
+SILENT_SECONDS = 5.0
+"""Who has not been heard for longer has gone, whatever the last word was; they speak every second."""
+_FINE = ("running", "ended", "no grabber", "unknown")
+"""The last two are cameras of another program, whose events come in without a word of its own."""
+
+
+class CameraLine(NamedTuple):
+    """A camera; ``last``: seconds since its newest event, None where there is none."""
+
+    name: str
+    state: str
+    reason: str
+    events: int
+    last: float | None
+
+    @property
+    def wrong(self) -> bool:
+        """Whether somebody should look at it."""
+        return self.state not in _FINE
+
+
+class View(NamedTuple):
+    """A moment. ``state`` and ``reason`` are the daemon's; ``now``: seconds since the epoch."""
+
+    site: str
+    now: float
+    state: str
+    reason: str
+    counts: str
+    cameras: list[CameraLine]
+    topology: Topology | None
+    predictions: list[Prediction]
+    """The newest first."""
+
+
+class Board:
+    """Statuses and predictions as they come. ``steady``: a clock that does not step, for who has been silent."""
+
+    def __init__(self, steady: Callable[[], float] = time.monotonic) -> None:
+        self._steady = steady
+        self._mutex = threading.Lock()
+        self._status: dict[str, tuple[float, dict[str, Any]]] = {}
+        self._predictions: deque[Prediction] = deque(maxlen=PREDICTIONS_KEPT)
+
+    def on_status(self, key: str, payload: bytes) -> None:
+        """A publication on ``status/...``."""
+        try:
+            status = msgspec.msgpack.decode(payload, type=dict[str, Any])
+        except (msgspec.MsgspecError, UnicodeDecodeError):
+            return
+        with self._mutex:
+            self._status[key.removeprefix("status/")] = self._steady(), status
+
+    def on_prediction(self, key: str, payload: bytes) -> None:
+        """A publication on ``prediction/{camera}``."""
+        try:
+            prediction = codec.read(Prediction, payload, pack=True)
+        except codec.Rejected:
+            return
+        with self._mutex:
+            self._predictions.append(prediction)
+
+    @property
+    def empty(self) -> bool:
+        """Whether no status has come yet."""
+        with self._mutex:
+            return not self._status
+
+    def view(self, topology: Topology | None, site: str, now: float) -> View:
+        """What there is to see now; ``now`` in seconds since the epoch."""
+        with self._mutex:
+            status, predictions = dict(self._status), list(self._predictions)
+        steady = self._steady()
+        heard, daemon = status.pop("daemon", (steady, {}))
+        state, reason = str(daemon.get("state", "")), str(daemon.get("reason", ""))
+        if daemon and steady - heard > SILENT_SECONDS:
+            state, reason = "silent", f"not heard for {steady - heard:.0f} s; what is below may be old"
+        known = daemon.get("cameras", {})
+        cameras = [_camera(name, status.get(name), known.get(name, {}), now, steady) for name in {*status, *known}]
+        return View(site, now, state, reason, _counts(daemon), sorted(cameras), topology, predictions[::-1])
+
+
+def _camera(
+    name: str, status: tuple[float, dict[str, Any]] | None, known: dict[str, Any], now: float, steady: float
+) -> CameraLine:
+    """``status``: when it spoke itself and what it said; ``known``: what the daemon says of it."""
+    heard, said = status or (steady, {})
+    state, reason = str(said.get("state", "")), str(said.get("reason", ""))
+    if not state:
+        state = "unknown" if known.get("alive") else "no grabber"
+    elif state != "ended" and steady - heard > SILENT_SECONDS:
+        state, reason = "silent", f"not heard for {steady - heard:.0f} s"
+    newest = known.get("newest")
+    last = None if newest is None or not 0 <= now - newest < 1e6 else now - newest
+    return CameraLine(name, state, reason, known.get("events", 0), last)
+
+
+def _counts(daemon: dict[str, Any]) -> str:
+    """What it has taken in, and what not."""
+    events = daemon.get("events", {})
+    return (
+        f"{events.get('stored', 0)} events stored, {events.get('duplicate', 0)} duplicates, "
+        f"{sum(daemon.get('rejects', {}).values())} rejected"
+    )
+
+
+def daemon_line(view: View) -> str:
+    """Who the daemon is and how it is."""
+    if not view.state:
+        return f"site {view.site}: no daemon has said anything yet"
+    because = f" ({view.reason})" if view.reason else ""
+    return f"site {view.site}: daemon {view.state}{because}, {view.counts}"
+
+
+def topology_lines(topology: Topology | None) -> list[str]:
+    """What has been learned, and how good its predictions were."""
+    if topology is None:
+        return ["topology: nothing learned yet"]
+    lines = [
+        f"topology: version {topology.version}, {topology.events} events, {len(topology.cameras)} cameras, "
+        f"{len(topology.zones)} zones, {len(topology.links)} links, {topology.digest[:19]}"
+    ]
+    if (s := topology.score) is not None:
+        lines.append(
+            f"predictions: next camera right {s.top1:.2f} (the usual one {s.baseline_top1:.2f}), among three "
+            f"{s.top3:.2f}, log loss {s.log_loss:.2f} ({s.baseline_log_loss:.2f}); "
+            f"{s.exits} exits since version {s.since_version}"
+        )
+    return lines
+
+
+def newest_alarms(topology: Topology | None) -> list[Alarm]:
+    """The newest first, at most `ALARMS_SHOWN`."""
+    return list(reversed(((topology.alarms if topology is not None else None) or [])[-ALARMS_SHOWN:]))
+
+
+def alarm_line(alarm: Alarm, now: float) -> str:
+    """One alarm."""
+    return f"{(now - alarm.t) / 60:.0f} min ago, version {alarm.version}: {alarm.kind} {alarm.subject}, {alarm.detail}"
+
+
+def busiest_links(topology: Topology | None) -> list[Link]:
+    """Those between views, the busiest first."""
+    links = [link for link in topology.links if link.relation != "visible"] if topology is not None else []
+    return sorted(links, key=lambda link: -link.transitions)
+
+
+def transit(link: Link) -> str:
+    """How long the way takes: the median, and what four of five take."""
+    return f"{link.transit.q50:.1f} ({link.transit.q10:.1f} to {link.transit.q90:.1f}) s"
+
+
+def prediction_line(prediction: Prediction) -> str:
+    """Where somebody has left, and where to look next."""
+    following = ", ".join(
+        f"{following.zone} {following.probability:.2f} in {following.q10:.0f} to {following.q90:.0f} s"
+        for following in prediction.next_[:NEXT_SHOWN]
+    )
+    return f"{prediction.zone or prediction.camera} -> {following or 'nobody knows'}"

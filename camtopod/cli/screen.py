@@ -1,0 +1,189 @@
+"""`camtopod watch` on a whole terminal. The one home of rich, which is an extra (``[terminal]``).
+
+What does not fit is left out from the end: of the cameras those that are well, of the links the least used.
+"""
+
+from __future__ import annotations
+
+import logging
+import textwrap
+import threading
+from collections.abc import Callable, Sequence
+
+from rich.console import Console, Group, RenderableType
+from rich.layout import Layout
+from rich.live import Live
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from camtopod.cli.board import (
+    View,
+    alarm_line,
+    busiest_links,
+    daemon_line,
+    newest_alarms,
+    prediction_line,
+    topology_lines,
+    transit,
+)
+
+DRAW_SECONDS = 0.25
+WIDE = 120
+"""With so many columns cameras stand beside the rest, not above it."""
+NARROW = 70
+"""With fewer only what matters most of each camera and link is shown."""
+GUTTER = 2
+"""Columns between the two."""
+PART_ROWS_MIN = 5
+"""What has fewer rows is left out."""
+REASON_ROWS_MAX = 3
+REASON_COLUMNS_MIN = 8
+"""Of a camera."""
+_COLOURS = {"running": "green", "ended": "dim", "no grabber": "dim"}
+_WRONG = "bold yellow"
+_CORNER = "dim"
+
+
+class LastWords:
+    """Stands in for standard error while the screen is drawn; its last line is shown at the foot."""
+
+    def __init__(self) -> None:
+        self.line = ""
+
+    def write(self, text: str) -> int:
+        """What the log says."""
+        self.line = text.strip().splitlines()[-1] if text.strip() else self.line
+        return len(text)
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+
+def show(look: Callable[[], View], stop: threading.Event) -> bool:
+    """Draw what ``look`` gives, at most four times a second, until ``stop``; False where the terminal cannot do it."""
+    console = Console()
+    if console.is_dumb_terminal:
+        return False
+    words = LastWords()
+    streams = [handler for handler in logging.getLogger().handlers if isinstance(handler, logging.StreamHandler)]
+    before = [handler.setStream(words) for handler in streams]
+    try:
+        with Live(console=console, screen=True, auto_refresh=False) as live:
+            while not stop.is_set():
+                live.update(drawn(look(), *console.size, words.line), refresh=True)
+                stop.wait(DRAW_SECONDS)
+    finally:
+        for handler, stream in zip(streams, before, strict=True):
+            handler.setStream(stream)
+    return True
+
+
+def drawn(view: View, width: int, height: int, words: str = "") -> RenderableType:
+    """The screen of so many columns and rows."""
+    head = _head(view, words)[: max(1, height // 3)]
+    rows = max(1, height - len(head) - 1)
+    wide = width >= WIDE
+    room = width // 2 if wide else width
+    wanted = [len(view.predictions) + 2, len(busiest_links(view.topology)) + 2]  # with heading and an empty line
+    others: list[Callable[[int], Table]] = [lambda n: _predictions(view, n), lambda n: _links(view, room, n)]
+    if wide:
+        body = Layout()
+        cameras = Padding(_cameras(view, room - GUTTER, rows), (0, GUTTER, 0, 0))
+        body.split_row(Layout(cameras), _stacked(rows, wanted, others))
+    else:
+        lines = len(view.cameras) + sum(camera.wrong for camera in view.cameras) + 2
+        body = _stacked(rows, [lines, *wanted], [lambda n: _cameras(view, room, n), *others])
+    whole = Layout()
+    whole.split_column(Layout(Group(*head), size=len(head) + 1), body)
+    return whole
+
+
+def _stacked(rows: int, wanted: Sequence[int], parts: Sequence[Callable[[int], Table]]) -> Layout:
+    """Parts one above the other: each gets the rows it wants while there is room, else an equal share; those at the
+    end for which a share would be too small are left out.
+    """
+    fitting = min(len(parts), max(1, rows // PART_ROWS_MIN))
+    pieces = []
+    for k in range(fitting):
+        share = max(rows // (fitting - k), rows - sum(wanted[k + 1 : fitting]))
+        share = min(wanted[k], share) if k < fitting - 1 else rows
+        pieces.append(Layout(parts[k](share), size=share))
+        rows -= share
+    stack = Layout()
+    stack.split_column(*pieces)
+    return stack
+
+
+def _head(view: View, words: str) -> list[Text]:
+    lines = [_line(daemon_line(view), "bold" if view.state == "running" else _WRONG)]
+    lines += [_line(words, _CORNER)] if words else []
+    lines += [_line(f"! {alarm_line(alarm, view.now)}", "yellow") for alarm in newest_alarms(view.topology)]
+    return [*lines[:1], *(_line(line) for line in topology_lines(view.topology)), *lines[1:]]
+
+
+def _line(text: str, style: str = "") -> Text:
+    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
+
+
+def _table(*columns: str, flexible: str) -> Table:
+    """Without lines; numbers to the right; one column takes the room that is left."""
+    table = Table(box=None, expand=True, pad_edge=False, header_style="bold dim")
+    for column in columns:
+        right = column in ("EVENTS", "LAST", "SHARE")
+        table.add_column(
+            column, justify="right" if right else "left", no_wrap=True, overflow="ellipsis",
+            ratio=1 if column == flexible else None,
+        )  # fmt: skip
+    return table
+
+
+def _cameras(view: View, width: int, rows: int) -> Table:
+    """Those with something wrong first, with the whole reason if it fits, then those that had the newest events."""
+    cameras = sorted(view.cameras, key=lambda one: (not one.wrong, one.last is None, one.last or 0.0, one.name))
+    narrow = width < NARROW
+    taken = max((len(camera.name) + len(camera.state) for camera in cameras), default=0)
+    room = width - taken - (14 if narrow else 23)  # for the reason
+    columns = ["CAMERA", "STATE", *(() if narrow else ("EVENTS",)), "LAST"]
+    columns += ["REASON"] if room >= REASON_COLUMNS_MIN else []
+    table = _table(*columns, flexible=columns[-1])
+    shown, left = 0, rows - 3  # the heading, how many more there are, and an empty line
+    while shown < len(cameras) and left > 0:
+        camera = cameras[shown]
+        needed = len(textwrap.wrap(camera.reason, max(room, 1)))
+        whole = camera.wrong and 1 < needed <= min(left, REASON_ROWS_MAX)
+        style = _COLOURS.get(camera.state, _WRONG)
+        cells = {
+            "CAMERA": Text(camera.name),
+            "STATE": Text(f"{'!' if camera.wrong else ' '} {camera.state}", style),
+            "EVENTS": Text(str(camera.events)),
+            "LAST": Text("" if camera.last is None else f"{camera.last:.0f} s"),
+            "REASON": Text(camera.reason, no_wrap=not whole, overflow="fold" if whole else "ellipsis"),
+        }
+        table.add_row(*(cells[column] for column in columns))
+        shown, left = shown + 1, left - (needed if whole else 1)
+    if hidden := cameras[shown:]:
+        wrong = sum(camera.wrong for camera in hidden)
+        table.add_row(Text(f"and {len(hidden)} more", _CORNER), Text(f"{wrong} wrong" if wrong else "  well", _CORNER))
+    return table
+
+
+def _links(view: View, width: int, rows: int) -> Table:
+    narrow = width < NARROW
+    table = _table(*("FROM", "TO", *(() if narrow else ("RELATION",)), "SHARE", "TRANSIT (q10 to q90)"), flexible="TO")
+    links = busiest_links(view.topology)
+    shown = links if len(links) <= rows - 2 else links[: max(0, rows - 3)]
+    for link in shown:
+        relation = [] if narrow else [Text(link.relation)]
+        table.add_row(Text(link.from_), Text(link.to), *relation, Text(f"{link.probability:.2f}"), Text(transit(link)))
+    if len(links) > len(shown):
+        table.add_row(Text(f"and {len(links) - len(shown)} more", _CORNER))
+    return table
+
+
+def _predictions(view: View, rows: int) -> Table:
+    table = _table("LEFT", "SEEN NEXT", flexible="SEEN NEXT")
+    for prediction in view.predictions[: max(0, rows - 2)]:
+        ago = max(0.0, view.now - prediction.t)
+        table.add_row(Text(f"{ago:.0f} s ago"), Text(prediction_line(prediction)))
+    return table
