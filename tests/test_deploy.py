@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from camtopod.cli.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
+from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.cli.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.speaker import CLOSE_SECONDS
 from camtopod.config import HealthSettings, parse
@@ -116,3 +119,70 @@ def test_systemd_takes_the_units(file: str, name: str, tmp_path: Path) -> None:
     security = ["systemd-analyze", "security", "--offline=true", "--no-pager", threshold, str(unit)]
     done = subprocess.run(security, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
+
+
+# --- the pages ------------------------------------------------------------------------------------
+
+
+def invocations(line: str) -> Iterator[list[str]]:
+    """What a line of a shell gives to camtopod: here, in a container, or as systemd does."""
+    words = shlex.shlex(line, posix=True, punctuation_chars=True)
+    words.whitespace_split = True
+    command: list[str] = []
+    for word in [*words, ";"]:
+        if not set(word) <= set(";&|()<>"):
+            command.append(word.removeprefix("ExecStart="))
+            continue
+        if command and Path(command[0]).name == "camtopod":
+            yield command[1:]
+        elif command[:2] == ["docker", "run"] and "camtopod" in command:
+            yield command[command.index("camtopod") + 1 :]
+        elif command[:2] == ["docker", "compose"] and "run" in command:
+            yield command[command.index("--rm") + 2 :]
+        elif command[:1] == ["kubectl"] and "--" in command:
+            yield command[command.index("--") + 2 :]
+        command = []
+
+
+def in_pages() -> list[tuple[str, str]]:
+    """(page, line) wherever a page shows a command: in a block, or between backquotes with more than its name."""
+    found = []
+    for page in sorted(DEPLOY.glob("*.md")):
+        text = page.read_text()
+        blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+        shown = "".join(block for language, block in blocks if language in ("", "ini"))
+        lines = re.sub(r"<<'END'\n.*?^END$", "", shown, flags=re.DOTALL | re.MULTILINE).splitlines()
+        lines += re.findall(r"`(camtopod \w+ [^`]+)`", text)
+        found += [(page.name, line) for line in lines]
+    return found
+
+
+def test_every_command_of_the_pages_exists() -> None:
+    parser, _ = parser_of(COMMANDS)
+    seen = set()
+    for page, line in in_pages():
+        for arguments in invocations(line):
+            try:
+                parsed = parser.parse_args([argument.replace("I/N", "0/8") for argument in arguments])
+            except SystemExit:
+                pytest.fail(f"{page}: {line}")
+            seen.add((page, parsed.command))
+    assert {page for page, _ in seen} == {path.name for path in DEPLOY.glob("*.md")}
+    assert {command for _, command in seen} >= {"bridge", "check", "grab", "init", "keys", "run", "watch", "web"} - {
+        "grab"
+    }
+
+
+def test_every_file_of_the_pages_exists() -> None:
+    for page in DEPLOY.glob("*.md"):
+        for name in re.findall(r"deploy/([\w@.-]+)", page.read_text()):
+            assert name.startswith(("site", "*")) or list(DEPLOY.glob(f"{name}*")), (page.name, name)
+
+
+def test_the_commands_of_the_units_exist() -> None:
+    parser, _ = parser_of(COMMANDS)
+    for path in DEPLOY.glob("*.service"):
+        [line] = directives(path)["ExecStart"]
+        arguments = [word.replace("%I", "2/8").replace("%i", "lobby") for word in line.split()]
+        assert arguments[0] == "/opt/camtopod/bin/camtopod"
+        assert parser.parse_args(arguments[1:]).command in path.name.replace("camtopod.", "run").replace("shard", "run")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import http.client
+import json
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import Any
 
 import msgspec
 import pytest
+import yaml
 from serving import WAIT_SECONDS, closing_event, numbered, small_config, wait_for, walkers
 
 from camtopod.records import Event
@@ -19,6 +22,7 @@ from camtopod.serve.daemon import Daemon
 
 parser = pytest.importorskip("prometheus_client.parser", reason="needs prometheus-client (camtopod[metrics])")
 
+DEPLOY = Path(__file__).parent.parent / "deploy"
 Samples = dict[tuple[str, str], float]
 """(name, camera) -> value; camera "" is the site's."""
 
@@ -189,3 +193,63 @@ def test_the_page(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
         assert (status, b"pip install 'camtopod[metrics]'" in body) == (501, True)
     with health.serving("127.0.0.1:0", list, list) as address:
         assert ask(address, "/metrics")[0] == 404
+
+
+# --- who asks for them ----------------------------------------------------------------------------
+
+
+def rules() -> list[dict[str, Any]]:
+    groups = yaml.safe_load((DEPLOY / "prometheus-rules.yml").read_text())["groups"]
+    return [rule for group in groups for rule in group["rules"]]
+
+
+def board() -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads((DEPLOY / "grafana-dashboard.json").read_text())
+    return loaded
+
+
+def expressions() -> list[str]:
+    """Everything the rules and the board ask Prometheus for."""
+    found = [rule["expr"] for rule in rules()]
+    found += [target["expr"] for panel in board()["panels"] for target in panel.get("targets", [])]
+    found += [one["query"]["query"] for one in board()["templating"]["list"] if isinstance(one["query"], dict)]
+    return found + [one["expr"] for one in board()["annotations"]["list"]]
+
+
+def test_rules_and_board_ask_for_what_there_is(daemon: Daemon) -> None:
+    there = {name for name, _ in scraped(daemon)} | {"up"}
+    there |= {f"{metrics.PREFIX}{one.name}" for one in (*metrics.SITE, *metrics.CAMERA, *metrics.GRABBER)}
+    functions = r"(?!\s*\()"
+    asked = {
+        name for one in expressions() for name in re.findall(rf"\b(?:camtopod|process)_\w+|\bup\b{functions}", one)
+    }
+    assert len(asked) > 40
+    assert asked - there == set()
+    for one in expressions():
+        for label in re.findall(r"(\w+)=~?\"", one):
+            assert label in ("camera", "instance", "job"), one
+        for counter in re.findall(r"(\w+)(?:\{[^}]*\})?\[", one):
+            kinds = ("rate(", "increase(") if counter.endswith("_total") else ("changes(",)
+            assert re.search("|".join(re.escape(f"{kind}{counter}") for kind in kinds), one), one
+
+
+def test_every_rule_says_what_to_do() -> None:
+    names = [rule["alert"] for rule in rules()]
+    assert len(set(names)) == len(names)
+    for rule in rules():
+        assert rule["labels"]["severity"] in ("critical", "warning", "info")
+        assert rule["annotations"]["summary"].endswith((".", "?"))
+        if "$labels.camera" in rule["annotations"]["summary"]:
+            assert re.search("_(camera|grabber|spool|clock)_", rule["expr"]), rule["alert"]
+
+
+def test_the_board_is_laid_out() -> None:
+    cells: set[tuple[int, int]] = set()
+    for panel in board()["panels"]:
+        at = panel["gridPos"]
+        mine = {(x, y) for x in range(at["x"], at["x"] + at["w"]) for y in range(at["y"], at["y"] + at["h"])}
+        assert not cells & mine, panel["title"]
+        assert max(x for x, _ in mine) < 24
+        cells |= mine
+    ids = [panel["id"] for panel in board()["panels"]]
+    assert len(set(ids)) == len(ids)
