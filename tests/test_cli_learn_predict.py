@@ -164,14 +164,6 @@ def test_a_topology_that_cannot_be_written_is_said_before_the_work(
     assert "is no directory" in said
 
 
-def test_progress_for_a_person(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("camtopod.cli.learn.PROGRESS_SECONDS", -1.0)
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    _, printed, said = run("learn", "-", stdin=lines(EVENTS[:300]))
-    assert read(Topology, printed).events == 300
-    assert "300 lines, version " in said
-
-
 # --- predict ---
 
 

@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod.cli import exits
+from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
 from camtopod.learn.settings import Settings
@@ -160,8 +161,10 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
     with ProcessPoolExecutor(workers, context, initializer=_leave_interrupts_to_the_parent) as pool:
         tasks = [pool.submit(render, plan, view, walks, seconds, videos[view.camera], seed) for view in plan.views]
         try:
-            for task in tasks:
-                task.result()
+            with Progress() as progress:
+                for count, task in enumerate(as_completed(tasks), 1):
+                    task.result()
+                    progress.show("rendered %d of %d cameras", count, len(tasks))
         finally:
             pool.shutdown(cancel_futures=True)
     return Recording(plan, walks, truth, seconds, videos)

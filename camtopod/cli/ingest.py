@@ -20,6 +20,7 @@ from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
 from camtopod.cli.formats import FORMATS, add_options, events
 from camtopod.cli.lines import LineReader
+from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Event
@@ -120,10 +121,11 @@ def _publish(config: Config, source: Iterator[Event], stack: contextlib.ExitStac
     publisher.attach(bus)
     daemons: set[str] = set()
     bus.watch_alive("daemon", lambda name, alive: (daemons.add if alive else daemons.discard)(name))
-    for batch in batches(source, config.limits.spool_batch_events, stop):
-        publisher.publish(*batch)
-        _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons)
-    _wait(publisher, 0, stop, config.site.name, daemons)
+    with Progress() as progress:
+        for batch in batches(source, config.limits.spool_batch_events, stop):
+            publisher.publish(*batch)
+            _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons, progress)
+        _wait(publisher, 0, stop, config.site.name, daemons, progress)
     log.info("%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged)
 
 
@@ -165,10 +167,15 @@ def batches(events: Iterator[Event], most: int, stop: threading.Event) -> Iterat
         raise CommandError("reading ended in the middle, see above")
 
 
-def _wait(publisher: Publisher, most: int, stop: threading.Event, site: str, daemons: set[str]) -> None:
+def _wait(
+    publisher: Publisher, most: int, stop: threading.Event, site: str, daemons: set[str], progress: Progress
+) -> None:
     """Until at most ``most`` events are not acknowledged. Raises `CommandError` when there is nobody to do it."""
     patience, before = PATIENCE_SECONDS, publisher.unacknowledged
-    while not stop.is_set() and not publisher.drained(_TICK_SECONDS, most):
+    while not stop.is_set():
+        progress.show("%d events published, %d not yet stored", publisher.published, publisher.unacknowledged)
+        if publisher.drained(_TICK_SECONDS, most):
+            return
         publisher.retry()
         now = publisher.unacknowledged
         patience = PATIENCE_SECONDS if now < before or daemons else patience - _TICK_SECONDS

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -13,11 +12,11 @@ from typing import Any, BinaryIO
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.lines import LineReader
+from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
 from camtopod.records import Topology
 
-PROGRESS_SECONDS = 2.0
 EPOCH = "recording"
 """Epoch of a topology learned from files: the same files give the same bytes."""
 
@@ -55,18 +54,16 @@ def run(args: argparse.Namespace) -> int:
 
 def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None) -> None:
     """Every line through the learner; versions go out as they are made; progress to a terminal."""
-    shown = time.monotonic()
-    for line in reader.merged(paths):
-        verdict = learner.receive(line.event)
-        if verdict != "accepted":
-            reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")
-        if time.monotonic() - shown > PROGRESS_SECONDS and sys.stderr.isatty():
-            shown = time.monotonic()
-            version = learner.topology.version if learner.topology else 0
-            print(f"\r{reader.read} lines, version {version}", end="\r", file=sys.stderr)
+    with Progress() as progress:
+        for line in reader.merged(paths):
+            verdict = learner.receive(line.event)
+            if verdict != "accepted":
+                reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")
+            progress.show("%d lines, version %d", reader.read, learner.topology.version if learner.topology else 0)
+            _write(learner, updates)
+        progress.show("%d lines, the last version is being learned", reader.read)
+        learner.flush()
         _write(learner, updates)
-    learner.flush()
-    _write(learner, updates)
 
 
 _WHY = {

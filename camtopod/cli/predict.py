@@ -9,6 +9,7 @@ from typing import Any
 
 from camtopod.cli.exits import InputError
 from camtopod.cli.lines import Line, LineReader
+from camtopod.cli.progress import Progress
 from camtopod.codec import Rejected, read, to_json
 from camtopod.learn.predict import Predictor
 from camtopod.records import Topology
@@ -30,12 +31,14 @@ def run(args: argparse.Namespace) -> int:
     by_time = sorted(range(len(lines)), key=lambda k: lines[k].event.t)
     answers: dict[int, bytes] = {}
     waiting: list[int] = []
-    for k in by_time:
-        if waiting and lines[k].event.t > lines[waiting[0]].event.t:
-            _observe(predictor, lines, waiting)
-        if lines[k].event.kind == "exit":
-            answers[k] = to_json(predictor.predict(lines[k].event))
-        waiting.append(k)
+    with Progress() as progress:
+        for k in by_time:
+            if waiting and lines[k].event.t > lines[waiting[0]].event.t:
+                _observe(predictor, lines, waiting)
+            if lines[k].event.kind == "exit":
+                answers[k] = to_json(predictor.predict(lines[k].event))
+            waiting.append(k)
+            progress.show("%d exits predicted of %d lines", len(answers), len(lines))
     for k in sorted(answers):
         sys.stdout.buffer.write(answers[k] + b"\n")
     sys.stdout.buffer.flush()
