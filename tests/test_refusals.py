@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import os
 
 import pytest
 
-from camtopod.serve.refusals import Refusals
+from camtopod.serve import refusals as module
+from camtopod.serve.refusals import LINE_BYTES_MAX, Refusals, standard_output_heard
 
 STAMP = (
     "\x1b[2m2026-11-21T19:07:34.914831Z\x1b[0m \x1b[35mTRACE\x1b[0m rx-1 ThreadId({}) zenoh::net::routing::interceptor"
@@ -62,3 +64,18 @@ def test_handshakes_by_reason_and_the_rest_as_it_is(caplog: pytest.LogCaptureFix
         refusals.hear("")
     assert refusals.counts == {"no-certificate": 1, "wrong-authority": 1}
     assert "zenoh: something else" in caplog.text
+
+
+def test_of_what_is_received_only_what_is_too_large_is_heard(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    refusals = Refusals()
+    monkeypatch.setattr(module, "refusals", refusals)
+    receiver = "\x1b[35mTRACE\x1b[0m rx-0 \x1b[2mzenoh_transport::unicast::universal::rx\x1b[0m"
+    long = "120, " * LINE_BYTES_MAX
+    with caplog.at_level(logging.INFO), standard_output_heard():
+        os.write(1, f"{receiver}: Received: Frame {{ payload: [{long}] }}\nWARN something else\n".encode())
+        os.write(1, f"{receiver}: Defragmentation buffer full: 1523494 bytes. Capacity: 1500000. at src\n".encode())
+        os.write(1, f"{receiver}: First fragment received without start marker.\n".encode())
+    assert refusals.counts == {"too-large": 1}
+    assert [message for message in caplog.messages if message.startswith("zenoh:")] == ["zenoh: WARN something else"]

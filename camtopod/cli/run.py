@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         pages = {"/metrics": lambda: metrics.page(daemon, config.limits.cameras_max)}
         try:
             with (
-                refusals_heard(),
+                refusals_heard(config),
                 health.serving(config.health.listen, daemon.failing, daemon.unready, pages) as listening,
                 systemd.watchdog(daemon.failing, lambda: not daemon.started),
             ):

@@ -266,10 +266,10 @@ def meet(config: Config) -> Bus:
 
 
 @contextlib.contextmanager
-def refusals_heard() -> Iterator[None]:
+def refusals_heard(config: Config) -> Iterator[None]:
     """Count and log who is refused while the block runs. Once in a process, which leaves standard output alone."""
     with refusals.standard_output_heard():
-        zenoh.init_log_from_env_or(refusals.FILTER)
+        zenoh.init_log_from_env_or(refusals.FILTER_OF_STRANGERS if config.bus.tls.ca else refusals.FILTER)
         yield
 
 

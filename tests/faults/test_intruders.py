@@ -460,6 +460,22 @@ def test_what_is_too_large_neither_arrives_nor_takes_memory(
     wait_for(lambda: status(observer)["refused"].get("too-large", 0) >= 200, "what the bus drops to be counted")
 
 
+def test_what_a_stolen_box_makes_too_large_is_counted_whatever_its_size(
+    keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack
+) -> None:
+    box, observer = puppet(cleanup), puppet(cleanup)
+    assert box.open(**client(guarded.endpoint), **keys.tls("camera/cam1"))
+    assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
+    before = status(observer)
+    for size, count in ((rules.EVENT_BYTES_MAX + 1, 3), (BIG_BYTES, 2), (16 * BIG_BYTES, 1)):
+        box.do("put", key=f"{HQ}/event/cam1", payload="x", repeat=size, count=count)
+    wanted = before["refused"].get("too-large", 0) + 6
+    wait_for(lambda: status(observer)["refused"].get("too-large", 0) >= wanted, "each to be counted")
+    after = status(observer)
+    assert after["refused"]["too-large"] == wanted
+    assert after["events"]["received"] == before["events"]["received"]
+
+
 def test_no_message_of_any_kind_may_be_that_large(unguarded: RealDaemon, cleanup: contextlib.ExitStack) -> None:
     """The filter knows the sizes of events; this is the limit of what the daemon puts together from pieces."""
     flooder, observer = puppet(cleanup), puppet(cleanup)
