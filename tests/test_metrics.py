@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
 import re
@@ -13,8 +14,10 @@ from typing import Any
 import msgspec
 import pytest
 import yaml
-from serving import WAIT_SECONDS, closing_event, numbered, small_config, wait_for, walkers
+from serving import WAIT_SECONDS, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
+from camtopod.cli.main import main
+from camtopod.config import Config, StateSettings, parse
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve import health, metrics
@@ -134,6 +137,30 @@ def test_the_cameras_processes_are_asked(daemon: Daemon, tmp_path: Path) -> None
         ("camtopod_grabber_frame_timestamp_seconds", "lobby"): 5.5,
         ("camtopod_spool_events", "lobby"): 3,
     }
+
+
+def test_with_certificates_the_cameras_are_asked_all_the_same(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="needs cryptography (camtopod[keys])")
+    keys, endpoint = tmp_path / "keys", free_endpoint().replace("tcp/", "tls/")
+    for what in (["init"], ["camera", "lobby", "hall"], ["reader", "wall"]):
+        assert main(["keys", "--keys", str(keys), *what]) == 0
+
+    def of(folder: Path, bus: str) -> Config:
+        files = {"ca": "ca.pem", "certificate": "certificate.pem", "private_key": "private.key"}
+        tls = "\n".join(f'{name} = "{folder / file}"' for name, file in files.items())
+        return parse(f'[bus]\n{bus} = ["{endpoint}"]\n[bus.tls]\n{tls}\naccess = "{keys}/daemon/access.json"\n')
+
+    with contextlib.ExitStack() as stack:
+        state = StateSettings(str(tmp_path))
+        daemon = stack.enter_context(Daemon(msgspec.structs.replace(of(keys / "daemon", "listen"), state=state)))
+        for camera in ("lobby", "hall"):
+            bus = stack.enter_context(buses.dial(of(keys / "camera" / camera, "connect")))
+            bus.answer(f"status/{camera}", lambda key, parameters: {"state": "running"}, "status")
+            bus.answer("status/yard", lambda key, parameters: {"state": "running"}, "status")  # not its own
+        reader = stack.enter_context(buses.dial(of(keys / "reader" / "wall", "connect")))
+        wait_for(lambda: len(metrics.grabbers(daemon.bus)) == 2, "the answers")
+        assert set(metrics.grabbers(daemon.bus)) == {"lobby", "hall"}
+        assert {key for key, _ in reader.ask("status/*")} == {"status/daemon", "status/lobby", "status/hall"}
 
 
 def test_the_number_of_cameras_has_a_limit(daemon: Daemon, tmp_path: Path) -> None:

@@ -192,7 +192,8 @@ def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
 
     return [
         rule("says", come, ("put",), *of_each("event", "status")),
-        rule("is asked", go, ("query",), *of_each("spool", "status")),
+        # Whoever asks all cameras for their status reaches this one, too, which answers with its own.
+        rule("is asked", go, ("query",), *of_each("spool", "status"), "status/*"),
         rule("answers", come, ("declare_queryable", "reply"), *of_each("spool", "status")),
         rule("listens", come, ("declare_subscriber",), *of_each("ack")),
         rule("hears", go, ("put",), *of_each("ack")),
