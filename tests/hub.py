@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -16,12 +18,17 @@ from camtopod.serve.daemon import Daemon
 NOW = T0 + 20 * SPAN_SECONDS
 
 
-def started(directory: Path, endpoint: str, bus: BusSettings | None = None, name: str = "site") -> Daemon:
+@contextlib.contextmanager
+def running(directory: Path, endpoint: str, bus: BusSettings | None = None, site: str = "site") -> Iterator[Daemon]:
+    """A daemon at an endpoint, or as ``bus`` says; stopped in any case, else the tests would not end."""
     config = small_config(directory / "state")
-    config = msgspec.structs.replace(config, bus=bus or BusSettings(listen=(endpoint,)), site=SiteSettings(name))
+    config = msgspec.structs.replace(config, bus=bus or BusSettings(listen=(endpoint,)), site=SiteSettings(site))
     daemon = Daemon(config, clock=lambda: NOW)
     daemon.start()
-    return daemon
+    try:
+        yield daemon
+    finally:
+        daemon.stop()
 
 
 def put(bus: Bus, *events: Event) -> None:
@@ -48,13 +55,11 @@ def learned(daemon: Daemon, events: list[Event]) -> Topology:
 class Hub:
     """A daemon that has learned from 200 walkers, and somebody who puts events."""
 
-    def __init__(self, directory: Path) -> None:
-        self.endpoint = free_endpoint()
-        self.daemon = started(directory, self.endpoint)
-        self.bus = dial(small_config(directory, self.endpoint))
+    def __init__(self, daemon: Daemon, bus: Bus) -> None:
+        self.daemon, self.bus = daemon, bus
         events = [*numbered(walkers(200)), closing_event()]
-        put(self.bus, *events)
-        learned(self.daemon, events)
+        put(bus, *events)
+        learned(daemon, events)
 
     def walks(self, count: int, span: int) -> list[Event]:
         """So many people, so many spans later."""
@@ -62,6 +67,9 @@ class Hub:
         put(self.bus, *events)
         return events
 
-    def close(self) -> None:
-        self.bus.close()
-        self.daemon.stop()
+
+@contextlib.contextmanager
+def a_hub(directory: Path) -> Iterator[Hub]:
+    """A hub of its own."""
+    with running(directory, free_endpoint()) as daemon, dial(small_config(directory, daemon.endpoint)) as bus:
+        yield Hub(daemon, bus)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import subprocess
 import sys
 import threading
@@ -12,10 +13,10 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hub import NOW, Hub, later, learned, put, started
+from hub import NOW, Hub, a_hub, later, learned, put, running
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
-from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, aio
+from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, aio, view
 from camtopod.codec import read
 from camtopod.config import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
@@ -33,14 +34,13 @@ def there(site: Topology | aio.Topology) -> None:
 
 @pytest.fixture(scope="module")
 def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
-    one = Hub(tmp_path_factory.mktemp("hub"))
-    yield one
-    one.close()
+    with a_hub(tmp_path_factory.mktemp("hub")) as one:
+        yield one
 
 
 @pytest.fixture
 def site(hub: Hub) -> Iterator[Topology]:
-    with Topology.connect(connect=hub.endpoint) as one:
+    with Topology.connect(connect=hub.daemon.endpoint) as one:
         yield one
 
 
@@ -58,8 +58,11 @@ def test_what_has_been_learned_is_there_at_once(hub: Hub, site: Topology) -> Non
 
 
 def test_versions_come_by_themselves(tmp_path: Path) -> None:
-    daemon = started(tmp_path, endpoint := free_endpoint())
-    with Topology.connect(connect=endpoint) as site, dial(small_config(tmp_path, endpoint)) as bus:
+    with (
+        running(tmp_path, endpoint := free_endpoint()) as daemon,
+        dial(small_config(tmp_path, endpoint)) as bus,
+        Topology.connect(connect=endpoint) as site,
+    ):
         assert (site.current, site.version, site.stale_since) == (None, 0, None)
         with pytest.raises(TimeoutError, match=r"no version 1 of site site within 0\.1 s, .* 0; the daemon is there"):
             site.wait_for(1, 0.1)
@@ -87,24 +90,30 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
     assert [one.version for one in site.versions()] == [], "closed"
     assert site.predict(**LEFT).next_, "what is held stays usable"
     assert site.stale_since is not None
-    daemon.stop()
 
 
 def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
-    daemon = started(tmp_path, endpoint := free_endpoint())
-    with Topology.connect(connect=endpoint) as site:
-        before = time.time()
-        daemon.stop()
+    endpoint = free_endpoint()
+    with contextlib.ExitStack() as stack:
+        with running(tmp_path, endpoint):
+            site = stack.enter_context(Topology.connect(connect=endpoint))
+            before = time.time()
         wait_for(lambda: site.stale_since is not None, "staleness to be noticed")
         assert before <= (site.stale_since or 0.0) <= time.time()
         with pytest.raises(TimeoutError, match="no daemon is there"):
             site.wait_for(1, 0.0)
-        daemon = started(tmp_path, endpoint)
+        stack.enter_context(running(tmp_path, endpoint))
         wait_for(lambda: site.stale_since is None, "the daemon to be noticed")
         with dial(small_config(tmp_path, endpoint)) as bus:
             put(bus, *numbered(walkers(40)), closing_event())
             assert site.wait_for(1, 20.0).links
-    daemon.stop()
+
+
+def test_of_shards_the_first_is_the_one_that_counts() -> None:
+    assert view._leads("01KAP3V6QZ")
+    assert view._leads("0of8-01KAP3V6QZ")
+    assert not view._leads("3of8-01KAP3V6QZ")
+    assert not view._leads("10of16-01KAP3V6QZ")
 
 
 # --- what is said ---------------------------------------------------------------------------------
@@ -159,7 +168,7 @@ def test_what_makes_no_sense_is_said(hub: Hub, site: Topology) -> None:
         Topology.connect("h q")
     tls = Config(bus=BusSettings(tls=TlsSettings("ca.pem", "certificate.pem", "key.pem")))
     with pytest.raises(ValueError, match="write tls/"):
-        Topology.connect(connect=hub.endpoint, config=tls)
+        Topology.connect(connect=hub.daemon.endpoint, config=tls)
 
 
 def test_nobody_there_is_said(tmp_path: Path) -> None:
@@ -181,14 +190,13 @@ def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
 
     endpoint = free_endpoint().replace("tcp/127.0.0.1", "tls/localhost")
     bus = BusSettings(listen=(endpoint,), tls=TlsSettings(*files("daemon"), access=str(access)))
-    daemon = started(tmp_path, endpoint, bus, "hq")
     ca, certificate, private_key = files("reader/wall")
     config = tmp_path / "reader.toml"
     config.write_text(
         f'[site]\nname = "hq"\n[bus]\nconnect = ["{endpoint}"]\n'
         f'[bus.tls]\nca = "{ca}"\ncertificate = "{certificate}"\nprivate_key = "{private_key}"\n'
     )
-    with Topology.connect(config=config) as site:
+    with running(tmp_path, endpoint, bus, "hq") as daemon, Topology.connect(config=config) as site:
         assert (site.site, site.version, site.stale_since) == ("hq", 0, None)
         put(daemon.bus, *numbered(walkers(40)), closing_event())
         assert site.wait_for(1, 20.0).links
@@ -196,7 +204,6 @@ def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
             there(site)
             put(daemon.bus, Event("a", "exit", NOW, 0.9, 0.5))
             assert predictions.get(10.0) is not None
-    daemon.stop()
 
 
 # --- the daemon's own predictions -----------------------------------------------------------------
@@ -224,7 +231,7 @@ def test_who_does_not_read_loses_the_oldest_and_is_told(hub: Hub, site: Topology
 
 
 def test_closing_lets_go_who_waits(hub: Hub) -> None:
-    site = Topology.connect(connect=hub.endpoint)
+    site = Topology.connect(connect=hub.daemon.endpoint)
     ended: list[str] = []
 
     def read_on() -> None:
@@ -235,7 +242,7 @@ def test_closing_lets_go_who_waits(hub: Hub) -> None:
         ended.extend("" for version in site.versions() if version.version > 10**6)
         ended.append("versions")
 
-    threads = [threading.Thread(target=work) for work in (read_on, follow)]
+    threads = [threading.Thread(target=work, daemon=True) for work in (read_on, follow)]
     for thread in threads:
         thread.start()
     wait_for(lambda: bool(site._inboxes), "somebody to wait")
@@ -253,7 +260,7 @@ def test_closing_lets_go_who_waits(hub: Hub) -> None:
 
 def test_asyncio_has_the_same(hub: Hub) -> None:
     async def main() -> None:
-        async with aio.Topology.connect(connect=hub.endpoint) as site:
+        async with aio.Topology.connect(connect=hub.daemon.endpoint) as site:
             assert site.stale_since is None
             assert site.predict(**LEFT).next_
             assert await site.wait_for(1, 0.0) is site.current
@@ -273,7 +280,7 @@ def test_asyncio_has_the_same(hub: Hub) -> None:
 
 def test_what_waits_in_asyncio_can_be_cancelled(hub: Hub) -> None:
     async def main() -> tuple[float, int]:
-        async with aio.Topology.connect(connect=hub.endpoint) as site:
+        async with aio.Topology.connect(connect=hub.daemon.endpoint) as site:
             waiting = [
                 asyncio.create_task(site.wait_for(10**6, 60.0)), asyncio.create_task(site.predictions().get()),
             ]  # fmt: skip
@@ -307,7 +314,7 @@ def test_a_connection_that_is_given_up_is_closed(hub: Hub, monkeypatch: pytest.M
 
     async def main() -> None:
         async def hold() -> None:
-            async with aio.Topology.connect(connect=hub.endpoint):
+            async with aio.Topology.connect(connect=hub.daemon.endpoint):
                 await asyncio.sleep(60)
 
         task = asyncio.create_task(hold())

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hub import NOW, Hub
+from hub import NOW, Hub, a_hub
 from serving import wait_for
 
 from camtopod.codec import to_json
@@ -25,14 +25,13 @@ LINES_MAX = 10
 
 @pytest.fixture(scope="module")
 def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
-    one = Hub(tmp_path_factory.mktemp("hub"))
-    yield one
-    one.close()
+    with a_hub(tmp_path_factory.mktemp("hub")) as one:
+        yield one
 
 
 def said(hub: Hub, name: str, events: list[Event]) -> list[str]:
     """What an example prints when it is told of the events."""
-    command = [sys.executable, str(EXAMPLES / name), hub.endpoint]
+    command = [sys.executable, str(EXAMPLES / name), hub.daemon.endpoint]
     lines = b"".join(to_json(event) + b"\n" for event in events)
     done = subprocess.run(command, input=lines, capture_output=True, timeout=100)
     assert done.stderr == b""
@@ -65,20 +64,23 @@ def test_who_is_who(hub: Hub) -> None:
 
 def test_as_it_comes(hub: Hub) -> None:
     """Until interrupted, after which nothing keeps the process."""
-    command = [sys.executable, "-u", str(EXAMPLES / "in_asyncio.py"), hub.endpoint]
+    command = [sys.executable, "-u", str(EXAMPLES / "in_asyncio.py"), hub.daemon.endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
         assert running.stdout is not None
         lines: list[str] = []
-        reader = threading.Thread(target=lines.extend, args=(running.stdout,))
+        reader = threading.Thread(target=lines.extend, args=(running.stdout,), daemon=True)
         reader.start()
 
         def heard() -> bool:
             hub.walks(1, 15)
             return any(re.match(r"a -> \['[bc]'\]", line) for line in lines)
 
-        wait_for(heard, "a prediction")
-        running.send_signal(signal.SIGINT)
-        running.wait(30)
+        try:
+            wait_for(heard, "a prediction")
+            running.send_signal(signal.SIGINT)
+            running.wait(30)
+        finally:
+            running.kill()
         reader.join()
     assert re.match(r"version \d+: \d pairs of cameras", lines[0])
 

@@ -12,11 +12,13 @@ from scipy.optimize import linear_sum_assignment
 from camtopod.client import Gate, UnknownPlace
 from camtopod.learn.learner import Learner
 from camtopod.learn.predict import Predictor
+from camtopod.learn.scene import block_of
 from camtopod.learn.settings import Settings
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
     CameraModel,
+    Context,
     Event,
     Link,
     Model,
@@ -39,9 +41,9 @@ def link(from_: str, to: str, probability: float, median: float) -> Link:
     return Link(from_, to, "unseen", probability, 100 * probability, transit, 0.0, 0.1)
 
 
-def a_topology(*links: Link, ahead: float = 0.0) -> Topology:
-    """Cameras a (two zones), b and c (one each); from outside somebody comes to each zone every 1,000 s. The clock of b
-    is ``ahead``.
+def a_topology(*links: Link, ahead: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Topology:
+    """Cameras a (two zones), b and c (one each), with clocks so many seconds ahead; from outside somebody comes to each
+    zone every 1,000 s.
     """
     zones = [
         Zone("a/1", "a", 100, 100, 0.1, 0.5, COV), Zone("a/2", "a", 100, 100, 0.9, 0.5, COV),
@@ -52,7 +54,8 @@ def a_topology(*links: Link, ahead: float = 0.0) -> Topology:
         [CameraModel(name, 1 / 3, 0.0) for name in "abc"], clocks_corrected=True,
     )  # fmt: skip
     cameras = [
-        Camera(name, [zone.id for zone in zones if zone.camera == name], ahead * (name == "b")) for name in "abc"
+        Camera(name, [zone.id for zone in zones if zone.camera == name], offset)
+        for name, offset in zip("abc", ahead, strict=True)
     ]
     return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 7, 0.0, 800, "", cameras, zones, [*links], [], model=model)
 
@@ -100,10 +103,31 @@ def test_gone_falls_as_those_who_appear_have_appeared() -> None:
 
 
 def test_clocks_that_are_ahead_are_taken_into_account() -> None:
-    right, wrong = Gate(THREE), Gate(a_topology(*THREE.links, ahead=100.0))
-    assert wrong.gate("a/1", 1000.0, "b", 1108.0) == right.gate("a/1", 1000.0, "b", 1008.0)
-    odds = wrong.affinity([LEFT], [came("b", 1108.0)])
+    right, wrong = Gate(THREE), Gate(a_topology(*THREE.links, ahead=(30.0, 100.0, 0.0)))
+    assert wrong.gate("a/1", 1030.0, "b", 1108.0) == right.gate("a/1", 1000.0, "b", 1008.0)
+    odds = wrong.affinity([replace(LEFT, t=1030.0)], [came("b", 1108.0)])
     assert odds == pytest.approx(right.affinity([LEFT], [came("b", 1008.0)]))
+
+
+def test_views_that_overlap_are_seen_before_the_exit() -> None:
+    """With passages of 0 to 10 s: that only half of them had begun 5 s before the exit takes nothing off the sum."""
+    assert THREE.model is not None
+    stays = [ZoneModel(zone.id, 100, 0.001, [float(k) for k in range(11)]) for zone in THREE.zones]
+    gate = Gate(replace(a_topology(link("a/1", "b/1", 0.5, -5.0)), model=replace(THREE.model, zones=stays)))
+    assert integral(gate, "a/1", "b") == pytest.approx(0.5, abs=0.01)
+    assert gate.affinity([LEFT], [came("b", 995.0)])[0, 0] > 0 > gate.affinity([LEFT], [came("b", 1003.0)])[0, 0]
+
+
+def test_where_in_the_zone_it_left_counts() -> None:
+    assert THREE.model is not None
+    here = Context("a/1", 200.0, {"c/1": 190.0}, block=block_of(0.1, 0.5))
+    gate = Gate(replace(THREE, model=replace(THREE.model, contexts=[here])))
+    elsewhere = replace(LEFT, y=0.9)
+    entries = [came("b", 1008.0), came("c", 1020.0)]
+    odds = gate.affinity([LEFT, elsewhere], entries)
+    assert odds[1] == pytest.approx(Gate(THREE).affinity([elsewhere], entries)[0])
+    assert odds[0, 0] < odds[1, 0] - 1
+    assert odds[0, 1] > odds[1, 1] + 0.5
 
 
 def test_odds_are_those_of_one_object_against_two() -> None:
@@ -224,7 +248,7 @@ def test_what_it_holds_for_likely_is_as_often_true(site: Site) -> None:
 
 def test_it_is_what_the_predictor_says_before_anything_has_been_seen() -> None:
     """Zone by zone, of a site without overlapping views."""
-    events, _ = simulate(SimSettings(cameras=6, hours=0.5, seed=4, overlap_share=0.0))
+    events, _ = simulate(SimSettings(cameras=6, hours=0.3, seed=4, overlap_share=0.0))
     learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
     for event in events:
         learner.receive(event)
