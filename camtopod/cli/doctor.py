@@ -149,7 +149,8 @@ def _state(config: Config) -> Iterator[str]:
         yield f"{path.relative_to(directory)}: {_mode(path)}"
         for look in (look for pattern, look in _LOOKS.items() if path.match(pattern)):
             try:
-                yield f"  at the last checkpoint: {', '.join(f'{name} {n}' for name, n in look(path).items())}"
+                counts = ", ".join(f"{name} {count or 0}" for name, count in look(path).items())
+                yield f"  at the last checkpoint: {counts}"
             except StateError as error:
                 yield f"  {error}"
     if len(files) > FILES_MAX:

@@ -6,7 +6,7 @@
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
 _shtab_camtopod_keys_subparsers=(init daemon camera reader revoke list)
-_shtab_camtopod_subparsers=(demo init grab run learn predict simulate watch web export report ingest bridge keys check completion)
+_shtab_camtopod_subparsers=(demo init grab run learn predict simulate watch web export report ingest bridge keys check doctor completion)
 
 _shtab_camtopod_demo_option_strings=(-h --help --out --seed --minutes --keep --config --site --connect --log-format)
 _shtab_camtopod_init_option_strings=(-h --help --out --force --config --site --connect --log-format)
@@ -15,7 +15,7 @@ _shtab_camtopod_run_option_strings=(-h --help --state --shard --config --site --
 _shtab_camtopod_learn_option_strings=(-h --help --topology --updates --config --site --connect --log-format)
 _shtab_camtopod_predict_option_strings=(-h --help --config --site --connect --log-format)
 _shtab_camtopod_simulate_option_strings=(-h --help --events --truth --scene --cameras --hours --seed --start --objects-per-second --missed --clutter --overlap-share --zone-separation --zone-stretch --fire-doors --u-turn --speed-sd --path-sd --position-noise --clock-sd --clock-max --clock-share --rhythm --rhythm-hours --platoons --platoon-size --platoon-cycle --group-share --loiterers --slow-share --doors-closed --close-after-hours --doors-opened --open-after-hours --lost --moved --no-links --no-track --no-positions --config --site --connect --log-format)
-_shtab_camtopod_watch_option_strings=(-h --help --once --config --site --connect --log-format)
+_shtab_camtopod_watch_option_strings=(-h --help --once --plain --config --site --connect --log-format)
 _shtab_camtopod_web_option_strings=(-h --help --listen --pictures --config --site --connect --log-format)
 _shtab_camtopod_export_option_strings=(-h --help --format --out --config --site --connect --log-format)
 _shtab_camtopod_report_option_strings=(-h --help --out --updates --pictures --config --site --connect --log-format)
@@ -29,6 +29,7 @@ _shtab_camtopod_keys_revoke_option_strings=(-h --help --keys --config --site --c
 _shtab_camtopod_keys_list_option_strings=(-h --help --keys --config --site --connect --log-format)
 _shtab_camtopod_keys_option_strings=(-h --help --keys --config --site --connect --log-format)
 _shtab_camtopod_check_option_strings=(-h --help --example --probe --schema --config --site --connect --log-format)
+_shtab_camtopod_doctor_option_strings=(-h --help --out --config --site --connect --log-format)
 _shtab_camtopod_completion_option_strings=(-h --help --config --site --connect --log-format)
 _shtab_camtopod_option_strings=(-h --help --version --config --site --connect --log-format)
 
@@ -88,6 +89,8 @@ _shtab_camtopod_keys___keys_COMPGEN=_shtab_compgen_dirs
 _shtab_camtopod_keys___config_COMPGEN=_shtab_compgen_files
 _shtab_camtopod_check_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_camtopod_check___config_COMPGEN=_shtab_compgen_files
+_shtab_camtopod_doctor___out_COMPGEN=_shtab_compgen_files
+_shtab_camtopod_doctor___config_COMPGEN=_shtab_compgen_files
 _shtab_camtopod_completion___config_COMPGEN=_shtab_compgen_files
 _shtab_camtopod___config_COMPGEN=_shtab_compgen_files
 
@@ -117,9 +120,10 @@ _shtab_camtopod_keys_list___log_format_choices=(text logfmt json)
 _shtab_camtopod_keys_pos_0_choices=(init daemon camera reader revoke list)
 _shtab_camtopod_keys___log_format_choices=(text logfmt json)
 _shtab_camtopod_check___log_format_choices=(text logfmt json)
+_shtab_camtopod_doctor___log_format_choices=(text logfmt json)
 _shtab_camtopod_completion_pos_0_choices=(bash zsh fish)
 _shtab_camtopod_completion___log_format_choices=(text logfmt json)
-_shtab_camtopod_pos_0_choices=(demo init grab run learn predict simulate watch web export report ingest bridge keys check completion)
+_shtab_camtopod_pos_0_choices=(demo init grab run learn predict simulate watch web export report ingest bridge keys check doctor completion)
 _shtab_camtopod___log_format_choices=(text logfmt json)
 
 _shtab_camtopod_demo__h_nargs=0
@@ -147,6 +151,7 @@ _shtab_camtopod_simulate___no_positions_nargs=0
 _shtab_camtopod_watch__h_nargs=0
 _shtab_camtopod_watch___help_nargs=0
 _shtab_camtopod_watch___once_nargs=0
+_shtab_camtopod_watch___plain_nargs=0
 _shtab_camtopod_web__h_nargs=0
 _shtab_camtopod_web___help_nargs=0
 _shtab_camtopod_export__h_nargs=0
@@ -185,6 +190,8 @@ _shtab_camtopod_check___help_nargs=0
 _shtab_camtopod_check___example_nargs=0
 _shtab_camtopod_check___probe_nargs=0
 _shtab_camtopod_check___schema_nargs=0
+_shtab_camtopod_doctor__h_nargs=0
+_shtab_camtopod_doctor___help_nargs=0
 _shtab_camtopod_completion__h_nargs=0
 _shtab_camtopod_completion___help_nargs=0
 _shtab_camtopod_pos_0_nargs=A...

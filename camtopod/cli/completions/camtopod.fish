@@ -50,7 +50,7 @@ function _shtab_camtopod_using
   test "$_shtab_camtopod_cmdpath" = "$argv"
 end
 
-set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check completion
+set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check doctor completion
 set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --objects-per-second --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --updates --zone-separation --zone-stretch
 
 complete -c camtopod -e
@@ -165,6 +165,7 @@ complete -c camtopod -n '_shtab_camtopod_using simulate' -l log-format -xka "tex
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a watch -d 'live view in the terminal'
 complete -c camtopod -n '_shtab_camtopod_using watch' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using watch' -l once -d 'show the state once, without waiting for more, and end'
+complete -c camtopod -n '_shtab_camtopod_using watch' -l plain -d 'lines of text, also where rich ([terminal]) is installed'
 complete -c camtopod -n '_shtab_camtopod_using watch' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
 complete -c camtopod -n '_shtab_camtopod_using watch' -l site -x -d 'name of the site, second part of every key'
 complete -c camtopod -n '_shtab_camtopod_using watch' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
@@ -296,6 +297,13 @@ complete -c camtopod -n '_shtab_camtopod_using check' -l site -x -d 'name of the
 complete -c camtopod -n '_shtab_camtopod_using check' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
 complete -c camtopod -n '_shtab_camtopod_using check' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
 complete -c camtopod -n '_shtab_camtopod_using check; and test $_shtab_camtopod_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'the configuration (or --config)'
+complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a doctor -d 'what a bug report needs, without secrets'
+complete -c camtopod -n '_shtab_camtopod_using doctor' -s h -l help -d 'show this help message and exit'
+complete -c camtopod -n '_shtab_camtopod_using doctor' -l out -xka "(__fish_complete_path (commandline -ct))" -d 'write it here; with .tar.gz a file for each part'
+complete -c camtopod -n '_shtab_camtopod_using doctor' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
+complete -c camtopod -n '_shtab_camtopod_using doctor' -l site -x -d 'name of the site, second part of every key'
+complete -c camtopod -n '_shtab_camtopod_using doctor' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
+complete -c camtopod -n '_shtab_camtopod_using doctor' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a completion -d 'makes the shell complete commands and options'
 complete -c camtopod -n '_shtab_camtopod_using completion' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using completion' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'

@@ -14,6 +14,7 @@ _shtab_camtopod_commands() {
     check:'every mistake in a configuration, in one pass'
     completion:'makes the shell complete commands and options'
     demo:'the whole system on one machine: rendered cameras, real grabbers, a real bus, the real daemon'
+    doctor:'what a bug report needs, without secrets'
     export:'a topology as a picture or in an exchange format'
     grab:'one camera to entry and exit events'
     ingest:'other programs'"'"' events onto the bus'
@@ -110,6 +111,18 @@ _shtab_camtopod_demo_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_camtopod_demo_defaults_added=0
+
+_shtab_camtopod_doctor_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--out[write it here\; with .tar.gz a file for each part]:FILE:_files"
+  "--config[configuration, a TOML file]:FILE:_files"
+  "--site[name of the site, second part of every key]:NAME:"
+  "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
+  "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_camtopod_doctor_defaults_added=0
 
 _shtab_camtopod_export_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -388,6 +401,7 @@ _shtab_camtopod_simulate_defaults_added=0
 _shtab_camtopod_watch_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--once[show the state once, without waiting for more, and end]"
+  "--plain[lines of text, also where rich (\[terminal\]) is installed]"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, second part of every key]:NAME:"
   "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
@@ -433,6 +447,7 @@ _shtab_camtopod() {
         check) _arguments -C -s $_shtab_camtopod_check_options ;;
         completion) _arguments -C -s $_shtab_camtopod_completion_options ;;
         demo) _arguments -C -s $_shtab_camtopod_demo_options ;;
+        doctor) _arguments -C -s $_shtab_camtopod_doctor_options ;;
         export) _arguments -C -s $_shtab_camtopod_export_options ;;
         grab) _arguments -C -s $_shtab_camtopod_grab_options ;;
         ingest) _arguments -C -s $_shtab_camtopod_ingest_options ;;
