@@ -15,11 +15,18 @@ export async function cameraPanel(app, id) {
   const scene = new Scene(story, app.source.picture(id));
   const status = h("div", { class: "status" });
   const heard = h("dd", {}, story.last_event ? ago(app.now() - story.last_event) : "–");
-  const facts = h("dl", { class: "figures" },
+  const facts = h(
+    "dl",
+    { class: "figures" },
     fact("Zones", count(story.zones.length)),
     fact("Share of all events", percent(story.share)),
     h("div", {}, h("dt", {}, "Last learned event"), heard),
-    fact("Clock", clockText(story), "How far this camera's clock is ahead of the others', as found from people walking both ways"));
+    fact(
+      "Clock",
+      clockText(story),
+      "How far this camera's clock is ahead of the others', as found from people walking both ways",
+    ),
+  );
   const between = story.links.filter((one) => one.relation !== "visible" && camera(one.from) !== camera(one.to));
   const out = between.filter((one) => camera(one.from) === id).sort((a, b) => b.transitions - a.transitions);
   const into = between.filter((one) => camera(one.to) === id).sort((a, b) => b.transitions - a.transitions);
@@ -31,14 +38,21 @@ export async function cameraPanel(app, id) {
     body: [
       status,
       scene.element,
-      h("p", { class: "legend" },
-        key("entry", "comes in"), key("exit", "leaves"),
+      h(
+        "p",
+        { class: "legend" },
+        key("entry", "comes in"),
+        key("exit", "leaves"),
         h("span", {}, h("i", { class: "swatch zone" }), "learned zone"),
-        app.source.live ? scene.pulse : null),
+        app.source.live ? scene.pulse : null,
+      ),
       facts,
-      h("h3", {}, "Zones"), zoneTable(story),
-      h("h3", {}, "Where people go from here"), linkList(out, (one) => one.to, "Nothing is known to follow this camera."),
-      h("h3", {}, "Where they come from"), linkList(into, (one) => one.from, "Nothing is known to come before this camera."),
+      h("h3", {}, "Zones"),
+      zoneTable(story),
+      h("h3", {}, "Where people go from here"),
+      linkList(out, (one) => one.to, "Nothing is known to follow this camera."),
+      h("h3", {}, "Where they come from"),
+      linkList(into, (one) => one.from, "Nothing is known to come before this camera."),
       story.alarms.length ? [h("h3", {}, "Alarms"), alarmList(story.alarms)] : null,
     ],
     onEvent: (event) => event.camera === id && scene.add(event),
@@ -48,22 +62,50 @@ export async function cameraPanel(app, id) {
 }
 
 export function alarmList(alarms) {
-  return h("ul", { class: "alarms" }, [...alarms].reverse().map((alarm) =>
-    h("li", {}, h("b", {}, `${alarm.kind.replaceAll("_", " ")} ${alarm.subject}`), ` ${alarm.detail}`,
-      h("small", {}, `version ${alarm.version}, ${clock(alarm.t)}`))));
+  return h(
+    "ul",
+    { class: "alarms" },
+    [...alarms]
+      .reverse()
+      .map((alarm) =>
+        h(
+          "li",
+          {},
+          h("b", {}, `${alarm.kind.replaceAll("_", " ")} ${alarm.subject}`),
+          ` ${alarm.detail}`,
+          h("small", {}, `version ${alarm.version}, ${clock(alarm.t)}`),
+        ),
+      ),
+  );
 }
 
 // Links as a list of large targets, each with its share as a bar.
 export function linkList(links, other, none) {
   if (!links.length) return h("p", { class: "quiet" }, none);
-  return h("ul", { class: "links" }, links.map((one) =>
-    h("li", {}, h("a", { href: link("link", one.from, one.to, one.relation) },
-      h("span", { class: `stroke ${one.relation}` }),
-      h("b", {}, other(one)),
-      h("span", { class: "quiet" }, `from ${one.from === other(one) ? `here to ${one.to}` : one.from}`.replace("from here to", "to")),
-      h("span", { class: "bar", "aria-hidden": "true" }, bar(one.probability)),
-      h("span", { class: "number" }, percent(one.probability)),
-      h("span", { class: "number" }, seconds(one.transit.q50))))));
+  return h(
+    "ul",
+    { class: "links" },
+    links.map((one) =>
+      h(
+        "li",
+        {},
+        h(
+          "a",
+          { href: link("link", one.from, one.to, one.relation) },
+          h("span", { class: `stroke ${one.relation}` }),
+          h("b", {}, other(one)),
+          h(
+            "span",
+            { class: "quiet" },
+            `from ${one.from === other(one) ? `here to ${one.to}` : one.from}`.replace("from here to", "to"),
+          ),
+          h("span", { class: "bar", "aria-hidden": "true" }, bar(one.probability)),
+          h("span", { class: "number" }, percent(one.probability)),
+          h("span", { class: "number" }, seconds(one.transit.q50)),
+        ),
+      ),
+    ),
+  );
 }
 
 function bar(share) {
@@ -74,22 +116,49 @@ function bar(share) {
 
 function zoneTable(story) {
   if (!story.zones.length) return h("p", { class: "quiet" }, "No zone has been learned yet.");
-  return h("table", {},
-    h("thead", {}, h("tr", {}, ["Zone", "In", "Out", "Unexplained in"].map((name, k) => h("th", { scope: "col", class: k ? "number" : null }, name)))),
-    h("tbody", {}, story.zones.map((zone) => h("tr", {},
-      h("th", { scope: "row" }, zone.id),
-      h("td", { class: "number" }, count(zone.entries)),
-      h("td", { class: "number" }, count(zone.exits)),
-      h("td", { class: "number", title: "Arrivals that no departure elsewhere explains: people who come from outside" },
-        zone.arrival_rate === null ? "–" : `${count(3600 * zone.arrival_rate)} / h`)))));
+  return h(
+    "table",
+    {},
+    h(
+      "thead",
+      {},
+      h(
+        "tr",
+        {},
+        ["Zone", "In", "Out", "Unexplained in"].map((name, k) =>
+          h("th", { scope: "col", class: k ? "number" : null }, name),
+        ),
+      ),
+    ),
+    h(
+      "tbody",
+      {},
+      story.zones.map((zone) =>
+        h(
+          "tr",
+          {},
+          h("th", { scope: "row" }, zone.id),
+          h("td", { class: "number" }, count(zone.entries)),
+          h("td", { class: "number" }, count(zone.exits)),
+          h(
+            "td",
+            { class: "number", title: "Arrivals that no departure elsewhere explains: people who come from outside" },
+            zone.arrival_rate === null ? "–" : `${count(3600 * zone.arrival_rate)} / h`,
+          ),
+        ),
+      ),
+    ),
+  );
 }
 
 function showStatus(element, row, app) {
   if (!row) return fill(element);
-  return fill(element,
+  return fill(
+    element,
     h("span", { class: stateClass(row.state) }, row.state),
     row.newest ? h("span", { class: "quiet" }, `heard ${ago(app.now() - row.newest)}`) : null,
-    row.reason ? h("span", { class: "reason" }, row.reason) : null);
+    row.reason ? h("span", { class: "reason" }, row.reason) : null,
+  );
 }
 
 // The picture (or a plain frame) with zones, passages and live events drawn on it.
@@ -121,7 +190,8 @@ class Scene {
   // An exit as its prediction tells it, for those who may not read the events.
   left(prediction) {
     const next = prediction.next[0];
-    this.pulse.textContent = `left at ${prediction.zone ?? prediction.camera}` +
+    this.pulse.textContent =
+      `left at ${prediction.zone ?? prediction.camera}` +
       (next ? `: ${percent(next.probability)} to ${next.zone}, in ${span(next.q10, next.q90)}` : "");
     this.zones.get(prediction.zone)?.classList.add("active");
     setTimeout(() => this.zones.get(prediction.zone)?.classList.remove("active"), 1500);
@@ -130,9 +200,10 @@ class Scene {
   #mark(kind, x, y) {
     const [width, height] = this.size;
     const r = 0.009 * width;
-    const element = kind === "entry"
-      ? s("circle", { class: "event entry", cx: x * width, cy: y * height, r })
-      : s("rect", { class: "event exit", x: x * width - r, y: y * height - r, width: 2 * r, height: 2 * r });
+    const element =
+      kind === "entry"
+        ? s("circle", { class: "event entry", cx: x * width, cy: y * height, r })
+        : s("rect", { class: "event exit", x: x * width - r, y: y * height - r, width: 2 * r, height: 2 * r });
     this.marks.append(element);
     this.events.push(element);
     if (this.events.length > EVENTS_SHOWN) this.events.shift().remove();
@@ -143,26 +214,41 @@ class Scene {
     this.marks = s("g", {});
     this.zones = new Map();
     const placed = this.story.zones.filter((zone) => zone.x !== undefined && zone.x !== null);
-    const svg = s("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `View of ${this.story.id} with ${plural(placed.length, "learned zone")}` },
+    const svg = s(
+      "svg",
+      {
+        viewBox: `0 0 ${width} ${height}`,
+        role: "img",
+        "aria-label": `View of ${this.story.id} with ${plural(placed.length, "learned zone")}`,
+      },
       arrowHead(width),
       picture ? s("image", { href: picture, width, height }) : grid(width, height),
       picture ? s("rect", { class: "shade", width, height }) : null,
       this.#passages(placed),
       placed.map((zone) => this.#zone(zone)),
-      this.marks);
+      this.marks,
+    );
     svg.style.setProperty("--unit", `${width / 400}px`);
-    fill(this.element, svg, placed.length < this.story.zones.length
-      ? h("figcaption", {}, "This camera's events have no positions: it is one zone.") : null);
+    fill(
+      this.element,
+      svg,
+      placed.length < this.story.zones.length
+        ? h("figcaption", {}, "This camera's events have no positions: it is one zone.")
+        : null,
+    );
   }
 
   #zone(zone) {
     const [width, height] = this.size;
     const { major, minor, turn } = ellipse(zone.cov, width, height);
     const [x, y] = [zone.x * width, zone.y * height];
-    const element = s("g", { class: "zone" },
+    const element = s(
+      "g",
+      { class: "zone" },
       s("ellipse", { rx: major, ry: minor, transform: `translate(${x} ${y}) rotate(${turn})` }),
       s("text", { x, y: y + 0.012 * width, "text-anchor": "middle" }, zone.id.slice(zone.id.lastIndexOf("/") + 1)),
-      s("title", {}, `${zone.id}: ${count(zone.entries)} in, ${count(zone.exits)} out`));
+      s("title", {}, `${zone.id}: ${count(zone.entries)} in, ${count(zone.exits)} out`),
+    );
     this.zones.set(zone.id, element);
     return element;
   }
@@ -171,13 +257,23 @@ class Scene {
     const [width, height] = this.size;
     const at = new Map(placed.map((zone) => [zone.id, [zone.x * width, zone.y * height]]));
     return this.story.links
-      .filter((one) => one.relation === "visible" && one.from !== one.to && one.probability >= PASSAGE_SHARE_MIN && at.has(one.from) && at.has(one.to))
+      .filter(
+        (one) =>
+          one.relation === "visible" &&
+          one.from !== one.to &&
+          one.probability >= PASSAGE_SHARE_MIN &&
+          at.has(one.from) &&
+          at.has(one.to),
+      )
       .map((one) => {
         const [ax, ay] = at.get(one.from);
         const [bx, by] = at.get(one.to);
         const [mx, my] = [(ax + bx) / 2 - 0.16 * (by - ay), (ay + by) / 2 + 0.16 * (bx - ax)];
-        const path = s("path", { class: "passage", d: `M${ax} ${ay}Q${mx} ${my} ${bx} ${by}`, "marker-end": "url(#head)" },
-          s("title", {}, `${one.from} → ${one.to}: ${percent(one.probability)}, ${seconds(one.transit.q50)}`));
+        const path = s(
+          "path",
+          { class: "passage", d: `M${ax} ${ay}Q${mx} ${my} ${bx} ${by}`, "marker-end": "url(#head)" },
+          s("title", {}, `${one.from} → ${one.to}: ${percent(one.probability)}, ${seconds(one.transit.q50)}`),
+        );
         path.style.setProperty("--share", one.probability.toFixed(2));
         return path;
       });
@@ -199,13 +295,30 @@ export function ellipse(cov, width, height) {
 function grid(width, height) {
   const lines = [];
   for (let k = 1; k < 8; k += 1) lines.push(s("line", { x1: (k * width) / 8, x2: (k * width) / 8, y1: 0, y2: height }));
-  for (let k = 1; k < 6; k += 1) lines.push(s("line", { x1: 0, x2: width, y1: (k * height) / 6, y2: (k * height) / 6 }));
+  for (let k = 1; k < 6; k += 1)
+    lines.push(s("line", { x1: 0, x2: width, y1: (k * height) / 6, y2: (k * height) / 6 }));
   return s("g", { class: "frame" }, s("rect", { width, height }), lines);
 }
 
 function arrowHead(width) {
-  return s("defs", {}, s("marker", { id: "head", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: width / 70, markerHeight: width / 70, markerUnits: "userSpaceOnUse", orient: "auto" },
-    s("path", { class: "head", d: "M0 0 8 4 0 8Z" })));
+  return s(
+    "defs",
+    {},
+    s(
+      "marker",
+      {
+        id: "head",
+        viewBox: "0 0 8 8",
+        refX: 7,
+        refY: 4,
+        markerWidth: width / 70,
+        markerHeight: width / 70,
+        markerUnits: "userSpaceOnUse",
+        orient: "auto",
+      },
+      s("path", { class: "head", d: "M0 0 8 4 0 8Z" }),
+    ),
+  );
 }
 
 function clockText(story) {

@@ -32,7 +32,14 @@ export class Flow {
       const element = s("circle", { class: "dot" });
       element.style.setProperty("--share", Math.sqrt(next.probability).toFixed(3));
       this.layer.append(element);
-      this.#dots.push({ element, from, to, started, takes: Math.max(QUICK_SECONDS, next.q50), until: Math.max(QUICK_SECONDS, next.q90) });
+      this.#dots.push({
+        element,
+        from,
+        to,
+        started,
+        takes: Math.max(QUICK_SECONDS, next.q50),
+        until: Math.max(QUICK_SECONDS, next.q90),
+      });
     }
     this.#frame ||= requestAnimationFrame(() => this.#step());
   }

@@ -16,12 +16,30 @@ export class Health {
 
   constructor(app) {
     this.app = app;
-    const input = h("input", { type: "search", placeholder: "Filter by name, state or reason", "aria-label": "Filter cameras",
-      on: { input: () => { this.#text = input.value.trim().toLowerCase(); this.#draw(); } } });
+    const input = h("input", {
+      type: "search",
+      placeholder: "Filter by name, state or reason",
+      "aria-label": "Filter cameras",
+      on: {
+        input: () => {
+          this.#text = input.value.trim().toLowerCase();
+          this.#draw();
+        },
+      },
+    });
     this.daemon = h("div", { class: "card" });
     this.said = h("p", { class: "quiet", role: "status" });
     this.table = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Cameras" });
-    this.element = h("section", { class: "page" }, h("h1", {}, "Health"), this.daemon, h("h2", {}, "Cameras"), h("div", { class: "tools" }, input), this.said, this.table);
+    this.element = h(
+      "section",
+      { class: "page" },
+      h("h1", {}, "Health"),
+      this.daemon,
+      h("h2", {}, "Cameras"),
+      h("div", { class: "tools" }, input),
+      this.said,
+      this.table,
+    );
   }
 
   async shown() {
@@ -51,30 +69,98 @@ export class Health {
     const { daemon, live, now, cameras, dropped } = this.#content;
     const events = daemon.events ?? {};
     const rejected = Object.values(daemon.rejects ?? {}).reduce((sum, n) => sum + n, 0);
-    fill(this.daemon, h("h2", {}, "Daemon ", h("span", { class: `pill ${live.live && daemon.state === "running" ? "good" : "bad"}` }, live.live ? daemon.state : "not live")),
+    fill(
+      this.daemon,
+      h(
+        "h2",
+        {},
+        "Daemon ",
+        h(
+          "span",
+          { class: `pill ${live.live && daemon.state === "running" ? "good" : "bad"}` },
+          live.live ? daemon.state : "not live",
+        ),
+      ),
       daemon.reason || live.reason ? h("p", { class: "reason" }, daemon.reason || live.reason) : null,
-      h("dl", { class: "figures wide" },
+      h(
+        "dl",
+        { class: "figures wide" },
         fact("Events stored", count(events.stored)),
         fact("Waiting to be learned", count(events.waiting)),
         fact("Duplicates", count(events.duplicate)),
         fact("Late", count(daemon.learner?.late)),
-        fact("Rejected", count(rejected), Object.entries(daemon.rejects ?? {}).map(([why, n]) => `${why}: ${n}`).join(", ") || null),
+        fact(
+          "Rejected",
+          count(rejected),
+          Object.entries(daemon.rejects ?? {})
+            .map(([why, n]) => `${why}: ${n}`)
+            .join(", ") || null,
+        ),
         fact("Predictions", count(daemon.predictions)),
-        dropped ? fact("Not shown here", count(dropped), "Messages that this page's server had no room for") : null));
+        dropped ? fact("Not shown here", count(dropped), "Messages that this page's server had no room for") : null,
+      ),
+    );
     const wanted = cameras.filter((row) => `${row.id} ${row.state} ${row.reason}`.toLowerCase().includes(this.#text));
     const bad = (row) => (troubled(row.state) ? 0 : row.reason ? 1 : row.state === "no grabber" ? 2 : 3);
     wanted.sort((a, b) => bad(a) - bad(b) || (a.id < b.id ? -1 : 1));
     const ill = cameras.filter((row) => troubled(row.state)).length;
     this.said.textContent = `${plural(cameras.length, "camera")}, ${ill ? plural(ill, "needs", "need") + " attention" : "none needs attention"}`;
-    fill(this.table, h("table", { class: "wide" },
-      h("thead", {}, h("tr", {}, ["Camera", "State", "Events", "Last heard", "Reason"].map((name, k) => h("th", { scope: "col", class: k === 4 ? "apart" : k > 1 ? "number" : null }, name)))),
-      h("tbody", {}, wanted.slice(0, this.#rows).map((row) => h("tr", {},
-        h("th", { scope: "row" }, h("a", { href: link("camera", row.id) }, row.id), h("span", { class: "below reason" }, why(row))),
-        h("td", {}, h("span", { class: stateClass(row.state) }, row.state)),
-        h("td", { class: "number" }, count(row.events)),
-        h("td", { class: "number" }, row.newest ? ago(now - row.newest) : "–"),
-        h("td", { class: "apart reason" }, why(row)))))),
-    wanted.length > this.#rows ? h("button", { type: "button", class: "more", on: { click: () => { this.#rows += ROWS; this.#draw(); } } }, "Show more") : null);
+    fill(
+      this.table,
+      h(
+        "table",
+        { class: "wide" },
+        h(
+          "thead",
+          {},
+          h(
+            "tr",
+            {},
+            ["Camera", "State", "Events", "Last heard", "Reason"].map((name, k) =>
+              h("th", { scope: "col", class: k === 4 ? "apart" : k > 1 ? "number" : null }, name),
+            ),
+          ),
+        ),
+        h(
+          "tbody",
+          {},
+          wanted
+            .slice(0, this.#rows)
+            .map((row) =>
+              h(
+                "tr",
+                {},
+                h(
+                  "th",
+                  { scope: "row" },
+                  h("a", { href: link("camera", row.id) }, row.id),
+                  h("span", { class: "below reason" }, why(row)),
+                ),
+                h("td", {}, h("span", { class: stateClass(row.state) }, row.state)),
+                h("td", { class: "number" }, count(row.events)),
+                h("td", { class: "number" }, row.newest ? ago(now - row.newest) : "–"),
+                h("td", { class: "apart reason" }, why(row)),
+              ),
+            ),
+        ),
+      ),
+      wanted.length > this.#rows
+        ? h(
+            "button",
+            {
+              type: "button",
+              class: "more",
+              on: {
+                click: () => {
+                  this.#rows += ROWS;
+                  this.#draw();
+                },
+              },
+            },
+            "Show more",
+          )
+        : null,
+    );
   }
 }
 

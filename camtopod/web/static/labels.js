@@ -79,7 +79,8 @@ export class Labels {
 // The transit time of an edge, one where both ways are about the same.
 export function edgeText(edge) {
   const [one, other] = edge.ways.map((way) => way.mode);
-  if (other === undefined || Math.abs(one - other) <= 0.15 * Math.max(Math.abs(one), Math.abs(other))) return seconds(one);
+  if (other === undefined || Math.abs(one - other) <= 0.15 * Math.max(Math.abs(one), Math.abs(other)))
+    return seconds(one);
   return `${seconds(one).replace(/ s$/, "")} / ${seconds(other)}`;
 }
 
@@ -92,7 +93,11 @@ class Taken {
   }
 
   free(...box) {
-    return this.#covered(box).every((cell) => cell.every(([left, top, right, bottom]) => box[2] <= left || box[0] >= right || box[3] <= top || box[1] >= bottom));
+    return this.#covered(box).every((cell) =>
+      cell.every(
+        ([left, top, right, bottom]) => box[2] <= left || box[0] >= right || box[3] <= top || box[1] >= bottom,
+      ),
+    );
   }
 
   #covered([left, top, right, bottom]) {

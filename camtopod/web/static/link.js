@@ -11,7 +11,12 @@ const HEIGHT = 250;
 const EDGE = { left: 40, right: 12, top: 14, bottom: 58 };
 const RUG = { top: 12, height: 9 };
 const BEYOND = 2.5; // how far around the middle 80 % the chart goes, in widths of it
-const KINDS = { overlapped: "Overlapping views", unseen_path: "Unseen path", unseen: "Unseen path", visible: "Within one view" };
+const KINDS = {
+  overlapped: "Overlapping views",
+  unseen_path: "Unseen path",
+  unseen: "Unseen path",
+  visible: "Within one view",
+};
 
 // What the panel shows of the cameras `a` and `b`.
 export async function pairPanel(app, a, b) {
@@ -24,16 +29,25 @@ export async function pairPanel(app, a, b) {
     chosen: story.cameras,
     body: [
       story.provisional ? h("p", { class: "provisional-note" }, h("b", {}, "Provisional. "), story.provisional) : null,
-      h("ul", { class: "why" }, story.why.map((sentence) => h("li", {}, sentence))),
-      [[one, other], [other, one]].map(([from, to]) => [
+      h(
+        "ul",
+        { class: "why" },
+        story.why.map((sentence) => h("li", {}, sentence)),
+      ),
+      [
+        [one, other],
+        [other, one],
+      ].map(([from, to]) => [
         h("h3", {}, `${from} → ${to}`),
         linkList(towards(to), (each) => each.to, "No link is published this way."),
       ]),
-      story.weak.length ? [
-        h("h3", {}, "Weak evidence"),
-        h("p", { class: "quiet" }, "Below the rule for publishing; used for predictions only."),
-        linkList(story.weak.slice(0, 8), (each) => each.to, ""),
-      ] : null,
+      story.weak.length
+        ? [
+            h("h3", {}, "Weak evidence"),
+            h("p", { class: "quiet" }, "Below the rule for publishing; used for predictions only."),
+            linkList(story.weak.slice(0, 8), (each) => each.to, ""),
+          ]
+        : null,
     ],
   };
 }
@@ -47,13 +61,29 @@ export async function linkPanel(app, from, to, relation) {
     title: `${story.from} → ${story.to}`,
     chosen: [...new Set(story.cameras)],
     body: [
-      h("p", { class: "lead" }, h("b", {}, percent(story.probability)), ` of those who ${relation === "visible" ? "come in" : "leave"} at ${story.from}, in `, h("b", {}, seconds(t.q50))),
+      h(
+        "p",
+        { class: "lead" },
+        h("b", {}, percent(story.probability)),
+        ` of those who ${relation === "visible" ? "come in" : "leave"} at ${story.from}, in `,
+        h("b", {}, seconds(t.q50)),
+      ),
       chart(story),
       h("h3", {}, "Why it is believed"),
-      h("ul", { class: "why" }, story.why.map((sentence) => h("li", {}, sentence))),
+      h(
+        "ul",
+        { class: "why" },
+        story.why.map((sentence) => h("li", {}, sentence)),
+      ),
       h("h3", {}, "Figures"),
-      h("dl", { class: "figures" },
-        fact("Transitions", count(story.transitions), "Expected number of objects that took it, in the window it was learned from"),
+      h(
+        "dl",
+        { class: "figures" },
+        fact(
+          "Transitions",
+          count(story.transitions),
+          "Expected number of objects that took it, in the window it was learned from",
+        ),
         fact("Departures", count(story.departures)),
         fact("Most popular time", seconds(t.mode), "The mode: the thesis's weight of the edge"),
         fact("Median", t.q50_sd ? `${seconds(t.q50)} ± ${seconds(t.q50_sd)}` : seconds(t.q50)),
@@ -61,9 +91,19 @@ export async function linkPanel(app, from, to, relation) {
         fact("Middle 80 %", span(t.q10, t.q90)),
         fact("q value", scientific(story.q_value), "False discovery rate at which the link is published"),
         fact("Var(d)", scientific(story.mahalanobis_variance), "The thesis's Mahalanobis test: linked up to 1"),
-        fact("Background", story.background === null ? "–" : `${scientific(story.background)} / s`, "Unrelated arrivals that follow a departure, per second of lag")),
+        fact(
+          "Background",
+          story.background === null ? "–" : `${scientific(story.background)} / s`,
+          "Unrelated arrivals that follow a departure, per second of lag",
+        ),
+      ),
       new Set(story.cameras).size === 2
-        ? h("p", {}, h("a", { href: link("pair", ...story.cameras) }, `All links between ${story.cameras.join(" and ")}`)) : null,
+        ? h(
+            "p",
+            {},
+            h("a", { href: link("pair", ...story.cameras) }, `All links between ${story.cameras.join(" and ")}`),
+          )
+        : null,
     ],
   };
 }
@@ -87,28 +127,82 @@ function chart(story) {
   const x = scale(low, high, EDGE.left, WIDTH - EDGE.right);
   const y = scale(0, top, floor, EDGE.top);
   const line = shown.map((bin) => [x((bin.left + bin.right) / 2), y(bin.curve)]);
-  return h("figure", { class: "chart" },
-    s("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `Transit times: most popular ${seconds(t.mode)}, four in five between ${span(t.q10, t.q90)}` },
-      s("rect", { class: "band", x: x(Math.max(low, t.q10)), width: x(Math.min(high, t.q90)) - x(Math.max(low, t.q10)), y: EDGE.top, height: floor - EDGE.top }),
+  return h(
+    "figure",
+    { class: "chart" },
+    s(
+      "svg",
+      {
+        viewBox: `0 0 ${WIDTH} ${HEIGHT}`,
+        role: "img",
+        "aria-label": `Transit times: most popular ${seconds(t.mode)}, four in five between ${span(t.q10, t.q90)}`,
+      },
+      s("rect", {
+        class: "band",
+        x: x(Math.max(low, t.q10)),
+        width: x(Math.min(high, t.q90)) - x(Math.max(low, t.q10)),
+        y: EDGE.top,
+        height: floor - EDGE.top,
+      }),
       axisY(y, ticks(0, top, 4), EDGE.left, WIDTH - EDGE.right, String),
       axisX(x, ticks(low, high, 6), floor + RUG.top + RUG.height, floor, String),
-      shown.map((bin) => s("rect", { class: "count", x: x(bin.left) + 0.5, width: Math.max(0.5, x(bin.right) - x(bin.left) - 1), y: y(bin.bar), height: floor - y(bin.bar) },
-        s("title", {}, `${span(bin.left, bin.right)}: ${count(bin.n)} transitions`))),
+      shown.map((bin) =>
+        s(
+          "rect",
+          {
+            class: "count",
+            x: x(bin.left) + 0.5,
+            width: Math.max(0.5, x(bin.right) - x(bin.left) - 1),
+            y: y(bin.bar),
+            height: floor - y(bin.bar),
+          },
+          s("title", {}, `${span(bin.left, bin.right)}: ${count(bin.n)} transitions`),
+        ),
+      ),
       s("path", { class: "curve", d: points(line) }),
-      story.background === null || story.relation === "visible" || story.background > top ? null
-        : s("line", { class: "background", x1: EDGE.left, x2: WIDTH - EDGE.right, y1: y(story.background), y2: y(story.background) }),
+      story.background === null || story.relation === "visible" || story.background > top
+        ? null
+        : s("line", {
+            class: "background",
+            x1: EDGE.left,
+            x2: WIDTH - EDGE.right,
+            y1: y(story.background),
+            y2: y(story.background),
+          }),
       s("line", { class: "median", x1: x(t.q50), x2: x(t.q50), y1: EDGE.top, y2: floor }),
-      samples.filter((value) => value >= low && value <= high).map((value) =>
-        s("line", { class: "sample", x1: x(value), x2: x(value), y1: floor + 4, y2: floor + 4 + RUG.height })),
-      s("text", { class: "title", x: WIDTH - EDGE.right, y: HEIGHT - 6, "text-anchor": "end" }, "transit time, seconds"),
-      s("text", { class: "title", x: EDGE.left, y: EDGE.top - 4 }, "transitions per second of transit time")),
-    h("figcaption", { class: "legend" },
+      samples
+        .filter((value) => value >= low && value <= high)
+        .map((value) =>
+          s("line", { class: "sample", x1: x(value), x2: x(value), y1: floor + 4, y2: floor + 4 + RUG.height }),
+        ),
+      s(
+        "text",
+        { class: "title", x: WIDTH - EDGE.right, y: HEIGHT - 6, "text-anchor": "end" },
+        "transit time, seconds",
+      ),
+      s("text", { class: "title", x: EDGE.left, y: EDGE.top - 4 }, "transitions per second of transit time"),
+    ),
+    h(
+      "figcaption",
+      { class: "legend" },
       h("span", {}, h("i", { class: "swatch count" }), "counted"),
       h("span", {}, h("i", { class: "swatch curve" }), "fitted curve"),
       h("span", {}, h("i", { class: "swatch median" }), "median"),
       h("span", {}, h("i", { class: "swatch band" }), "middle 80 %"),
       h("span", {}, h("i", { class: "swatch sample" }), `${samples.length} Monte Carlo samples`),
-      story.background === null || story.relation === "visible" ? null
-        : h("span", {}, h("i", { class: "swatch background" }), story.background > top ? `background: above this chart, ${scientific(story.background)}` : "background level"),
-      beyond > 0.005 * story.transitions && beyond > 0.5 ? h("span", { class: "quiet" }, `${count(beyond)} further out are not shown`) : null));
+      story.background === null || story.relation === "visible"
+        ? null
+        : h(
+            "span",
+            {},
+            h("i", { class: "swatch background" }),
+            story.background > top
+              ? `background: above this chart, ${scientific(story.background)}`
+              : "background level",
+          ),
+      beyond > 0.005 * story.transitions && beyond > 0.5
+        ? h("span", { class: "quiet" }, `${count(beyond)} further out are not shown`)
+        : null,
+    ),
+  );
 }

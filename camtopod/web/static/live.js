@@ -15,6 +15,8 @@ export class Connection {
     this.offset = 0; // seconds that the server's clock is ahead of this one's
     this.#open();
     setInterval(() => this.#look(), 1000);
+    // A page that nobody sees (another tab, or kept for the way back) gives its connection up: a browser has six.
+    document.addEventListener("visibilitychange", () => (document.hidden ? this.#events.close() : this.#open()));
   }
 
   // Ask for the entries and exits of one camera, or (null) of none.
@@ -54,6 +56,7 @@ export class Connection {
   }
 
   #look() {
+    if (document.hidden) return;
     const quiet = (performance.now() - this.#heard) / 1000;
     const closed = this.#events.readyState !== EventSource.OPEN;
     if (this.#lostSince === null && (quiet > SILENT_SECONDS || (closed && quiet > RETRY_SECONDS))) {

@@ -32,14 +32,24 @@ class App {
     this.stage = h("div", { class: "stage" });
     this.panel = h("aside", { class: "panel", hidden: true, tabindex: "-1", "aria-label": "Details" });
     this.pages = h("div", { class: "pages", hidden: true });
-    this.nav = h("nav", { "aria-label": "Views" }, [["map", "Map"], ["links", "Links"], ["versions", "Versions"], ["health", "Health"]]
-      .filter(([name]) => this.source.live || name !== "health")
-      .map(([name, text]) => h("a", { href: link(name), data: { name } }, text)));
+    this.nav = h(
+      "nav",
+      { "aria-label": "Views" },
+      [
+        ["map", "Map"],
+        ["links", "Links"],
+        ["versions", "Versions"],
+        ["health", "Health"],
+      ]
+        .filter(([name]) => this.source.live || name !== "health")
+        .map(([name, text]) => h("a", { href: link(name), data: { name } }, text)),
+    );
     document.body.append(
       h("a", { class: "skip", href: "#/links" }, "Links as a table"),
       h("header", {}, h("a", { class: "brand", href: "#/map" }, "camtopod"), this.title, this.nav, this.pill),
       this.banner,
-      h("main", {}, this.stage, this.panel, this.pages));
+      h("main", {}, this.stage, this.panel, this.pages),
+    );
     this.network = new NetworkMap(this.stage);
     this.overlays = new Overlays(this.stage, this);
     this.views = { links: new LinkTable(), versions: new Versions(this) };
@@ -53,9 +63,17 @@ class App {
       this.connection = new Connection({
         map: (change) => this.#change(change),
         resync: () => this.load(),
-        version: (version) => { if (!this.#has(version)) this.load(); },
-        live: (said) => { this.#daemon = said; this.#tellLive(); },
-        lost: (since) => { this.#lost = since; this.#tellLive(); },
+        version: (version) => {
+          if (!this.#has(version)) this.load();
+        },
+        live: (said) => {
+          this.#daemon = said;
+          this.#tellLive();
+        },
+        lost: (since) => {
+          this.#lost = since;
+          this.#tellLive();
+        },
         prediction: (prediction) => this.#predicted(prediction, true),
         past: (prediction) => this.#predicted(prediction, false),
         event: (event) => this.#shown?.onEvent?.(event),
@@ -71,7 +89,7 @@ class App {
 
   // Seconds since the epoch by the server's clock.
   now() {
-    return this.connection ? this.connection.now() : this.map?.as_of ?? 0;
+    return this.connection ? this.connection.now() : (this.map?.as_of ?? 0);
   }
 
   // Fetch the whole map, again if the server is away.
@@ -125,16 +143,26 @@ class App {
       if (!(error instanceof NotThere || error instanceof TypeError)) throw error;
       if (again) return;
       const away = "The server is not reached.";
-      shown = { kind: "Not there", title: rest[0] ?? name, chosen: [], body: [h("p", {}, error instanceof NotThere ? error.message : away)] };
+      shown = {
+        kind: "Not there",
+        title: rest[0] ?? name,
+        chosen: [],
+        body: [h("p", {}, error instanceof NotThere ? error.message : away)],
+      };
     }
     if (this.#place !== place) return; // somebody has gone on meanwhile
     this.#shown = shown;
     const top = again ? this.panel.scrollTop : 0;
-    fill(this.panel,
-      h("div", { class: "head" },
+    fill(
+      this.panel,
+      h(
+        "div",
+        { class: "head" },
         h("div", {}, h("p", { class: "kind" }, shown.kind), h("h2", { tabindex: "-1" }, shown.title)),
-        h("a", { class: "close", href: "#/map", "aria-label": "Close" }, "✕")),
-      shown.body);
+        h("a", { class: "close", href: "#/map", "aria-label": "Close" }, "✕"),
+      ),
+      shown.body,
+    );
     this.panel.hidden = false;
     this.panel.scrollTop = top;
     document.body.classList.add("with-panel");

@@ -15,7 +15,12 @@ const NEAR_SCALE = 0.8;
 const PICK_PIXELS = 14;
 const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
 const INSETS = { top: 76, right: 40, bottom: 112, left: 40 };
-const SIDES = [[0, 1], [0, -1], [1, 0], [-1, 0]];
+const SIDES = [
+  [0, 1],
+  [0, -1],
+  [1, 0],
+  [-1, 0],
+];
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class NetworkMap {
@@ -27,7 +32,11 @@ export class NetworkMap {
   #found = null; // ids that match the search, or null
 
   constructor(element) {
-    this.svg = s("svg", { class: "map", role: "group", "aria-label": "Network map. Arrow keys go from camera to camera, Enter opens one, plus and minus zoom." });
+    this.svg = s("svg", {
+      class: "map",
+      role: "group",
+      "aria-label": "Network map. Arrow keys go from camera to camera, Enter opens one, plus and minus zoom.",
+    });
     this.world = s("g", {});
     this.edgeLayer = s("g", { class: "edges" });
     this.flowLayer = s("g", { class: "flow", "aria-hidden": "true" });
@@ -36,10 +45,18 @@ export class NetworkMap {
     this.world.append(this.edgeLayer, this.flowLayer, this.nodeLayer);
     this.svg.append(this.world, this.labelLayer);
     this.tip = h("div", { class: "tip", hidden: true });
-    this.nothing = h("div", { class: "nothing" }, h("h2", {}, "Nothing learned yet"),
-      h("p", {}, "The map appears with the first version, some minutes after the first events."));
+    this.nothing = h(
+      "div",
+      { class: "nothing" },
+      h("h2", {}, "Nothing learned yet"),
+      h("p", {}, "The map appears with the first version, some minutes after the first events."),
+    );
     element.append(this.svg, this.tip, this.nothing);
-    this.view = new View(this.svg, () => this.redraw(), (x, y) => this.#tap(x, y));
+    this.view = new View(
+      this.svg,
+      () => this.redraw(),
+      (x, y) => this.#tap(x, y),
+    );
     this.labels = new Labels(this.labelLayer);
     this.flow = new Flow(this.flowLayer, this);
     this.svg.addEventListener("pointermove", (event) => this.#hover(event));
@@ -133,7 +150,10 @@ export class NetworkMap {
 
   #place(id, camera, held) {
     const [x, y] = [camera.x * UNIT, camera.y * UNIT];
-    const node = held ?? { id, element: s("g", { class: "node", role: "button", tabindex: "-1", data: { id } }, s("circle", {}), s("title", {})) };
+    const node = held ?? {
+      id,
+      element: s("g", { class: "node", role: "button", tabindex: "-1", data: { id } }, s("circle", {}), s("title", {})),
+    };
     Object.assign(node, { x, y, camera });
     node.element.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
     node.element.setAttribute("aria-label", `Camera ${id}, ${plural(camera.zones, "zone")}`);
@@ -154,7 +174,8 @@ export class NetworkMap {
     const share = Math.sqrt(edge.transitions / this.traffic);
     const width = WIDTH_PIXELS[0] + (WIDTH_PIXELS[1] - WIDTH_PIXELS[0]) * share;
     Object.assign(drawn, { a, b, edge, width });
-    for (const [name, value] of Object.entries({ x1: a.x, y1: a.y, x2: b.x, y2: b.y })) drawn.element.setAttribute(name, value.toFixed(1));
+    for (const [name, value] of Object.entries({ x1: a.x, y1: a.y, x2: b.x, y2: b.y }))
+      drawn.element.setAttribute(name, value.toFixed(1));
     drawn.element.style.setProperty("--width", width.toFixed(2));
     drawn.element.setAttribute("class", `edge ${edge.relation}${edge.provisional ? " provisional" : ""}`);
   }
@@ -256,7 +277,8 @@ export class NetworkMap {
     this.#roam(node.id);
     const [x, y] = this.view.toScreen(node.x, node.y);
     const margin = 60;
-    if (x < margin || y < margin || x > this.svg.clientWidth - margin || y > this.svg.clientHeight - margin) this.show(node.id);
+    if (x < margin || y < margin || x > this.svg.clientWidth - margin || y > this.svg.clientHeight - margin)
+      this.show(node.id);
   }
 
   #key(event) {
@@ -286,7 +308,10 @@ export class NetworkMap {
 }
 
 function nodeTip({ id, camera }) {
-  return [h("b", {}, id), h("span", {}, `${plural(camera.zones, "zone")} · ${count(camera.entries)} in, ${count(camera.exits)} out`)];
+  return [
+    h("b", {}, id),
+    h("span", {}, `${plural(camera.zones, "zone")} · ${count(camera.entries)} in, ${count(camera.exits)} out`),
+  ];
 }
 
 function edgeTip({ a, b, edge }) {
@@ -294,7 +319,13 @@ function edgeTip({ a, b, edge }) {
   return [
     h("b", {}, `${a.id} – ${b.id}`),
     h("span", {}, kind + (edge.provisional ? ", provisional" : "")),
-    edge.ways.map((way) => h("span", {}, `${way.from} → ${way.to}: ${seconds(way.mode)} (${span(way.q10, way.q90)}), ${percent(way.probability)}`)),
+    edge.ways.map((way) =>
+      h(
+        "span",
+        {},
+        `${way.from} → ${way.to}: ${seconds(way.mode)} (${span(way.q10, way.q90)}), ${percent(way.probability)}`,
+      ),
+    ),
     edge.provisional ? h("span", { class: "note" }, edge.provisional) : null,
   ];
 }
@@ -304,4 +335,3 @@ function fromLine(x, y, a, b) {
   const along = Math.min(1, Math.max(0, ((x - a.x) * dx + (y - a.y) * dy) / (dx * dx + dy * dy || 1)));
   return Math.hypot(a.x + along * dx - x, a.y + along * dy - y);
 }
-

@@ -17,27 +17,58 @@ export class Overlays {
 
   constructor(stage, app) {
     this.app = app;
-    this.search = h("input", { type: "search", placeholder: "Find a camera", "aria-label": "Find a camera", autocomplete: "off",
-      on: { input: () => this.#find(), keydown: (event) => this.#key(event), blur: () => setTimeout(() => fill(this.hits), 150), focus: () => this.#find() } });
+    this.search = h("input", {
+      type: "search",
+      placeholder: "Find a camera",
+      "aria-label": "Find a camera",
+      autocomplete: "off",
+      on: {
+        input: () => this.#find(),
+        keydown: (event) => this.#key(event),
+        blur: () => setTimeout(() => fill(this.hits), 150),
+        focus: () => this.#find(),
+      },
+    });
     this.hits = h("ul", { class: "hits" });
     this.said = h("span", { class: "visually-hidden", role: "status" });
     const { view } = app.network;
-    const button = (text, name, act) => h("button", { type: "button", "aria-label": name, title: name, on: { click: act } }, text);
+    const button = (text, name, act) =>
+      h("button", { type: "button", "aria-label": name, title: name, on: { click: act } }, text);
     this.summary = h("span", { class: "quiet" });
     this.list = h("ul", {});
-    this.predictions = h("details", { class: "overlay predictions", open: !NARROW.matches, hidden: true }, h("summary", {}, "Predictions"), this.list);
+    this.predictions = h(
+      "details",
+      { class: "overlay predictions", open: !NARROW.matches, hidden: true },
+      h("summary", {}, "Predictions"),
+      this.list,
+    );
     stage.append(
       h("div", { class: "overlay search", role: "search" }, this.search, this.hits, this.said),
-      h("div", { class: "overlay zoom" }, button("+", "Zoom in", () => view.zoom(1.4)), button("−", "Zoom out", () => view.zoom(1 / 1.4)), button("⤢", "Show all", () => app.network.fit())),
-      h("details", { class: "overlay key", open: !NARROW.matches }, h("summary", {}, "Legend ", this.summary), h("ul", {},
-        h("li", {}, h("i", { class: "stroke overlapped" }), "views overlap"),
-        h("li", {}, h("i", { class: "stroke unseen" }), "unseen path"),
-        h("li", {}, h("i", { class: "stroke unseen provisional" }), "provisional"),
-        h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
-        app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "expected under way") : null,
-        app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
-        h("li", { class: "quiet" }, "numbers: most popular transit time"))),
-      this.predictions);
+      h(
+        "div",
+        { class: "overlay zoom" },
+        button("+", "Zoom in", () => view.zoom(1.4)),
+        button("−", "Zoom out", () => view.zoom(1 / 1.4)),
+        button("⤢", "Show all", () => app.network.fit()),
+      ),
+      h(
+        "details",
+        { class: "overlay key", open: !NARROW.matches },
+        h("summary", {}, "Legend ", this.summary),
+        h(
+          "ul",
+          {},
+          h("li", {}, h("i", { class: "stroke overlapped" }), "views overlap"),
+          h("li", {}, h("i", { class: "stroke unseen" }), "unseen path"),
+          h("li", {}, h("i", { class: "stroke unseen provisional" }), "provisional"),
+          h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
+          app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "expected under way") : null,
+          app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
+          h("li", { class: "quiet" }, "numbers: most popular transit time"),
+        ),
+      ),
+      this.predictions,
+    );
   }
 
   update(map) {
@@ -56,13 +87,24 @@ export class Overlays {
   #list() {
     this.#timer = null;
     this.predictions.hidden = false;
-    fill(this.list, this.#predictions.map((one) => {
-      const next = one.next[0];
-      return h("li", {}, h("a", { href: link("camera", one.camera) }, one.camera), " → ",
-        next && next.probability >= one.leave
-          ? [h("b", {}, next.camera), h("span", { class: "quiet" }, ` ${percent(next.probability)}, ${span(next.q10, next.q90)}`)]
-          : h("span", { class: "quiet" }, `leaves, ${percent(one.leave)}`));
-    }));
+    fill(
+      this.list,
+      this.#predictions.map((one) => {
+        const next = one.next[0];
+        return h(
+          "li",
+          {},
+          h("a", { href: link("camera", one.camera) }, one.camera),
+          " → ",
+          next && next.probability >= one.leave
+            ? [
+                h("b", {}, next.camera),
+                h("span", { class: "quiet" }, ` ${percent(next.probability)}, ${span(next.q10, next.q90)}`),
+              ]
+            : h("span", { class: "quiet" }, `leaves, ${percent(one.leave)}`),
+        );
+      }),
+    );
   }
 
   #find() {
@@ -73,10 +115,16 @@ export class Overlays {
       return;
     }
     this.said.textContent = `${plural(found.length, "camera")} found`;
-    fill(this.hits,
-      found.slice(0, HITS_SHOWN).map((id) => h("li", {}, h("a", { href: link("camera", id), on: { click: () => this.app.network.show(id) } }, id))),
+    fill(
+      this.hits,
+      found
+        .slice(0, HITS_SHOWN)
+        .map((id) =>
+          h("li", {}, h("a", { href: link("camera", id), on: { click: () => this.app.network.show(id) } }, id)),
+        ),
       found.length > HITS_SHOWN ? h("li", { class: "quiet" }, `and ${count(found.length - HITS_SHOWN)} more`) : null,
-      found.length ? null : h("li", { class: "quiet" }, "No camera of that name"));
+      found.length ? null : h("li", { class: "quiet" }, "No camera of that name"),
+    );
   }
 
   #key(event) {

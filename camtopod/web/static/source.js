@@ -11,30 +11,66 @@ export function openSource() {
 class Server {
   live = true;
 
-  map() { return get("data/map"); }
-  health() { return get("data/health"); }
-  camera(id) { return get(`data/camera/${encodeURIComponent(id)}`); }
-  pair(a, b) { return get(`data/pair/${encodeURIComponent(a)}/${encodeURIComponent(b)}`); }
-  link(from, to, relation) { return get(`data/link?${new URLSearchParams({ from, to, relation })}`); }
-  versions() { return get("data/versions"); }
-  version(number) { return get(`data/version/${number}`); }
-  changes(old, now) { return get(`data/changes/${old}/${now}`); }
-  picture(id) { return `picture/${encodeURIComponent(id)}`; }
+  map() {
+    return get("data/map");
+  }
+  health() {
+    return get("data/health");
+  }
+  camera(id) {
+    return get(`data/camera/${encodeURIComponent(id)}`);
+  }
+  pair(a, b) {
+    return get(`data/pair/${encodeURIComponent(a)}/${encodeURIComponent(b)}`);
+  }
+  link(from, to, relation) {
+    return get(`data/link?${new URLSearchParams({ from, to, relation })}`);
+  }
+  versions() {
+    return get("data/versions");
+  }
+  version(number) {
+    return get(`data/version/${number}`);
+  }
+  changes(old, now) {
+    return get(`data/changes/${old}/${now}`);
+  }
+  picture(id) {
+    return `picture/${encodeURIComponent(id)}`;
+  }
 }
 
 class Report {
   live = false;
 
-  constructor(held) { this.held = held; }
+  constructor(held) {
+    this.held = held;
+  }
 
-  async map() { return this.held.map; }
-  async camera(id) { return this.#found(this.held.cameras[id]); }
-  async pair(a, b) { return this.#found(this.held.pairs[[a, b].sort().join(" ")]); }
-  async link(from, to, relation) { return this.#found(this.held.links[`${from} ${to} ${relation}`]); }
-  async versions() { return this.held.versions; }
-  async version(number) { return this.#found(this.held.versions.find((one) => one.version === number)); }
-  async changes(old, now) { return this.#found(this.held.changes[`${old} ${now}`]); }
-  picture(id) { return this.held.pictures[id]; }
+  async map() {
+    return this.held.map;
+  }
+  async camera(id) {
+    return this.#found(this.held.cameras[id]);
+  }
+  async pair(a, b) {
+    return this.#found(this.held.pairs[[a, b].sort().join(" ")]);
+  }
+  async link(from, to, relation) {
+    return this.#found(this.held.links[`${from} ${to} ${relation}`]);
+  }
+  async versions() {
+    return this.held.versions;
+  }
+  async version(number) {
+    return this.#found(this.held.versions.find((one) => one.version === number));
+  }
+  async changes(old, now) {
+    return this.#found(this.held.changes[`${old} ${now}`]);
+  }
+  picture(id) {
+    return this.held.pictures[id];
+  }
 
   #found(value) {
     if (value === undefined) throw new NotThere("This report does not hold it.");

@@ -21,11 +21,28 @@ export class LinkTable {
   #text = "";
 
   constructor() {
-    const input = h("input", { type: "search", placeholder: "Filter by camera", "aria-label": "Filter links by camera",
-      on: { input: () => { this.#text = input.value.trim().toLowerCase(); this.#rows = ROWS; this.#draw(); } } });
+    const input = h("input", {
+      type: "search",
+      placeholder: "Filter by camera",
+      "aria-label": "Filter links by camera",
+      on: {
+        input: () => {
+          this.#text = input.value.trim().toLowerCase();
+          this.#rows = ROWS;
+          this.#draw();
+        },
+      },
+    });
     this.said = h("p", { class: "quiet", role: "status" });
     this.place = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Links" });
-    this.element = h("section", { class: "page" }, h("h1", {}, "Links between cameras"), h("div", { class: "tools" }, input), this.said, this.place);
+    this.element = h(
+      "section",
+      { class: "page" },
+      h("h1", {}, "Links between cameras"),
+      h("div", { class: "tools" }, input),
+      this.said,
+      this.place,
+    );
   }
 
   update(map) {
@@ -39,24 +56,102 @@ export class LinkTable {
 
   #draw() {
     const ways = Object.values(this.map?.edges ?? {}).flatMap((edge) =>
-      edge.ways.map((way) => ({ ...way, kind: (edge.relation === "overlapped" ? "overlapping" : "unseen path") + (edge.provisional ? ", provisional" : ""), provisional: edge.provisional })));
-    const wanted = ways.filter((way) => way.from.toLowerCase().includes(this.#text) || way.to.toLowerCase().includes(this.#text));
+      edge.ways.map((way) => ({
+        ...way,
+        kind:
+          (edge.relation === "overlapped" ? "overlapping" : "unseen path") + (edge.provisional ? ", provisional" : ""),
+        provisional: edge.provisional,
+      })),
+    );
+    const wanted = ways.filter(
+      (way) => way.from.toLowerCase().includes(this.#text) || way.to.toLowerCase().includes(this.#text),
+    );
     const by = COLUMNS[this.#order][1];
     wanted.sort((a, b) => (by(a) < by(b) ? -1 : by(a) > by(b) ? 1 : 0));
-    this.said.textContent = wanted.length === ways.length ? plural(ways.length, "link") : `${count(wanted.length)} of ${plural(ways.length, "link")}`;
-    fill(this.place,
-      h("table", { class: "wide" },
-        h("thead", {}, h("tr", {}, COLUMNS.map(([name], k) => h("th", { scope: "col", "aria-sort": k === this.#order ? "ascending" : null, class: k > 2 ? "number" : null },
-          h("button", { type: "button", class: "sort", on: { click: () => { this.#order = k; this.#draw(); } } }, name))))),
-        h("tbody", {}, wanted.slice(0, this.#rows).map((way) => h("tr", {},
-          h("th", { scope: "row" }, h("a", { href: link("pair", way.from, way.to), "aria-label": `${way.from} to ${way.to}` }, way.from)),
-          h("td", {}, way.to),
-          h("td", { title: way.provisional || null }, h("span", { class: `stroke ${way.kind.startsWith("over") ? "overlapped" : "unseen"}${way.provisional ? " provisional" : ""}` }), way.kind),
-          h("td", { class: "number" }, percent(way.probability)),
-          h("td", { class: "number" }, seconds(way.mode)),
-          h("td", { class: "number" }, span(way.q10, way.q90)),
-          h("td", { class: "number" }, count(way.transitions)))))),
+    this.said.textContent =
+      wanted.length === ways.length
+        ? plural(ways.length, "link")
+        : `${count(wanted.length)} of ${plural(ways.length, "link")}`;
+    fill(
+      this.place,
+      h(
+        "table",
+        { class: "wide" },
+        h(
+          "thead",
+          {},
+          h(
+            "tr",
+            {},
+            COLUMNS.map(([name], k) =>
+              h(
+                "th",
+                { scope: "col", "aria-sort": k === this.#order ? "ascending" : null, class: k > 2 ? "number" : null },
+                h(
+                  "button",
+                  {
+                    type: "button",
+                    class: "sort",
+                    on: {
+                      click: () => {
+                        this.#order = k;
+                        this.#draw();
+                      },
+                    },
+                  },
+                  name,
+                ),
+              ),
+            ),
+          ),
+        ),
+        h(
+          "tbody",
+          {},
+          wanted
+            .slice(0, this.#rows)
+            .map((way) =>
+              h(
+                "tr",
+                {},
+                h(
+                  "th",
+                  { scope: "row" },
+                  h("a", { href: link("pair", way.from, way.to), "aria-label": `${way.from} to ${way.to}` }, way.from),
+                ),
+                h("td", {}, way.to),
+                h(
+                  "td",
+                  { title: way.provisional || null },
+                  h("span", {
+                    class: `stroke ${way.kind.startsWith("over") ? "overlapped" : "unseen"}${way.provisional ? " provisional" : ""}`,
+                  }),
+                  way.kind,
+                ),
+                h("td", { class: "number" }, percent(way.probability)),
+                h("td", { class: "number" }, seconds(way.mode)),
+                h("td", { class: "number" }, span(way.q10, way.q90)),
+                h("td", { class: "number" }, count(way.transitions)),
+              ),
+            ),
+        ),
+      ),
       wanted.length > this.#rows
-        ? h("button", { type: "button", class: "more", on: { click: () => { this.#rows += ROWS; this.#draw(); } } }, `Show ${count(Math.min(ROWS, wanted.length - this.#rows))} more`) : null);
+        ? h(
+            "button",
+            {
+              type: "button",
+              class: "more",
+              on: {
+                click: () => {
+                  this.#rows += ROWS;
+                  this.#draw();
+                },
+              },
+            },
+            `Show ${count(Math.min(ROWS, wanted.length - this.#rows))} more`,
+          )
+        : null,
+    );
   }
 }

@@ -28,8 +28,13 @@ export class Versions {
     this.list = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Versions" });
     this.compare = h("div", { class: "card" });
     this.alarms = h("div", { class: "card" });
-    this.element = h("section", { class: "page" }, h("h1", {}, "Versions"), this.head,
-      h("div", { class: "columns" }, h("div", {}, this.chart, this.compare), h("div", {}, this.list, this.alarms)));
+    this.element = h(
+      "section",
+      { class: "page" },
+      h("h1", {}, "Versions"),
+      this.head,
+      h("div", { class: "columns" }, h("div", {}, this.chart, this.compare), h("div", {}, this.list, this.alarms)),
+    );
   }
 
   // A new version has come.
@@ -72,7 +77,11 @@ export class Versions {
     if (this.#asking) return;
     this.#asking = true;
     try {
-      for (let asked = 0, version = this.#ends()[1] - 1; this.#open && version >= 1 && asked < ASKED_MAX; version -= 1) {
+      for (
+        let asked = 0, version = this.#ends()[1] - 1;
+        this.#open && version >= 1 && asked < ASKED_MAX;
+        version -= 1
+      ) {
         if (this.#known.has(version)) continue;
         asked += 1;
         const found = await this.app.source.version(version);
@@ -91,30 +100,91 @@ export class Versions {
     const newest = all.at(-1);
     if (!newest) return fill(this.head, h("p", { class: "quiet" }, "No version yet."));
     const score = newest.score;
-    fill(this.head, h("dl", { class: "figures wide" },
-      fact("Newest version", count(newest.version)),
-      fact("As of", clock(newest.as_of)),
-      fact("Events learned", count(newest.events)),
-      fact("Related pairs", count(newest.pairs)),
-      score ? fact("Next camera right", `${percent(score.top1)} (usual: ${percent(score.baseline_top1)})`, "How often its first guess was right, marked by what later versions know; beside always naming the most frequent next camera") : null,
-      score ? fact("Log loss", `${score.log_loss.toFixed(2)} (usual: ${score.baseline_log_loss.toFixed(2)})`, "Mean of −ln(probability of what happened); less is better") : null));
+    fill(
+      this.head,
+      h(
+        "dl",
+        { class: "figures wide" },
+        fact("Newest version", count(newest.version)),
+        fact("As of", clock(newest.as_of)),
+        fact("Events learned", count(newest.events)),
+        fact("Related pairs", count(newest.pairs)),
+        score
+          ? fact(
+              "Next camera right",
+              `${percent(score.top1)} (usual: ${percent(score.baseline_top1)})`,
+              "How often its first guess was right, marked by what later versions know; beside always naming the most frequent next camera",
+            )
+          : null,
+        score
+          ? fact(
+              "Log loss",
+              `${score.log_loss.toFixed(2)} (usual: ${score.baseline_log_loss.toFixed(2)})`,
+              "Mean of −ln(probability of what happened); less is better",
+            )
+          : null,
+      ),
+    );
     fill(this.chart, h("h2", {}, "Its own score"), scoreChart(all));
     fill(this.list, this.#table(all));
     const alarms = all.flatMap((one) => one.alarms);
-    fill(this.alarms, h("h2", {}, "Alarms"), alarms.length ? alarmList(alarms.slice(-30)) : h("p", { class: "quiet" }, "None in the versions listed."));
+    fill(
+      this.alarms,
+      h("h2", {}, "Alarms"),
+      alarms.length ? alarmList(alarms.slice(-30)) : h("p", { class: "quiet" }, "None in the versions listed."),
+    );
     return undefined;
   }
 
   #table(all) {
-    return h("table", {},
-      h("thead", {}, h("tr", {}, ["Version", "As of", "Events", "Links", "Pairs", "Alarms"].map((name, k) => h("th", { scope: "col", class: k > 1 ? "number" : null }, name)))),
-      h("tbody", {}, [...all].reverse().slice(0, LISTED).map((one) => h("tr", {},
-        h("th", { scope: "row" }, h("a", { href: link("versions", Math.max(1, one.version - 1), one.version), title: "What changed with it" }, one.version)),
-        h("td", { class: "nowrap" }, clock(one.as_of)),
-        h("td", { class: "number" }, count(one.events)),
-        h("td", { class: "number" }, count(one.links)),
-        h("td", { class: "number" }, count(one.pairs)),
-        h("td", { class: "number" }, one.alarms.length ? h("span", { class: "pill bad", title: plural(one.alarms.length, "alarm") }, one.alarms.length) : null)))));
+    return h(
+      "table",
+      {},
+      h(
+        "thead",
+        {},
+        h(
+          "tr",
+          {},
+          ["Version", "As of", "Events", "Links", "Pairs", "Alarms"].map((name, k) =>
+            h("th", { scope: "col", class: k > 1 ? "number" : null }, name),
+          ),
+        ),
+      ),
+      h(
+        "tbody",
+        {},
+        [...all]
+          .reverse()
+          .slice(0, LISTED)
+          .map((one) =>
+            h(
+              "tr",
+              {},
+              h(
+                "th",
+                { scope: "row" },
+                h(
+                  "a",
+                  { href: link("versions", Math.max(1, one.version - 1), one.version), title: "What changed with it" },
+                  one.version,
+                ),
+              ),
+              h("td", { class: "nowrap" }, clock(one.as_of)),
+              h("td", { class: "number" }, count(one.events)),
+              h("td", { class: "number" }, count(one.links)),
+              h("td", { class: "number" }, count(one.pairs)),
+              h(
+                "td",
+                { class: "number" },
+                one.alarms.length
+                  ? h("span", { class: "pill bad", title: plural(one.alarms.length, "alarm") }, one.alarms.length)
+                  : null,
+              ),
+            ),
+          ),
+      ),
+    );
   }
 
   async #compareThem(old, now) {
@@ -122,8 +192,23 @@ export class Versions {
     const [, last] = this.#ends();
     const field = (value, name) => h("input", { type: "number", min: 1, max: last, value, "aria-label": name });
     const [from, to] = [field(old, "Older version"), field(now, "Newer version")];
-    const form = h("form", { class: "tools", on: { submit: (event) => { event.preventDefault(); go("versions", from.value, to.value); } } },
-      "from ", from, " to ", to, h("button", { type: "submit" }, "Compare"));
+    const form = h(
+      "form",
+      {
+        class: "tools",
+        on: {
+          submit: (event) => {
+            event.preventDefault();
+            go("versions", from.value, to.value);
+          },
+        },
+      },
+      "from ",
+      from,
+      " to ",
+      to,
+      h("button", { type: "submit" }, "Compare"),
+    );
     const result = h("div", { role: "status" }, h("p", { class: "quiet" }, "Comparing …"));
     fill(this.compare, h("h2", {}, "What changed"), form, result);
     try {
@@ -137,14 +222,36 @@ export class Versions {
 }
 
 function changeList(changes) {
-  if (!changes.length) return h("p", { class: "quiet" }, "Nothing that shows: figures moved by less than their own uncertainty.");
+  if (!changes.length)
+    return h("p", { class: "quiet" }, "Nothing that shows: figures moved by less than their own uncertainty.");
   return [
-    h("p", { class: "quiet" }, Object.entries(SIGNS).map(([sign, [, verb]]) => [changes.filter((one) => one.sign === sign).length, verb])
-      .filter(([n]) => n).map(([n, verb]) => `${count(n)} ${verb}`).join(", ")),
-    h("ul", { class: "changes" }, changes.slice(0, CHANGES_SHOWN).map((one) =>
-      h("li", { class: SIGNS[one.sign][0] }, h("span", { class: "sign", title: SIGNS[one.sign][1] }, one.sign === "-" ? "−" : one.sign),
-        h("span", { class: "kind" }, one.kind), h("span", {}, subject(one), h("small", {}, one.text))))),
-    changes.length > CHANGES_SHOWN ? h("p", { class: "quiet" }, `and ${count(changes.length - CHANGES_SHOWN)} more`) : null,
+    h(
+      "p",
+      { class: "quiet" },
+      Object.entries(SIGNS)
+        .map(([sign, [, verb]]) => [changes.filter((one) => one.sign === sign).length, verb])
+        .filter(([n]) => n)
+        .map(([n, verb]) => `${count(n)} ${verb}`)
+        .join(", "),
+    ),
+    h(
+      "ul",
+      { class: "changes" },
+      changes
+        .slice(0, CHANGES_SHOWN)
+        .map((one) =>
+          h(
+            "li",
+            { class: SIGNS[one.sign][0] },
+            h("span", { class: "sign", title: SIGNS[one.sign][1] }, one.sign === "-" ? "−" : one.sign),
+            h("span", { class: "kind" }, one.kind),
+            h("span", {}, subject(one), h("small", {}, one.text)),
+          ),
+        ),
+    ),
+    changes.length > CHANGES_SHOWN
+      ? h("p", { class: "quiet" }, `and ${count(changes.length - CHANGES_SHOWN)} more`)
+      : null,
   ];
 }
 
@@ -153,28 +260,69 @@ function subject({ kind, sign, subject: parts }) {
   const text = kind === "link" ? `${parts[0]} → ${parts[1]}` : parts.join(" – ");
   if (sign === "-") return h("b", {}, text);
   const camera = parts[0].split("/")[0];
-  return h("a", { href: kind === "link" ? link("link", ...parts) : kind === "pair" ? link("pair", ...parts) : link("camera", camera) }, text);
+  return h(
+    "a",
+    {
+      href:
+        kind === "link" ? link("link", ...parts) : kind === "pair" ? link("pair", ...parts) : link("camera", camera),
+    },
+    text,
+  );
 }
 
 function scoreChart(all) {
   const width = NARROW.matches ? 360 : 680;
   const scored = all.filter((one) => one.score);
-  if (scored.length < 2) return h("p", { class: "quiet" }, "The daemon marks its predictions by what later versions know; a curve needs two scored versions.");
+  if (scored.length < 2)
+    return h(
+      "p",
+      { class: "quiet" },
+      "The daemon marks its predictions by what later versions know; a curve needs two scored versions.",
+    );
   const x = scale(scored[0].as_of, scored.at(-1).as_of, EDGE.left, width - EDGE.right);
   const y = scale(0, 1, HEIGHT - EDGE.bottom, EDGE.top);
   const along = (value) => points(scored.map((one) => [x(one.as_of), y(value(one.score))]));
   const marks = [scored[0], scored[Math.floor(scored.length / 2)], scored.at(-1)];
-  return h("figure", { class: "chart" },
-    s("svg", { viewBox: `0 0 ${width} ${HEIGHT}`, role: "img", "aria-label": `First guess right in ${percent(scored.at(-1).score.top1)} of the newest predictions scored` },
+  return h(
+    "figure",
+    { class: "chart" },
+    s(
+      "svg",
+      {
+        viewBox: `0 0 ${width} ${HEIGHT}`,
+        role: "img",
+        "aria-label": `First guess right in ${percent(scored.at(-1).score.top1)} of the newest predictions scored`,
+      },
       axisY(y, ticks(0, 1, 4), EDGE.left, width - EDGE.right, (value) => `${100 * value} %`),
-      axisX(x, [...new Set(marks.map((one) => one.as_of))], HEIGHT - EDGE.bottom + 2, HEIGHT - EDGE.bottom, (t) => new Date(1000 * t).toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" })),
+      axisX(x, [...new Set(marks.map((one) => one.as_of))], HEIGHT - EDGE.bottom + 2, HEIGHT - EDGE.bottom, (t) =>
+        new Date(1000 * t).toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" }),
+      ),
       s("path", { class: "curve usual", d: along((score) => score.baseline_top1) }),
       s("path", { class: "curve third", d: along((score) => score.top3) }),
       s("path", { class: "curve", d: along((score) => score.top1) }),
-      scored.map((one) => s("circle", { class: one.alarms.length ? "mark alarm" : "mark", cx: x(one.as_of), cy: y(one.score.top1), r: one.alarms.length ? 5 : 3 },
-        s("title", {}, `version ${one.version}: ${percent(one.score.top1)}, log loss ${one.score.log_loss.toFixed(2)}, ${count(one.score.exits)} exits`)))),
-    h("figcaption", { class: "legend" },
+      scored.map((one) =>
+        s(
+          "circle",
+          {
+            class: one.alarms.length ? "mark alarm" : "mark",
+            cx: x(one.as_of),
+            cy: y(one.score.top1),
+            r: one.alarms.length ? 5 : 3,
+          },
+          s(
+            "title",
+            {},
+            `version ${one.version}: ${percent(one.score.top1)}, log loss ${one.score.log_loss.toFixed(2)}, ${count(one.score.exits)} exits`,
+          ),
+        ),
+      ),
+    ),
+    h(
+      "figcaption",
+      { class: "legend" },
       h("span", {}, h("i", { class: "swatch curve" }), "first guess right"),
       h("span", {}, h("i", { class: "swatch third" }), "among the first three"),
-      h("span", {}, h("i", { class: "swatch usual" }), "always naming the usual next camera")));
+      h("span", {}, h("i", { class: "swatch usual" }), "always naming the usual next camera"),
+    ),
+  );
 }

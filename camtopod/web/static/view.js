@@ -90,7 +90,8 @@ export class View {
     if (this.#moved < MOVED_PIXELS) return;
     if (others.length) {
       const [other] = others;
-      const factor = Math.hypot(now[0] - other[0], now[1] - other[1]) /
+      const factor =
+        Math.hypot(now[0] - other[0], now[1] - other[1]) /
         Math.max(1, Math.hypot(before[0] - other[0], before[1] - other[1]));
       this.zoom(factor, other[0], other[1]);
     } else {

@@ -1,0 +1,108 @@
+"""A headless Chromium for tests of the page; what it asks of the network and what it complains about."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from serving import wait_for
+
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--window-size=1280,800",
+)  # fmt: skip
+WITHOUT = "needs Chromium and its driver: apt-get install chromium chromium-driver; pip install selenium"
+
+
+@contextmanager
+def chromium(profile: Path) -> Iterator[Browser]:
+    """A browser with a new profile. Skips the test where there is none."""
+    webdriver = pytest.importorskip("selenium.webdriver", reason=WITHOUT)
+    binary, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if binary is None or driver is None:
+        pytest.skip(WITHOUT)
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for flag in (*FLAGS, f"--user-data-dir={profile}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    opened = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    try:
+        yield Browser(opened)
+    finally:
+        opened.quit()
+
+
+class Browser:
+    """What the tests do with it."""
+
+    def __init__(self, driver: Any) -> None:
+        self._driver = driver
+        self._complaints: list[str] = []
+        self._asked: list[str] = []
+
+    def open(self, address: str) -> None:
+        """Load a page anew."""
+        self._driver.get("about:blank")
+        self._driver.get(address)
+
+    def go(self, place: str) -> None:
+        """To another view of the page."""
+        self.run("location.hash = arguments[0]", place)
+
+    def run(self, script: str, *arguments: object) -> Any:
+        """What a script returns."""
+        return self._driver.execute_script(script, *arguments)
+
+    def text(self, selector: str) -> str:
+        """The text of the first element that fits; "" if there is none, or it is hidden."""
+        script = "const one = document.querySelector(arguments[0]);"
+        return str(self.run(f"{script} return one?.checkVisibility() ? one.innerText ?? one.textContent : ''", selector))
+
+    def count(self, selector: str) -> int:
+        """How many elements fit."""
+        return int(self.run("return document.querySelectorAll(arguments[0]).length", selector))
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Until it holds; fails with what is on the page."""
+        try:
+            wait_for(condition, what)
+        except AssertionError as error:
+            raise AssertionError(f"{error}; the page: {self.text('body')[:2000]}; {self.complaints()}") from None
+
+    def press(self, *keys: str) -> None:
+        """Press keys, wherever the focus is."""
+        from selenium.webdriver.common.keys import Keys
+
+        for key in keys:
+            self._driver.switch_to.active_element.send_keys(getattr(Keys, key, key))
+
+    def size(self, width: int, height: int) -> None:
+        """Of the window's inside, in pixels; narrow ones are phones."""
+        self._driver.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride",
+            {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500},
+        )
+
+    def dark(self, dark: bool) -> None:
+        """Which colours the person prefers."""
+        feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self._driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+
+    def complaints(self) -> list[str]:
+        """Errors and warnings of the page so far: scripts, its policy, what could not be loaded."""
+        self._complaints += [entry["message"] for entry in self._driver.get_log("browser") if entry["level"] != "INFO"]
+        return self._complaints
+
+    def asked(self) -> list[str]:
+        """The addresses of everything it has asked for so far."""
+        for entry in self._driver.get_log("performance"):
+            message = json.loads(entry["message"])["message"]
+            if message["method"] == "Network.requestWillBeSent":
+                self._asked.append(message["params"]["request"]["url"])
+        return self._asked
