@@ -55,6 +55,49 @@ def test_what_may_not_go_out_to_somebody_is_nothing_to_count() -> None:
     assert refusals.counts == {}
 
 
+ACTIONS = (
+    "Query", "Reply", "Put", "Delete", "Declare/Undeclare Subscriber", "Declare/Undeclare Queryable",
+    "Declare/Undeclare Liveliness Token", "Liveliness Query", "Declare Liveliness Subscriber",
+)  # fmt: skip
+
+
+def declares(refusals: Refusals, key: str, allowed_are: str) -> None:
+    """What zenoh says when a session declares a key: of each kind of message whether it would be allowed."""
+    control = f"{STAMP.format(16)}::access_control:"
+    for way in ("ingress", "egress"):
+        refusals.hear(f"{control} ACL ({way}): caching permissions for `{key}` ...")
+        for action in ACTIONS:
+            allowed = "authorized" if action == allowed_are else "unauthorized"
+            refusals.hear(f"{control} {SUBJECT} is {allowed} to {action} ({way}) on {key}")
+
+
+def test_what_would_not_be_allowed_is_no_refusal_until_it_comes(caplog: pytest.LogCaptureFixture) -> None:
+    refusals = Refusals()
+    control = f"{STAMP.format(16)}::access_control:"
+    declares(refusals, "camtopo/hq/status/lobby", "Put")
+    refusals.hear(f"{control} Using cached result: a7fa79 is authorized to Put (ingress) on camtopo/hq/status/lobby")
+    assert refusals.counts == {}
+    declares(refusals, "camtopo/hq/event/hall", "none")
+    for _ in range(3):
+        refusals.hear(
+            f"{control} Using cached result: a7fa79 is unauthorized to Put (ingress) on camtopo/hq/event/hall"
+        )
+        refusals.hear(dropped(16))
+    assert refusals.counts == {"denied": 3}
+    assert "the certificate of lobby does not allow Put on camtopo/hq/event/hall" in caplog.text
+    refusals.hear(dropped(16))
+    assert refusals.counts == {"denied": 3, "too-large": 1}
+
+
+def test_names_are_not_remembered_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "NAMES_MAX", 10)
+    refusals = Refusals()
+    for number in range(100):
+        refusals.hear(denied(16).replace("a7fa79", f"{number:x}"))
+    assert refusals.counts == {"denied": 100}
+    assert len(refusals._names) <= 10
+
+
 def test_handshakes_by_reason_and_the_rest_as_it_is(caplog: pytest.LogCaptureFixture) -> None:
     refusals = Refusals()
     with caplog.at_level(logging.INFO):

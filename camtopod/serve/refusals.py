@@ -34,7 +34,16 @@ _REASONS = {
     "not-tls": r"corrupt message|InvalidContentType|InvalidMessage",
 }
 _INTERCEPTOR = re.compile(r"(ThreadId\(\d+\)) zenoh::net::routing::interceptor\S* (.*)")
-_DENIED = re.compile(r"CertCommonName\(([^)]*)\).* is unauthorized to (\w+) \(ingress\) on (\S+)")
+_DECISION = re.compile(
+    r"(?:Using cached result: )?(\w+)(?: on \S*CertCommonName\(([^)]*)\)\S*)?"
+    r" is (un)?authorized to ([\w/ ]+) \((\w+)\) on (\S+)"
+)
+_REHEARSAL, _REHEARSED = "caching permissions for", 9
+"""Of a key that is declared access control decides beforehand what of all kinds of messages would be allowed, a line
+each; when one comes it says so anew, without the name.
+"""
+NAMES_MAX = 10_000
+"""Sessions whose certificate's name is remembered."""
 _LINK = re.compile(r"zenoh_link_tls\S*: (.*)")
 _RECEIVED, _TOO_LARGE = b"unicast::universal::rx", b"Defragmentation buffer full"
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
@@ -47,6 +56,8 @@ class Refusals:
         self.counts: collections.Counter[str] = collections.Counter()
         self._said: dict[str, float] = {}
         self._denied: set[str] = set()  # threads of zenoh's whose message in hand is not allowed
+        self._rehearsing: dict[str, int] = {}  # by thread the decisions to come that are of no message
+        self._names: dict[str, str] = {}  # by session
 
     def hear(self, line: str) -> None:
         """A line of zenoh's log."""
@@ -69,18 +80,34 @@ class Refusals:
 
     def _intercepted(self, thread: str, what: str) -> None:
         """What access control says of a message, or that a message is dropped: if it was allowed, for its size."""
-        if " is authorized to " in what:
-            self._denied.discard(thread)
-        elif " is unauthorized to " in what:
-            self._denied.add(thread)
-            if denied := _DENIED.search(what):
-                who, action, key = denied.groups()
-                self._count("denied", f"the certificate of {who} does not allow {action} on {key}")
+        if _REHEARSAL in what:
+            self._rehearsing[thread] = _REHEARSED
+        elif decision := _DECISION.match(what):
+            self._decided(thread, *decision.groups())
         elif what.startswith("Msg intercepted"):
             if thread in self._denied:
                 self._denied.discard(thread)
             else:
                 self._too_large()
+
+    def _decided(
+        self, thread: str, session: str, name: str | None, un: str | None, action: str, way: str, key: str
+    ) -> None:
+        if name is not None:
+            if len(self._names) >= NAMES_MAX:
+                self._names.clear()
+            self._names[session] = name
+            if self._rehearsing.get(thread, 0):
+                self._rehearsing[thread] -= 1
+                return
+        self._rehearsing.pop(thread, None)
+        if un is None:
+            self._denied.discard(thread)
+            return
+        self._denied.add(thread)
+        if way == "ingress" and " " not in action:  # a message; who only declares gets nothing
+            who = self._names.get(session, "somebody")
+            self._count("denied", f"the certificate of {who} does not allow {action} on {key}")
 
     def _too_large(self) -> None:
         self._count("too-large", "a message was dropped for its size")
