@@ -62,6 +62,8 @@ def problems(module: str, source: str) -> list[str]:
         wrong.append("prometheus_client")
     if packages & {"starlette", "uvicorn"} and module != "web/app.py":
         wrong.append("starlette")
+    if "rich" in packages and module != "cli/screen.py":
+        wrong.append("rich")
     if "cv2" in packages and folder not in ("vision", "sim", "export"):
         wrong.append("cv2")
     if "sqlite3" in packages and folder != "serve":
@@ -101,7 +103,7 @@ def test_the_guard_sees_a_wrong_import() -> None:
     assert problems("serve/x.py", "import camtopod.cli.main") == ["camtopod.cli.main"]
     assert problems("web/x.py", "import uvicorn, camtopod.cli.exits") == ["camtopod.cli.exits", "starlette"]
     assert problems("client/x.py", "from camtopod.client import view") == []
-    assert problems("cli/x.py", "from paho.mqtt import client") == ["paho"]
+    assert problems("cli/x.py", "from paho.mqtt import client\nfrom rich import print") == ["paho", "rich"]
     assert problems("serve/x.py", "import prometheus_client") == ["prometheus_client"]
     assert problems("adapt/x.py", "import time\nfrom camtopod.serve import mqtt") == ["camtopod.serve", "time"]
     assert wall_clock_reads("import time\nnow = time.time()") == [2]

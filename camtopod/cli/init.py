@@ -8,7 +8,7 @@ import json
 import re
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -30,6 +30,7 @@ _HEAD = """\
 # Made by `camtopod init`. `camtopod check FILE` says whether it is right, with --probe also whether its cameras are
 # there; `camtopod check --example` shows every other setting.
 """
+_OF_A_FILE = "# a file is read once, as fast as it decodes; with realtime = true at its own pace"
 
 
 def add_parser(subparsers: Any) -> None:
@@ -74,7 +75,9 @@ def run(args: argparse.Namespace) -> int:
         _write(args.out, text, {path: cameras[name] for name, path in secrets.items()})
     except OSError as error:
         raise CommandError(f"cannot write {error.filename or args.out}: {error.strerror}") from None
-    _say(f"{args.out} is written" + (f", passwords are in {args.out.parent / SECRETS}" if secrets else ""))
+    _say(
+        f"{args.out} is written" + (f", passwords are in {args.out.parent / SECRETS}, for you alone" if secrets else "")
+    )
     _say(_next(args.out, settings))
     return exits.INPUT if any(probe.problem for probe in probes.values()) else exits.DONE
 
@@ -97,7 +100,7 @@ def named(given: Sequence[tuple[str, str]]) -> dict[str, str]:
 
 
 def written(
-    settings: Config, cameras: Mapping[str, str], words: Mapping[str, Sequence[str]], secret: Sequence[str] | Any
+    settings: Config, cameras: Mapping[str, str], words: Mapping[str, Sequence[str]], secret: Collection[str]
 ) -> str:
     """The configuration; of those in ``secret`` it names the file that has the source."""
     bus = {"connect": settings.bus.connect} if settings.bus.connect else {}
@@ -107,6 +110,7 @@ def written(
         key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
         where = ("source_file", f"{SECRETS}/{name}") if name in secret else ("source", _located(source))
         lines = [f"[cameras.{key}]", *(f"# {word}" for word in words[name])]
+        lines += [_OF_A_FILE] if kind_of(source) == "file" else []
         parts.append("\n".join([*lines, f"{where[0]} = {json.dumps(where[1], ensure_ascii=False)}"]))
     parts += [table("bus", TABLES["bus"], bus), table("state", TABLES["state"], {})]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)

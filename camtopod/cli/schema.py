@@ -35,7 +35,6 @@ def schema() -> dict[str, Any]:
 
 def _cameras() -> dict[str, Any]:
     camera = _table(CameraSettings)
-    del camera["required"]
     camera["oneOf"] = [{"required": ["source"]}, {"required": ["source_file"]}]
     return {
         "description": "[cameras.ID]: the cameras of this box, a table each; the ID is the camera's name on the bus.",
@@ -50,7 +49,7 @@ def _table(kind: type[Struct]) -> dict[str, Any]:
     table: dict[str, Any] = msgspec.json.schema(kind)["$defs"][kind.__name__]
     documents = attribute_docs(kind)
     table["description"] = " ".join(table["description"].split()).replace("`", "")
-    del table["title"]
+    del table["title"], table["required"]
     for field in msgspec.structs.fields(kind):
         key = table["properties"][field.name]
         key["description"] = documents[field.name].replace("`", "")
