@@ -211,7 +211,8 @@ def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    "arguments", [["init"], ["init", "a=0", "a=1"], ["init", "daemon=0"], ["--site", "a/b", "init", "0"]]
+    "arguments",
+    [["init"], ["init", "a=0", "a=1"], ["init", "daemon=0"], ["--site", "a/b", "init", "0"], ["init", "a\x7f"]],
 )
 def test_usage(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -244,7 +245,9 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         err = capsys.readouterr().err
         assert f"{path}:8: cameras.gone: cannot read {tmp_path}/none: No such file" in err
         assert "is reached, but no daemon of site other is there" in err
-    path.write_text(f'{bus}[cameras.gone]\nsource = "4242"\n')
+        path.write_text(f'{bus}[cameras.gone]\nsource = "4242"\n')
+        assert main(["check", str(path), "--probe"]) == 66
+        capsys.readouterr()
     assert main(["check", str(path), "--probe"]) == 69
     err = capsys.readouterr().err
     assert f"{path}:4: cameras.gone: it cannot be opened: there is no /dev/video4242\n" in err

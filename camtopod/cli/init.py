@@ -70,14 +70,12 @@ def run(args: argparse.Namespace) -> int:
     )
     words = {name: probe.words for name, probe in probes.items()}
     text = written(settings, cameras, words, secrets.keys())
-    config.parse(text)
     try:
         _write(args.out, text, {path: cameras[name] for name, path in secrets.items()})
     except OSError as error:
         raise CommandError(f"cannot write {error.filename or args.out}: {error.strerror}") from None
-    _say(
-        f"{args.out} is written" + (f", passwords are in {args.out.parent / SECRETS}, for you alone" if secrets else "")
-    )
+    where = f", passwords are in {args.out.parent / SECRETS}, for you alone" if secrets else ""
+    _say(f"{args.out} is written{where}")
     _say(_next(args.out, settings))
     return exits.INPUT if any(probe.problem for probe in probes.values()) else exits.DONE
 
@@ -120,10 +118,11 @@ def _given(arguments: Sequence[str]) -> list[tuple[str, str]]:
     """(name or "", source) of each; ``-`` stands for the lines of standard input."""
     found = []
     for argument in arguments:
-        for text in sys.stdin.read().split("\n") if argument == "-" else [argument]:
-            match = _GIVEN.fullmatch(text.strip())
-            if text.strip():
-                found.append((match[1], match[2]) if match else ("", text.strip()))
+        for line in sys.stdin if argument == "-" else [argument]:
+            if not (text := line.strip()).isprintable():
+                raise CommandError(f"{text!a}: no source has such characters in it", exits.USAGE)
+            match = _GIVEN.fullmatch(text)
+            found += [(match[1], match[2])] if match else [("", text)] if text else []
     if not found:
         raise InputError("no camera was named on standard input")
     return found
