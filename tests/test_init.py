@@ -212,7 +212,14 @@ def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     "arguments",
-    [["init"], ["init", "a=0", "a=1"], ["init", "daemon=0"], ["--site", "a/b", "init", "0"], ["init", "a\x7f"]],
+    [
+        ["init"],
+        ["init", "a=0", "a=1"],
+        ["init", "daemon=0"],
+        ["--site", "a/b", "init", "0"],
+        ["init", "a\x7f"],
+        ["init", "..=0"],
+    ],
 )
 def test_usage(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -85,7 +85,7 @@ def named(given: Sequence[tuple[str, str]]) -> dict[str, str]:
     short = Counter(_short(source) for name, source in given if not name)
     cameras: dict[str, str] = {}
     for name, source in given:
-        if name in (*cameras, *config.RESERVED):
+        if name in (*cameras, *config.RESERVED, ".", ".."):
             raise CommandError(f"{name}: two cameras cannot have this name, or it is taken; use another", exits.USAGE)
         if not name:
             own = _short(source)
@@ -116,7 +116,7 @@ def written(
 
 def _given(arguments: Sequence[str]) -> list[tuple[str, str]]:
     """(name or "", source) of each; ``-`` stands for the lines of standard input."""
-    found = []
+    found: list[tuple[str, str]] = []
     for argument in arguments:
         for line in sys.stdin if argument == "-" else [argument]:
             if not (text := line.strip()).isprintable():
