@@ -61,8 +61,8 @@ class Browser:
 
     def text(self, selector: str) -> str:
         """The text of the first element that fits; "" if there is none, or it is hidden."""
-        script = "const one = document.querySelector(arguments[0]);"
-        return str(self.run(f"{script} return one?.checkVisibility() ? one.innerText ?? one.textContent : ''", selector))
+        script = "const one = document.querySelector(arguments[0]); if (!one?.checkVisibility()) return '';"
+        return str(self.run(f"{script} return one.innerText ?? one.textContent", selector))
 
     def count(self, selector: str) -> int:
         """How many elements fit."""

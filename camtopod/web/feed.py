@@ -106,13 +106,14 @@ class Feed:
 
     def health(self) -> dict[str, Any]:
         """The daemon's status, every camera's, and what is live."""
+        now = self._clock()  # before what is true then is looked up
         with self._mutex:
             status, live = dict(self._status), dict(self._live)
         daemon = status.pop(DAEMON, None)
         known: dict[str, Any] = (daemon or {}).get("cameras", {})
         drawn = self.map.cameras if self.map is not None else {}
         return {
-            "now": self._clock(),
+            "now": now,
             "live": live,
             "dropped": self.dropped,
             "daemon": {k: v for k, v in (daemon or {}).items() if k not in ("cameras", "reject_samples", "alarms")},
@@ -154,7 +155,7 @@ class Feed:
         if name == DAEMON:
             self._heard = self._clock()
         elif before is None or any(before.get(k) != status.get(k) for k in ("state", "reason")):
-            self._hub.tell("health", msgspec.json.encode(_row(name, status, None)))
+            self._hub.tell("health", msgspec.json.encode({**_row(name, status, None), "at": self._clock()}))
 
     def _on_prediction(self, name: str, payload: bytes) -> None:
         second = int(self._clock())

@@ -60,7 +60,7 @@ export class Health {
       if (!(error instanceof TypeError)) throw error; // the server is away, which the banner says
       return;
     }
-    this.app.heardHealth(this.#content.cameras);
+    this.app.heardHealth(this.#content.cameras, this.#content.now);
     this.#draw();
   }
 

@@ -7,6 +7,7 @@ export class Connection {
   #events = null;
   #camera = null;
   #heard = performance.now();
+  #opened = 0;
   #lostSince = null;
 
   // handlers: {map, resync, version, live, prediction, past, event, health, beat, lost(since or null)}
@@ -16,7 +17,10 @@ export class Connection {
     this.#open();
     setInterval(() => this.#look(), 1000);
     // A page that nobody sees (another tab, or kept for the way back) gives its connection up: a browser has six.
-    document.addEventListener("visibilitychange", () => (document.hidden ? this.#events.close() : this.#open()));
+    document.addEventListener("visibilitychange", () => {
+      if (document.hidden) this.#events.close();
+      else this.#comeBack();
+    });
   }
 
   // Ask for the entries and exits of one camera, or (null) of none.
@@ -35,7 +39,7 @@ export class Connection {
     this.#events?.close();
     const query = this.#camera === null ? "" : `?${new URLSearchParams({ camera: this.#camera })}`;
     const events = (this.#events = new EventSource(`live${query}`));
-    this.#heard = performance.now();
+    this.#opened = performance.now();
     const names = ["map", "resync", "version", "live", "prediction", "past", "event", "health", "beat"];
     for (const name of names) {
       events.addEventListener(name, (message) => {
@@ -44,6 +48,11 @@ export class Connection {
         this.handlers[name]?.(content);
       });
     }
+  }
+
+  #comeBack() {
+    this.#heard = performance.now();
+    this.#open();
   }
 
   #alive(now) {
@@ -63,6 +72,8 @@ export class Connection {
       this.#lostSince = Date.now() / 1000 - quiet;
       this.handlers.lost(this.#lostSince);
     }
-    if (this.#events.readyState === EventSource.CLOSED || quiet > SILENT_SECONDS) this.#open();
+    const age = (performance.now() - this.#opened) / 1000;
+    const given = this.#events.readyState === EventSource.CLOSED ? RETRY_SECONDS : SILENT_SECONDS;
+    if (quiet > given && age > given) this.#open();
   }
 }

@@ -77,14 +77,16 @@ class App {
         prediction: (prediction) => this.#predicted(prediction, true),
         past: (prediction) => this.#predicted(prediction, false),
         event: (event) => this.#shown?.onEvent?.(event),
-        health: (row) => this.heardHealth([row]),
+        health: (row) => this.heardHealth([row], row.at),
       });
       setInterval(() => this.#tellLive(), 1000);
     }
     await this.load();
     this.#tellLive();
     await this.route();
-    if (this.source.live) this.heardHealth((await this.source.health()).cameras);
+    if (!this.source.live) return;
+    const { cameras, now } = await this.source.health();
+    this.heardHealth(cameras, now);
   }
 
   // Seconds since the epoch by the server's clock.
@@ -102,9 +104,12 @@ class App {
     }
   }
 
-  // Rows of the health page, as they come.
-  heardHealth(rows) {
-    for (const row of rows) this.rows.set(row.id, { ...this.rows.get(row.id), ...withValues(row) });
+  // Rows of the health page as they were at a time; one that is older than what is known says nothing new.
+  heardHealth(rows, at) {
+    for (const row of rows) {
+      const known = this.rows.get(row.id);
+      if (!known || known.at <= at) this.rows.set(row.id, { ...known, ...withValues(row), at });
+    }
     this.network.health(new Set([...this.rows.values()].filter((row) => troubled(row.state)).map((row) => row.id)));
     this.#shown?.onHealth?.(this.rows);
   }
