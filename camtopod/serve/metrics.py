@@ -181,7 +181,7 @@ def site_status(daemon: Daemon) -> dict[str, Any]:
 
 
 def grabbers(bus: Bus) -> dict[str, dict[str, Any]]:
-    """What the cameras' processes say of themselves, as far as they answer in time."""
+    """What the cameras' processes say of themselves; one that hangs is waited for, `bus.query_seconds` at most."""
     try:
         answers = bus.ask("status/*")
     except QueryError:
