@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
@@ -58,6 +59,34 @@ def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: P
     picture = cv2.imread(str(empty / "here" / "map.png"))
     assert picture is not None
     assert picture.shape[1] > 1200
+
+
+def test_the_demo_ends_when_all_is_learned_and_published_however_long_that_takes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Slow:
+        """A daemon on a slow machine: each of its states lasts for five looks."""
+
+        steps = ({"waiting": 1}, {"held": 9}, {"learner": 2}, {"stored": 10}, {"stored": 10})
+        looks = 0
+
+        def status(self) -> dict[str, Any]:
+            step = self.steps[self.looks // 5]
+            self.looks += 1
+            return {
+                "events": {"stored": step.get("stored", 9), "waiting": step.get("waiting", 0)},
+                "learner": {"held": step.get("held", 0), "version": step.get("learner", 1)},
+                "version": 1,
+            }
+
+    now = iter(range(1000))
+    monkeypatch.setattr(demo.time, "monotonic", lambda: float(next(now)))
+    monkeypatch.setattr(demo, "QUIET_SECONDS", 3.0)
+    daemon = Slow()
+    learned = demo._Learned(daemon)  # type: ignore[arg-type]
+    while not learned():
+        pass
+    assert 15 < daemon.looks < 20
 
 
 def test_those_that_are_ahead_wait_for_the_last(tmp_path: Path) -> None:

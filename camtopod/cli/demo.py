@@ -58,7 +58,7 @@ time after which a tracker gives up somebody it has lost."""
 AFTERWARDS_SECONDS = 3600.0
 """When the recording is over the demo's clock jumps this far, so that nothing is waited for any more."""
 QUIET_SECONDS = 1.0
-"""So long nothing has to change before all is taken as learned."""
+"""So long nothing more has to come in before all is taken as learned."""
 PATIENCE_SECONDS = 60.0
 """The demo gives up when nothing has got on for this long."""
 _TICK_SECONDS = 0.1
@@ -197,7 +197,7 @@ def _watch(recording: Recording, work: Path) -> Topology:
             _until(daemon, _Together(bus, grabbers, start))
             _check(grabbers, work)
             clock.skip(AFTERWARDS_SECONDS + recording.seconds)
-            _until(daemon, _Quiet(daemon))
+            _until(daemon, _Learned(daemon))
             topology = daemon.topology
             late = daemon.status()["learner"]["late"]
             if late:
@@ -298,17 +298,18 @@ class _Together:
         return not running
 
 
-class _Quiet:
-    """Whether for `QUIET_SECONDS` nothing has come in, been learned or been published."""
+class _Learned:
+    """Whether all that has come is learned and published, and for `QUIET_SECONDS` nothing more has come in."""
 
     def __init__(self, daemon: Daemon) -> None:
-        self._daemon, self._state, self._since = daemon, (-1, -1, -1.0), time.monotonic()
+        self._daemon, self._stored, self._since = daemon, -1, time.monotonic()
 
     def __call__(self) -> bool:
         status = self._daemon.status()
-        state = status["events"]["stored"], status["version"], status["learner"]["held"]
-        if state != self._state or status["events"]["waiting"]:
-            self._state, self._since = state, time.monotonic()
+        events, learner = status["events"], status["learner"]
+        known = not events["waiting"] and not learner["held"] and learner["version"] == status["version"]
+        if events["stored"] != self._stored or not known:
+            self._stored, self._since = events["stored"], time.monotonic()
         return time.monotonic() - self._since >= QUIET_SECONDS
 
 
