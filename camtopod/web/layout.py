@@ -49,6 +49,9 @@ def places(
         at[members] = _one_part(apart, held)
         boxes.append(members)
     _pack(at, boxes)
+    stayed = [k for k, name in enumerate(order) if name in before]
+    if stayed:  # a part that grew to the left is no reason for all to go to the right
+        at += np.median([before[order[k]] for k in stayed] - at[stayed], axis=0)
     return {name: (round(float(at[k, 0]), 3), round(float(at[k, 1]), 3)) for k, name in enumerate(order)}
 
 
