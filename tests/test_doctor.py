@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import stat
 import tarfile
 from pathlib import Path
@@ -30,6 +31,7 @@ SECRETS = {
     "file": "from-a-file-99",
     "credential": "from-systemd-11",
     "mqtt": "mosquitto-22",
+    "mqtt's file": "mosquitto-in-a-file-66",
     "environment": "environment-33",
     "endpoint": "c2VjcmV0LWtleQ==",
     "status": "said-by-a-camera-44",
@@ -52,7 +54,7 @@ def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     credentials = tmp_path / "credentials"
     credentials.mkdir()
     (credentials / "source").write_text(f"rtsp://admin:{SECRETS['credential']}@192.0.2.4/x\n")
-    (credentials / "mqtt").write_text(f"{SECRETS['mqtt']}\n")
+    (credentials / "mqtt").write_text(SECRETS["mqtt's file"] + "\n")
     (credentials / "private.key").write_text(
         f"-----BEGIN PRIVATE KEY-----\n{SECRETS['key']}\n-----END PRIVATE KEY-----\n"
     )
@@ -92,11 +94,9 @@ def test_no_secret_is_in_it(planted: Path, tmp_path: Path, capsys: pytest.Captur
         bus.put("event/yard", {"camera": "yard", "note": f"mqtt://u:{SECRETS['rejected']}@h"}, "event")
         bus.put_raw("event/yard", f'{{"password":"{SECRETS["rejected"]}"}}'.encode(), "event")
         wait_for(lambda: daemon.status()["rejects"] != {}, "the events to be refused")
-        said = {
-            "camera": "lobby",
-            "state": "stalled",
-            "reason": f"rtsp://u:{SECRETS['status']}@h and {SECRETS['quoted']}",
-        }
+        names = ("quoted", "file", "credential", "mqtt", "mqtt's file", "environment")
+        raw = " and ".join(SECRETS[name] for name in names)
+        said = {"camera": "lobby", "state": "stalled", "reason": f"rtsp://u:{SECRETS['status']}@h and {raw}"}
         bus.answer("status/lobby", lambda key, parameters: said, "status")
         connect = f"{daemon.endpoint}#connect_private_key_base64={SECRETS['endpoint']}"
         planted.write_text(f'{planted.read_text()}[bus]\nconnect_seconds = 0.5\nconnect = ["{connect}"]\n')
@@ -118,7 +118,7 @@ def test_no_secret_is_in_it(planted: Path, tmp_path: Path, capsys: pytest.Captur
         f"holds a secret: {tmp_path}/lobby (-rw-r--r--",
         f"{tmp_path}/lobby holds a secret and can be read by others",
         f"{daemon.endpoint}#connect_private_key_base64=*** is reached after",
-        'lobby: {"camera": "lobby", "state": "stalled", "reason": "rtsp://***@h and ***"}',
+        'lobby: {"camera": "lobby", "state": "stalled", "reason": "rtsp://***@h and *** and *** and *** and ***',
         "daemon refused: ",
         "CAMTOPOD_MQTT_PASSWORD",
     ):
@@ -135,6 +135,13 @@ def test_what_is_on_disk_is_counted_and_not_touched(tmp_path: Path, capsys: pyte
         publisher.publish(*events)
         wait_for(lambda: publisher.drained(0.1), "the events to be stored")
         spooled.close()
+        killed = tmp_path / "killed"  # as it would be found: with a log that is not in the database yet
+        killed.mkdir()
+        for suffix in ("", "-wal"):
+            shutil.copy(tmp_path / "state" / f"journal.db{suffix}", killed)
+    found = {path.name: path.read_bytes() for path in killed.iterdir()}
+    journal(killed / "journal.db")
+    assert {path.name: path.read_bytes() for path in killed.iterdir()} == found
     before = {path: path.read_bytes() for path in sorted((tmp_path / "state").iterdir())}
     assert journal(tmp_path / "state" / "journal.db")["first entry"] == 1
     assert journal(tmp_path / "state" / "journal.db")["last entry"] >= len(events)
