@@ -157,7 +157,7 @@ def test_as_many_come_from_outside_as_no_exit_accounts_for() -> None:
 
 def test_what_is_not_there_is_said() -> None:
     gate = Gate(THREE)
-    with pytest.raises(UnknownPlace, match=r"version 7 has no zone 'a/3'; there are a/\d, .*c/1"):
+    with pytest.raises(UnknownPlace, match=r"^version 7 has no zone 'a/3'; there are a/2, a/1, c/1, b/1$"):
         gate.gate("a/3", 0.0, "b", 8.0)
     with pytest.raises(KeyError, match="no camera 'd'; there are"):
         gate.gate("a/1", 0.0, "d", 8.0)
@@ -229,6 +229,7 @@ def test_association_beats_the_nearest_in_time(site: Site) -> None:
     out, into = ([site.topology.zones[predictor.zone_of(e)].id for e in some] for some in (site.exits, site.entries))
     usual = np.array([[median.get((a, b), np.inf) for b in into] for a in out])
     window = max(site.right(cutoff - np.abs(site.lag - usual)) for cutoff in CUTOFFS_SECONDS)
+    print(f"exits decided right: {found:.2f}; nearest in time: {nearest:.2f}; nearest to the median: {window:.2f}")
     assert found >= window + 0.02
 
 

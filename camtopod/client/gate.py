@@ -49,7 +49,8 @@ class Gate:
     """The log-priors of one version of the topology. Does not change; any thread may ask.
 
     Times are seconds since the epoch by the clock of the camera where they were taken, as in events; what the version
-    knows of the clocks is taken into account. Without a daemon: ``Gate(topology)`` of a topology read from a file.
+    knows of the clocks is taken into account. While little has been learned the odds are too sure, as predictions are.
+    Without a daemon: ``Gate(topology)`` of a topology read from a file.
     """
 
     def __init__(self, topology: Topology, predictor: Predictor | None = None) -> None:

@@ -56,7 +56,8 @@ class Topology(View):
     def predictions(
         self, camera: str | None = None, seconds: float | None = None, waiting_max: int = WAITING_MAX
     ) -> Predictions:
-        """The daemon's own predictions from now on, one for each exit at ``camera``, or anywhere; see `Predictions`.
+        """The daemon's own predictions from now on (it takes a moment until the daemon knows), one for each exit at
+        ``camera``, or anywhere; see `Predictions`. They use all that the daemon hears: more than `predict` knows.
 
         At most ``waiting_max`` wait to be read. Raises ValueError for a camera that cannot be one.
         """
