@@ -62,6 +62,7 @@ def output(*command: str | Path, cwd: Path) -> list[str]:
         ("check --", {"--example", "--schema", "--help", "--config", "--site", "--connect", "--log-format"}),
         ("--log-format ", {"text", "logfmt", "json"}),
         ("ingest fr", {"frigate"}),
+        ("export t.json --format ", {"dot", "graphml", "svg", "json", "aicity"}),
         ("keys re", {"reader", "revoke"}),
         ("keys camera --", {"--for", "--days", "--replace", "--keys", "--help"}),
         ("--config eve", {"events.jsonl"}),
