@@ -91,7 +91,7 @@ class View:
     @property
     def stale_since(self) -> float | None:
         """None while the daemon is there; else since when it is not, seconds since the epoch. What is held stays
-        usable. A daemon that ends is noticed at once, a network that is cut after up to ten seconds.
+        usable. A daemon that ends or is killed is noticed at once, one that hangs or a network that is cut in ten seconds.
         """
         return self._stale_since
 
@@ -106,7 +106,7 @@ class View:
         track: str | None = None,
     ) -> Prediction:
         """Where an object that left ``camera`` at ``t`` appears next, by the version held: no question to the daemon,
-        some tens of microseconds.
+        about a tenth of a millisecond.
 
         ``t``: seconds since the epoch by the camera's clock. ``x``, ``y``: where it left, fractions of the image; or
         ``zone``, a zone's id; or neither, at a camera without positions. ``track``: its track there; where the track's
