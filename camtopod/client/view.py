@@ -91,7 +91,7 @@ class View:
     @property
     def stale_since(self) -> float | None:
         """None while the daemon is there; else since when it is not, seconds since the epoch. What is held stays
-        usable. A daemon that ends or is killed is noticed at once, one that hangs or a network that is cut in ten seconds.
+        usable. A daemon that ends or is killed is noticed at once, one that hangs or is cut off in ten seconds.
         """
         return self._stale_since
 
