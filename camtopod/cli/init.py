@@ -60,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     settings = configuration(args)
     cameras = named(_given(args.sources))
     secrets = {name: args.out.parent / SECRETS / name for name, source in cameras.items() if redact(source) != source}
+    if not args.out.parent.is_dir():
+        raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
     there = [path for path in (args.out, *secrets.values()) if path.exists()]
     if there and not args.force:
         raise CommandError(f"{', '.join(map(str, there))}: there already; --force overwrites, --out writes elsewhere")
