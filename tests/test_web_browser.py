@@ -67,7 +67,7 @@ class Site:
         """A server of the page; yields its port."""
         with (
             listening("127.0.0.1", port) as listener,
-            app.serving(bus, listener, hosts("127.0.0.1"), self.directory, self.now),
+            app.serving(bus, listener, hosts("127.0.0.1"), self.directory, self.now, 1.0),
         ):
             yield listener.getsockname()[1]
 

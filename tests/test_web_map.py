@@ -166,3 +166,12 @@ def test_a_map_without_a_change_of_the_network_stays_as_it_is() -> None:
     moved = {name: MapCamera(one.x + 1, one.y, one.zones, one.entries, one.exits) for name, one in old.cameras.items()}
     kept = draw(msgspec.structs.replace(topology, version=2), msgspec.structs.replace(old, cameras=moved))
     assert kept.cameras == moved
+
+
+def test_a_pair_whose_links_are_not_listed_is_drawn() -> None:
+    topology = made_site(12)
+    pair = topology.pairs[0]
+    inside = [link for link in topology.links if link.relation == "visible"]
+    edge = draw(msgspec.structs.replace(topology, links=inside)).edges[" ".join(pair.cameras)]
+    assert (edge.relation, edge.ways) == (pair.relation, [])
+    assert edge.provisional.startswith("new")

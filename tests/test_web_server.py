@@ -88,7 +88,7 @@ class Rig:
     def __init__(self) -> None:
         self.now = 1000.0
         self.bus, self.hub = OneBus(), Heard()
-        self.feed = Feed(cast(Bus, self.bus), self.hub, lambda: self.now)
+        self.feed = Feed(cast(Bus, self.bus), self.hub, lambda: self.now, 1.0)
         self._stop = threading.Event()
         self._threads = [
             threading.Thread(target=work, args=[self._stop]) for work in (self.feed.versions, self.feed.messages)
@@ -158,7 +158,7 @@ def test_it_says_since_when_and_why_it_is_not_live() -> None:
     with Rig() as rig:
         rig.bus.put("status/daemon", {"state": "running"})
         wait_for(lambda: [one["live"] for one in rig.hub.of("live")][-1:] == [True], "live")
-        rig.now += feed.SILENT_SECONDS + 1
+        rig.now += feed.SILENT_STATUSES + 1
         wait_for(lambda: len(rig.hub.of("live")) == 2, "not live")
         rig.bus.connected = False
         wait_for(lambda: len(rig.hub.of("live")) == 3, "another reason")
@@ -280,7 +280,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     bus.kept = {1: SITE, 2: NEWER}
     with (
         listening("127.0.0.1", 0) as listener,
-        app.serving(cast(Bus, bus), listener, hosts("127.0.0.1"), folder, lambda: 1000.0),
+        app.serving(cast(Bus, bus), listener, hosts("127.0.0.1"), folder, lambda: 1000.0, 1.0),
     ):
         one = Server(listener.getsockname()[1])
         wait_for(lambda: one.get("/data/map")[2] != b"null", "the map")

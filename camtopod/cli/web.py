@@ -60,7 +60,8 @@ def run(args: argparse.Namespace) -> int:
             bus = stack.enter_context(dial(config))
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
-        running = stack.enter_context(app.serving(bus, listener, hosts(host), args.pictures, clock.wall))
+        every = config.limits.status_seconds
+        running = stack.enter_context(app.serving(bus, listener, hosts(host), args.pictures, clock.wall, every))
         log.info("the page is at http://%s/", _shown(listener))
         if not is_loopback(host):
             log.warning("anybody who reaches %s can read it: there is no password", _shown(listener))

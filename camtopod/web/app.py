@@ -182,12 +182,12 @@ def application(site: Site, hosts: list[str]) -> Starlette:
 
 @contextlib.contextmanager
 def serving(
-    bus: Bus, listener: socket.socket, hosts: list[str], pictures: Path | None, clock: Clock
+    bus: Bus, listener: socket.socket, hosts: list[str], pictures: Path | None, clock: Clock, status_seconds: float
 ) -> Iterator[Callable[[], bool]]:
     """Serve the page from a socket that listens, in threads, while the block runs; yields whether all of them live."""
     stop = threading.Event()
     hub = Hub()
-    feed = Feed(bus, hub, clock)
+    feed = Feed(bus, hub, clock, status_seconds)
     config = uvicorn.Config(
         application(Site(feed, Past(bus), hub, pictures), hosts), log_config=None, log_level="warning",
         access_log=False, lifespan="off", server_header=False, limit_concurrency=CONNECTIONS_MAX,

@@ -133,14 +133,14 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
             key = _key(camera[link.from_], camera[link.to])
             best[key] = min(best.get(key, math.inf), link.q_value)
     result = {}
-    for key in sorted(ways):
-        there = ways[key]
+    for key in sorted({*ways, *pairs}):
+        there = ways.get(key, [])
         transitions = sum(way.transitions for way in there)
         overlapped: PairRelation = "overlapped" if any(way.overlapped for way in there) else "unseen_path"
         pair = pairs.get(key)
         result[key] = MapEdge(
             pair.relation if pair else overlapped,
-            doubt(pair, transitions, best[key]),
+            doubt(pair, transitions, best.get(key, 1.0)),
             _digits(transitions, 2),
             [_way(edge) for edge in there],
         )

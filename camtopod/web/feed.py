@@ -34,17 +34,21 @@ CAMERAS_MAX = 5_000
 PREDICTIONS_PER_SECOND_MAX = 25
 """Predictions shown a second, of all cameras together: more nobody can follow."""
 PREDICTIONS_HELD = 20
-SILENT_SECONDS = 6.0
-"""A daemon that has said nothing for so long is not live."""
+SILENT_STATUSES = 6
+"""A daemon whose status did not come so many times is not live."""
 _TICK_SECONDS = 0.2
 DAEMON = "daemon"
 
 
 class Feed:
-    """Follows one site's bus. `versions` and `messages` are to be run in a thread each."""
+    """Follows one site's bus, whose daemon says how it is every ``status_seconds``.
 
-    def __init__(self, bus: Bus, hub: Hub, clock: Clock) -> None:
+    `versions` and `messages` are to be run in a thread each.
+    """
+
+    def __init__(self, bus: Bus, hub: Hub, clock: Clock, status_seconds: float) -> None:
         self._bus, self._hub, self._clock = bus, hub, clock
+        self._silent_seconds = SILENT_STATUSES * status_seconds
         self._inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(INBOX_MAX)
         self._mutex = threading.Lock()
         self._status: dict[str, dict[str, Any]] = {}
@@ -184,15 +188,15 @@ class Feed:
         now = self._clock()
         if not self._bus.connected:
             reason = f"the bus at {self._bus.endpoint} is not reached"
-        elif not -SILENT_SECONDS < now - self._heard < SILENT_SECONDS:
-            reason = f"the daemon has said nothing for {SILENT_SECONDS:.0f} s"
+        elif not abs(now - self._heard) < self._silent_seconds:
+            reason = f"the daemon has said nothing for {self._silent_seconds:.0f} s"
         else:
             reason = ""
         with self._mutex:
             if self._live["reason"] == reason:
                 return
             if not reason or self._live["live"]:  # another reason for the same silence goes on counting
-                self._live["since"] = now if not reason else max(self._heard, now - SILENT_SECONDS)
+                self._live["since"] = now if not reason else max(self._heard, now - self._silent_seconds)
             self._live = {**self._live, "live": not reason, "reason": reason}
             told = msgspec.json.encode(self._live)
         self._hub.tell("live", told)

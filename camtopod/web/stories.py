@@ -69,13 +69,14 @@ class Stories:
             for held in (self._links, self._weak)
         )
         shown = links or weak
-        if not shown or first == second:
-            return None
         pair = self._pairs.get((first, second))
+        if (pair is None and not shown) or first == second:
+            return None
+        transitions, q_value = sum(link.transitions for link in shown), min((link.q_value for link in shown), default=1)
         return {
             "cameras": [first, second],
             "relation": pair and pair.relation,
-            "provisional": doubt(pair, sum(link.transitions for link in shown), min(link.q_value for link in shown)),
+            "provisional": doubt(pair, transitions, q_value),
             "why": why_pair(pair),
             "links": [brief(link) for link in links],
             "weak": [brief(link) for link in weak],

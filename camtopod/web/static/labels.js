@@ -79,6 +79,7 @@ export class Labels {
 // The transit time of an edge, one where both ways are about the same.
 export function edgeText(edge) {
   const [one, other] = edge.ways.map((way) => way.mode);
+  if (one === undefined) return "";
   if (other === undefined || Math.abs(one - other) <= 0.15 * Math.max(Math.abs(one), Math.abs(other)))
     return seconds(one);
   return `${seconds(one).replace(/ s$/, "")} / ${seconds(other)}`;

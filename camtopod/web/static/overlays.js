@@ -2,11 +2,12 @@
 
 import { fill, h } from "./dom.js";
 import { go, link } from "./place.js";
-import { count, percent, plural, span } from "./words.js";
+import { clock, count, percent, plural, span } from "./words.js";
 
 const OPEN_MAX = 100; // cameras; on the map of a larger site the predictions' list would hide too much
 const HITS_SHOWN = 8;
 const PREDICTIONS_SHOWN = 5;
+const ALARMS_SHOWN = 4;
 const LIST_MILLISECONDS = 700; // no list is read that changes faster
 const NARROW = matchMedia("(max-width: 720px)");
 
@@ -36,6 +37,9 @@ export class Overlays {
       h("button", { type: "button", "aria-label": name, title: name, on: { click: act } }, text);
     this.summary = h("span", { class: "quiet" });
     this.list = h("ul", {});
+    this.newest = h("ul", {});
+    this.alarmed = h("summary", {}, "");
+    this.alarms = h("details", { class: "overlay", hidden: true }, this.alarmed, this.newest);
     this.predictions = h(
       "details",
       { class: "overlay predictions", open: !NARROW.matches, hidden: true },
@@ -67,13 +71,14 @@ export class Overlays {
           h("li", { class: "quiet" }, "numbers: most popular transit time"),
         ),
       ),
-      this.predictions,
+      h("div", { class: "left" }, this.alarms, this.predictions),
     );
   }
 
   update(map) {
     if (!this.#shown && Object.keys(map.cameras).length > OPEN_MAX) this.predictions.open = false;
     this.#shown = true;
+    this.#tellAlarms(map.alarms);
     const edges = Object.values(map.edges);
     const overlapped = edges.filter((edge) => edge.relation === "overlapped").length;
     this.summary.textContent = `${plural(Object.keys(map.cameras).length, "camera")}, ${plural(edges.length, "pair")} (${count(overlapped)} overlapping)`;
@@ -82,6 +87,27 @@ export class Overlays {
   predicted(prediction) {
     this.#predictions = [prediction, ...this.#predictions].slice(0, PREDICTIONS_SHOWN);
     this.#timer ??= setTimeout(() => this.#list(), LIST_MILLISECONDS);
+  }
+
+  #tellAlarms(alarms) {
+    this.alarms.hidden = !alarms.length;
+    this.alarmed.textContent = plural(alarms.length, "alarm");
+    fill(
+      this.newest,
+      alarms
+        .slice(-ALARMS_SHOWN)
+        .reverse()
+        .map((alarm) =>
+          h(
+            "li",
+            { title: alarm.detail },
+            h("b", {}, alarm.kind.replaceAll("_", " ")),
+            ` ${alarm.subject.replace("->", " → ")} `,
+            h("span", { class: "quiet" }, clock(alarm.t)),
+          ),
+        ),
+      h("li", {}, h("a", { href: link("versions") }, "All, with the versions that found them")),
+    );
   }
 
   #list() {

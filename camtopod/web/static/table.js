@@ -108,32 +108,30 @@ export class LinkTable {
         h(
           "tbody",
           {},
-          wanted
-            .slice(0, this.#rows)
-            .map((way) =>
+          wanted.slice(0, this.#rows).map((way) =>
+            h(
+              "tr",
+              {},
               h(
-                "tr",
-                {},
-                h(
-                  "th",
-                  { scope: "row" },
-                  h("a", { href: link("pair", way.from, way.to), "aria-label": `${way.from} to ${way.to}` }, way.from),
-                ),
-                h("td", {}, way.to),
-                h(
-                  "td",
-                  { title: way.provisional || null },
-                  h("span", {
-                    class: `stroke ${way.kind.startsWith("over") ? "overlapped" : "unseen"}${way.provisional ? " provisional" : ""}`,
-                  }),
-                  way.kind,
-                ),
-                h("td", { class: "number" }, percent(way.probability)),
-                h("td", { class: "number" }, seconds(way.mode)),
-                h("td", { class: "number" }, span(way.q10, way.q90)),
-                h("td", { class: "number" }, count(way.transitions)),
+                "th",
+                { scope: "row" },
+                h("a", { href: link("pair", way.from, way.to), "aria-label": `${way.from} to ${way.to}` }, way.from),
               ),
+              h("td", {}, way.to),
+              h(
+                "td",
+                { title: way.provisional || null },
+                h("span", {
+                  class: `stroke ${way.kind.startsWith("over") ? "overlapped" : "unseen"}${way.provisional ? " provisional" : ""}`,
+                }),
+                way.kind,
+              ),
+              h("td", { class: "number" }, percent(way.probability)),
+              h("td", { class: "number" }, seconds(way.mode)),
+              h("td", { class: "number" }, span(way.q10, way.q90)),
+              h("td", { class: "number" }, count(way.transitions)),
             ),
+          ),
         ),
       ),
       wanted.length > this.#rows

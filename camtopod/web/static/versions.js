@@ -302,13 +302,14 @@ function scoreChart(all) {
       s("path", { class: "curve", d: along((score) => score.top1) }),
       scored.map((one) =>
         s(
-          "circle",
-          {
+          "a",
+          { href: link("versions", Math.max(1, one.version - 1), one.version), tabindex: -1 },
+          s("circle", {
             class: one.alarms.length ? "mark alarm" : "mark",
             cx: x(one.as_of),
             cy: y(one.score.top1),
-            r: one.alarms.length ? 5 : 3,
-          },
+            r: one.alarms.length ? 5 : 3.5,
+          }),
           s(
             "title",
             {},
