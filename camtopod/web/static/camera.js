@@ -190,16 +190,18 @@ class Scene {
   // An exit as its prediction tells it, for those who may not read the events.
   left(prediction) {
     const next = prediction.next[0];
-    this.pulse.textContent =
-      `left at ${prediction.zone ?? prediction.camera}` +
-      (next ? `: ${percent(next.probability)} to ${next.zone}, in ${span(next.q10, next.q90)}` : "");
+    const where = prediction.zone ?? prediction.camera;
+    const gone = !next || next.probability < prediction.leave;
+    this.pulse.textContent = gone
+      ? `left at ${where}, probably for good (${percent(prediction.leave)})`
+      : `left at ${where}, next at ${next.zone} (${percent(next.probability)}) in ${span(next.q10, next.q90)}`;
     this.zones.get(prediction.zone)?.classList.add("active");
     setTimeout(() => this.zones.get(prediction.zone)?.classList.remove("active"), 1500);
   }
 
   #mark(kind, x, y) {
     const [width, height] = this.size;
-    const r = 0.009 * width;
+    const r = 0.012 * width;
     const element =
       kind === "entry"
         ? s("circle", { class: "event entry", cx: x * width, cy: y * height, r })

@@ -215,7 +215,7 @@ class App {
   #predicted(prediction, live) {
     if (live) this.network.flow.send(prediction, this.now() - prediction.t);
     this.overlays.predicted(prediction);
-    this.#shown?.onPrediction?.(prediction);
+    if (live) this.#shown?.onPrediction?.(prediction);
   }
 
   #tellLive() {

@@ -66,7 +66,7 @@ export class Overlays {
           h("li", {}, h("i", { class: "stroke unseen" }), "unseen path"),
           h("li", {}, h("i", { class: "stroke unseen provisional" }), "provisional"),
           h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
-          app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "expected under way") : null,
+          app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "predicted, under way") : null,
           app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
           h("li", { class: "quiet" }, "numbers: most popular transit time"),
         ),

@@ -61,5 +61,6 @@ export function stateClass(state) {
 }
 
 function signed(value, digits) {
-  return (value < 0 ? "−" : "") + Math.abs(value).toFixed(digits);
+  const text = Math.abs(value).toFixed(digits);
+  return (value < 0 && Number(text) ? "−" : "") + text;
 }
