@@ -8,6 +8,7 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -86,11 +87,12 @@ def alone() -> list[Topology]:
 class Site:
     """A merger at work in a folder."""
 
-    def __init__(self, folder: Path, shards: int) -> None:
+    def __init__(self, folder: Path, shards: int, sharding: Sharding = SHARDING) -> None:
         self.versions: list[Version] = []
         self.merger = Merger(
-            folder, KeepSettings(), SETTINGS, "hq", shards, lambda: NOON, lambda version: self.versions.append(version)
-        )
+            folder, KeepSettings(), SETTINGS, "hq", sharding, shards, lambda: NOON,
+            lambda version: self.versions.append(version),
+        )  # fmt: skip
         self.stopping = threading.Event()
         self.thread = threading.Thread(target=self.merger.work, args=(self.stopping,))
         self.thread.start()
@@ -189,10 +191,81 @@ def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pyt
         )
 
 
+def test_who_gets_on_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: list[Topology]) -> None:
+    """Though something always waits: one shard says everything a while after the other."""
+    now, learners, made = [0.0], shards_of(2), list[Version]()
+    monkeypatch.setattr(mergers, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    said: list[list[Told]] = []
+    for event in EVENTS:
+        for learner in learners:
+            learner.receive(event)
+        if sum(len(learner.updates()) for learner in learners):
+            said.append([Told(*learner.shard, learner.reached(), learner.parts()) for learner in learners])
+    late = [pair[1] for pair in said]
+    with contextlib.closing(
+        Merger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 2, lambda: NOON, made.append)
+    ) as merger:
+        for first, second in zip([*(pair[0] for pair in said), None], [None, *late], strict=True):
+            for one in (first, second):
+                if one is not None:
+                    merger.tell(one)
+            one_round(merger)
+            now[0] += 0.6 * mergers.PATIENCE_SECONDS
+    assert len(made) > 5
+    assert [content(version.topology) for version in made] == [content(one) for one in alone[: len(made)]]
+
+
+def one_round(merger: Merger) -> None:
+    stopping = threading.Event()
+    merger.work(stopping, stopping.set)
+
+
+def test_a_site_that_is_dealt_out_anew_has_every_camera_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Also while some shards have not heard of it."""
+    before, after = shards_of(1)[0], ShardLearner(SETTINGS, Sharding(districts=2), (0, 1), "hq", "e")
+    for event in EVENTS:
+        before.receive(event)
+        after.receive(event)
+    with Site(tmp_path, 1) as site:
+        site.say(told(before))
+        wait_for(lambda: bool(site.versions), "a version")
+        old = site.versions[-1].topology
+    with Site(tmp_path, 1, Sharding(districts=2)) as site:
+        site.say(told(before))
+        site.say(told(after))
+        wait_for(lambda: bool(site.versions), "a version")
+    new = site.versions[-1].topology
+    assert (new.epoch, new.version) > (old.epoch, old.version)
+    assert [camera.id for camera in new.cameras] == sorted({event.camera for event in EVENTS})
+    assert len({zone.id for zone in new.zones}) == len(new.zones)
+    assert "the same [shards] settings" in caplog.text
+
+
+def test_of_what_waits_too_long_the_newest_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though the answer to a question may be older than what was said meanwhile."""
+    monkeypatch.setattr(mergers, "INBOX_MAX", 1)
+    learner, made = shards_of(1)[0], list[Version]()
+    old = None
+    for event in EVENTS:
+        learner.receive(event)
+        if old is None and learner.topology is not None:
+            old = told(learner)
+    assert old is not None
+    with contextlib.closing(
+        Merger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 1, lambda: NOON, made.append)
+    ) as merger:
+        merger.tell(told(learner))
+        merger.tell(old)
+        merger.tell(Told(*learner.shard, learner.reached()))
+        one_round(merger)
+    assert learner.topology is not None
+    assert made[-1].topology.links == learner.topology.links
+
+
 def test_too_much_at_a_time_costs_versions_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mergers, "INBOX_MAX", 2)
     learners = shards_of(2)
-    merger = Merger(tmp_path, KeepSettings(), SETTINGS, "hq", 2, lambda: NOON, lambda version: None)
+    merger = Merger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 2, lambda: NOON, lambda version: None)
     for event in EVENTS:
         for learner in learners:
             learner.receive(event)

@@ -7,6 +7,7 @@ from collections.abc import Set
 from msgspec import Struct
 from msgspec.structs import replace
 
+from camtopod.districts.dealing import Dealing
 from camtopod.learn.assemble import short
 from camtopod.learn.topology import stamp
 from camtopod.records import Alarm, Model, Onward, Topology
@@ -44,6 +45,12 @@ def part_of(topology: Topology, district: int, rates: dict[str, float], events: 
         events=events,
     )  # fmt: skip
     return Part(district, stamp(own), rates)
+
+
+def is_dealt(part: Part, dealing: Dealing) -> bool:
+    """Whether its cameras are its district's when the site is dealt out like this."""
+    here = range(dealing.sharding.districts)
+    return part.district in here and all(dealing.district(camera) == part.district for camera in part.rates)
 
 
 def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:

@@ -8,6 +8,7 @@ back.
 
 from __future__ import annotations
 
+import collections
 import logging
 import math
 import threading
@@ -19,7 +20,9 @@ import msgspec
 
 from camtopod import codec
 from camtopod.config import KeepSettings
+from camtopod.districts.dealing import Dealing, Sharding
 from camtopod.districts.line import Line, LineState, age_of
+from camtopod.districts.parts import is_dealt
 from camtopod.learn.settings import Settings
 from camtopod.learn.topology import make_delta
 from camtopod.records import Topology
@@ -34,7 +37,7 @@ log = logging.getLogger(__name__)
 FOLDER = "site"
 """Of the state directory: where versions and what they were made of are kept."""
 PATIENCE_SECONDS = 10.0
-"""So long parts wait for shards that have not come so far: they may be away, or nobody walk at their cameras."""
+"""So long a part waits for shards that have not come so far: they may be away, or nobody walk at their cameras."""
 INBOX_MAX = 1_000
 """Messages of shards that wait; of more only the newest part of each district is kept."""
 WAITING_PARTS_MAX = 10_000
@@ -48,19 +51,20 @@ class Merger:
     """
 
     def __init__(
-        self, directory: Path, keep: KeepSettings, settings: Settings, site: str, shards: int,
+        self, directory: Path, keep: KeepSettings, settings: Settings, site: str, sharding: Sharding, shards: int,
         clock: clocks.Clock, publish: Callable[[Version], None],
     ) -> None:  # fmt: skip
         self._journal = Journal(directory / FOLDER, keep)
         self._storing = Storing(self._journal, clock, publish)
-        self._clock, self._shards = clock, shards
+        self._clock, self._shards, self._dealing = clock, shards, Dealing(sharding)
         self._inbox: list[Told] = []
         self._came = threading.Condition()
         self._reached: dict[int, float | None] = {}  # event time by shard
-        self._waiting_since = math.inf  # monotonic
         self._line = Line(settings, site, "")
         self._load()
         self._known = {part.district: age_of(part) for part in self._line.parts()}
+        now = time.monotonic()
+        self._arrivals = collections.deque((now, part.topology.as_of) for part in self._line.parts())  # of parts
 
     @property
     def topology(self) -> Topology | None:
@@ -81,6 +85,9 @@ class Merger:
             return
         if told.shards != self._shards or key != f"part/{told.shard}":
             log.error("shard %d of %d is none of this site's %d", told.shard, told.shards, self._shards)
+            return
+        if not all(is_dealt(part, self._dealing) for part in told.parts):
+            log.error("shard %d has dealt out the site otherwise: all need the same [shards] settings", told.shard)
             return
         self.tell(told)
 
@@ -112,13 +119,16 @@ class Merger:
         self._journal.close()
 
     def _load(self) -> None:
-        """Go on from what is stored. A new epoch begins where that cannot be used, or is older than the newest version,
-        which would have two contents otherwise.
+        """Go on from what is stored, without parts of a site that was dealt out otherwise. A new epoch begins where it
+        cannot be used, or is older than the newest version, which would have two contents otherwise.
         """
         epoch = self._journal.meta("epoch")
         for snapshot in self._journal.snapshots():
             try:
-                self._line.load(codec.read(LineState, snapshot.state, pack=True))
+                state = codec.read(LineState, snapshot.state, pack=True)
+                state.parts = [part for part in state.parts if is_dealt(part, self._dealing)]
+                state.waiting = [part for part in state.waiting if is_dealt(part, self._dealing)]
+                self._line.load(state)
                 break
             except codec.Rejected as error:
                 log.error("what version %d was made of cannot be read: %s", snapshot.position, error)
@@ -131,19 +141,19 @@ class Merger:
             log.info("the site's topology: epoch %s begins", epoch)
 
     def _take(self, told: Iterable[Told]) -> None:
+        now = time.monotonic()
         for one in told:
             for part in one.parts:
                 if self._known.get(part.district, (-math.inf, 0)) < age_of(part):
                     self._known[part.district] = age_of(part)
                     self._line.take([part])
+                    self._arrivals.append((now, part.topology.as_of))
             self._reached[one.shard] = one.reached
 
     def _make(self, stopping: threading.Event, beat: Beat) -> None:
         """The versions that are due, stored and published."""
-        now = time.monotonic()
-        self._waiting_since = min(self._waiting_since, now) if self._line.waiting else math.inf
-        until = self._until(now)
-        if until is None or not self._line.waiting:
+        until = self._until(time.monotonic())
+        if not self._line.waiting:
             return
         before = self._line.topology
         self._line.reach(until)
@@ -158,13 +168,16 @@ class Merger:
             self._storing.store([], stopping, beat)
             self._storing.forget_old()
 
-    def _until(self, now: float) -> float | None:
-        """Event time up to which there is nothing to wait for any more; None: none."""
-        if now - self._waiting_since > PATIENCE_SECONDS or self._line.waiting > WAITING_PARTS_MAX:
+    def _until(self, now: float) -> float:
+        """Event time up to which nobody is waited for any more."""
+        waited_for = -math.inf
+        while self._arrivals and now - self._arrivals[0][0] > PATIENCE_SECONDS:
+            waited_for = max(waited_for, self._arrivals.popleft()[1])
+        if self._line.waiting > WAITING_PARTS_MAX:
             return math.inf
         reached = [self._reached.get(shard) for shard in range(self._shards)]
         marks = [mark for mark in reached if mark is not None]
-        return min(marks) if len(marks) == self._shards else None
+        return max(waited_for, min(marks)) if len(marks) == self._shards else waited_for
 
 
 def _newest(told: Iterable[Told]) -> list[Told]:
@@ -172,6 +185,6 @@ def _newest(told: Iterable[Told]) -> list[Told]:
     shards: dict[int, Told] = {}
     for one in told:
         before = shards.get(one.shard, Told(one.shard, one.shards, None))
-        parts = {part.district: part for part in (*before.parts, *one.parts)}
+        parts = {part.district: part for part in sorted((*before.parts, *one.parts), key=age_of)}
         shards[one.shard] = msgspec.structs.replace(one, parts=list(parts.values()))
     return list(shards.values())

@@ -44,7 +44,9 @@ class Sharing:
         self.merger: Merger | None = None
         """Of shard 0."""
         if share.shard[0] == 0:
-            self.merger = Merger(directory, config.keep, config.learn, config.site.name, share.shard[1], clock, use)
+            self.merger = Merger(
+                directory, config.keep, config.learn, config.site.name, share.sharding, share.shard[1], clock, use
+            )
             if self.merger.topology is not None:
                 use(self.merger.topology)
 
