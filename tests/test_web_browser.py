@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import http.server
 import re
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -89,6 +91,29 @@ class Site:
     def close(self) -> None:
         self._open.close()
         self.daemon.stop()
+
+
+@contextlib.contextmanager
+def refusing(port: int) -> Iterator[list[str]]:
+    """A proxy whose server is away: 503 to everything, after which a browser does not try again by itself; yields the
+    paths asked for.
+    """
+    asked: list[str] = []
+
+    class Refuse(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            self.send_error(503)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", port), Refuse) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        yield asked
+        server.shutdown()
+        thread.join()
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +279,9 @@ def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser:
         with site.page(bus) as port:
             browser.open(f"http://127.0.0.1:{port}/")
             browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
-        browser.wait(lambda: "does not reach its server" in browser.text(".banner"), "the banner")
+        with refusing(port) as refused:
+            browser.wait(lambda: "does not reach its server" in browser.text(".banner"), "the banner")
+            wait_for(lambda: "/live" in refused, "the page to try again")
         with site.page(bus, port):
             browser.wait(lambda: browser.text("#live").startswith("live"), "live again")
             assert browser.text(".banner") == ""
