@@ -295,6 +295,7 @@ def test_every_answer_has_a_strict_policy(server: Server) -> None:
         assert "unsafe" not in policy
         assert "http" not in policy
         assert headers["x-content-type-options"] == "nosniff"
+        assert headers["cache-control"] == "no-cache", "an upgrade is seen at once"
 
 
 def test_everything_the_page_names_is_there(server: Server) -> None:

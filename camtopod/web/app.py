@@ -38,6 +38,7 @@ BEAT_SECONDS = 4.0
 CONNECTIONS_MAX = 256
 CLOSE_SECONDS = 2
 HEADERS = {
+    "cache-control": "no-cache",
     "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "x-content-type-options": "nosniff",
@@ -130,7 +131,7 @@ class Site:
         path = picture_of(self._pictures, request.path_params["camera"])
         if path is None:
             return _json({"error": "no picture"}, 404)
-        return FileResponse(path, headers={"cache-control": "no-cache"})
+        return FileResponse(path)
 
     async def live(self, request: Request) -> Response:
         """Server-sent events: what is new, and with ``camera`` that one's entries and exits."""
@@ -152,13 +153,13 @@ class Site:
                 while (messages := await box.take(BEAT_SECONDS)) is not None:
                     yield messages or self._feed.beat()
 
-        return StreamingResponse(stream(), media_type="text/event-stream", headers={"cache-control": "no-store"})
+        return StreamingResponse(stream(), media_type="text/event-stream")
 
 
 def application(site: Site, hosts: list[str]) -> Starlette:
     """The application; it answers to the names ``hosts`` only (``*``: to any)."""
     routes = [
-        Route("/", lambda request: FileResponse(str(STATIC / "index.html"), headers={"cache-control": "no-cache"})),
+        Route("/", lambda request: FileResponse(str(STATIC / "index.html"))),
         Route("/data/map", site.map),
         Route("/data/health", site.health),
         Route("/data/camera/{camera}", site.camera),
@@ -212,8 +213,7 @@ def serving(
 
 
 def _json(content: Any, status: int = 200) -> Response:
-    headers = {"cache-control": "no-store"}
-    return Response(msgspec.json.encode(content), status, headers, media_type="application/json")
+    return Response(msgspec.json.encode(content), status, media_type="application/json")
 
 
 def _not_kept(version: int) -> Response:
