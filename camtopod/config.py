@@ -64,7 +64,7 @@ class BusSettings(Struct, frozen=True, forbid_unknown_fields=True):
     query_seconds: Positive = 2.0
     """How long to wait for the answer to a query."""
     message_bytes_max: Count = 16 * 1024 * 1024
-    """Larger messages are refused; a daemon that is the meeting point takes no more than 1 to 2 MiB."""
+    """Larger messages are refused; a daemon that is the meeting point takes 1 to 2 MiB, but for shard 0."""
     tls: TlsSettings = TlsSettings()
     """See [bus.tls]."""
 

@@ -479,6 +479,16 @@ def test_a_shard_does_not_start_beside_itself_or_alone(tmp_path: Path) -> None:
                 Daemon(shared_config(tmp_path / "two", first.endpoint), shard=shard).start()
 
 
+def test_what_a_shard_of_many_cameras_has_learned_is_not_too_large(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Each camera takes some 60 kB; that it came is seen here by that it makes no sense."""
+    config = shared_config(tmp_path / "state")
+    with Daemon(config, shard=(0, 2)) as first, dial(shared_config(tmp_path, first.endpoint)) as bus:
+        bus.put_raw("part/1", b"x" * (config.bus.message_bytes_max // 2), "part")
+        wait_for(lambda: "part/1 cannot be read" in caplog.text, "the part")
+
+
 def test_shards_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for given, said in (("2/2", "is not a shard"), ("x", "is not a shard"), ("1/99", "cannot share the 16")):
         with contextlib.suppress(SystemExit):

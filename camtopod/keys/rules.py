@@ -123,7 +123,9 @@ def sizes(site: str, pull_events_max: int) -> Settings:
 
 
 def spool_bytes_max(pull_events_max: int) -> int:
-    """The largest answer of a spool, which is the largest message that a meeting point has to take."""
+    """The largest answer of a spool, which is the largest message that a meeting point has to take, but for the parts
+    that shards tell.
+    """
     return max(RECEIVED_BYTES_MIN, pull_events_max * SPOOLED_BYTES_MAX)
 
 

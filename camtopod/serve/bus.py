@@ -239,10 +239,11 @@ def dial(config: Config) -> Bus:
             return Bus(session, config.site.name, endpoints[0], config.bus.query_seconds)
 
 
-def meet(config: Config) -> Bus:
+def meet(config: Config, shared: bool = False) -> Bus:
     """The daemon's session: the meeting point at ``config.listens``, or a client if there are none.
 
-    A port 0 stands for a free one. Says what is open to whom. Raises `BusError`.
+    ``shared``: the other shards of the site come here with what they have learned. A port 0 stands for a free one. Says
+    what is open to whom. Raises `BusError`.
     """
     if (open_to := guard.openness(config)) is not None:
         log.warning("%s", open_to)
@@ -252,7 +253,8 @@ def meet(config: Config) -> Bus:
     try:
         guard.check_files(config)
         access = guard.read_access(config, clock.wall)
-        session = _open(config, guard.settings(config, "router", access), connect=config.bus.connect, listen=endpoints)
+        values = guard.settings(config, "router", access, shared)
+        session = _open(config, values, connect=config.bus.connect, listen=endpoints)
     except guard.AccessError as error:
         raise BusError(str(error)) from None
     except zenoh.ZError as error:

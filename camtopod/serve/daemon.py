@@ -112,7 +112,7 @@ class Daemon:
         try:
             self._process = process = LearnerProcess()  # which loads its libraries while the bus is joined
             if self._bus is None:
-                self._bus = meet(config) if share.first else dial(config)
+                self._bus = meet(config, isinstance(share, Share)) if share.first else dial(config)
             recovered = recover(self._journal, process, config.learn, config.site.name, self._new_epoch, share.portion)
             if cancelled.is_set():
                 self._undo()

@@ -24,15 +24,16 @@ class AccessError(OSError):
     """The access list or a certificate cannot be used; ``str()`` says which and what to do."""
 
 
-def settings(config: Config, mode: str, access: rules.Access | None = None) -> rules.Settings:
-    """Everything that a session of zenoh is told, except the endpoints."""
+def settings(config: Config, mode: str, access: rules.Access | None = None, shared: bool = False) -> rules.Settings:
+    """Everything that a session of zenoh is told, except the endpoints. ``shared``: as `camtopod.serve.bus.meet`."""
     values = rules.quiet(mode)
     tls = config.bus.tls
     if tls.ca:
         values |= rules.mutual_tls(tls.ca, tls.certificate, tls.private_key)
     largest = config.bus.message_bytes_max
-    if mode == "router":  # it receives no topology, so nothing large
-        largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
+    if mode == "router":
+        if not shared:  # it receives no topology nor parts of one, so nothing large
+            largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
         values |= rules.sizes(config.site.name, config.limits.pull_events_max)
         if access is not None:
             values |= rules.access_control(access)
