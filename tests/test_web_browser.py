@@ -301,10 +301,16 @@ def test_a_report_of_a_thousand_cameras_needs_no_server(
     browser.wait(lambda: browser.count(".node") == 1000, "a thousand cameras")
     browser.wait(lambda: browser.count(".labels .name") > 20, "names, as many as fit")
     assert browser.count(".labels text") < 300
-    browser.run("const field = document.querySelector('.search input'); field.focus(); field.value = 'cam0420';"
-                "field.dispatchEvent(new Event('input'))")  # fmt: skip
+    browser.run("document.querySelector('.search input').focus()")
+    browser.press("cam042")
+    browser.wait(lambda: browser.count(".hits a") == 8, "the first of ten that fit")
+    assert browser.count(".node.faint") == 990
+    browser.press("TAB")
+    assert browser.run("return document.activeElement.textContent") == "cam0420", "the hits are reached by Tab"
     browser.press("ENTER")
     browser.wait(lambda: browser.text(".panel h2") == "cam0420", "the camera found")
+    assert browser.count(".node.faint") == 0, "who has found what was looked for sees the whole again"
+    assert browser.count(".labels .first") == 1
     assert browser.count(".scene .zone") > 0
     for link, condition in (
         (links[0], lambda: browser.count(".chart .count") > 3),

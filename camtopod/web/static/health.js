@@ -18,7 +18,7 @@ export class Health {
     this.app = app;
     const input = h("input", {
       type: "search",
-      placeholder: "Filter by name, state or reason",
+      placeholder: "Name, state or reason",
       "aria-label": "Filter cameras",
       on: {
         input: () => {
@@ -117,7 +117,7 @@ export class Health {
             "tr",
             {},
             ["Camera", "State", "Events", "Last heard", "Reason"].map((name, k) =>
-              h("th", { scope: "col", class: k === 4 ? "apart" : k > 1 ? "number" : null }, name),
+              h("th", { scope: "col", class: ["", "", "apart number", "number", "apart"][k] }, name),
             ),
           ),
         ),
@@ -137,7 +137,7 @@ export class Health {
                   h("span", { class: "below reason" }, why(row)),
                 ),
                 h("td", {}, h("span", { class: stateClass(row.state) }, row.state)),
-                h("td", { class: "number" }, count(row.events)),
+                h("td", { class: "apart number" }, count(row.events)),
                 h("td", { class: "number" }, row.newest ? ago(now - row.newest) : "–"),
                 h("td", { class: "apart reason" }, why(row)),
               ),

@@ -5,7 +5,7 @@ import { seconds } from "./words.js";
 
 const NAMES_MAX = 160;
 const TIMES_MAX = 80;
-const CHARACTER_PIXELS = 7.5;
+const CHARACTER_PIXELS = 8;
 const LINE_PIXELS = 15;
 const EDGE_PIXELS_MIN = 84; // a shorter edge has no room for its time
 const CELL = 64;
@@ -17,8 +17,8 @@ export class Labels {
     this.layer = layer;
   }
 
-  // Draw those in sight; the cameras in `first` come before all others.
-  draw(map, radius, first) {
+  // Draw those in sight: the cameras in `chosen` whatever happens, then those in `found`, then all others.
+  draw(map, radius, chosen, found) {
     const { clientWidth: width, clientHeight: height } = map.svg;
     const taken = new Taken();
     const wanted = [];
@@ -29,7 +29,8 @@ export class Labels {
       inSight.push({ node, x, y });
       taken.add(x - radius, y - radius, x + radius, y + radius);
     }
-    const rank = ({ node }) => (first.has(node.id) ? 1e12 : 0) + node.camera.entries + node.camera.exits;
+    const rank = ({ node }) =>
+      (chosen.has(node.id) ? 1e13 : found.has(node.id) ? 1e12 : 0) + node.camera.entries + node.camera.exits;
     inSight.sort((one, other) => rank(other) - rank(one));
     for (const { node, x, y } of inSight) {
       if (wanted.length >= NAMES_MAX) break;
@@ -38,9 +39,14 @@ export class Labels {
       const middle = [x + dx * (radius + half + 5), y + dy * (radius + LINE_PIXELS / 2 + 3)];
       const box = [middle[0] - half, middle[1] - LINE_PIXELS / 2, middle[0] + half, middle[1] + LINE_PIXELS / 2];
       const inside = box[0] >= 0 && box[1] >= 0 && box[2] <= width && box[3] <= height;
-      if (!first.has(node.id) && !(inside && taken.free(...box))) continue;
+      if (!chosen.has(node.id) && !(inside && taken.free(...box))) continue;
       taken.add(...box);
-      wanted.push({ text: node.id, x: middle[0], y: middle[1] + 4, kind: first.has(node.id) ? "name first" : "name" });
+      wanted.push({
+        text: node.id,
+        x: middle[0],
+        y: middle[1] + 4,
+        kind: chosen.has(node.id) || found.has(node.id) ? "name first" : "name",
+      });
     }
     let times = 0;
     for (const { a, b, edge } of map.edges.values()) {

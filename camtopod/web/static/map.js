@@ -144,7 +144,7 @@ export class NetworkMap {
       this.world.style.setProperty("--thin", Math.max(0.4, near).toFixed(2));
       this.world.style.setProperty("--dot", `${Math.max(DOT_PIXELS_MIN, 0.55 * radius) / scale}px`);
       this.world.style.setProperty("--ring", `${(0.25 * radius).toFixed(2)}px`);
-      this.labels.draw(this, radius, new Set([...this.#chosen, ...(this.#found ?? []).slice(0, 40)]));
+      this.labels.draw(this, radius, new Set(this.#chosen), new Set(this.#found));
     });
   }
 

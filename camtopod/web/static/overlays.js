@@ -26,7 +26,6 @@ export class Overlays {
       on: {
         input: () => this.#find(),
         keydown: (event) => this.#key(event),
-        blur: () => setTimeout(() => fill(this.hits), 150),
         focus: () => this.#find(),
       },
     });
@@ -47,7 +46,13 @@ export class Overlays {
       this.list,
     );
     stage.append(
-      h("div", { class: "overlay search", role: "search" }, this.search, this.hits, this.said),
+      h(
+        "div",
+        { class: "overlay search", role: "search", on: { focusout: (event) => this.#left(event) } },
+        this.search,
+        this.hits,
+        this.said,
+      ),
       h(
         "div",
         { class: "overlay zoom" },
@@ -145,9 +150,7 @@ export class Overlays {
       this.hits,
       found
         .slice(0, HITS_SHOWN)
-        .map((id) =>
-          h("li", {}, h("a", { href: link("camera", id), on: { click: () => this.app.network.show(id) } }, id)),
-        ),
+        .map((id) => h("li", {}, h("a", { href: link("camera", id), on: { click: () => this.#chose(id) } }, id))),
       found.length > HITS_SHOWN ? h("li", { class: "quiet" }, `and ${count(found.length - HITS_SHOWN)} more`) : null,
       found.length ? null : h("li", { class: "quiet" }, "No camera of that name"),
     );
@@ -157,7 +160,17 @@ export class Overlays {
     if (event.key !== "Enter") return;
     const [first] = this.app.network.search(this.search.value) ?? [];
     if (!first) return;
-    this.app.network.show(first);
+    this.#chose(first);
     go("camera", first);
+  }
+
+  #chose(id) {
+    this.search.value = "";
+    this.#find();
+    this.app.network.show(id);
+  }
+
+  #left(event) {
+    if (!event.currentTarget.contains(event.relatedTarget)) fill(this.hits);
   }
 }
