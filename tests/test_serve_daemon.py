@@ -490,6 +490,18 @@ def test_a_second_daemon_at_the_same_endpoint_is_refused(site: Site, tmp_path: P
     other.stop()
 
 
+def test_what_nobody_takes_for_its_size_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    config = small_config(tmp_path)
+    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, message_bytes_max=1000))
+    with buses.meet(config) as bus:
+        bus.answer("topology", lambda key, parameters: "y" * 2000, "topology")
+        for size in (990, 1500, 1600):
+            bus.put_raw("part/1", b"x" * size, "part")
+        bus.ask("topology")
+    said = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
+    assert [line.partition(",")[0] for line in said] == ["part/1 has 1500 bytes", "topology has 2003 bytes"]
+
+
 def test_a_daemon_on_a_given_bus_leaves_it_open(site: Site) -> None:
     bus = buses.meet(small_config(site.directory))
     daemon = site.daemon(bus)

@@ -19,7 +19,7 @@ from typing import Any
 import zenoh
 
 from camtopod import codec
-from camtopod.config import Config
+from camtopod.config import BusSettings, Config
 from camtopod.keys.rules import PREFIX
 from camtopod.redact import redact
 from camtopod.serve import clock, guard, refusals
@@ -53,12 +53,13 @@ class Bus:
     leaving: a process with callbacks and an open session does not end.
     """
 
-    def __init__(self, session: zenoh.Session, site: str, endpoint: str, query_seconds: float) -> None:
+    def __init__(self, session: zenoh.Session, site: str, endpoint: str, settings: BusSettings) -> None:
         self.site = site
         self.endpoint = endpoint
         """The endpoint listened at, with its real port, or the first one dialled."""
         self._session = session
-        self._query_seconds = query_seconds
+        self._query_seconds, self._bytes_max = settings.query_seconds, settings.message_bytes_max
+        self._too_large: set[str] = set()
         self._declared: list[Any] = []
         self._closed = threading.Event()
         self._doorkeeper: guard.Doorkeeper | None = None
@@ -71,6 +72,7 @@ class Bus:
         """Publish bytes that are MessagePack already. Does nothing once the bus is closed."""
         if self._closed.is_set():
             return
+        self._mind_size(key, payload)
         try:
             self._session.put(
                 self._full(key),
@@ -115,6 +117,7 @@ class Bus:
                     return
                 as_json = parameters.get("format") == _JSON
                 payload = codec.to_json(noun) if as_json else codec.to_pack(noun)
+                self._mind_size(self._below(asked), payload)
                 query.reply(asked, payload, encoding=_JSON if as_json else _PACK.format(schema))
 
         self._declared.append(self._session.declare_queryable(self._full(key), reply))
@@ -209,6 +212,15 @@ class Bus:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _mind_size(self, key: str, payload: bytes) -> None:
+        """Said once of a key: who does not take what is too large does not even hear that there was something."""
+        if len(payload) > self._bytes_max and key not in self._too_large:
+            self._too_large.add(key)
+            log.error(
+                "%s has %d bytes, and nobody takes more than bus.message_bytes_max, %d: set it higher for all programs",
+                key, len(payload), self._bytes_max,
+            )  # fmt: skip
+
     def _full(self, key: str) -> str:
         return f"{PREFIX}/{self.site}/{key}"
 
@@ -236,7 +248,7 @@ def dial(config: Config) -> Bus:
                 ) from None
             time.sleep(_OPEN_RETRY_SECONDS)
         else:
-            return Bus(session, config.site.name, endpoints[0], config.bus.query_seconds)
+            return Bus(session, config.site.name, endpoints[0], config.bus)
 
 
 def meet(config: Config, shared: bool = False) -> Bus:
@@ -262,7 +274,7 @@ def meet(config: Config, shared: bool = False) -> Bus:
             f"cannot listen at {', '.join(endpoints)}: another daemon may be running there; "
             f"stop it or set other endpoints in [bus] ({_short(error)})"
         ) from None
-    bus = Bus(session, config.site.name, endpoints[0], config.bus.query_seconds)
+    bus = Bus(session, config.site.name, endpoints[0], config.bus)
     bus.watch_door(guard.Doorkeeper(access))
     return bus
 
