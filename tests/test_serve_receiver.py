@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import sqlite3
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from camtopod.serve.live import Live
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.puller import read_batch
 from camtopod.serve.receiver import Pulled, Receiver
+from camtopod.serve.share import everything
 from camtopod.serve.spool import SpoolBatch
 from camtopod.serve.storing import Version
 
@@ -41,7 +42,7 @@ class Acks:
 class Bench:
     """A receiver on a journal; time stands still at `T0`."""
 
-    def __init__(self, directory: Path, **limits: float) -> None:
+    def __init__(self, directory: Path, owns: Callable[[str], bool] = everything, **limits: float) -> None:
         self.journal, self.bus = Journal(directory), Acks()
         self.learned: list[Received] = []
         self.seen: list[Received] = []
@@ -49,7 +50,7 @@ class Bench:
         self.receiver = Receiver(
             self.journal, self.bus, Limits(**limits), lambda: T0,  # type: ignore[arg-type]
             self.learned.extend, lambda: 10_000, self.published.append, lambda batch, _: self.seen.extend(batch),
-            steady=lambda: 0.0,
+            steady=lambda: 0.0, owns=owns,
         )  # fmt: skip
         self.stopping = threading.Event()
 
@@ -264,6 +265,17 @@ def test_an_answer_that_begins_beyond_all_measure_is_counted_as_far_as_counts_go
         bench.round()
     assert bench.receiver.streams.lost > 2**62
     assert to_pack(bench.receiver.streams.lost)
+
+
+def test_what_another_shards_camera_sent_unheard_is_not_lost(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, lambda camera: camera == "own")
+    for camera in ("own", "guest"):
+        bench.hear(*events(1, 1, camera))
+        bench.round()
+        assert bench.receiver.on_pulled(Pulled(SpoolBatch(camera, "b", 800, 799, False, []), 2))
+        bench.round()
+        assert bench.receiver.streams.lost == 798
+    bench.journal.close()
 
 
 def test_a_camera_whose_place_was_given_away_may_still_have_something_under_way(tmp_path: Path) -> None:

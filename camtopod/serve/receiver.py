@@ -96,7 +96,9 @@ class Receiver:
         self._forgotten: collections.deque[tuple[str, str]] = collections.deque()  # ... and this
         self._next_ack = 0.0
         self._live: tuple[float, float, float] | None = None  # newest event time in step; wall and steady clock then
-        self.streams: Streams[Received] = Streams(self._stored, limits.held_events_max, limits.streams_max, BOOTS_MAX)
+        self.streams: Streams[Received] = Streams(
+            self._stored, limits.held_events_max, limits.streams_max, BOOTS_MAX, owns
+        )
         for camera, _ in reversed(self._stored):  # those heard last first, should there be too many
             self.cameras.admit(camera, self._steady())
         self.with_spool: set[str] = set()

@@ -7,7 +7,7 @@ Of each camera the streams heard last are followed, so that years of nightly reb
 from __future__ import annotations
 
 import collections
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Generic, Literal, TypeVar
 
 from msgspec import Struct
@@ -44,11 +44,14 @@ class Streams(Generic[T]):
 
     At most ``held_max`` items of one camera wait behind gaps. At most ``boots_max`` streams of one camera are
     followed, and ``streams_max`` altogether; one that is complete and has not been heard for longest gives way.
-    Items are of the caller's kind.
+    Items are of the caller's kind. ``owns``: the cameras of which everything ought to come; of another one nobody has
+    lost what was not heard.
     """
 
-    def __init__(self, stored: dict[Key, int], held_max: int, streams_max: int, boots_max: int) -> None:
-        self._held_max, self._streams_max, self._boots_max = held_max, streams_max, boots_max
+    def __init__(
+        self, stored: dict[Key, int], held_max: int, streams_max: int, boots_max: int, owns: Callable[[str], bool]
+    ) -> None:
+        self._held_max, self._streams_max, self._boots_max, self._owns = held_max, streams_max, boots_max, owns
         self._streams: dict[Key, _Stream] = {}  # the one heard last is last, here and in _boots
         self._boots: dict[str, dict[str, None]] = {}
         self._held: collections.Counter[str] = collections.Counter()
@@ -203,7 +206,7 @@ class Streams(Generic[T]):
         """Give up what is missing below ``seq``; what is held below it is ready too."""
         early = sorted(held for held in stream.held if held < seq)
         ready = [self._let_go(key, stream, held) for held in early]
-        if stream.next is not None or ready:
+        if (stream.next is not None or ready) and self._owns(key[0]):
             self.lost = min(self.lost + max(0, seq - (stream.next or 0) - len(ready)), COUNT_MAX)
         stream.next = seq
         return ready + self._release(key, stream, now)
