@@ -177,6 +177,8 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
         rig.feed.use(SITE)
         counted = {"b": {"events": 7, "newest": 990.0, "ahead": None, "alive": True}}
         rig.bus.put("status/daemon", {"state": "running", "cameras": counted, "reject_samples": ["secret"]})
+        rig.bus.put("status/no name", {"state": "stalled"})
+        rig.bus.put("status/c", ["not", "a", "status"])
         rig.bus.put("status/a", {"state": "stalled", "reason": "no frame"})
         wait_for(lambda: len(rig.hub.of("health")) == 1, "the change")
         rig.bus.put("status/a", {"state": "stalled", "reason": "no frame", "events": 3})
@@ -188,6 +190,7 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
     assert (rows["a"]["state"], rows["b"]["state"], rows["b"]["events"]) == ("running", "unknown", 7)
     assert rows["cam0000"]["state"] == "no grabber"
     assert rig.hub.of("health")[0]["reason"] == "no frame"
+    assert len(feed._row("a", {"reason": 10**6 * "x"}, None)["reason"]) == feed.REASON_CHARACTERS_MAX
     assert "secret" not in str(health)
 
 

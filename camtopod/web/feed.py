@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import queue
+import re
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -17,7 +18,7 @@ from typing import Any
 import msgspec
 
 from camtopod import codec
-from camtopod.records import Event, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, Event, Prediction, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.clock import Clock
 from camtopod.serve.subscriber import TopologyView
@@ -31,6 +32,8 @@ INBOX_MAX = 10_000
 """Messages from the bus that wait to be looked at; beyond it they are dropped and counted."""
 CAMERAS_MAX = 5_000
 """Cameras whose status is held."""
+REASON_CHARACTERS_MAX = 500
+"""Of what a camera says about itself; the rest is cut off."""
 PREDICTIONS_PER_SECOND_MAX = 25
 """Predictions shown a second, of all cameras together: more nobody can follow."""
 PREDICTIONS_HELD = 20
@@ -151,6 +154,8 @@ class Feed:
             status = msgspec.msgpack.decode(payload, type=dict[str, Any])
         except (msgspec.MsgspecError, UnicodeDecodeError):
             return
+        if not re.match(CAMERA_PATTERN, name):
+            return
         with self._mutex:
             before = self._status.get(name)
             if before is None and len(self._status) >= CAMERAS_MAX:
@@ -207,8 +212,8 @@ def _row(name: str, status: dict[str, Any] | None, counted: dict[str, Any] | Non
     said, known = status or {}, counted or {}
     return {
         "id": name,
-        "state": said.get("state") or ("unknown" if known.get("alive") else "no grabber"),
-        "reason": said.get("reason") or "",
+        "state": str(said.get("state") or ("unknown" if known.get("alive") else "no grabber"))[:REASON_CHARACTERS_MAX],
+        "reason": str(said.get("reason") or "")[:REASON_CHARACTERS_MAX],
         "restarts": said.get("restarts"),
         "events": known.get("events"),
         "newest": known.get("newest"),

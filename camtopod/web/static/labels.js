@@ -5,10 +5,18 @@ import { seconds } from "./words.js";
 
 const NAMES_MAX = 160;
 const TIMES_MAX = 80;
-const CHARACTER_PIXELS = 8;
+const CHARACTER_PIXELS = 8.5;
 const LINE_PIXELS = 15;
 const EDGE_PIXELS_MIN = 84; // a shorter edge has no room for its time
 const CELL = 64;
+
+// Below, above, right, left of a node: where its name may stand.
+export const SIDES = [
+  [0, 1],
+  [0, -1],
+  [1, 0],
+  [-1, 0],
+];
 
 export class Labels {
   #pool = [];
@@ -34,17 +42,19 @@ export class Labels {
     inSight.sort((one, other) => rank(other) - rank(one));
     for (const { node, x, y } of inSight) {
       if (wanted.length >= NAMES_MAX) break;
-      const [dx, dy] = node.side;
       const half = (CHARACTER_PIXELS * node.id.length) / 2;
-      const middle = [x + dx * (radius + half + 5), y + dy * (radius + LINE_PIXELS / 2 + 3)];
-      const box = [middle[0] - half, middle[1] - LINE_PIXELS / 2, middle[0] + half, middle[1] + LINE_PIXELS / 2];
-      const inside = box[0] >= 0 && box[1] >= 0 && box[2] <= width && box[3] <= height;
-      if (!chosen.has(node.id) && !(inside && taken.free(...box))) continue;
+      const places = [node.side, ...SIDES].map(([dx, dy]) => {
+        const [mx, my] = [x + dx * (radius + half + 5), y + dy * (radius + LINE_PIXELS / 2 + 3)];
+        return [mx - half, my - LINE_PIXELS / 2, mx + half, my + LINE_PIXELS / 2];
+      });
+      const inside = ([left, top, right, bottom]) => left >= 0 && top >= 0 && right <= width && bottom <= height;
+      const box = places.find((one) => inside(one) && taken.free(...one)) ?? (chosen.has(node.id) ? places[0] : null);
+      if (!box) continue;
       taken.add(...box);
       wanted.push({
         text: node.id,
-        x: middle[0],
-        y: middle[1] + 4,
+        x: box[0] + half,
+        y: box[1] + LINE_PIXELS / 2 + 4,
         kind: chosen.has(node.id) || found.has(node.id) ? "name first" : "name",
       });
     }

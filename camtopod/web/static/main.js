@@ -23,10 +23,12 @@ class App {
   #lost = null; // since when the server is not reached
   #daemon = null; // what the server says of the daemon
   #place = "";
+  #told = h("span", {});
+  #age = h("span", { "aria-hidden": "true" }); // a screen reader need not say every second
 
   constructor() {
     this.source = openSource();
-    this.banner = h("div", { class: "banner", role: "alert", hidden: true });
+    this.banner = h("div", { class: "banner", role: "alert", hidden: true }, this.#told, this.#age);
     this.pill = h("span", { class: "pill off", id: "live" }, "…");
     this.title = h("span", { class: "site" });
     this.stage = h("div", { class: "stage" });
@@ -232,8 +234,9 @@ class App {
     if (since === null) return;
     const reason = this.#lost !== null ? "this page does not reach its server" : this.#daemon.reason;
     const what = this.map ? `Map, predictions and health stand still at ${version}.` : "Nothing is known yet.";
-    const text = `Not live since ${clock(since)} (${ago(this.now() - since)}): ${reason}. ${what} It goes on by itself.`;
-    if (this.banner.textContent !== text) this.banner.textContent = text;
+    const text = `Not live since ${clock(since)}: ${reason}. ${what} It goes on by itself. `;
+    if (this.#told.textContent !== text) this.#told.textContent = text;
+    this.#age.textContent = `(${ago(this.now() - since)})`;
   }
 
   #key(event) {

@@ -2,7 +2,7 @@
 
 import { fill, h, s } from "./dom.js";
 import { Flow } from "./flow.js";
-import { Labels } from "./labels.js";
+import { Labels, SIDES } from "./labels.js";
 import { go } from "./place.js";
 import { View } from "./view.js";
 import { count, percent, plural, seconds, span } from "./words.js";
@@ -15,12 +15,6 @@ const NEAR_SCALE = 0.8;
 const PICK_PIXELS = 14;
 const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
 const INSETS = { top: 76, right: 40, bottom: 112, left: 40 };
-const SIDES = [
-  [0, 1],
-  [0, -1],
-  [1, 0],
-  [-1, 0],
-];
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class NetworkMap {
