@@ -17,11 +17,14 @@ import pytest
 from serving import T0, wait_for
 from test_recovery import EVENTS, SETTINGS, Installation, uninterrupted
 
+from camtopod import codec
 from camtopod.codec import to_pack
+from camtopod.districts.dealing import Sharding
 from camtopod.records import Event
 from camtopod.serve import learning, recovery
-from camtopod.serve.learner_messages import Begin, Taught, Teach
+from camtopod.serve.learner_messages import Answer, Begin, Made, Portion, Question, Show, Shown, Taught, Teach
 from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
+from camtopod.serve.share import Told
 
 FAULTY = "learners.faulty"
 
@@ -84,6 +87,36 @@ def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProc
     assert isinstance(answer, Taught)
     assert (answer.position, answer.unreadable) == (5, 1)
     assert answer.statistics["accepted"] == 2
+
+
+def all_said(process: LearnerProcess, question: Question) -> list[Answer]:
+    process.send(question)
+    said: list[Answer] = []
+    while not (said and isinstance(said[-1], Taught)):
+        if (answer := process.receive(1.0)) is not None:
+            said.append(answer)
+    return said
+
+
+def test_of_what_was_stored_before_a_shard_tells_the_newest_alone() -> None:
+    """A long journal that is learned again has thousands of versions, and each has its parts."""
+    portion, lessons = Portion(Sharding(districts=2), (0, 1)), Teach(0, [to_pack(one) for one in EVENTS])
+    made: list[Made] = []
+    for _ in range(2):
+        stored = {one.version: one.digest for one in made[:-1]}
+        with contextlib.closing(LearnerProcess()) as process:
+            process.ask(Begin(SETTINGS, "s", "E", stored, False, portion))
+            again = [one for one in all_said(process, lessons) if isinstance(one, Made)]
+            shown = process.ask(Show())
+        assert isinstance(shown, Shown)
+        assert not made or [one.digest for one in again] == [made[-1].digest]
+        made = made or again
+    assert len(made) > 3
+    assert again[0].told is not None
+    assert shown.told is not None
+    told, newest = (codec.read(Told, packed, pack=True) for packed in (again[0].told, shown.told))
+    assert told.parts == newest.parts
+    assert len(told.parts) == 2
 
 
 def test_it_gives_way(process: LearnerProcess) -> None:

@@ -124,6 +124,7 @@ class Pupil:
         with contextlib.suppress(PermissionError):  # where the unit allows no change of priorities
             os.nice(NICENESS)  # only now, as a start is waited for
         self._stored, self._newest_stored = given.stored, max(given.stored, default=0)
+        self._passed_over = False  # whether there are versions of which it is not known that the others were told
         self._newest = self._learner.topology
 
     def _teach(self, position: int, lessons: list[Lesson]) -> Taught:
@@ -156,7 +157,8 @@ class Pupil:
         """What the other shards are told: parts that they do not know yet, or ``everything``: the newest of each."""
         if not isinstance(self._learner, ShardLearner):
             return None
-        parts = self._learner.newest_parts() if everything else self._learner.parts()
+        made = self._learner.parts()
+        parts = self._learner.newest_parts() if everything else made
         return codec.to_pack(Told(*self._learner.shard, self._learner.reached(), parts))
 
     def _take_versions(self) -> None:
@@ -179,14 +181,19 @@ class Pupil:
             self._begin_epoch(topology.version)
             return
         before, self._newest = self._newest, topology
-        if topology.version > self._newest_stored:
-            delta = None if before is None else codec.to_pack(make_delta(before, topology))
-            self._tell(
-                Made(
-                    topology.epoch, topology.version, topology.digest,
-                    codec.to_json(topology), codec.to_pack(topology), delta, self._told(),
-                )
-            )  # fmt: skip
+        if topology.version <= self._newest_stored:
+            self._passed_over = True
+            if isinstance(self._learner, ShardLearner):
+                self._learner.parts()  # thousands in a long journal
+            return
+        delta = None if before is None else codec.to_pack(make_delta(before, topology))
+        self._tell(
+            Made(
+                topology.epoch, topology.version, topology.digest,
+                codec.to_json(topology), codec.to_pack(topology), delta, self._told(everything=self._passed_over),
+            )
+        )  # fmt: skip
+        self._passed_over = False
 
     def _begin_epoch(self, version: int) -> None:
         self._tell(Otherwise(version))
