@@ -39,6 +39,7 @@ class Site:
         self.directory = directory
         self.endpoint = free_endpoint()
         self._began = time.monotonic()
+        self._skipped = 0.0
         self._open = contextlib.ExitStack()
         self.daemon = self._daemon()
         self.start()
@@ -48,12 +49,17 @@ class Site:
         self.address = f"http://127.0.0.1:{self.port}/"
 
     def now(self) -> float:
-        return T0 + 20 * SPAN_SECONDS + time.monotonic() - self._began
+        return T0 + 20 * SPAN_SECONDS + self._skipped + time.monotonic() - self._began
 
     @property
     def cameras(self) -> int:
         """In the newest version."""
         return len(self.daemon.topology.cameras) if self.daemon.topology else 0
+
+    @property
+    def version(self) -> int:
+        """The newest."""
+        return self.daemon.topology.version if self.daemon.topology else 0
 
     def client(self) -> Bus:
         return buses.dial(small_config(self.directory, self.endpoint))
@@ -87,6 +93,15 @@ class Site:
         for event in numbered(events):
             bus.put(f"event/{event.camera}", event, "event")
         wait_for(lambda: bool(self.daemon.topology and len(self.daemon.topology.pairs) == 2), "two pairs")
+
+    def learn_more(self, bus: Bus) -> None:
+        """More walkers, and then a leap of time after which they are learned."""
+        later = self.now() - SPAN_SECONDS - T0
+        for event in numbered([*walkers(60, seed=2), Event("late", "entry", T0 + 5 * SPAN_SECONDS)], "b2"):
+            if event.camera == "late":
+                self._skipped += 5 * SPAN_SECONDS
+            name = DOTTED if event.camera == "b" else event.camera
+            bus.put(f"event/{name}", msgspec.structs.replace(event, camera=name, t=event.t + later), "event")
 
     def close(self) -> None:
         self._open.close()
@@ -175,6 +190,19 @@ def test_a_prediction_moves_on_the_map(site: Site, shown: Browser) -> None:
     shown.wait(lambda: "a → " in shown.text(".predictions"), "the prediction in the list")
 
 
+def test_a_new_version_comes_as_a_change(site: Site, shown: Browser) -> None:
+    def fetched() -> int:
+        return sum(url.endswith("/data/map") for url in shown.asked())
+
+    shown.wait(lambda: f"version {site.version}" in shown.text("#live"), "the newest version")
+    before, maps = site.version, fetched()
+    with site.client() as bus:
+        site.learn_more(bus)
+        wait_for(lambda: site.version > before, "a new version")
+        shown.wait(lambda: f"version {site.version}" in shown.text("#live"), "the new version")
+    assert fetched() == maps, "only what changed was sent"
+
+
 def test_keys_open_a_camera_and_its_link(site: Site, shown: Browser) -> None:
     shown.run("document.querySelector('nav a:last-child').focus()")
     shown.press("TAB")
@@ -234,8 +262,7 @@ def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> Non
 
 
 def test_versions_show_what_changed(site: Site, shown: Browser) -> None:
-    assert site.daemon.topology is not None
-    newest = site.daemon.topology.version
+    newest = site.version
     shown.go("#/versions")
     shown.wait(lambda: shown.count(".page tbody tr") == newest, "every version, older ones asked of the daemon")
     shown.go(f"#/versions/1/{newest}")
