@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from camtopod.districts import dealing as dealing_module
 from camtopod.districts.dealing import Dealing, Sharding, districts_of
 
 CAMERAS = st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True)
@@ -31,6 +34,25 @@ def test_a_camera_stays_in_its_district() -> None:
     assert [dealing.district(f"cam{k:02d}") for k in range(8)] == [14, 3, 14, 5, 6, 1, 13, 2]
     turns = [[turn for turn in range(4) if dealing.guest(f"cam{k:02d}", turn)] for k in range(8)]
     assert turns == [[1], [1], [0], [3], [3], [3], [2], [1]]
+
+
+def test_names_that_are_made_up_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Anybody may ask for a prediction of any camera."""
+    monkeypatch.setattr(dealing_module, "REMEMBERED_MAX", 100)
+    dealing = Dealing(Sharding())
+    tracemalloc.start()
+    try:
+        for number in range(1_000):
+            dealing.district(f"cam{number}")
+            dealing.guest(f"cam{number}", 1)
+        before, _ = tracemalloc.get_traced_memory()
+        for number in range(20_000):
+            dealing.district(f"made-up-{number}")
+            dealing.guest(f"made-up-{number}", 1)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 100_000
 
 
 def test_cameras_are_dealt_about_evenly() -> None:

@@ -13,12 +13,15 @@ from __future__ import annotations
 
 import hashlib
 from fnmatch import fnmatchcase
+from functools import lru_cache
 from typing import Annotated
 
 from msgspec import Meta, Struct
 
 from camtopod.learn.intake import microseconds
 
+REMEMBERED_MAX = 100_000
+"""Cameras of which it is remembered where they belong: names can be made up."""
 _Number = Annotated[int, Meta(ge=1)]
 
 
@@ -43,28 +46,25 @@ class Dealing:
     def __init__(self, sharding: Sharding) -> None:
         self.sharding = sharding
         self.turn_us = microseconds(sharding.turn_hours * 3600.0)
-        self._district: dict[str, int] = {}
-        self._turn: dict[str, int] = {}
+        self._district = lru_cache(REMEMBERED_MAX)(self._deal)
+        self._turn = lru_cache(REMEMBERED_MAX)(self._guest_turn)
 
     def district(self, camera: str) -> int:
         """The district that the camera belongs to."""
-        known = self._district.get(camera)
-        if known is None:
-            known = self._district[camera] = self._deal(camera)
-        return known
+        return self._district(camera)
 
     def guest(self, camera: str, turn: int) -> bool:
         """Whether every district hears the camera in a turn."""
-        own = self._turn.get(camera)
-        if own is None:
-            own = self._turn[camera] = stable_hash(camera, b"guest") % self.sharding.guest_turns
-        return turn % self.sharding.guest_turns == own
+        return turn % self.sharding.guest_turns == self._turn(camera)
 
     def _deal(self, camera: str) -> int:
         for number, pattern in enumerate(self.sharding.together):
             if fnmatchcase(camera, pattern):
                 return number % self.sharding.districts
         return stable_hash(camera, b"district") % self.sharding.districts
+
+    def _guest_turn(self, camera: str) -> int:
+        return stable_hash(camera, b"guest") % self.sharding.guest_turns
 
 
 def districts_of(shard: int, shards: int, districts: int) -> list[int]:
