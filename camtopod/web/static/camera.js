@@ -6,6 +6,7 @@ import { ago, clock, count, percent, plural, seconds, span, stateClass } from ".
 
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const SPREAD = 2; // standard deviations that a zone's ellipse shows
+const COUNTS_UNITS = 44; // half the width of a zone's counts, in 400ths of the picture's
 const EVENTS_SHOWN = 40;
 const PASSAGE_SHARE_MIN = 0.12;
 
@@ -213,6 +214,7 @@ class Scene {
 
   #draw(picture) {
     const [width, height] = this.size;
+    this.element.classList.toggle("pictured", Boolean(picture));
     this.marks = s("g", {});
     this.zones = new Map();
     const placed = this.story.zones.filter((zone) => zone.x !== undefined && zone.x !== null);
@@ -244,11 +246,21 @@ class Scene {
     const [width, height] = this.size;
     const { major, minor, turn } = ellipse(zone.cov, width, height);
     const [x, y] = [zone.x * width, zone.y * height];
+    const unit = width / 400;
+    const inside = Math.min(width - COUNTS_UNITS * unit, Math.max(COUNTS_UNITS * unit, x));
+    const below = y + minor + 26 * unit < height ? y + 16 * unit : y - 12 * unit;
+    const counts = s(
+      "text",
+      { class: "counts", x: inside, y: below, "text-anchor": "middle" },
+      s("tspan", { class: "in" }, `${count(zone.entries)} in`),
+      s("tspan", { class: "out", dx: 5 * unit }, `${count(zone.exits)} out`),
+    );
     const element = s(
       "g",
       { class: "zone" },
       s("ellipse", { rx: major, ry: minor, transform: `translate(${x} ${y}) rotate(${turn})` }),
       s("text", { x, y: y + 0.012 * width, "text-anchor": "middle" }, zone.id.slice(zone.id.lastIndexOf("/") + 1)),
+      counts,
       s("title", {}, `${zone.id}: ${count(zone.entries)} in, ${count(zone.exits)} out`),
     );
     this.zones.set(zone.id, element);
