@@ -172,7 +172,7 @@ def test_nobody_there_or_somebody_else(
     assert f"cannot reach 127.0.0.1:{port}" in capsys.readouterr().err
 
 
-def test_messages_that_wait_have_a_limit(tmp_path: Path) -> None:
+def test_messages_that_wait_have_a_limit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with mosquitto(tmp_path) as broker:
         source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/frigate")
         with contextlib.closing(mqtt.Messages(source, "events", limit_messages=10)) as messages:
@@ -183,6 +183,8 @@ def test_messages_that_wait_have_a_limit(tmp_path: Path) -> None:
             assert [next(read) for _ in range(10)] == [b"%d" % n for n in range(10)]
             stop.set()
             assert list(read) == []
+    assert "those beyond 10 are dropped" in caplog.text
+    assert "90 messages of frigate/events were dropped" in caplog.text
 
 
 def test_without_the_extra_it_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

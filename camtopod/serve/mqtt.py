@@ -163,6 +163,12 @@ class Messages(_Connection):
             except queue.Empty:
                 continue
 
+    def close(self) -> None:
+        """Disconnect, and say what was dropped."""
+        super().close()
+        if self.dropped:
+            log.warning("%d messages of %s were dropped", self.dropped, self.topic)
+
     def _joined(self) -> None:
         self._client.subscribe(self.topic, qos=1)
 
@@ -180,7 +186,9 @@ class Messages(_Connection):
         except queue.Full:
             self.dropped += 1
             if self.dropped == 1:
-                log.warning("messages come faster than they are read; those beyond %d are dropped", MESSAGES_MAX)
+                log.warning(
+                    "messages come faster than they are read; those beyond %d are dropped", self._waiting.maxsize
+                )
 
 
 class Board(_Connection):
