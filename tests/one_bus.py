@@ -1,0 +1,42 @@
+"""A bus without anybody on it: for what follows a site, with the test as everybody else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from camtopod import codec
+from camtopod.records import Topology
+from camtopod.serve.bus import QueryError
+
+
+class OneBus:
+    """What the feed uses of a bus; the test is everybody else on it."""
+
+    def __init__(self) -> None:
+        self.connected = True
+        self.endpoint = "tcp/127.0.0.1:1"
+        self.subscribed: dict[str, list[Callable[[str, bytes], None]]] = {}
+        self.kept: dict[int, Topology] = {}
+        self.asked: list[tuple[str, Any]] = []
+
+    def subscribe(self, key: str, on_message: Callable[[str, bytes], None]) -> Callable[[], None]:
+        self.subscribed.setdefault(key, []).append(on_message)
+        return lambda: self.subscribed[key].remove(on_message)
+
+    def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
+        on_change("daemon", True)
+
+    def ask(self, key: str, parameters: dict[str, Any] | None = None) -> list[tuple[str, bytes]]:
+        self.asked.append((key, parameters))
+        if key != "topology":
+            return []
+        wanted = (parameters or {}).get("version", max(self.kept, default=0))
+        if wanted not in self.kept:
+            raise QueryError("not kept")
+        return [(key, codec.to_pack(self.kept[wanted]))]
+
+    def put(self, key: str, noun: object) -> None:
+        pattern = key.split("/")[0] + "/*"
+        for receive in [*self.subscribed.get(key, []), *self.subscribed.get(pattern, [])]:
+            receive(key, codec.to_pack(noun))

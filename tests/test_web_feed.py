@@ -1,0 +1,205 @@
+"""What the page's server takes from the bus, and hands to open pages within limits."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from typing import Any, cast
+
+import msgspec
+from made_site import made_site
+from one_bus import OneBus
+from serving import wait_for
+
+from camtopod.records import Event, NextCamera, Prediction
+from camtopod.serve.bus import Bus
+from camtopod.web import feed, mailbox
+from camtopod.web.feed import Feed
+from camtopod.web.mailbox import MESSAGES_MAX, PASSING_MAX, RESYNC, Hub, Mailbox
+
+SITE = made_site(12)
+NEWER = msgspec.structs.replace(SITE, version=2, links=SITE.links[1:])
+
+
+class Heard(Hub):
+    """A hub that keeps what was told."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.told: list[tuple[str, Any]] = []
+
+    def tell(self, name: str, content: bytes, camera: str | None = None, passing: bool = False) -> None:
+        self.told.append((name, json.loads(content)))
+
+    def of(self, kind: str) -> list[Any]:
+        return [content for name, content in self.told if name == kind]
+
+
+class Rig:
+    """A feed whose two loops run; time stands still unless it is moved."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.bus, self.hub = OneBus(), Heard()
+        self.feed = Feed(cast(Bus, self.bus), self.hub, lambda: self.now, 1.0)
+        self._stop = threading.Event()
+        self._threads = [
+            threading.Thread(target=work, args=[self._stop]) for work in (self.feed.versions, self.feed.messages)
+        ]
+
+    def __enter__(self) -> Rig:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+
+
+def prediction(camera: str, *probabilities: float) -> Prediction:
+    following = [NextCamera(f"c{k}", f"c{k}/1", p, 1.0, 2.0, 3.0) for k, p in enumerate(probabilities)]
+    return Prediction(camera, f"{camera}/1", 1.0, "somebody", 1, 0.1, following)
+
+
+# --- the feed ---------------------------------------------------------------------------------------
+
+
+def test_versions_are_told_as_changes_and_a_new_epoch_anew() -> None:
+    rig = Rig()
+    rig.feed.use(SITE)
+    rig.feed.use(NEWER)
+    rig.feed.use(msgspec.structs.replace(SITE, epoch="02K"))
+    assert [name for name, _ in rig.hub.told] == ["resync", "map", "resync"]
+    (told,) = rig.hub.of("map")
+    assert (told["since"], told["version"]) == (1, 2)
+    assert len(told["edges"]) <= 2 < len(SITE.pairs)
+    assert json.loads(rig.feed.map_json)["epoch"] == "02K"
+
+
+def test_predictions_are_told_without_who_it_was_and_so_many_a_second() -> None:
+    with Rig() as rig:
+        for _ in range(feed.PREDICTIONS_PER_SECOND_MAX + 10):
+            rig.bus.put("prediction/a", prediction("a", 0.4, 0.2, 0.1, 0.05))
+        rig.bus.put("prediction/a", {"not": "one"})
+        rig.bus.put("status/a", {"state": "stalled"})
+        wait_for(lambda: bool(rig.hub.of("health")), "what came behind them")
+        rig.now += 1
+        rig.bus.put("prediction/b", prediction("b", 0.5))
+        wait_for(lambda: any(one["camera"] == "b" for one in rig.hub.of("prediction")), "the next second's")
+        told = rig.hub.of("prediction")
+        assert len(told) <= feed.PREDICTIONS_PER_SECOND_MAX + 1
+        assert len(told[0]["next"]) == 3
+        assert told[0]["track"] is None
+    assert b"somebody" not in rig.feed.hello()
+    assert rig.feed.hello().count(b"event: past") == feed.PREDICTIONS_HELD
+
+
+def test_events_are_passed_on_while_somebody_watches_without_who_it_was() -> None:
+    event = Event("a", "exit", 5.0, 0.1, 0.2, "somebody", "boot", 3)
+    with Rig() as rig, rig.feed.watching("a"):
+        with rig.feed.watching("a"):
+            assert len(rig.bus.subscribed["event/a"]) == 1, "two pages, one subscription"
+        rig.bus.put("event/a", event)
+        wait_for(lambda: bool(rig.hub.of("event")), "the event")
+    assert rig.hub.of("event") == [{"camera": "a", "kind": "exit", "t": 5.0, "x": 0.1, "y": 0.2}]
+    assert rig.bus.subscribed["event/a"] == []
+
+
+def test_it_says_since_when_and_why_it_is_not_live() -> None:
+    with Rig() as rig:
+        rig.bus.put("status/daemon", {"state": "running"})
+        wait_for(lambda: [one["live"] for one in rig.hub.of("live")][-1:] == [True], "live")
+        rig.now += feed.SILENT_STATUSES + 1
+        wait_for(lambda: len(rig.hub.of("live")) == 2, "not live")
+        rig.now += 30
+        rig.bus.connected = False
+        wait_for(lambda: len(rig.hub.of("live")) == 3, "another reason")
+        rig.bus.connected = True
+        rig.bus.put("status/daemon", {"state": "running"})
+        wait_for(lambda: rig.hub.of("live")[-1]["live"] is True, "live again")
+    silent, away = rig.hub.of("live")[1:3]
+    assert "has said nothing" in silent["reason"]
+    assert "is not reached" in away["reason"]
+    assert silent["since"] == away["since"] == 1001.0, "the reason is another, the silence the same"
+
+
+def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
+    with Rig() as rig:
+        rig.feed.use(SITE)
+        counted = {"b": {"events": 7, "newest": 990.0, "ahead": None, "alive": True}}
+        rig.bus.put("status/daemon", {"state": "running", "cameras": counted, "reject_samples": ["secret"]})
+        rig.bus.put("status/no name", {"state": "stalled"})
+        rig.bus.put("status/c", ["not", "a", "status"])
+        rig.bus.put("status/a", {"state": "stalled", "reason": "no frame"})
+        wait_for(lambda: len(rig.hub.of("health")) == 1, "the change")
+        rig.bus.put("status/a", {"state": "stalled", "reason": "no frame", "events": 3})
+        rig.bus.put("status/a", {"state": "running", "reason": ""})
+        wait_for(lambda: len(rig.hub.of("health")) == 2, "the next change, not what stayed")
+        health = rig.feed.health()
+    rows = {row["id"]: row for row in health["cameras"]}
+    assert set(rows) == {"a", "b", *(camera.id for camera in SITE.cameras)}
+    assert (rows["a"]["state"], rows["b"]["state"], rows["b"]["events"]) == ("running", "unknown", 7)
+    assert rows["cam0000"]["state"] == "no grabber"
+    assert rig.hub.of("health")[0]["reason"] == "no frame"
+    assert len(feed._row("a", {"reason": 10**6 * "x"}, None)["reason"]) == feed.REASON_CHARACTERS_MAX
+    assert "secret" not in str(health)
+
+
+# --- mailboxes --------------------------------------------------------------------------------------
+
+
+def test_a_page_that_lags_gets_less_and_then_starts_anew() -> None:
+    async def lag() -> tuple[bytes | None, int]:
+        box = Mailbox(None)
+        for _ in range(PASSING_MAX + 5):
+            box.put(b"passing.", passing=True)
+        left_out = box.left_out
+        for _ in range(MESSAGES_MAX):
+            box.put(b"must.", passing=False)
+        return await box.take(1), left_out
+
+    taken, left_out = asyncio.run(lag())
+    assert left_out == 5
+    assert taken is not None
+    assert taken.startswith(RESYNC)
+    assert taken.count(b"must.") < MESSAGES_MAX
+
+
+def test_messages_come_in_order_from_any_thread_to_those_they_are_for() -> None:
+    async def listen() -> list[bytes | None]:
+        hub = Hub()
+        plain, watching = hub.open(None), hub.open("a")
+        assert plain is not None
+        assert watching is not None
+        empty = await plain.take(0.01)
+
+        def tell() -> None:
+            hub.tell("map", b"1")
+            hub.tell("event", b"2", camera="a", passing=True)
+
+        threading.Thread(target=tell).start()
+        taken = b""
+        while b"data: 2" not in taken:
+            taken += await watching.take(5) or b""
+        first = await plain.take(5)
+        hub.close()
+        return [empty, first, taken, await plain.take(5)]
+
+    empty, first, taken, end = asyncio.run(listen())
+    assert (empty, end) == (b"", None)
+    assert first == b"event: map\ndata: 1\n\n"
+    assert taken == b"event: map\ndata: 1\n\nevent: event\ndata: 2\n\n"
+
+
+def test_so_many_pages_and_no_more() -> None:
+    async def fill() -> list[Mailbox | None]:
+        hub = Hub()
+        boxes = [hub.open(None) for _ in range(mailbox.PAGES_MAX + 1)]
+        hub.leave(cast(Mailbox, boxes[0]))
+        return [*boxes, hub.open(None)]
+
+    boxes = asyncio.run(fill())
+    assert [box is None for box in boxes] == [False] * mailbox.PAGES_MAX + [True, False]
