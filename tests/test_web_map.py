@@ -57,6 +57,11 @@ def test_provisional_says_why(pair: Pair | None, transitions: float, word: str) 
     assert bool(said) is bool(word)
 
 
+def test_weak_evidence_is_told_by_its_own_figure() -> None:
+    assert doubt(None, 50.0, 0.03) == "not published: it may be chance (q = 0.03)"
+    assert "other paths explain it" in doubt(None, 50.0, 1e-6)
+
+
 def with_weak(topology: Topology, **changed: float) -> Topology:
     """Weak evidence between the first and the last camera."""
     link = made_link(topology.zones[0].id, topology.zones[-1].id, 20.0, 12.0)

@@ -69,7 +69,7 @@ def test_the_words_follow_the_figures() -> None:
     said = " ".join(why(unsure, True, None, None))
     assert "about one in 25 would be there by mere chance" in said
     assert "50 % of what chance would give" in said
-    assert "It is not published: a link needs q ≤ 0.01 and 3.0 % of those" in said
+    assert "It is not published: a link needs q ≤ 0.01, 3.0 % of those" in said
 
 
 def test_a_weak_link_without_a_histogram_has_no_chart() -> None:

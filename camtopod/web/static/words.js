@@ -39,7 +39,8 @@ export function scientific(value) {
 export function clock(t) {
   const date = new Date(1000 * t);
   const time = date.toLocaleTimeString("en-GB");
-  return date.toDateString() === new Date().toDateString() ? time : `${date.toLocaleDateString("en-CA")} ${time}`;
+  const today = date.toDateString() === new Date().toDateString();
+  return today ? time : `${date.toLocaleDateString("en-CA")} ${time.slice(0, 5)}`;
 }
 
 export function ago(age) {
