@@ -71,7 +71,7 @@ class District(Learner):
         neighbours then: today's neighbours and guests.
         """
         turn = self._turn_of(microseconds(t))
-        if self.owns(camera) or self._dealing.guest(camera, turn) or camera in self.hearing.neighbours:
+        if self._hears(camera, turn):
             return True
         decided = self.hearing.turn
         return decided is not None and turn > decided and self._dealing.guest(camera, decided)
