@@ -361,13 +361,15 @@ def test_shards_of_one_site_are_no_rivals() -> None:
     Rivals(bus, "A", (0, 2)).refuse(0.0, threading.Event())  # type: ignore[arg-type]  # its own trace
 
 
-def test_what_is_told_travels() -> None:
+def test_what_is_told_travels(monkeypatch: pytest.MonkeyPatch) -> None:
     learner = shards_of(2)[0]
     for event in EVENTS:
         learner.receive(event)
     one = told(learner)
     assert one.parts
     assert msgspec.msgpack.decode(codec.to_pack(one), type=Told) == one
+    monkeypatch.setattr(codec, "PART_BYTES", 10)
+    assert codec.read_in_parts(Told, codec.to_pack(one)) == one
     assert isinstance(EVENTS[0], Event)
 
 
@@ -437,8 +439,9 @@ def test_daemons_that_share_a_site_have_one_topology(tmp_path: Path, monkeypatch
         for camera in "abc":
             assert len(bus.ask(f"predict/{camera}", {"x": 0.9, "y": 0.5})) == 1
         assert len(bus.ask("topology")) == 1
-        owned = [daemon.status()["shard"] for daemon in daemons]
-        assert owned == ["0/2", "1/2"]
+        said = [daemon.status() for daemon in daemons]
+        assert [status["shard"] for status in said] == ["0/2", "1/2"]
+        assert {(one["epoch"], one["version"]) for one in said} == {(seen.topology.epoch, seen.topology.version)}
 
 
 def _cameras(seen: TopologyView) -> set[str]:

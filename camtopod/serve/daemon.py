@@ -208,7 +208,7 @@ class Daemon:
             "reason": redact(reason),
             "site": self._config.site.name,
             **({"shard": self._share.name} if isinstance(self._share, Share) else {}),
-            "epoch": self.epoch,
+            "epoch": self.epoch if self.topology is None else self.topology.epoch,
             "version": 0 if self.topology is None else self.topology.version,
             "t": self._clock(),
             "events": {

@@ -79,7 +79,7 @@ class Merger:
     def on_part(self, key: str, payload: bytes) -> None:
         """A publication on ``part/{shard}``, or the answer to a question for it."""
         try:
-            told = codec.read(Told, payload, pack=True)
+            told = codec.read_in_parts(Told, payload)
         except codec.Rejected as error:
             log.error("what came on %s cannot be read: %s", key, error)
             return

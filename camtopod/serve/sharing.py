@@ -70,7 +70,7 @@ class Sharing:
     def publish(self, version: Version) -> None:
         """A version of the own districts, which is stored."""
         assert version.told is not None
-        told = codec.read(Told, version.told, pack=True)
+        told = codec.read_in_parts(Told, version.told)
         with self._mutex:
             self._parts |= {part.district: part for part in told.parts}
             self._reached = told.reached
