@@ -57,7 +57,7 @@ def test_a_link_tells_its_background_and_why_it_is_believed() -> None:
     assert f"{SHARE:.0%}".replace("%", " %") in said
     assert "less than one in a million would be there by mere chance" in said
     assert "Var(d) = 0.02" in said
-    assert "Until then" not in said
+    assert "not published" not in said
 
 
 def test_the_words_follow_the_figures() -> None:
@@ -69,7 +69,7 @@ def test_the_words_follow_the_figures() -> None:
     said = " ".join(why(unsure, True, None, None))
     assert "about one in 25 would be there by mere chance" in said
     assert "50 % of what chance would give" in said
-    assert "It is not published: a link needs q ≤ 0.01, 3.0 % of those" in said
+    assert "It is not published: not all rules for that are met yet (among them q ≤ 0.01 and 3.0 %" in said
 
 
 def test_a_weak_link_without_a_histogram_has_no_chart() -> None:

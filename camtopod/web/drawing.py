@@ -150,11 +150,10 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
 def doubt(pair: Pair | None, transitions: float, q_value: float) -> str:
     """Why an edge is provisional, in words; "" if it is settled."""
     if pair is None:
+        figure = f"q = {q_value:.2f}" if q_value >= 0.005 else "q < 0.005"
         if q_value <= Settings().publish_q_max:
-            return (
-                f"not published: there is evidence (q = {q_value:.1g}), but too few take it or other paths explain it"
-            )
-        return f"not published: it may be chance (q = {q_value:.1g})"
+            return f"not published: there is evidence ({figure}), but not all rules for publishing are met yet"
+        return f"not published: it may be chance ({figure})"
     if transitions < SETTLED_TRANSITIONS_MIN:
         return f"new: only about {transitions:.0f} are known to have taken it"
     if pair.by_lags is not None and pair.by_sum_rule is not None and pair.by_lags != pair.by_sum_rule:

@@ -185,8 +185,8 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
     )
     if weak:
         said.append(
-            f"It is not published: a link needs q ≤ {rule:g}, {_share(Settings().publish_probability_min)} of those who "
-            "leave, and that no other paths explain it. Until then it only weighs in predictions."
+            f"It is not published: not all rules for that are met yet (among them q ≤ {rule:g} and "
+            f"{_share(Settings().publish_probability_min)} of those who leave). It only weighs in predictions."
         )
     return said
 

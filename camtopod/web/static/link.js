@@ -28,7 +28,7 @@ export async function pairPanel(app, a, b) {
     title: `${one} – ${other}`,
     chosen: story.cameras,
     body: [
-      story.provisional ? h("p", { class: "provisional-note" }, h("b", {}, "Provisional. "), story.provisional) : null,
+      story.provisional ? h("p", { class: "provisional-note" }, h("b", {}, "Provisional: "), story.provisional) : null,
       h(
         "ul",
         { class: "why" },
@@ -44,7 +44,7 @@ export async function pairPanel(app, a, b) {
       story.weak.length
         ? [
             h("h3", {}, "Weak evidence"),
-            h("p", { class: "quiet" }, "Below the rule for publishing; used for predictions only."),
+            h("p", { class: "quiet" }, "Not published; used for predictions only."),
             linkList(story.weak.slice(0, 8), (each) => each.to, ""),
           ]
         : null,

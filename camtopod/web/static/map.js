@@ -14,7 +14,7 @@ const NODE_PIXELS = [1.8, 11];
 const NEAR_SCALE = 0.8;
 const PICK_PIXELS = 14;
 const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
-const INSETS = { top: 76, right: 40, bottom: 112, left: 40 };
+const INSETS = { top: 76, right: 40, bottom: 48, left: 40 };
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class NetworkMap {
@@ -88,7 +88,8 @@ export class NetworkMap {
     const xs = nodes.map((node) => node.x);
     const ys = nodes.map((node) => node.y);
     const [x, y] = [Math.min(...xs), Math.min(...ys)];
-    this.view.fit({ x, y, width: Math.max(...xs) - x, height: Math.max(...ys) - y }, INSETS);
+    const bottom = INSETS.bottom + (this.legend?.offsetHeight ?? 0);
+    this.view.fit({ x, y, width: Math.max(...xs) - x, height: Math.max(...ys) - y }, { ...INSETS, bottom });
     this.view.touched = false;
   }
 

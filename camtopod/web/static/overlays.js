@@ -45,6 +45,23 @@ export class Overlays {
       h("summary", {}, "Predictions"),
       this.list,
     );
+    this.legend = h(
+      "details",
+      { class: "overlay key", open: !NARROW.matches },
+      h("summary", {}, "Legend ", this.summary),
+      h(
+        "ul",
+        {},
+        h("li", {}, h("i", { class: "stroke overlapped" }), "views overlap"),
+        h("li", {}, h("i", { class: "stroke unseen" }), "unseen path"),
+        h("li", {}, h("i", { class: "stroke unseen provisional" }), "provisional"),
+        h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
+        app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "predicted, under way") : null,
+        app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
+        h("li", { class: "quiet" }, "numbers: most popular transit time"),
+      ),
+    );
+    app.network.legend = this.legend; // which the map keeps free of cameras
     stage.append(
       h(
         "div",
@@ -60,22 +77,7 @@ export class Overlays {
         button("−", "Zoom out", () => view.zoom(1 / 1.4)),
         button("⤢", "Show all", () => app.network.fit()),
       ),
-      h(
-        "details",
-        { class: "overlay key", open: !NARROW.matches },
-        h("summary", {}, "Legend ", this.summary),
-        h(
-          "ul",
-          {},
-          h("li", {}, h("i", { class: "stroke overlapped" }), "views overlap"),
-          h("li", {}, h("i", { class: "stroke unseen" }), "unseen path"),
-          h("li", {}, h("i", { class: "stroke unseen provisional" }), "provisional"),
-          h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
-          app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "predicted, under way") : null,
-          app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
-          h("li", { class: "quiet" }, "numbers: most popular transit time"),
-        ),
-      ),
+      this.legend,
       h("div", { class: "left" }, this.alarms, this.predictions),
     );
   }
