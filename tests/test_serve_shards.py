@@ -172,6 +172,25 @@ def test_no_version_has_two_contents_if_the_newest_snapshot_is_damaged(tmp_path:
     assert len({(one.epoch, one.version) for one in published}) == len(published)
 
 
+def test_a_new_epoch_begins_with_what_is_known_though_nobody_says_anything(tmp_path: Path) -> None:
+    learner, half = shards_of(1)[0], len(EVENTS) // 2
+    for start in (0, half):
+        for event in EVENTS[start : start + half]:
+            learner.receive(event)
+        with Site(tmp_path, 1) as site:
+            site.say(told(learner))
+            wait_for(lambda site=site: bool(site.versions), "a version")  # type: ignore[misc]
+    before = site.versions[-1].topology
+    with contextlib.closing(sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)) as journal:
+        journal.execute("UPDATE snapshot SET state = x'00' WHERE position = (SELECT MAX(position) FROM snapshot)")
+    with Site(tmp_path, 1) as site:
+        wait_for(lambda: bool(site.versions), "a version of what is known")
+    first = site.versions[0]
+    assert first.topology.epoch > before.epoch
+    assert (first.topology.version, first.delta) == (1, None)
+    assert first.topology.cameras
+
+
 def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mergers, "PATIENCE_SECONDS", 0.3)
     learners = shards_of(2)

@@ -152,11 +152,9 @@ class Merger:
 
     def _make(self, stopping: threading.Event, beat: Beat) -> None:
         """The versions that are due, stored and published."""
-        until = self._until(time.monotonic())
-        if not self._line.waiting:
-            return
         before = self._line.topology
-        self._line.reach(until)
+        self._line.refresh()
+        self._line.reach(self._until(time.monotonic()))
         made = self._line.updates()
         for topology in made:
             delta = None if before is None else codec.to_pack(make_delta(before, topology))
