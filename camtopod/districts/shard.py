@@ -16,7 +16,6 @@ from camtopod.districts.district import District, DistrictState, Hearing
 from camtopod.districts.line import Line, LineState
 from camtopod.districts.parts import Part
 from camtopod.learn.intake import MICROSECONDS
-from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import BYTES_MAX, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import Event, Topology
@@ -159,12 +158,6 @@ class ShardLearner:
         """Event time (seconds) to which `advance` would have to go for something to happen; None: nothing waits."""
         waiting = [due for district in self.districts if (due := district.next_deadline()) is not None]
         return min(waiting, default=None)
-
-    def predictor(self) -> Predictor:
-        """Prediction over the newest version. Raises RuntimeError before the first."""
-        if self.topology is None:
-            raise RuntimeError("no version has been learned yet")
-        return Predictor(self.topology)
 
     def statistics(self) -> dict[str, int | float]:
         """Counts and sizes, for people and for health checks. Cameras are own ones; windows are those of all districts

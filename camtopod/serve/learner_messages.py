@@ -192,7 +192,7 @@ class Board:
     process that was killed, and costs less than a message for every entry.
     """
 
-    _NOTHING, _AT, _HURRY = 0, 0, 1
+    _AT, _HURRY = 0, 1
 
     def __init__(self, fd: int | None = None) -> None:
         """``fd``: of the board of another process, for which this one gives it as `fd`."""
