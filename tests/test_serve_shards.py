@@ -22,13 +22,14 @@ from camtopod.districts.shard import ShardLearner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve import merger as mergers
-from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.serve.bus import Bus, BusError, QueryError, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.hearing import SMALL_CAMERAS_MAX, Hearing
 from camtopod.serve.merger import Merger
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.rivals import Rivals
 from camtopod.serve.share import Share, Told
+from camtopod.serve.sharing import Sharing
 from camtopod.serve.spool import Spool
 from camtopod.serve.storing import Version
 from camtopod.serve.subscriber import TopologyView
@@ -509,6 +510,18 @@ def test_what_a_shard_of_many_cameras_has_learned_is_not_too_large(
     with Daemon(config, shard=(0, 2)) as first, dial(shared_config(tmp_path, first.endpoint)) as bus:
         bus.put_raw("part/1", b"x" * (config.bus.message_bytes_max // 2), "part")
         wait_for(lambda: "part/1 cannot be read" in caplog.text, "the part")
+
+
+def test_a_refusal_in_a_shards_place_ends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(sharing: Sharing) -> Told:
+        raise QueryError("not now")
+
+    monkeypatch.setattr(Sharing, "_answer", refuse)
+    with Daemon(shared_config(tmp_path / "state"), shard=(0, 2)) as first:
+        wait_for(lambda: caplog.text.count("asked again: not now") > 1, "it to ask again")
+        assert first.failing() == []
 
 
 def test_shards_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

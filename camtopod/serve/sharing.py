@@ -4,6 +4,7 @@ has learned, and predicts with the topology that all of them made. Shard 0 puts 
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 from camtopod import codec
 from camtopod.config import Config
 from camtopod.records import Topology
-from camtopod.serve.bus import Bus, OnMessage
+from camtopod.serve.bus import Bus, OnMessage, QueryError
 from camtopod.serve.clock import Clock
 from camtopod.serve.hearing import Hearing
 from camtopod.serve.learning import Learning
@@ -21,6 +22,8 @@ from camtopod.serve.rivals import ROLE
 from camtopod.serve.share import Share, Told
 from camtopod.serve.storing import Version
 from camtopod.serve.subscriber import TopologyView
+
+log = logging.getLogger(__name__)
 
 TELL_SECONDS = 1.0
 """How often a shard says how far it has come."""
@@ -113,5 +116,11 @@ class Sharing:
             return Told(*self._share.shard, self._reached, [self._parts[key] for key in sorted(self._parts)])
 
     def _ask(self, merger: Merger) -> None:
-        for key, payload in self._bus.ask("part/*"):
+        try:
+            answers = self._bus.ask("part/*")
+        except QueryError as error:  # anybody may have answered
+            log.warning("what the shards know is asked again: %s", error)
+            self._came.set()
+            return
+        for key, payload in answers:
             merger.on_part(key, payload)
