@@ -124,7 +124,7 @@ export class LinkTable {
                 h("span", {
                   class: `stroke ${way.kind.startsWith("over") ? "overlapped" : "unseen"}${way.provisional ? " provisional" : ""}`,
                 }),
-                way.kind,
+                h("span", { class: "apart" }, way.kind),
               ),
               h("td", { class: "number" }, percent(way.probability)),
               h("td", { class: "number" }, seconds(way.mode)),
