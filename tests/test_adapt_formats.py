@@ -17,7 +17,7 @@ from camtopod.adapt.adapter import Adapter
 from camtopod.adapt.frigate import Frigate
 from camtopod.adapt.mot import Mot
 from camtopod.adapt.scenescape import SceneScape
-from camtopod.codec import Rejected
+from camtopod.codec import TRACK_CHARACTERS_MAX, Rejected
 from camtopod.records import Event
 
 T = 1719000000.25
@@ -159,6 +159,12 @@ def test_mot_lines_become_events_by_time_whatever_their_order() -> None:
 def test_a_mot_file_begins_with_frame_1_whoever_is_there() -> None:
     lines = [f"{frame},1,100,100,50,50,1".encode() for frame in range(500, 520)]
     assert [(e.kind, e.t) for e in read(Mot("gate", (1920, 1080), 10, 0.0), lines)] == [("entry", 49.9)]
+
+
+def test_a_mot_line_with_an_endless_id_costs_no_other_line() -> None:
+    lines = [f"{frame},{number},100,100,50,50,1".encode() for frame in range(50, 60) for number in ("1", "1e300")]
+    found = read(Mot("gate", (1920, 1080), 10, 0.0), lines)
+    assert sorted(event.track or "" for event in found) == ["1", str(int(1e300))[:TRACK_CHARACTERS_MAX]]
 
 
 @pytest.mark.parametrize(

@@ -211,5 +211,5 @@ def _labels(ids: Any) -> list[str | None]:
 
 def _label(value: Any) -> str | None:
     if isinstance(value, int | float | np.number):  # some trackers keep ids in an array of floats
-        return str(int(value)) if 0 <= value < math.inf else None
+        value = int(value) if 0 <= value < math.inf else None
     return None if value is None else str(value)[:TRACK_CHARACTERS_MAX]
