@@ -17,6 +17,7 @@ import msgspec
 from camtopod.config import BusSettings, Config, Limits, StateSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
+from camtopod.serve.daemon import Daemon
 
 T0 = 1_700_000_000.0
 SPAN_SECONDS = 1200.0
@@ -29,6 +30,13 @@ def wait_for(condition: Callable[[], bool], what: str, seconds: float = WAIT_SEC
     while not condition():
         assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
         time.sleep(0.02)
+
+
+def all_out(daemon: Daemon, events: int) -> bool:
+    """Whether its learner has had so many events, and the versions that it made of them are out."""
+    learner = daemon.status()["learner"]
+    had = learner.get("accepted", 0) + learner.get("late", 0) == events
+    return bool(had and learner["version"] == daemon.status()["version"])
 
 
 def free_endpoint() -> str:

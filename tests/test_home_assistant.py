@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import pytest
 from mosquitto import PROGRAM, Broker, mosquitto
-from serving import T0, camtopod, closing_event, numbered, small_config, wait_for, walkers
+from serving import T0, all_out, camtopod, closing_event, numbered, small_config, wait_for, walkers
 
 from camtopod.cli import exits
 from camtopod.cli.main import main
@@ -184,8 +184,7 @@ def test_a_site_in_home_assistant(broker: Broker, bridged: tuple[Daemon, Bridge]
     events = numbered([*walkers(150), closing_event()])
     for event in events:
         daemon.bus.put(f"event/{event.camera}", event, "event")
-    wait_for(lambda: daemon.status()["learner"].get("accepted") == len(events), "all to be learned")
-    wait_for(lambda: daemon.status()["version"] == daemon.status()["learner"]["version"], "the last version")
+    wait_for(lambda: all_out(daemon, len(events)), "all to be learned")
     assert daemon.topology is not None
     assert daemon.topology.score is not None
     daemon.bus.put("prediction/a", msgspec.structs.replace(to_hall(0.2, ("b", 0.8)), camera="a"), "prediction")

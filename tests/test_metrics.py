@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import pytest
 import yaml
-from serving import WAIT_SECONDS, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+from serving import WAIT_SECONDS, all_out, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
 from camtopod.cli.main import main
 from camtopod.config import Config, StateSettings, parse
@@ -70,8 +70,7 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
         bus.put_raw("event/a", b"\xc1", "event")
         bus.put("event/b", Event("a", "entry", 1.0), "event")
     wait_for(lambda: daemon.status()["events"]["received"] == len(events) + 12, "all that was sent")
-    wait_for(lambda: daemon.topology is not None and daemon.topology.score is not None, "a version with a score")
-    wait_for(lambda: daemon.status()["events"]["waiting"] == 0, "all to be learned")
+    wait_for(lambda: all_out(daemon, len(events)), "all to be learned")
     samples, status, topology = scraped(daemon), daemon.status(), daemon.topology
     assert topology is not None
     assert topology.score is not None

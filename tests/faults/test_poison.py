@@ -13,7 +13,7 @@ import msgspec
 import pytest
 import serving
 from mutants import mutant, seeds
-from serving import T0, closing_event, numbered, small_config, wait_for, walkers
+from serving import T0, all_out, closing_event, numbered, small_config, wait_for, walkers
 from sizes import size
 
 from camtopod import codec
@@ -101,7 +101,8 @@ class Poisoner:
         for event in events:
             self.bus.put(f"event/{event.camera}", event, "event")
         wait_for(lambda: self.state()["stored"] == len(events), "the good events")
-        wait_for(lambda: bool(self.state()["version"] and self.state()["waiting"] == 0), "a version")
+        wait_for(lambda: all_out(self.daemon, len(events)), "its versions")
+        assert self.daemon.topology is not None
         elsewhere = msgspec.structs.replace(config, site=SiteSettings("elsewhere"))
         self.spool = Spool(directory / "spool.db", "b1", 1000)
         stack.callback(self.spool.close)

@@ -12,6 +12,11 @@ export function s(tag, properties = {}, ...children) {
   return filled(document.createElementNS(SVG, tag), properties, children);
 }
 
+// The button below a table that has further rows.
+export function more(text, onClick) {
+  return h("button", { type: "button", class: "more", on: { click: onClick } }, text);
+}
+
 // Replace what is in an element.
 export function fill(element, ...children) {
   element.replaceChildren(...flat(children));

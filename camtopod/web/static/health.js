@@ -1,7 +1,7 @@
 // Who is well: the daemon, and every camera with its reason. Asked anew every few seconds while it is shown.
 
 import { fact } from "./camera.js";
-import { fill, h } from "./dom.js";
+import { fill, h, more } from "./dom.js";
 import { link } from "./place.js";
 import { ago, count, plural, seconds, stateClass, troubled } from "./words.js";
 
@@ -144,22 +144,11 @@ export class Health {
             ),
         ),
       ),
-      wanted.length > this.#rows
-        ? h(
-            "button",
-            {
-              type: "button",
-              class: "more",
-              on: {
-                click: () => {
-                  this.#rows += ROWS;
-                  this.#draw();
-                },
-              },
-            },
-            "Show more",
-          )
-        : null,
+      wanted.length > this.#rows &&
+        more(`Show ${count(Math.min(ROWS, wanted.length - this.#rows))} more`, () => {
+          this.#rows += ROWS;
+          this.#draw();
+        }),
     );
   }
 }

@@ -1,6 +1,6 @@
 // The links as a table: the map for those who do not see it, and for whoever wants to sort.
 
-import { fill, h } from "./dom.js";
+import { fill, h, more } from "./dom.js";
 import { link } from "./place.js";
 import { count, percent, plural, seconds, span } from "./words.js";
 
@@ -134,22 +134,11 @@ export class LinkTable {
           ),
         ),
       ),
-      wanted.length > this.#rows
-        ? h(
-            "button",
-            {
-              type: "button",
-              class: "more",
-              on: {
-                click: () => {
-                  this.#rows += ROWS;
-                  this.#draw();
-                },
-              },
-            },
-            `Show ${count(Math.min(ROWS, wanted.length - this.#rows))} more`,
-          )
-        : null,
+      wanted.length > this.#rows &&
+        more(`Show ${count(Math.min(ROWS, wanted.length - this.#rows))} more`, () => {
+          this.#rows += ROWS;
+          this.#draw();
+        }),
     );
   }
 }
