@@ -6,6 +6,7 @@ checks that the digest comes out, and fetches the whole where a version is missi
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import re
@@ -62,16 +63,15 @@ class View:
         self._stale_since: float | None = clock.wall()
         self._wake, self._closing = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._follow, name=f"topology of {self.site}", daemon=True)
-        try:
+        with contextlib.ExitStack() as undo:  # a program with an open session does not end
+            undo.callback(self._bus.close)
             self._view = TopologyView(self._bus)
             self._bus.subscribe("topology/delta", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)
             self._wake.wait(settings.bus.query_seconds)  # a daemon that is there says so at once
             self._refresh()
             self._thread.start()
-        except BaseException:  # interrupted: a program with an open session does not end
-            self._bus.close()
-            raise
+            undo.pop_all()
 
     @property
     def site(self) -> str:

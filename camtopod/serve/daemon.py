@@ -9,6 +9,7 @@ events stay in the spools.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
 import sqlite3
@@ -109,24 +110,23 @@ class Daemon:
         config, share = self._config, self._share
         directory = config.state_directory / share.folder
         self._journal = Journal(directory, config.keep)
-        try:
-            self._process = process = LearnerProcess()  # which loads its libraries while the bus is joined
-            if self._bus is None:
-                self._bus = meet(config, isinstance(share, Share)) if share.first else dial(config)
-            recovered = recover(self._journal, process, config.learn, config.site.name, self._new_epoch, share.portion)
-            if cancelled.is_set():
-                self._undo()
-                return False
-            self._build(self._bus, recovered, process, directory)
-            self._rivals = Rivals(self._bus, self._name(), share.shard)
-            self._rivals.refuse(config.bus.connect_seconds, cancelled)
-            self._serve(self._bus)
-        except sqlite3.Error as error:
-            self._undo()
-            raise StateError(f"cannot read the journal in {directory}: {error}; it is left as it is") from None
-        except BaseException:
-            self._undo()
-            raise
+        with contextlib.ExitStack() as undo:  # a start that fails leaves nothing open
+            undo.callback(self._undo)
+            try:
+                self._process = process = LearnerProcess()  # which loads its libraries while the bus is joined
+                if self._bus is None:
+                    self._bus = meet(config, isinstance(share, Share)) if share.first else dial(config)
+                name = config.site.name
+                recovered = recover(self._journal, process, config.learn, name, self._new_epoch, share.portion)
+                if cancelled.is_set():
+                    return False
+                self._build(self._bus, recovered, process, directory)
+                self._rivals = Rivals(self._bus, self._name(), share.shard)
+                self._rivals.refuse(config.bus.connect_seconds, cancelled)
+                self._serve(self._bus)
+            except sqlite3.Error as error:
+                raise StateError(f"cannot read the journal in {directory}: {error}; it is left as it is") from None
+            undo.pop_all()
         if self.topology is not None and self._share.first:
             self._bus.put("topology", self.topology, "topology")
         health, limits = config.health, config.limits
