@@ -6,12 +6,13 @@ import math
 import sys
 import types
 import typing
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 import msgspec
 from msgspec.structs import force_setattr
 
-from camtopod.records import Delta, Event, Prediction, Topology
+from camtopod.records import Delta, Event, Link, Prediction, Topology
 
 EVENT_ENCODING = "application/msgpack;schema=camtopod.event.1"
 EVENT_BYTES_MAX = 4096
@@ -105,6 +106,34 @@ def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
     decoder: Any = msgspec.msgpack.Decoder(kind) if pack else msgspec.json.Decoder(kind)
     result: _T = _decode(decoder, raw)
     return result
+
+
+def read_topology(raw: bytes, pack: bool = False) -> Topology:
+    """A topology in which every name stands for something in it; raises `Rejected`. Its reader need not ask again."""
+    topology = read(Topology, raw, pack)
+    cameras = {camera.id for camera in topology.cameras}
+    zones = {zone.id for zone in topology.zones}
+    for known, kind, named in (
+        (cameras, "camera", ((f"zones[{k}].camera", zone.camera) for k, zone in enumerate(topology.zones))),
+        (
+            zones,
+            "zone",
+            ((f"cameras[{k}].zones", zone) for k, one in enumerate(topology.cameras) for zone in one.zones),
+        ),
+        (zones, "zone", _ends("links", topology.links)),
+        (zones, "zone", _ends("weak_links", topology.weak_links or [])),
+        (cameras, "camera", ((f"pairs[{k}]", name) for k, pair in enumerate(topology.pairs) for name in pair.cameras)),
+    ):
+        for place, name in named:
+            if name not in known:
+                raise Rejected("unknown-name", f"there is no {kind} {name!r} in it - at `$.{place}`")
+    return topology
+
+
+def _ends(field: str, links: Sequence[Link]) -> Iterator[tuple[str, str]]:
+    for k, link in enumerate(links):
+        yield f"{field}[{k}].from", link.from_
+        yield f"{field}[{k}].to", link.to
 
 
 def read_in_parts(kind: Any, raw: bytes | msgspec.Raw) -> Any:

@@ -8,6 +8,8 @@ import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from made_site import made_site
+from msgspec.structs import replace
 from serving import closing_event, walkers
 
 from camtopod.codec import (
@@ -19,11 +21,12 @@ from camtopod.codec import (
     event_from_pack,
     read,
     read_in_parts,
+    read_topology,
     to_json,
     to_pack,
 )
 from camtopod.learn.learner import Learner
-from camtopod.records import Ack, Event, NextCamera, Prediction, Topology
+from camtopod.records import Ack, Event, NextCamera, Pair, Prediction, Topology
 
 GOOD = {"camera": "lobby", "kind": "entry", "t": 1700000000.25, "x": 0.31, "y": 0.88, "track": "17"}
 NUMBERS = st.floats(0, 1)
@@ -184,6 +187,24 @@ def test_other_nouns() -> None:
     with pytest.raises(Rejected) as caught:
         read(Ack, b"\xc1", pack=True)
     assert caught.value.reason == "malformed"
+
+
+def test_every_name_in_a_topology_stands_for_something() -> None:
+    site = made_site(4)
+    assert read_topology(to_json(site)) == site
+    assert read_topology(to_pack(site), pack=True) == site
+    zone = site.zones[0]
+    strange = [replace(site.links[0], to="cellar/1")]
+    for changed, said in (
+        (replace(site, zones=[replace(zone, camera="cellar"), *site.zones[1:]]), r"no camera 'cellar'.*zones\[0\]"),
+        (replace(site, zones=site.zones[1:]), rf"no zone '{zone.id}'"),
+        (replace(site, links=[*site.links, *strange]), rf"no zone 'cellar/1'.*\.links\[{len(site.links)}\]\.to"),
+        (replace(site, weak_links=strange), r"no zone 'cellar/1'.*weak_links\[0\]\.to"),
+        (replace(site, pairs=[Pair(("cam0000", "cellar"), "unseen_path")]), r"no camera 'cellar'.*pairs\[0\]"),
+    ):
+        with pytest.raises(Rejected, match=said) as caught:
+            read_topology(to_json(changed))
+        assert caught.value.reason == "unknown-name"
 
 
 @pytest.mark.parametrize("part_bytes", [1, 50, 1000, 10**9])

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.codec import Rejected, read
+from camtopod.codec import Rejected, read_topology
 from camtopod.export import FORMATS
 from camtopod.export.aicity import camera_numbers
 from camtopod.records import Topology
@@ -45,7 +45,7 @@ def load(path: str) -> Topology:
     """A topology from a JSON file ('-': standard input); raises `exits.InputError`."""
     try:
         raw = sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
-        return read(Topology, raw)
+        return read_topology(raw)
     except OSError as error:
         raise exits.InputError(f"cannot read {path}: {error.strerror}") from None
     except Rejected as error:

@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from camtopod import codec
 from camtopod.cli.exits import InputError
 from camtopod.cli.lines import Line, LineReader
 from camtopod.cli.progress import Progress
-from camtopod.codec import Rejected, read, to_json
+from camtopod.codec import Rejected, to_json
 from camtopod.learn.predict import Predictor
 from camtopod.records import Topology
 
@@ -57,7 +58,7 @@ def _observe(predictor: Predictor, lines: list[Line], waiting: list[int]) -> Non
 def read_topology(path: str) -> Topology:
     """A topology file. Raises `InputError` when it cannot be read or is not one."""
     try:
-        return read(Topology, Path(path).read_bytes())
+        return codec.read_topology(Path(path).read_bytes())
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from None
     except Rejected as error:

@@ -101,7 +101,7 @@ class TopologyView:
         current = False
         for _, payload in answers:
             try:
-                found = codec.read(Topology, payload, pack=True)
+                found = codec.read_topology(payload, pack=True)
             except codec.Rejected as error:
                 log.warning("a topology that cannot be read: %s", error)
                 continue

@@ -66,7 +66,7 @@ class Past:
             return None
         for _, payload in answers:
             try:
-                found = codec.read(Topology, payload, pack=True)
+                found = codec.read_topology(payload, pack=True)
             except codec.Rejected:
                 continue
             if (found.epoch, found.version) == key:
