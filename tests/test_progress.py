@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
 import pytest
+from made_site import made_site
 from serving import closing_event, walkers
 
-from camtopod.cli import progress
+from camtopod.cli import progress, simulate
 from camtopod.cli.main import main
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
@@ -56,3 +58,19 @@ def test_learn_and_predict(
     out, err = capfdbinary.readouterr()
     assert f"\r\x1b[K120 exits predicted of {len(events)} lines" in err.decode()
     assert out.count(b"\n") == 120
+
+
+@pytest.mark.usefixtures("_at_once")
+def test_simulate_and_report(
+    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr(simulate, "BLOCK_LINES", 100)
+    assert main(["simulate", "--cameras", "3", "--hours", "0.1", "--events", str(tmp_path / "e.jsonl")]) == 0
+    written = (tmp_path / "e.jsonl").read_bytes().count(b"\n")
+    assert written > 100, "more than a block"
+    assert f"\r\x1b[K100 of {written} events written" in capfdbinary.readouterr().err.decode()
+    (tmp_path / "t.json").write_bytes(to_json(made_site(4)))
+    assert main(["report", str(tmp_path / "t.json")]) == 0
+    steps = re.findall(r"(\d+) of (\d+) parts ready", capfdbinary.readouterr().err.decode())
+    assert [int(ready) for ready, _ in steps] == list(range(int(steps[0][1]))), "each part is counted, once"

@@ -113,9 +113,12 @@ def test_what_cannot_be_read_or_written_is_told(tmp_path: Path, capsys: pytest.C
     source.write_bytes(codec.to_json(SITE))
     bad = tmp_path / "bad.jsonl"
     bad.write_text("{}\n", "utf-8")
+    strange = tmp_path / "strange.json"
+    strange.write_bytes(codec.to_json(msgspec.structs.replace(SITE, zones=SITE.zones[1:])))
     for options, status, said in (
         ([str(tmp_path / "none.json")], exits.INPUT, "none.json"),
         ([str(bad)], exits.INPUT, "is not a topology"),
+        ([str(strange)], exits.INPUT, f"there is no zone '{SITE.zones[0].id}' in it"),
         ([str(source), "--updates", str(bad)], exits.INPUT, "line 1 is not a topology"),
         ([str(source), "--updates", str(tmp_path / "none")], exits.INPUT, "cannot read"),
         ([str(source), "--pictures", str(tmp_path / "none")], exits.INPUT, "no such folder"),

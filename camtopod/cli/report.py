@@ -10,7 +10,8 @@ from typing import Any
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.export import load
-from camtopod.codec import Rejected, read
+from camtopod.cli.progress import Progress
+from camtopod.codec import Rejected, read_topology
 from camtopod.records import Topology
 from camtopod.web.bundle import page
 from camtopod.web.report import gather
@@ -43,7 +44,10 @@ def run(args: argparse.Namespace) -> int:
     if args.pictures is not None and not args.pictures.is_dir():
         raise InputError(f"--pictures {args.pictures}: there is no such folder")
     older = [] if args.updates is None else _older(args.updates, topology)
-    text = page(gather(topology, older, args.pictures))
+    with Progress() as progress:
+        text = page(
+            gather(topology, older, args.pictures, lambda ready, of: progress.show("%d of %d parts ready", ready, of))
+        )
     if args.out == "-":
         sys.stdout.write(text)
         return exits.DONE
@@ -60,7 +64,7 @@ def _older(path: Path, topology: Topology) -> list[Topology]:
     with path.open("rb") as file:  # an OSError is told by the caller of every command
         for number, line in enumerate(file, 1):
             try:
-                one = read(Topology, line)
+                one = read_topology(line)
             except Rejected as error:
                 raise InputError(f"{path}, line {number} is not a topology: {error}") from None
             if one.epoch == topology.epoch and one.version < topology.version:

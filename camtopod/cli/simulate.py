@@ -6,11 +6,12 @@ import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from msgspec import Struct
 
 from camtopod.cli import exits
+from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
 from camtopod.records import Event
 from camtopod.sim.crowd import CrowdSettings, simulate_crowd
@@ -29,6 +30,7 @@ SCENES: dict[str, tuple[type[Struct], Callable[[Any], tuple[list[Event], Truth]]
 }
 COMMON = {"cameras", "hours", "seed", "start"}
 """Options that every scene has."""
+BLOCK_LINES = 10_000
 
 
 def add_parser(subparsers: Any) -> None:
@@ -123,12 +125,13 @@ def run(args: argparse.Namespace) -> int:
         events, truth = make(kind(**_given(args)))
     except ValueError as error:
         raise exits.CommandError(f"simulate: {error}", exits.USAGE) from None
-    lines = b"".join(to_json(event) + b"\n" for event in events)
     try:
-        if args.events == "-":
-            sys.stdout.buffer.write(lines)
-        else:
-            Path(args.events).write_bytes(lines)
+        with Progress() as progress:
+            if args.events == "-":
+                _write(events, sys.stdout.buffer, progress)
+            else:
+                with Path(args.events).open("wb") as file:
+                    _write(events, file, progress)
         if args.truth:
             Path(args.truth).write_bytes(to_json(truth) + b"\n")
     except BrokenPipeError:
@@ -142,6 +145,13 @@ def run(args: argparse.Namespace) -> int:
         file=sys.stderr,
     )
     return exits.DONE
+
+
+def _write(events: list[Event], file: IO[bytes], progress: Progress) -> None:
+    """Event lines, a block of them at a time."""
+    for begin in range(0, len(events), BLOCK_LINES):
+        file.write(b"".join(to_json(event) + b"\n" for event in events[begin : begin + BLOCK_LINES]))
+        progress.show("%d of %d events written", begin, len(events))
 
 
 def _given(args: argparse.Namespace) -> dict[str, Any]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from camtopod.records import Link, Topology
 from camtopod.web.drawing import draw
@@ -17,31 +18,42 @@ LINKS_MAX = 3_000
 """Links that are told in full, the most walked first; a large site has more than a browser opens as one file."""
 COMPARED_MAX = 20
 """The newest versions, each compared with each."""
+Count = Callable[[int, int], None]
+_T = TypeVar("_T")
 
 
-def gather(topology: Topology, older: Sequence[Topology], pictures: Path | None) -> dict[str, Any]:
-    """The data of a report on ``topology``; ``older``: versions before it, oldest first. Raises OSError."""
+def gather(
+    topology: Topology, older: Sequence[Topology], pictures: Path | None, count: Count = lambda done, of: None
+) -> dict[str, Any]:
+    """The data of a report on ``topology``; ``older``: versions before it, oldest first. Raises OSError.
+
+    ``count`` is called often, with how many of its parts are ready and how many there will be.
+    """
     drawn = draw(topology)
     cameras = [camera.id for camera in topology.cameras]
     files = {camera: path for camera in cameras if (path := picture_of(pictures, camera)) is not None}
     stories = Stories(topology)
-    told = {camera: stories.camera(camera) for camera in cameras}
     versions = [*older, topology]
     compared = versions[-COMPARED_MAX:]
+    links = _told(topology)
+    both = [(old, new) for k, new in enumerate(compared) for old in compared[: k + 1]]
+    ready = itertools.count()
+    parts = len(cameras) + len(drawn.edges) + len(links) + len(both)
+
+    def counted(part: _T) -> _T:
+        count(next(ready), parts)
+        return part
+
     return {
         "map": drawn,
-        "cameras": {name: {**(story or {}), "picture": name in files} for name, story in told.items()},
-        "pairs": {key: stories.pair(*key.split(" ")) for key in drawn.edges},
+        "cameras": {name: {**(stories.camera(counted(name)) or {}), "picture": name in files} for name in cameras},
+        "pairs": {key: stories.pair(*counted(key).split(" ")) for key in drawn.edges},
         "links": {
             f"{link.from_} {link.to} {link.relation}": stories.link(link.from_, link.to, link.relation)
-            for link in _told(topology)
+            for link in map(counted, links)
         },
         "versions": [summary(one) for one in versions],
-        "changes": {
-            f"{old.version} {new.version}": changes(old, new)
-            for k, new in enumerate(compared)
-            for old in compared[: k + 1]
-        },
+        "changes": {f"{old.version} {new.version}": changes(old, new) for old, new in map(counted, both)},
         "pictures": {name: _inline(path) for name, path in files.items()},
     }
 
