@@ -209,7 +209,7 @@ class Config(Struct, frozen=True):
     def secrets(self, path: Path) -> list[Path]:
         """The files that hold secrets, when this configuration was read from ``path``."""
         files = [Path(camera.source_file) for camera in self.cameras.values() if camera.source_file]
-        if any(secret_files.holds_password(camera.source) for camera in self.cameras.values()):
+        if any(redact.holds_secret(camera.source) for camera in self.cameras.values()):
             files.append(path)
         names = list(self.cameras) if "{camera}" in self.bus.tls.private_key else [""]
         keys = [self.bus.tls.private_key.replace("{camera}", name) for name in names]

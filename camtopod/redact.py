@@ -11,13 +11,28 @@ _SECRET_CHARACTERS_MIN = 4
 
 _USERINFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)\S*@")
 """To the last @ of the word: passwords may hold @, : and /. It may hide the host too, never too little."""
-_PARAMETER = re.compile(r"(?i)(?<![a-z0-9])(user(?:name)?|pass(?:word|wd)?|pwd|token|secret|\w*private_key\w*)=[^&\s]+")
+_PASSWORD = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://[^/]*:.*@")
+_PARAMETER = re.compile(
+    r"(?i)(?<![a-z0-9])(user(?:name)?|pass(?:word|wd)?|pwd|auth|token|secret|api_?key|sig(?:nature)?|\w*private_key\w*)"
+    r"=[^&\s]+"
+)
+_PATH = re.compile(r"(?<![A-Za-z0-9+.-])(?!file:)([A-Za-z][A-Za-z0-9+.-]*://[^\s/?#\"'<>]*)([/?#][^\s\"'<>]*)")
+"""A URL's scheme and host, and what follows them; a file's is no secret."""
+_RUN = re.compile(r"[A-Za-z0-9_~%+-]+")
+_TOKEN_CHARACTERS_MIN = 16
+_HEX = re.compile(r"(?=.*[0-9])(?=.*[A-Fa-f])[0-9A-Fa-f]+")
+_PIECE = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|[0-9]+")
+_PIECE_CHARACTERS = 4
+"""Words and numbers are longer than this on average; what was drawn by lot changes between small and capital letters
+and digits at every second character or so."""
 _KEY = re.compile(r"-----BEGIN ([A-Z ]*PRIVATE KEY)-----.*?(-----END \1-----|\Z)", re.DOTALL)
 _known: set[str] = set()
 
 
 def remember(source: str) -> None:
     """Learn a source's secret, so that it is hidden outside its URL too, whatever characters are in it."""
+    for _, rest in _PATH.findall(_USERINFO.sub(r"\1", source)):
+        _known.update(run for run in _RUN.findall(rest) if _is_token(run))
     match = re.match(r"[A-Za-z][A-Za-z0-9+.-]*://(.*)@", source, re.DOTALL)
     if match is None:
         return
@@ -30,11 +45,37 @@ def remember(source: str) -> None:
 
 
 def redact(text: str) -> str:
-    """``text`` without the user names and passwords of URLs, also as parameters, private keys, and remembered
-    secrets.
+    """``text`` without the user names and passwords of URLs, also as parameters, tokens in their paths, private keys,
+    and remembered secrets.
     """
     text = _KEY.sub(HIDDEN, text)
     for secret in sorted(_known, key=len, reverse=True):
         text = text.replace(secret, f"{HIDDEN}@" if secret.endswith("@") else HIDDEN)
-    text = _USERINFO.sub(rf"\g<1>{HIDDEN}@", text)
+    return _without(_USERINFO.sub(rf"\g<1>{HIDDEN}@", text))
+
+
+def holds_secret(source: str) -> bool:
+    """Whether a source is a URL with a password or a token; a user's name alone is none."""
+    bare = _USERINFO.sub(r"\1", source)
+    return _PASSWORD.match(source) is not None or _without(bare) != bare
+
+
+def _without(text: str) -> str:
+    """What follows a URL's host, and parameters, without secrets."""
+    text = _PATH.sub(lambda url: url[1] + _RUN.sub(_hidden_token, url[2]), text)
     return _PARAMETER.sub(rf"\g<1>={HIDDEN}", text)
+
+
+def _hidden_token(run: re.Match[str]) -> str:
+    return HIDDEN if _is_token(run[0]) else run[0]
+
+
+def _is_token(run: str) -> bool:
+    """Whether this was drawn by lot, as far as one can see: of small letters only it looks like a word."""
+    parts = re.findall(r"[A-Za-z0-9]+", run)
+    joined = "".join(parts)
+    if len(joined) < _TOKEN_CHARACTERS_MIN:
+        return False
+    # A number at the end of a word is how people number things.
+    changes = sum(len(_PIECE.findall(part.rstrip("0123456789"))) - 1 for part in parts if not part.isdigit())
+    return _HEX.fullmatch(joined) is not None or changes * _PIECE_CHARACTERS >= len(joined)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import re
 import stat
 from collections.abc import Iterable
 from pathlib import Path
 
 BYTES_MAX = 4096
-_PASSWORD = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://[^/]*:.*@")
 
 
 def read(path: Path) -> str:
@@ -40,11 +38,6 @@ def write(path: Path, content: bytes) -> None:
         os.fsync(folder)  # or the old file could be back after a power cut
     finally:
         os.close(folder)
-
-
-def holds_password(source: str) -> bool:
-    """Whether a source is a URL with a password."""
-    return _PASSWORD.match(source) is not None
 
 
 def exposed(paths: Iterable[Path]) -> list[str]:

@@ -28,6 +28,7 @@ SECRETS = {
     "quoted": 'in "quotes" and ünïcode\\n',
     "parameter": "Parameter77",
     "path": "InThePath88",
+    "token": "3f9c8a7be1d24c5d9a7b",
     "file": "from-a-file-99",
     "credential": "from-systemd-11",
     "mqtt": "mosquitto-22",
@@ -67,6 +68,7 @@ def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "quoted": f"rtsp://admin:{SECRETS['quoted']}@192.0.2.2/x",
         "parameter": f"rtsp://192.0.2.3/x?user=admin&password={SECRETS['parameter']}&channel=1",
         "path": f"rtsp://192.0.2.3/user=admin_password={SECRETS['path']}_channel=1",
+        "token": f"rtsp://192.0.2.3:7441/stream/{SECRETS['token']}/live",
     }
     text = f'# rtsp://old:{SECRETS["environment"]}@192.0.2.9/x\n[site]\nname = "hq"\n'
     text += "".join(
@@ -94,7 +96,7 @@ def test_no_secret_is_in_it(planted: Path, tmp_path: Path, capsys: pytest.Captur
         bus.put("event/yard", {"camera": "yard", "note": f"mqtt://u:{SECRETS['rejected']}@h"}, "event")
         bus.put_raw("event/yard", f'{{"password":"{SECRETS["rejected"]}"}}'.encode(), "event")
         wait_for(lambda: daemon.status()["rejects"] != {}, "the events to be refused")
-        names = ("quoted", "file", "credential", "mqtt", "mqtt's file", "environment")
+        names = ("quoted", "token", "file", "credential", "mqtt", "mqtt's file", "environment")
         raw = " and ".join(SECRETS[name] for name in names)
         said = {"camera": "lobby", "state": "stalled", "reason": f"rtsp://u:{SECRETS['status']}@h and {raw}"}
         bus.answer("status/lobby", lambda key, parameters: said, "status")
@@ -114,6 +116,7 @@ def test_no_secret_is_in_it(planted: Path, tmp_path: Path, capsys: pytest.Captur
     assert {"camtopod-doctor/versions.txt", "camtopod-doctor/bus.txt"} <= set(files)
     for told in (
         'cameras.url.source = "rtsp://***@',
+        'cameras.token.source = "rtsp://192.0.2.3:7441/stream/***/live"',
         'cameras.parameter.source = "rtsp://192.0.2.3/x?user=***&password=***&channel=1"',
         f"holds a secret: {tmp_path}/lobby (-rw-r--r--",
         f"{tmp_path}/lobby holds a secret and can be read by others",

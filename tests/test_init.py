@@ -121,6 +121,7 @@ def test_a_process_that_hangs_or_crashes_is_given_up(tmp_path: Path, monkeypatch
         ("rtsp://[2001:db8::5]/x", "2001-db8-5"),
         ("rtsp://127.0.0.1:8554/front%20door", "front-20door"),
         ("rtsp://localhost/garden", "garden"),
+        ("rtsp://localhost:7441/JHeOzLkM0NvTzhGq", "camera"),
         ("rtsp://user=admin_password=x", "user-admin_password-x"),
         ("/data/some clip.mp4", "some-clip"),
         ("0", "device-0"),
@@ -154,10 +155,11 @@ def test_passwords_go_into_files_of_their_own(
     host = Host(rtsp_answer("401 Unauthorized"))
     url = host.url.replace("p@ssw0rd", PASSWORD)
     parameter = "rtsp://127.0.0.1:1/dvr?user=admin&password=hunter2&channel=1"
+    token = "rtsp://127.0.0.1:1/stream/JHeOzLkM0NvTzhGq/live"
     assert main(["init", "yard.mp4", "--out", "site/camtopod.toml"]) == 1
     assert "cannot write" in capsys.readouterr().err, "the folder is not there"
     (tmp_path / "site").mkdir()
-    arguments = ["init", "yard.mp4", f"front.door={url}", parameter, "--out", "site/camtopod.toml"]
+    arguments = ["init", "yard.mp4", f"front.door={url}", parameter, f"nvr={token}", "--out", "site/camtopod.toml"]
     assert main(["--site", "hq", *arguments]) == 66
     host.close()
     out, err = capsys.readouterr()
@@ -167,13 +169,18 @@ def test_passwords_go_into_files_of_their_own(
     assert err.endswith("    camtopod --config site/camtopod.toml run\n    camtopod --config site/camtopod.toml grab\n")
     files = everything_below(tmp_path / "site")
     assert files.pop("camtopod.toml")[0] & 0o444
-    assert files == {"secrets/front.door": (0o600, f"{url}\n"), "secrets/dvr": (0o600, f"{parameter}\n")}
+    assert files == {
+        "secrets/front.door": (0o600, f"{url}\n"),
+        "secrets/dvr": (0o600, f"{parameter}\n"),
+        "secrets/nvr": (0o600, f"{token}\n"),
+    }
     assert (tmp_path / "site/secrets").stat().st_mode & 0o777 == 0o700
     written = (tmp_path / "site/camtopod.toml").read_text()
     for text in (written, err):
         assert PASSWORD not in text
         assert "w/0rd" not in text
         assert "hunter2" not in text
+        assert "JHeOzLkM0NvTzhGq" not in text
     assert "# MPEG-4, 192x144, 7 frames a second\n# a file is read once" in written
     loaded = config.load(tmp_path / "site/camtopod.toml")
     assert (loaded.site.name, loaded.cameras["yard"].source) == ("hq", str(tmp_path / "yard.mp4"))

@@ -62,6 +62,70 @@ def test_a_password_in_a_path_is_hidden() -> None:
     assert text.endswith("is slow")
 
 
+TOKENS = (
+    "3f9c8a7be1d24c5d",
+    "3f9c8a7b-e1d2-4c5d-9a7b-e1d24c5d8a7b",
+    "JHeOzLkM0NvTzhGq",
+    "xoYb2-Kq9_vT4sWn8LrE1mZc6HdU3jGf5pAiBt7QyX",
+    "k3j9x0q2m8v7c1z5w4t6",
+    "eyJhbGciOiJIUzI1NiJ9.eyJzdWIiOiI0MiJ9.kP2mYx9sTq4LwVbN7rEz",
+    "abCD12%2Fef34GH%3Dij",
+)
+
+
+@pytest.mark.parametrize("token", TOKENS)
+@pytest.mark.parametrize(
+    "url",
+    ["rtsp://192.0.2.7:554/stream/{}/live", "rtsps://nvr:7441/{}?enableSrtp", "https://h/api/{}", "https://h/?k={}"],
+)
+def test_a_token_in_a_path_is_hidden(token: str, url: str) -> None:
+    source = url.format(token)
+    for text in (f"cannot open {source}: timeout", f"'{source}'", f'{{"source":"{source}"}}'):
+        hidden = redact.redact(text)
+        assert not [part for part in token.split(".") if part in hidden]
+        assert hidden.replace(HIDDEN, "").startswith(text.partition(token)[0])
+    assert redact.holds_secret(source)
+    redact.remember(source.replace("://", "://admin@"))
+    assert redact.redact(f"DESCRIBE /stream/{token}/live fails") == (
+        f"DESCRIBE /stream/{'.'.join([HIDDEN] * len(token.split('.')))}/live fails"
+    )
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "Streaming/Channels/101", "cam/realmonitor?channel=1&subtype=0", "h264Preview_01_main", "axis-media/media.amp",
+        "MediaInput/h264/stream_1", "ISAPI/Streaming/channels/101/httpPreview", "onvif/profile2/media.smp",
+        "Streaming/tracks/101?starttime=20240131T120000Z&endtime=20240131T130000Z", "live_h264_1280x720_15fps",
+        "MEDIA_PROFILE_CHANNEL_1_STREAM_2", "building-7_floor_12_corridor_north", "cam1_cam2_cam3_cam4_cam5",
+        "VideoSourceToken_1", "PSIA1StreamingH264Channel1", "DS-2CD2143G0-I20190101AAWRC12345678", "ACCC8E123456",
+        "AC-CC-8E-12-34-56/live", "My%20Camera%20Front%20Door", "1700000000123456789",
+        "camtopo/site/topology?version=7",
+    ],
+)  # fmt: skip
+def test_an_ordinary_path_is_left_alone(path: str) -> None:
+    url = f"rtsp://a1b2c3d4e5f6a7b8c9d0.cameras.example.org:554/{path}"
+    redact.remember(url)
+    assert redact.redact(f"cannot open {url}: timeout") == f"cannot open {url}: timeout"
+    assert not redact.holds_secret(url)
+
+
+def test_what_looks_like_a_token_outside_of_a_url_is_left_alone() -> None:
+    for text in (
+        "version 01HZX3K9QWERTY7ABCDEF01234 has digest 3f9c8a7be1d24c5d3f9c8a7be1d24c5d",
+        "/var/lib/camtopod/3f9c8a7be1d24c5d3f9c8a7be1d24c5d/journal.db",
+        "file:///videos/3f9c8a7be1d24c5d3f9c8a7be1d24c5d.mp4",
+        '{"at":"rtsp://h/live","digest":"3f9c8a7be1d24c5d3f9c8a7be1d24c5d"}',
+    ):
+        assert redact.redact(text) == text
+
+
+def test_a_user_s_name_alone_is_no_secret() -> None:
+    assert not redact.holds_secret("rtsp://admin@192.0.2.7/live")
+    assert redact.holds_secret("rtsp://admin:a@192.0.2.7/live")
+    assert redact.holds_secret("https://192.0.2.7/live?api_key=abc")
+
+
 def test_other_text_is_left_alone() -> None:
     for text in ("rtsp://192.0.2.7:554/live stalled", "a@b", "camera lobby: 3 events", ""):
         assert redact.redact(text) == text

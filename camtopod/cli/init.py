@@ -19,7 +19,7 @@ from camtopod.cli.common import configuration
 from camtopod.cli.example import table
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import TABLES, Config
-from camtopod.redact import redact
+from camtopod.redact import holds_secret, redact
 from camtopod.vision.source import kind_of, percent_encoded
 
 SECRETS = "secrets"
@@ -39,8 +39,8 @@ def add_parser(subparsers: Any) -> None:
         "init",
         help="looks at cameras and writes a configuration with them",
         description="Looks at each camera and writes a commented configuration with all of them. A camera is called "
-        "after its host or path, or as you say: lobby=rtsp://... A URL with a password goes into a file of its own in "
-        f"the folder {SECRETS} beside the configuration, which only you can read.",
+        "after its host or path, or as you say: lobby=rtsp://... A URL with a password or a token goes into a "
+        f"file of its own in the folder {SECRETS} beside the configuration, which only you can read.",
     )
     parser.add_argument(
         "sources", nargs="+", metavar="[NAME=]SOURCE",
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         _write(args.out, text, {path: cameras[name] for name, path in secrets.items()})
     except OSError as error:
         raise CommandError(f"cannot write {error.filename or args.out}: {error.strerror}") from None
-    where = f", passwords are in {args.out.parent / SECRETS}, for you alone" if secrets else ""
+    where = f", URLs with secrets are in {args.out.parent / SECRETS}, for you alone" if secrets else ""
     _say(f"{args.out} is written{where}")
     _say(_next(args.out, settings))
     return exits.INPUT if any(probe.problem for probe in probes.values()) else exits.DONE
@@ -164,7 +164,7 @@ def _path(source: str) -> str:
         path = urlsplit(percent_encoded(source)).path
     except ValueError:
         return ""
-    return path if redact(path) == path else ""
+    return "" if holds_secret(f"rtsp://host{path}") else path
 
 
 def _id(text: str) -> str:
