@@ -148,6 +148,47 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
     assert "secret" not in str(health)
 
 
+def test_a_grabber_that_says_nothing_more_is_silent_whatever_it_said_last() -> None:
+    def told() -> list[tuple[str, str]]:
+        return [(one["id"], one["state"]) for one in rig.hub.of("health")]
+
+    with Rig() as rig:
+        rig.bus.put("status/a", {"state": "running", "reason": ""})
+        rig.bus.put("status/film", {"state": "ended", "reason": "the file is at its end"})
+        wait_for(lambda: len(told()) == 2, "both")
+        rig.now += feed.SILENT_STATUSES + 1
+        wait_for(lambda: len(told()) == 3, "the silence")
+        rows = {row["id"]: row for row in rig.feed.health()["cameras"]}
+        rig.bus.put("status/a", {"state": "running", "reason": ""})
+        wait_for(lambda: len(told()) == 4, "that it speaks again")
+    assert told()[2:] == [("a", "silent"), ("a", "running")]
+    assert (rows["a"]["state"], rows["film"]["state"]) == ("silent", "ended"), "a film has nothing more to say"
+    assert "has said nothing" in rows["a"]["reason"]
+
+
+def test_nobody_is_silent_while_the_bus_is_not_reached() -> None:
+    with Rig() as rig:
+        rig.bus.put("status/a", {"state": "running", "reason": ""})
+        wait_for(lambda: bool(rig.hub.of("health")), "its word")
+        rig.bus.connected = False
+        rig.now += 100
+        wait_for(lambda: "is not reached" in rig.hub.of("live")[-1]["reason"], "the bus away")
+        assert [row["state"] for row in rig.feed.health()["cameras"]] == ["running"]
+        rig.bus.connected = True
+        wait_for(lambda: "has said nothing" in rig.hub.of("live")[-1]["reason"], "the bus back")
+        rig.now += feed.SILENT_STATUSES + 1
+        wait_for(lambda: len(rig.hub.of("health")) == 2, "the silence on a bus that is there")
+    assert rig.hub.of("health")[1]["state"] == "silent"
+
+
+def test_a_status_of_odd_types_ends_nothing() -> None:
+    with Rig() as rig:
+        rig.bus.put("status/a", {"state": ["x"], "reason": {"a": 1}, "restarts": msgspec.msgpack.Ext(5, b"x")})
+        rig.bus.put("status/b", {"state": "running"})
+        wait_for(lambda: len(rig.hub.of("health")) == 2, "what came behind it")
+        assert len(rig.feed.health()["cameras"]) == 2
+
+
 # --- mailboxes --------------------------------------------------------------------------------------
 
 

@@ -38,9 +38,13 @@ PREDICTIONS_PER_SECOND_MAX = 25
 """Predictions shown a second, of all cameras together: more nobody can follow."""
 PREDICTIONS_HELD = 20
 SILENT_STATUSES = 6
-"""A daemon whose status did not come so many times is not live."""
+"""A daemon whose status did not come so many times is not live, a grabber is silent: whatever it last said is old."""
+LOOK_SECONDS = 1.0
+"""How often the cameras are looked through for those that have fallen silent."""
 _TICK_SECONDS = 0.2
 DAEMON = "daemon"
+ENDED = "ended"
+"""The state of a camera whose recording is over: it has nothing more to say."""
 
 
 class Feed:
@@ -55,7 +59,10 @@ class Feed:
         self._inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(INBOX_MAX)
         self._mutex = threading.Lock()
         self._status: dict[str, dict[str, Any]] = {}
-        self._heard = -1e18
+        self._heard: dict[str, float] = {}
+        self._silent: set[str] = set()
+        self._looked_at_cameras = -1e18
+        self._unheard_since = clock()  # nobody can be heard while the bus is not reached
         self._live: dict[str, Any] = {"live": False, "reason": "waiting for the daemon", "since": clock()}
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
         self._second, self._this_second = 0, 0
@@ -124,7 +131,10 @@ class Feed:
             "live": live,
             "dropped": self.dropped,
             "daemon": {k: v for k, v in (daemon or {}).items() if k not in ("cameras", "reject_samples", "alarms")},
-            "cameras": [_row(name, status.get(name), known.get(name)) for name in sorted({*status, *known, *drawn})],
+            "cameras": [
+                _row(name, self._word(name, status.get(name)), known.get(name))
+                for name in sorted({*status, *known, *drawn})
+            ],
         }
 
     @contextlib.contextmanager
@@ -160,11 +170,24 @@ class Feed:
             before = self._status.get(name)
             if before is None and len(self._status) >= CAMERAS_MAX:
                 return
-            self._status[name] = status
+            self._status[name], self._heard[name] = status, self._clock()
+            again = name in self._silent
+            self._silent.discard(name)
         if name == DAEMON:
-            self._heard = self._clock()
-        elif before is None or any(before.get(k) != status.get(k) for k in ("state", "reason")):
-            self._hub.tell("health", msgspec.json.encode({**_row(name, status, None), "at": self._clock()}))
+            return
+        if before is None or again or any(before.get(k) != status.get(k) for k in ("state", "reason")):
+            self._tell_health(name, status)
+
+    def _tell_health(self, name: str, status: dict[str, Any]) -> None:
+        row = _row(name, self._word(name, status), None)
+        self._hub.tell("health", msgspec.json.encode({**row, "at": self._clock()}))
+
+    def _word(self, name: str, status: dict[str, Any] | None) -> dict[str, Any] | None:
+        """What a camera says of itself, or that it says nothing any more."""
+        if status is None or name not in self._silent:
+            return status
+        reason = f"its grabber has said nothing for more than {self._silent_seconds:.0f} s"
+        return {**status, "state": "silent", "reason": reason}
 
     def _on_prediction(self, name: str, payload: bytes) -> None:
         second = int(self._clock())
@@ -189,11 +212,17 @@ class Feed:
         self._hub.tell("event", codec.to_json(shown), camera=name, passing=True)
 
     def _look(self) -> None:
-        """Say when the daemon is live, or no longer."""
+        """Say when the daemon is live, or no longer, and which cameras have fallen silent."""
         now = self._clock()
         if not self._bus.connected:
+            self._unheard_since = now
+        if abs(now - self._looked_at_cameras) >= LOOK_SECONDS:  # not for every message: they may be thousands
+            self._looked_at_cameras = now
+            self._look_at_cameras(now)
+        heard = self._heard.get(DAEMON, -1e18)
+        if not self._bus.connected:
             reason = f"the bus at {self._bus.endpoint} is not reached"
-        elif not abs(now - self._heard) < self._silent_seconds:
+        elif not abs(now - heard) < self._silent_seconds:
             reason = f"the daemon has said nothing for {self._silent_seconds:.0f} s"
         else:
             reason = ""
@@ -201,10 +230,24 @@ class Feed:
             if self._live["reason"] == reason:
                 return
             if not reason or self._live["live"]:  # another reason for the same silence goes on counting
-                self._live["since"] = now if not reason else max(self._heard, now - self._silent_seconds)
+                self._live["since"] = now if not reason else max(heard, now - self._silent_seconds)
             self._live = {**self._live, "live": not reason, "reason": reason}
             told = msgspec.json.encode(self._live)
         self._hub.tell("live", told)
+
+    def _look_at_cameras(self, now: float) -> None:
+        with self._mutex:
+            gone = {
+                name: status
+                for name, status in self._status.items()
+                if name != DAEMON
+                and name not in self._silent
+                and status.get("state") != ENDED
+                and abs(now - max(self._heard[name], self._unheard_since)) > self._silent_seconds
+            }
+            self._silent.update(gone)
+        for name, status in gone.items():
+            self._tell_health(name, status)
 
 
 def _row(name: str, status: dict[str, Any] | None, counted: dict[str, Any] | None) -> dict[str, Any]:
@@ -214,7 +257,6 @@ def _row(name: str, status: dict[str, Any] | None, counted: dict[str, Any] | Non
         "id": name,
         "state": str(said.get("state") or ("unknown" if known.get("alive") else "no grabber"))[:REASON_CHARACTERS_MAX],
         "reason": str(said.get("reason") or "")[:REASON_CHARACTERS_MAX],
-        "restarts": said.get("restarts"),
         "events": known.get("events"),
         "newest": known.get("newest"),
         "ahead": known.get("ahead"),
