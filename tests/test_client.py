@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import subprocess
 import sys
 import threading
@@ -12,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 from hub import NOW, Hub, a_hub, later, learned, put, running
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
@@ -132,6 +134,11 @@ def test_a_prediction_is_the_daemons(hub: Hub, site: Topology) -> None:
     assert by_zone.next_[0].probability == pytest.approx(said.next_[0].probability, abs=0.05)
 
 
+def test_numbers_may_be_those_of_an_array(site: Topology) -> None:
+    kept = np.array([NOW, 0.9, 0.5])
+    assert site.predict("a", kept[0], x=kept[1], y=kept[2], track=np.int64(17)) == site.predict(**LEFT, track="17")  # type: ignore[arg-type]
+
+
 def test_who_tells_of_one_camera_does_not_make_the_others_dead(site: Topology) -> None:
     before = site.predict(**LEFT)
     for number in range(3000):
@@ -162,6 +169,8 @@ def test_what_makes_no_sense_is_said(hub: Hub, site: Topology) -> None:
         site.predict("a", NOW, x=0.5)
     with pytest.raises(ValueError, match="camera 'a/b': 1 to 64"):
         site.predictions("a/b")
+    with pytest.raises(ValueError, match="waiting_max 0: at least 1"):
+        site.predictions("a", waiting_max=0)
     with pytest.raises(ValueError, match=r"connect '192\.0\.2\.1': write it like tcp/"):
         Topology.connect(connect="192.0.2.1")
     with pytest.raises(ValueError, match="site 'h q': 1 to 64"):
@@ -251,8 +260,34 @@ def test_closing_lets_go_who_waits(hub: Hub) -> None:
     for thread in threads:
         thread.join(10.0)
     assert sorted(ended) == ["predictions", "versions"]
-    with pytest.raises(TimeoutError):
+    with pytest.raises(TimeoutError, match="closed while"):
         site.wait_for(10**6, 10.0)
+
+
+def test_nobody_begins_to_wait_while_it_closes_or_after(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+    site = Topology.connect(connect=hub.daemon.endpoint)
+    leave, refused = site._bus.close, []
+
+    def leaving() -> None:
+        try:
+            site.predictions()
+        except BusError as error:
+            refused.append(str(error))
+        leave()
+
+    monkeypatch.setattr(site._bus, "close", leaving)
+    site.close()
+    assert refused == ["the topology of site site has been closed: connect again"]
+    with pytest.raises(BusError, match="has been closed"):
+        site.predictions()
+
+
+def test_one_may_wait_for_ever(site: Topology) -> None:
+    closing = threading.Timer(0.05, site.close)
+    closing.start()
+    with pytest.raises(TimeoutError, match="closed while"):
+        site.wait_for(10**6, math.inf)
+    closing.join()
 
 
 # --- asyncio --------------------------------------------------------------------------------------
@@ -325,6 +360,17 @@ def test_a_connection_that_is_given_up_is_closed(hub: Hub, monkeypatch: pytest.M
 
     asyncio.run(main())
     assert len(closed) == 1
+
+
+def test_giving_up_is_not_hidden_by_what_went_wrong_meanwhile() -> None:
+    async def main() -> None:
+        task = asyncio.create_task(aio.Topology.connect(connect="nonsense").__aenter__())
+        await asyncio.sleep(0)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    asyncio.run(main())
 
 
 # --- as a package ---------------------------------------------------------------------------------

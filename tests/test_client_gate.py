@@ -165,6 +165,15 @@ def test_what_is_not_there_is_said() -> None:
         gate.gate_new("b", "a/1")
     with pytest.raises(ValueError, match=r"an entry of b at 3\.0 among what should be exit events"):
         gate.affinity([came("b", 3.0)], [])
+    for t_exit, t_entry in ((math.nan, 8.0), (0.0, math.inf), (-1e308, 1e308)):
+        with pytest.raises(ValueError, match="finite numbers of seconds"):
+            gate.gate("a/1", t_exit, "b", t_entry)
+    with pytest.raises(ValueError, match="seconds is not a number"):
+        gate.gate_gone("a/1", math.nan)
+    with pytest.raises(ValueError, match="now is not a number"):
+        gate.affinity([LEFT], [came("b", 1008.0)], now=math.nan)
+    with pytest.raises(ValueError, match="an entry of b at nan: not a finite"):
+        gate.affinity([LEFT], [came("b", math.nan)])
 
 
 def test_of_an_unknown_camera_nothing_is_said() -> None:

@@ -35,8 +35,9 @@ class Topology(View):
         try:
             opened = await asyncio.shield(opening)
         except asyncio.CancelledError:  # the thread goes on until it is open or has failed
-            with contextlib.suppress(OSError):
-                await asyncio.to_thread((await opening).close)
+            await asyncio.wait([opening])
+            if not opening.cancelled() and opening.exception() is None:
+                await asyncio.to_thread(opening.result().close)
             raise
         try:
             yield opened
@@ -62,7 +63,7 @@ class Topology(View):
         self, camera: str | None = None, seconds: float | None = None, waiting_max: int = WAITING_MAX
     ) -> Predictions:
         """The daemon's own predictions from now on: as `camtopod.client.Topology.predictions`."""
-        return self._opened(Predictions(self._bus, camera, seconds, waiting_max))
+        return self._opened(lambda bus: Predictions(bus, camera, seconds, waiting_max))
 
 
 class Predictions(Inbox):

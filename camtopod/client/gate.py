@@ -69,7 +69,7 @@ class Gate:
         Over all times the density sums to the probability of appearing there next; over all cameras, too, to 1 less
         that of not being seen again. It is a step function: constant within a bin of some percent of the lag. Where
         views overlap, ``t_entry`` may be before ``t_exit``. -inf where no way has been learned that takes this
-        long: for the topology, not for ever.
+        long: for the topology, not for ever. Raises ValueError for times that are not finite numbers.
 
         ``from_zone`` is a zone's id (``lobby/1``). Raises `UnknownPlace`, a KeyError, for a zone or camera that this
         version does not have: zones come and go with versions, so of events better take `affinity`, which finds them by
@@ -79,6 +79,8 @@ class Gate:
         to = self._zones(to_camera, to_zone)
         onward = self._onward(source)
         lag = (t_entry - self._ahead[to_camera]) - (t_exit - self._ahead[self.topology.zones[source].camera])
+        if not math.isfinite(lag):
+            raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
         at = int(self._hazards.bins.index(np.array([lag]))[0])
         rows = [row for row, target in enumerate(onward.targets) if target in to]
         chance = float(onward.chance[rows, at].sum()) if at >= 0 else 0.0
@@ -94,8 +96,10 @@ class Gate:
 
     def gate_gone(self, from_zone: str, seconds: float = math.inf) -> float:
         """ln of the probability that who left ``from_zone`` has not appeared anywhere ``seconds`` later; without
-        ``seconds``, that they are not seen again. Raises `UnknownPlace`, a KeyError.
+        ``seconds``, that they are not seen again. Raises `UnknownPlace`, a KeyError; ValueError for what is no number.
         """
+        if math.isnan(seconds):
+            raise ValueError("seconds is not a number")
         return math.log(self._gone(self._onward(zone_at(self.topology, from_zone)), seconds))
 
     def affinity(self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None) -> Floats:
@@ -111,8 +115,10 @@ class Gate:
         way is not taken for gone; the newest of the given times where it is not said. -inf: no way has been learned
         that takes this long; take ``np.maximum(odds, -20)`` where other evidence shall be able to overrule that. 0, so
         neither for nor against, where this version does not know a camera. Raises ValueError for an entry among the
-        exits or an exit among the entries.
+        exits or an exit among the entries, or a time that is not a number.
         """
+        if now is not None and math.isnan(now):
+            raise ValueError("now is not a number")
         _check(exits, "exit")
         _check(entries, "entry")
         odds = np.zeros((len(exits), len(entries)))
@@ -194,3 +200,5 @@ def _check(events: Sequence[Event], kind: Kind) -> None:
     for event in events:
         if event.kind != kind:
             raise ValueError(f"an {event.kind} of {event.camera} at {event.t} among what should be {kind} events")
+        if not math.isfinite(event.t):
+            raise ValueError(f"an {event.kind} of {event.camera} at {event.t}: not a finite number of seconds")

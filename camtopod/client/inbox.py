@@ -20,6 +20,8 @@ class Inbox:
     def __init__(self, bus: Bus, camera: str | None, seconds: float | None, waiting_max: int) -> None:
         if camera is not None and not re.match(CAMERA_PATTERN, camera):
             raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+        if waiting_max < 1:
+            raise ValueError(f"waiting_max {waiting_max}: at least 1, or nothing can be read")
         self._seconds = seconds
         self._waiting: deque[Prediction] = deque(maxlen=waiting_max)
         self._news = News()

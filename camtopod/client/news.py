@@ -41,6 +41,8 @@ class News:
             value = None if self.closed else found()
             return self.closed or value is not None
 
+        if seconds is not None and seconds > threading.TIMEOUT_MAX:  # infinity, for one
+            seconds = None
         with self._condition:
             self._condition.wait_for(over, seconds)
         return value

@@ -59,9 +59,10 @@ class Topology(View):
         """The daemon's own predictions from now on (it takes a moment until the daemon knows), one for each exit at
         ``camera``, or anywhere; see `Predictions`. They use all that the daemon hears: more than `predict` knows.
 
-        At most ``waiting_max`` wait to be read. Raises ValueError for a camera that cannot be one.
+        At most ``waiting_max`` wait to be read. Raises ValueError for a camera that cannot be one or a ``waiting_max``
+        below 1; `BusError` when it has been closed.
         """
-        return self._opened(Predictions(self._bus, camera, seconds, waiting_max))
+        return self._opened(lambda bus: Predictions(bus, camera, seconds, waiting_max))
 
     def __enter__(self) -> Topology:
         return self

@@ -11,9 +11,9 @@ import logging
 import math
 import re
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from msgspec.structs import replace
@@ -29,7 +29,7 @@ from camtopod.learn.predict import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction
 from camtopod.records import Topology as Version
 from camtopod.serve import clock
-from camtopod.serve.bus import dial
+from camtopod.serve.bus import Bus, BusError, dial
 from camtopod.serve.subscriber import TopologyView
 from camtopod.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 
@@ -58,6 +58,7 @@ class View:
         self._news = News()
         self._mutex = threading.Lock()  # a predictor is asked by one thread at a time
         self._held: _Held | None = None
+        self._opening = threading.Lock()  # nothing is opened once it closes
         self._inboxes: list[Inbox] = []
         self._daemons: set[str] = set()
         self._stale_since: float | None = clock.wall()
@@ -119,7 +120,7 @@ class View:
         """
         asked = {"camera": camera, "kind": "exit", "t": t, "x": x, "y": y, "track": track}
         event = codec.event_from_pack(
-            codec.to_pack({name: value for name, value in asked.items() if value is not None})
+            codec.to_pack({name: _plain(value) for name, value in asked.items() if value is not None})
         )
         if zone is not None and x is not None:
             raise ValueError("give a zone or a position, not both")
@@ -169,9 +170,10 @@ class View:
 
         To be called before the program ends (or use ``with``): one with an open session does not end.
         """
-        if self._closing.is_set():
-            return
-        self._closing.set()
+        with self._opening:
+            if self._closing.is_set():
+                return
+            self._closing.set()
         self._wake.set()
         self._news.close()
         for inbox in self._inboxes:
@@ -179,10 +181,13 @@ class View:
         self._thread.join()
         self._bus.close()
 
-    def _opened(self, inbox: InboxT) -> InboxT:
-        """Close it with the rest."""
-        self._inboxes = [one for one in self._inboxes if not one.closed]
-        self._inboxes.append(inbox)
+    def _opened(self, opened: Callable[[Bus], InboxT]) -> InboxT:
+        """Open it, and close it with the rest. Raises `BusError` where these are closed already."""
+        with self._opening:
+            if self._closing.is_set():
+                raise BusError(f"the topology of site {self.site} has been closed: connect again")
+            inbox = opened(self._bus)
+            self._inboxes = [*(one for one in self._inboxes if not one.closed), inbox]
         return inbox
 
     def _now(self) -> _Held:
@@ -194,6 +199,8 @@ class View:
         return self.current if self.version >= version else None
 
     def _not_there(self, version: int, seconds: float) -> str:
+        if self._news.closed:
+            return f"closed while (or before) waiting for version {version} of site {self.site}"
         there = "the daemon is there" if self.stale_since is None else "no daemon is there: is `camtopod run` running?"
         return f"no version {version} of site {self.site} within {seconds:g} s, the newest is {self.version}; {there}"
 
@@ -249,6 +256,11 @@ def _settings(site: str | None, connect: str | Sequence[str], config: Settings) 
         if settings.bus.tls.ca and not endpoint.startswith("tls/"):
             raise ValueError(f"connect {endpoint!r}: write tls/..., as [bus.tls] is set")
     return replace(settings, bus=replace(settings.bus, connect=endpoints, listen=())) if endpoints else settings
+
+
+def _plain(value: Any) -> Any:
+    """A number as Python has it: trackers keep times and places in arrays."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _with_all_alive(version: Version) -> Version:
