@@ -171,7 +171,7 @@ def site_status(daemon: Daemon) -> dict[str, Any]:
             "cameras": len(topology.cameras),
             "zones": len(topology.zones),
             "links": len(topology.links),
-            "alarm": topology.alarms[-1].t if topology.alarms else None,
+            "alarm": topology.alarms[-1].t if topology.alarms else 0.0,
         }
     for camera, counters in status["cameras"].items():
         counters["dropped"] = status["dropped"].pop(camera, 0)
