@@ -23,7 +23,7 @@ from camtopod.vision.settings import VisionSettings
 
 RESERVED = ("daemon",)
 """No camera's id: ``status/daemon`` is the daemon's."""
-Name = Annotated[str, Meta(pattern=CAMERA_PATTERN)]
+Name = Annotated[str, Meta(pattern=CAMERA_PATTERN, description="1 to 64 of the characters A-Z a-z 0-9 _ . -")]
 Positive = Annotated[float, Meta(gt=0)]
 Count = Annotated[int, Meta(ge=1)]
 
@@ -155,7 +155,13 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
 class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """``[health]``: when a program that still runs counts as dead, and who is told."""
 
-    listen: Annotated[str, Meta(pattern=r"^$|^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$")] = ""
+    listen: Annotated[
+        str,
+        Meta(
+            pattern=r"^$|^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$",
+            description="an address and a port, like 127.0.0.1:8787",
+        ),
+    ] = ""
     """Where the daemon answers GET /healthz and /readyz, e.g. "127.0.0.1:8787"; empty: nowhere."""
     stall_seconds: Positive = 30.0
     """A loop of the daemon that has not got on for this long makes it unhealthy: systemd starts it again."""

@@ -97,7 +97,7 @@ class TableReader:
             converted = msgspec.convert(value, field.type)
             _check_number(converted, field.default)
         except ValueError as error:
-            self.say(path, f"{title}: {_sentence(str(error))}")
+            self.say(path, f"{title}: {_in_words(field) if 'matching regex' in str(error) else _sentence(str(error))}")
             return None
         return converted
 
@@ -126,6 +126,12 @@ def _check_number(value: Any, default: Any) -> None:
         raise ValueError("must not be negative")
     if isinstance(value, float) and value > FLOAT_MAX:
         raise ValueError(f"expected at most {FLOAT_MAX:g}")
+
+
+def _in_words(field: msgspec.structs.FieldInfo) -> str:
+    """What the field's pattern asks for, which is told better than shown."""
+    metas = getattr(field.type, "__metadata__", ())
+    return f"expected {next(meta.description for meta in metas if meta.description)}"
 
 
 def did_you_mean(key: str, known: list[str]) -> str:

@@ -21,7 +21,10 @@ from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.cli.schema import text as schema
 
 ROOT = Path(__file__).parent.parent
-_FILES = ("FILE", "CONFIG", "SOURCE", "EVENTS", "TOPOLOGY.json", "OUT.json", "OUT.jsonl", "E.jsonl", "T.json")
+_FILES = (
+    "FILE", "CONFIG", "SOURCE", "[NAME=]SOURCE", "EVENTS", "TOPOLOGY.json", "OUT.json", "OUT.jsonl", "E.jsonl",
+    "T.json",
+)  # fmt: skip
 _FOLDERS = ("DIR", "DIRECTORY", "FOLDER")
 _DATE = "2026-11-22"
 """Of the manual page; another one would make every day's page another."""

@@ -67,6 +67,7 @@ def output(*command: str | Path, cwd: Path) -> list[str]:
         ("keys camera --", {"--for", "--days", "--replace", "--keys", "--help"}),
         ("--config eve", {"events.jsonl"}),
         ("learn eve", {"events.jsonl"}),
+        ("init lobby=0 eve", {"events.jsonl"}),
     ],
 )
 def test_bash(typed: str, offered: set[str], of: Callable[[str], Path], tmp_path: Path) -> None:

@@ -293,6 +293,32 @@ def test_the_deployed_example_is_the_program_s() -> None:
     assert EXAMPLE.read_text(encoding="utf-8") == example(), "camtopod check --example > deploy/camtopod.toml"
 
 
+@pytest.mark.parametrize(
+    "key",
+    [
+        "analysed_fps", "working_width", "background_seconds", "tracks_max", "patience_seconds",
+        "open_timeout_seconds", "read_timeout_seconds", "backoff_min_seconds", "backoff_max_seconds",
+    ],
+)  # fmt: skip
+def test_numbers_that_would_end_a_grabber_later_are_refused_here(key: str) -> None:
+    ((line, what),) = mistakes(f"[vision]\n{key} = 0\n")
+    assert (line, what.removesuffix("> 0.0").removesuffix(">= 1").replace("whole ", "")) == (
+        2,
+        f"vision.{key}: expected a number ",
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ('[site]\nname = "a b"', "site.name: expected 1 to 64 of the characters A-Z a-z 0-9 _ . -"),
+        ('[health]\nlisten = "8787"', "health.listen: expected an address and a port, like 127.0.0.1:8787"),
+    ],
+)
+def test_a_pattern_is_told_in_words(text: str, what: str) -> None:
+    assert mistakes(text) == [(2, what)]
+
+
 def test_numbers_that_would_end_the_daemon_later_are_refused_here() -> None:
     assert mistakes("[learn]\nversion_seconds = 0\n[limits]\npull_seconds = 1e15\ncommit_seconds = -1") == [
         (2, "learn.version_seconds: expected a number > 0.0"),

@@ -58,10 +58,20 @@ def test_an_editor_finds_it_from_the_example() -> None:
         ('[cameras."a b"]\nsource = "0"', "cameras"),
         ('[cameras.daemon]\nsource = "0"', "cameras"),
         ('[health]\nlisten = "nowhere"', "health.listen"),
+        ('[cameras.lobby]\nsource = ""', "cameras.lobby"),
+        ('[cameras.lobby]\nsource_file = ""', "cameras.lobby"),
+        ("[bus]\nconnect_seconds = 1e12", "bus.connect_seconds"),
+        ("[vision]\nanalysed_fps = 0", "vision.analysed_fps"),
     ],
 )
 def test_a_mistake_is_found_where_it_is(toml: str, where: str) -> None:
     assert wrong(toml) == [where]
+
+
+def test_what_is_empty_is_not_there() -> None:
+    toml = '[cameras.lobby]\nsource = "0"\nsource_file = ""'
+    assert wrong(toml) == []
+    assert parse(toml).cameras["lobby"].source == "0"
 
 
 def test_patterns_of_cameras_are_no_endpoints() -> None:

@@ -11,6 +11,7 @@ from msgspec import Struct
 from camtopod.cli.example import attribute_docs
 from camtopod.config import RESERVED, TABLES, CameraSettings
 from camtopod.records import CAMERA_PATTERN
+from camtopod.toml_tables import FLOAT_MAX
 
 
 def text() -> str:
@@ -35,7 +36,7 @@ def schema() -> dict[str, Any]:
 
 def _cameras() -> dict[str, Any]:
     camera = _table(CameraSettings)
-    camera["oneOf"] = [{"required": ["source"]}, {"required": ["source_file"]}]
+    camera["oneOf"] = [{"required": [key], "properties": {key: {"minLength": 1}}} for key in ("source", "source_file")]
     return {
         "description": "[cameras.ID]: the cameras of this box, a table each; the ID is the camera's name on the bus.",
         "type": "object",
@@ -58,6 +59,8 @@ def _table(kind: type[Struct]) -> dict[str, Any]:
                 texts["pattern"] = _everywhere(texts["pattern"])
         if key.get("type") in ("number", "integer") and field.default >= 0 and "exclusiveMinimum" not in key:
             key.setdefault("minimum", 0)
+        if key.get("type") == "number":
+            key["maximum"] = FLOAT_MAX
     return table
 
 

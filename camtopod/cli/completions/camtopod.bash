@@ -35,6 +35,7 @@ _shtab_camtopod_option_strings=(-h --help --version --config --site --connect --
 
 _shtab_camtopod_demo___out_COMPGEN=_shtab_compgen_dirs
 _shtab_camtopod_demo___config_COMPGEN=_shtab_compgen_files
+_shtab_camtopod_init_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_camtopod_init___out_COMPGEN=_shtab_compgen_files
 _shtab_camtopod_init___config_COMPGEN=_shtab_compgen_files
 _shtab_camtopod_grab_pos_0_COMPGEN=_shtab_compgen_files

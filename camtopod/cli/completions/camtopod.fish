@@ -80,6 +80,7 @@ complete -c camtopod -n '_shtab_camtopod_using init' -l config -xka "(__fish_com
 complete -c camtopod -n '_shtab_camtopod_using init' -l site -x -d 'name of the site, second part of every key'
 complete -c camtopod -n '_shtab_camtopod_using init' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'
 complete -c camtopod -n '_shtab_camtopod_using init' -l log-format -xka "text logfmt json" -d 'form of the messages on standard error (default: text)'
+complete -c camtopod -n '_shtab_camtopod_using init; and test $_shtab_camtopod_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'rtsp:// URL, video file or device number; '"'"'-'"'"': read them from standard input, a line each, as others on this machine can read passwords on a command line'
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a grab -d 'one camera to entry and exit events'
 complete -c camtopod -n '_shtab_camtopod_using grab' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using grab' -l camera -x -d 'the camera'"'"'s id, [A-Za-z0-9_.-]{1,64}'
