@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+import tracemalloc
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
@@ -23,7 +24,7 @@ from camtopod.export import FORMATS
 from camtopod.export.aicity import camera_numbers
 from camtopod.export.graph import edges
 from camtopod.export.svg import spring_layout
-from camtopod.records import Topology
+from camtopod.records import Camera, Topology
 from camtopod.sim.network import SimSettings, simulate
 
 TOPOLOGY = topology_of(simulate(SimSettings(cameras=7, hours=0.5, seed=2))[1])
@@ -81,6 +82,15 @@ def test_dot_is_read_by_graphviz() -> None:
     lines = done.stdout.decode().splitlines()
     assert sum(line.startswith("edge ") for line in lines) == len(edges(TOPOLOGY))
     assert not done.stderr
+
+
+@pytest.mark.skipif(shutil.which("dot") is None, reason="graphviz is not installed")
+@pytest.mark.parametrize("name", ["a\\", 'a"b', 'a\\"b', "a\nb", "<b>&", "node"])
+def test_dot_survives_any_name(name: str) -> None:
+    odd = msgspec.structs.replace(EMPTY, site=name, cameras=[Camera(name, []), Camera("other", [])])
+    done = subprocess.run(["dot", "-Tplain"], input=FORMATS["dot"](odd).encode(), capture_output=True, timeout=30)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert sum(line.startswith(b"node ") for line in done.stdout.splitlines()) == 2
 
 
 def test_svg_is_xml_with_black_and_grey_edges() -> None:
@@ -147,6 +157,17 @@ def test_an_empty_topology_is_no_error(name: str) -> None:
     FORMATS[name](EMPTY)
     alone = msgspec.structs.replace(EMPTY, cameras=TOPOLOGY.cameras[:1], zones=TOPOLOGY.zones[:5])
     FORMATS[name](alone)
+
+
+def test_a_large_site_is_laid_out_in_little_memory() -> None:
+    names = [str(k) for k in range(2000)]
+    tracemalloc.start()
+    try:
+        spring_layout(names, list(pairwise(names)), rounds=1)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2000 * 2000 * 8 / 2, "half of what one number for each pair takes"
 
 
 def test_layout_is_the_same_each_time_and_puts_neighbours_together() -> None:

@@ -8,16 +8,15 @@ from camtopod.records import Topology
 
 def to_dot(topology: Topology) -> str:
     """A directed graph of cameras: black edges overlap, grey are unseen paths, labels are transit times."""
-    site = topology.site.replace("\\", "/")
     lines = [
         "digraph camtopod {",
-        f"  label={_quoted(f'{site}, version {topology.version}')};",
+        f"  label={_quoted(f'{topology.site}, version {topology.version}')};",
         "  node [shape=box, style=rounded];",
     ]
     for camera in topology.cameras:
         count = len(camera.zones)
-        label = f"{camera.id}\\n{count} {'zone' if count == 1 else 'zones'}"
-        lines.append(f"  {_quoted(camera.id)} [label={_quoted(label)}];")
+        label = f"{_escaped(camera.id)}\\n{count} {'zone' if count == 1 else 'zones'}"
+        lines.append(f'  {_quoted(camera.id)} [label="{label}"];')
     for edge in edges(topology):
         attributes = {
             "color": edge.colour,
@@ -32,4 +31,8 @@ def to_dot(topology: Topology) -> str:
 
 
 def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '\\"') + '"'
+    return f'"{_escaped(text)}"'
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"')

@@ -11,6 +11,9 @@ from camtopod.export.graph import Edge, edges, seconds
 from camtopod.records import Topology
 
 NODE_WIDTH, NODE_HEIGHT = 110.0, 40.0
+PART_ROWS = 64
+"""Cameras laid out in one go."""
+DISTANCE_MIN = 1e-4
 STROKE = {True: "#111111", False: "#9a9a9a"}
 """By whether the views overlap: the thesis's black and grey."""
 
@@ -19,9 +22,11 @@ def to_svg(topology: Topology) -> str:
     """Cameras as boxes, black edges overlap, grey are unseen paths; labels are transit times each way."""
     names = [camera.id for camera in topology.cameras]
     found = edges(topology)
-    both = {tuple(sorted((edge.from_, edge.to))) for edge in found}
+    both: dict[tuple[str, str], list[Edge]] = {}
+    for edge in found:
+        both.setdefault((min(edge.from_, edge.to), max(edge.from_, edge.to)), []).append(edge)
     size = 230.0 * max(1.5, len(names) ** 0.5)
-    at = spring_layout(names, [(a, b) for a, b in sorted(both)]) * size
+    at = spring_layout(names, sorted(both)) * size
     place = {name: (float(x) + 90, float(y) + 70) for name, (x, y) in zip(names, at, strict=True)}
     width, height = size + 180, size + 130
     title = f"{topology.site}, version {topology.version}, {topology.events} events"
@@ -32,8 +37,7 @@ def to_svg(topology: Topology) -> str:
         f'<text x="16" y="24" font-size="14" fill="#333333">{escape(title)}</text>',
         _legend(height),
     ]
-    for a, b in sorted(both):
-        parts.append(_edge(place[a], place[b], [edge for edge in found if {edge.from_, edge.to} == {a, b}]))
+    parts += [_edge(place[a], place[b], ways) for (a, b), ways in sorted(both.items(), key=lambda item: item[0])]
     parts += [_node(camera.id, len(camera.zones), place[camera.id]) for camera in topology.cameras]
     return "\n".join([*parts, "</svg>", ""])
 
@@ -43,19 +47,29 @@ def spring_layout(names: list[str], joined: list[tuple[str, str]], rounds: int =
     n = len(names)
     angle = 2 * np.pi * np.arange(n) / max(n, 1)
     at = 0.5 + 0.5 * np.column_stack([np.cos(angle), np.sin(angle)]) + 0.01 * np.sin(7.0 * angle + 1)[:, None]
-    pull = np.zeros((n, n))
-    for a, b in joined:
-        pull[names.index(a), names.index(b)] = pull[names.index(b), names.index(a)] = 1.0
+    index = {name: k for k, name in enumerate(names)}
+    ends = np.array([(index[a], index[b]) for a, b in joined], np.intp).reshape(-1, 2)
+    one, other = np.concatenate([ends, ends[:, ::-1]]).T
     ideal = 1.0 / max(n, 1) ** 0.5
     for step in np.linspace(0.1, 0.001, rounds):
-        apart = at[:, None] - at[None]
-        distance = np.maximum(np.linalg.norm(apart, axis=2), 1e-4)
-        force = (ideal / distance) ** 2 - pull * distance / ideal
-        move = (apart * force[..., None]).sum(1)
+        move = _pushes(at, ideal)
+        apart = at[one] - at[other]
+        np.subtract.at(move, one, apart * np.linalg.norm(apart, axis=1, keepdims=True) / ideal)
         at += move * np.minimum(1.0, step / np.maximum(np.linalg.norm(move, axis=1), 1e-9))[:, None]
     span = np.ptp(at, axis=0) if n else np.ones(2)
     result: NDArray[np.float64] = (at - at.min(0, initial=np.inf)) / np.maximum(span, 1e-9) if n > 1 else at
     return result
+
+
+def _pushes(at: NDArray[np.float64], ideal: float) -> NDArray[np.float64]:
+    """The sum (n, 2) of how all others push each; a part at a time, as there are n x n of them."""
+    total = np.empty_like(at)
+    for first in range(0, len(at), PART_ROWS):
+        rows = slice(first, first + PART_ROWS)
+        x, y = (at[rows, axis, None] - at[:, axis] for axis in (0, 1))
+        force = ideal**2 / np.maximum(x * x + y * y, DISTANCE_MIN**2)
+        total[rows, 0], total[rows, 1] = (x * force).sum(1), (y * force).sum(1)
+    return total
 
 
 def _node(name: str, zones: int, at: tuple[float, float]) -> str:
