@@ -138,6 +138,12 @@ def test_what_cannot_be_read_changes_nothing() -> None:
     before = board.view(None, "hq", NOW)
     board.on_status("status/cam0000", b"\xc1")
     board.on_prediction("prediction/lobby", b"\xc1")
+    for odd in (
+        {"cameras": 3}, {"cameras": {"cam0000": 3}}, {"cameras": {"cam0000": {"newest": "x"}}}, {"events": None},
+        {"rejects": [1]}, {"rejects": {"malformed": "x"}}, {"state": 3},
+    ):  # fmt: skip
+        told(board, "daemon", **odd)
+    told(board, "cam0000", state=None)
     assert board.view(None, "hq", NOW) == before
 
 

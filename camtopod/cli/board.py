@@ -6,9 +6,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import msgspec
+from msgspec import Struct
 
 from camtopod import codec
 from camtopod.records import Alarm, Link, Prediction, Topology
@@ -20,6 +20,34 @@ SILENT_SECONDS = 5.0
 """Who has not been heard for longer has gone, whatever the last word was; they speak every second."""
 _FINE = ("running", "ended", "no grabber", "unknown")
 """The last two are cameras of another program, whose events come in without a word of its own."""
+
+
+class _Said(Struct, frozen=True):
+    """What a camera's process says of itself."""
+
+    state: str = ""
+    reason: str = ""
+
+
+class _Counted(Struct, frozen=True):
+    """What the daemon says of a camera."""
+
+    events: int = 0
+    newest: float | None = None
+    alive: bool = False
+
+
+class _Events(Struct, frozen=True):
+    stored: int = 0
+    duplicate: int = 0
+
+
+class _DaemonSaid(_Said, frozen=True):
+    """What the daemon says."""
+
+    events: _Events = _Events()
+    rejects: dict[str, int] = {}
+    cameras: dict[str, _Counted] = {}
 
 
 class CameraLine(NamedTuple):
@@ -57,17 +85,25 @@ class Board:
     def __init__(self, steady: Callable[[], float] = time.monotonic) -> None:
         self._steady = steady
         self._mutex = threading.Lock()
-        self._status: dict[str, tuple[float, dict[str, Any]]] = {}
+        self._daemon: tuple[float, _DaemonSaid] | None = None
+        self._status: dict[str, tuple[float, _Said]] = {}
+        """By camera. Each with when it was said."""
         self._predictions: deque[Prediction] = deque(maxlen=PREDICTIONS_KEPT)
 
     def on_status(self, key: str, payload: bytes) -> None:
-        """A publication on ``status/...``."""
+        """A publication on ``status/...``. One that does not fit changes nothing."""
+        name = key.removeprefix("status/")
         try:
-            status = msgspec.msgpack.decode(payload, type=dict[str, Any])
-        except (msgspec.MsgspecError, UnicodeDecodeError):
+            if name == "daemon":
+                daemon = codec.read(_DaemonSaid, payload, pack=True)
+                with self._mutex:
+                    self._daemon = self._steady(), daemon
+            else:
+                said = codec.read(_Said, payload, pack=True)
+                with self._mutex:
+                    self._status[name] = self._steady(), said
+        except codec.Rejected:
             return
-        with self._mutex:
-            self._status[key.removeprefix("status/")] = self._steady(), status
 
     def on_prediction(self, key: str, payload: bytes) -> None:
         """A publication on ``prediction/{camera}``."""
@@ -82,44 +118,40 @@ class Board:
     def empty(self) -> bool:
         """Whether no status has come yet."""
         with self._mutex:
-            return not self._status
+            return self._daemon is None and not self._status
 
     def view(self, topology: Topology | None, site: str, now: float) -> View:
         """What there is to see now; ``now`` in seconds since the epoch."""
         with self._mutex:
-            status, predictions = dict(self._status), list(self._predictions)
+            status, said, predictions = dict(self._status), self._daemon, list(self._predictions)
         steady = self._steady()
-        heard, daemon = status.pop("daemon", (steady, {}))
-        state, reason = str(daemon.get("state", "")), str(daemon.get("reason", ""))
-        if daemon and steady - heard > SILENT_SECONDS:
+        heard, daemon = said or (steady, _DaemonSaid())
+        state, reason = daemon.state, daemon.reason
+        if steady - heard > SILENT_SECONDS:
             state, reason = "silent", f"not heard for {steady - heard:.0f} s; what is below may be old"
-        known = daemon.get("cameras", {})
-        cameras = [_camera(name, status.get(name), known.get(name, {}), now, steady) for name in {*status, *known}]
+        known = daemon.cameras
+        cameras = [
+            _camera(name, status.get(name), known.get(name, _Counted()), now, steady) for name in {*status, *known}
+        ]
         return View(site, now, state, reason, _counts(daemon), sorted(cameras), topology, predictions[::-1])
 
 
-def _camera(
-    name: str, status: tuple[float, dict[str, Any]] | None, known: dict[str, Any], now: float, steady: float
-) -> CameraLine:
+def _camera(name: str, status: tuple[float, _Said] | None, known: _Counted, now: float, steady: float) -> CameraLine:
     """``status``: when it spoke itself and what it said; ``known``: what the daemon says of it."""
-    heard, said = status or (steady, {})
-    state, reason = str(said.get("state", "")), str(said.get("reason", ""))
+    heard, said = status or (steady, _Said())
+    state, reason = said.state, said.reason
     if not state:
-        state = "unknown" if known.get("alive") else "no grabber"
+        state = "unknown" if known.alive else "no grabber"
     elif state != "ended" and steady - heard > SILENT_SECONDS:
         state, reason = "silent", f"not heard for {steady - heard:.0f} s"
-    newest = known.get("newest")
-    last = None if newest is None or not 0 <= now - newest < 1e6 else now - newest
-    return CameraLine(name, state, reason, known.get("events", 0), last)
+    last = None if known.newest is None or not 0 <= now - known.newest < 1e6 else now - known.newest
+    return CameraLine(name, state, reason, known.events, last)
 
 
-def _counts(daemon: dict[str, Any]) -> str:
+def _counts(daemon: _DaemonSaid) -> str:
     """What it has taken in, and what not."""
-    events = daemon.get("events", {})
-    return (
-        f"{events.get('stored', 0)} events stored, {events.get('duplicate', 0)} duplicates, "
-        f"{sum(daemon.get('rejects', {}).values())} rejected"
-    )
+    events = daemon.events
+    return f"{events.stored} events stored, {events.duplicate} duplicates, {sum(daemon.rejects.values())} rejected"
 
 
 def daemon_line(view: View) -> str:
