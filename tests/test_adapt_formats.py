@@ -113,6 +113,23 @@ def test_false_positives_are_none() -> None:
     assert read(Frigate(SIZES), [says.message(kind, thing, thing) for kind in ("new", "update", "end")]) == []
 
 
+@pytest.mark.parametrize("where", ["before", "after"])
+@pytest.mark.parametrize("moved", [0, 1])
+def test_a_time_that_is_none_costs_no_other_message(where: str, moved: int) -> None:
+    first, second, last = (json.loads(line) for line in says.passage())
+    for message in (first["after"], second["before"]):
+        message["position_changes"] = moved
+    wild = json.loads(json.dumps(second))
+    wild[where]["frame_time"] = 1e300
+    reader = Frigate(SIZES)
+    events = reader.receive(json.dumps(first).encode())
+    with pytest.raises(Rejected, match="between 1970 and 3000"):
+        reader.receive(json.dumps(wild).encode())
+    for message in (second, last):
+        events += reader.receive(json.dumps(message).encode())
+    assert [event.kind for event in events] == ["entry", "exit"]
+
+
 def test_mosquitto_sub_may_put_the_topic_in_front() -> None:
     lines = [b"home/frigate/events " + line for line in says.passage()]
     assert len(read(Frigate(SIZES), lines)) == 2
@@ -261,6 +278,21 @@ def test_cameras_and_kinds_are_apart() -> None:
     events = read(SceneScape({"": (800, 600)}), lines)
     assert sorted((e.camera, e.kind) for e in events) == [(c, k) for c in "ab" for k in ("entry", "exit")]
     assert read(SceneScape({"": (800, 600)}, ["vehicle"]), lines) == []
+
+
+def test_a_frame_that_comes_too_late_changes_nothing() -> None:
+    """It would lead the track of who is there astray."""
+    size = {"": (2000, 600)}
+    lines = [frame(T + n / 10, [(1, 40 * n)] if 15 <= n < 40 else []) for n in range(70)]
+    expected = read(SceneScape(size), lines)
+    assert [event.kind for event in expected] == ["entry", "exit"]
+    reader, events = SceneScape(size), []
+    for n, line in enumerate(lines):
+        events += reader.receive(line)
+        for late in (n - 3, n - 6, n - 9) if n == 30 else ():  # what has waited somewhere
+            with pytest.raises(Rejected, match="a later frame"):
+                reader.receive(lines[late])
+    assert events + reader.close() == expected
 
 
 def test_scenescape_lines_that_make_no_sense(monkeypatch: pytest.MonkeyPatch) -> None:

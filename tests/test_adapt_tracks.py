@@ -166,17 +166,22 @@ def test_a_clock_that_is_set_back_begins_anew_and_a_frame_out_of_order_is_left_o
         ("c", SIZE, {"lost_seconds": 0}),
         ("c", SIZE, {"life_seconds": -1}),
         ("c", SIZE, {"lost_seconds": math.inf}),
+        ("c", SIZE, {"boot": ""}),
+        ("c", SIZE, {"boot": "b" * 65}),
     ],
 )
-def test_nonsense_is_said_at_once(camera: str, size: tuple[float, float], options: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=r"camera|size|seconds"):
-        TrackEvents(camera, size, **options)  # type: ignore[arg-type]
+def test_nonsense_is_said_at_once(camera: str, size: tuple[float, float], options: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"camera|size|seconds|boot"):
+        TrackEvents(camera, size, **options)
 
 
 def test_frames_that_make_no_sense_are_said() -> None:
     events = TrackEvents("c", SIZE)
     with pytest.raises(ValueError, match="2 ids"):
         events.update([1, 2], [BOX], 0.0)
+    for sideways in (np.zeros((4, 2)), np.zeros(8), np.zeros((1, 8))):
+        with pytest.raises(ValueError, match=r"n ids need boxes \(n, 4\)"):
+            events.update([1, 2], sideways, 0.0)
     with pytest.raises(ValueError, match="finite"):
         events.update([1], [BOX], math.nan)
     assert events.statistics()["tracks"] == 0

@@ -78,10 +78,13 @@ class Frigate:
         if message.type not in ("new", "update", "end"):
             raise Rejected("bad-value", "type is not new, update or end - at `$.type`")
         now = message.after
+        if not all(codec.T_MIN <= seen.frame_time < codec.T_MAX for seen in (message.before, now)):
+            raise Rejected("bad-value", "frame_time is not between 1970 and 3000")
         if now.false_positive or (self._labels and now.label not in self._labels):
             return []
-        known = self._objects.pop(now.id, None) or self._met(message)
+        known = self._objects.get(now.id) or self._met(message)
         events = self._changed(known, message)
+        self._objects.pop(now.id, None)
         self._objects[now.id] = known
         while len(self._objects) > OBJECTS_MAX:
             del self._objects[next(iter(self._objects))]

@@ -87,12 +87,10 @@ class SceneScape:
         if sum(map(len, message.objects.values())) > OBJECTS_MAX:
             raise Rejected("too-many", f"more than {OBJECTS_MAX} objects in a frame")
         camera = self._camera(message.id)
-        names, boxes = self._followed(camera, message, seconds)
-        before = camera.tracks.late
-        events = camera.tracks.update(names, boxes, seconds)
-        if camera.tracks.late > before:
+        if camera.tracks.is_late(seconds):  # before its boxes are joined to those of later ones
             raise Rejected("out-of-order", "a later frame of this camera came before")
-        return checked(events)
+        names, boxes = self._followed(camera, message, seconds)
+        return checked(camera.tracks.update(names, boxes, seconds))
 
     def close(self) -> list[Event]:
         """Those out of sight have left; who was in a camera's last frame is still in view."""

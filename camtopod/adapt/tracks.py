@@ -21,6 +21,8 @@ LOST_SECONDS = 2.0
 """
 START_SECONDS = 1.0
 """Who begins within this of the first frame was there before: trackers need a moment to be sure of anybody."""
+BOOT_CHARACTERS_MAX = 64
+"""As in `camtopod.records.Event`."""
 TRACKS_MAX = 1000
 """Tracks followed at a time; further ones are counted, until others have ended."""
 
@@ -78,6 +80,8 @@ class TrackEvents:
     ) -> None:
         if not re.match(CAMERA_PATTERN, camera):
             raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+        if boot is not None and not 0 < len(boot) <= BOOT_CHARACTERS_MAX:
+            raise ValueError(f"boot {boot!r}: 1 to {BOOT_CHARACTERS_MAX} characters")
         if len(size) != 2 or not all(0 < side < math.inf for side in size):
             raise ValueError(f"size {size!r}: width and height of the picture, in pixels")
         if not (0 <= life_seconds < math.inf and 0 < lost_seconds < math.inf):
@@ -111,15 +115,15 @@ class TrackEvents:
         corners = np.asarray(boxes, dtype=float)
         if ids is None:
             labels = [None] * (corners.size // 4)
-        if corners.size != 4 * len(labels):
+        if corners.size != 4 * len(labels) or (labels and len(corners) != len(labels)):
             raise ValueError(f"{len(labels)} ids, but boxes of shape {corners.shape}: n ids need boxes (n, 4)")
         t = round(float(t), 6)
         if not math.isfinite(t):
             raise ValueError("t is not a finite number of seconds")
+        if self.is_late(t):
+            self.late += 1
+            return []
         if t < self._t:
-            if self._t - t <= self._lost:
-                self.late += 1
-                return []
             self._begin_anew()
         if self._t == -math.inf:
             self._start = t
@@ -128,6 +132,10 @@ class TrackEvents:
         for label, corner in zip(labels, corners.reshape(-1, 4).tolist(), strict=True):
             events += self._seen(label, corner, t)
         return events
+
+    def is_late(self, t: float) -> bool:
+        """Whether `update` would leave a frame of this time out, as a later one has come."""
+        return 0 < self._t - t <= self._lost
 
     def close(self) -> list[Event]:
         """The recording ends: tracks out of sight in its last frame have left, the others are still in view."""
