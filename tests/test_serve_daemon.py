@@ -574,9 +574,10 @@ class Answering:
         return [(key, codec.to_pack(answer))]
 
 
-def test_a_daemon_that_comes_back_while_a_view_asks_is_asked_again() -> None:
+@pytest.mark.parametrize("epoch", ["~ later", "! earlier, by a clock that is behind"])
+def test_a_daemon_that_comes_back_while_a_view_asks_is_asked_again(epoch: str) -> None:
     old = learned([*walkers(20), closing_event()])
-    new = msgspec.structs.replace(old, epoch="later")
+    new = msgspec.structs.replace(old, epoch=epoch, version=1)
     view = TopologyView(Answering([old, new]))  # type: ignore[arg-type]
     assert view.update() == old
     wait_for(lambda: view.update() == new, "the whole to be fetched again", 5.0)

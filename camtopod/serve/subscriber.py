@@ -98,17 +98,19 @@ class TopologyView:
             answers = self._bus.ask("topology")
         except QueryError:  # nothing learned yet
             answers = []
-        current = False
+        found: list[Topology] = []
         for _, payload in answers:
             try:
-                found = codec.read_topology(payload, pack=True)
+                found.append(codec.read_topology(payload, pack=True))
             except codec.Rejected as error:
                 log.warning("a topology that cannot be read: %s", error)
                 continue
             self.fetched += 1
-            current = True
-            held = self.topology
-            if held is None or (found.epoch, found.version) > (held.epoch, held.version):
-                self.topology = found
-        if not current:
+        if not found:
             self._stale = True
+            return
+        newest, held = max(found, key=lambda one: (one.epoch, one.version)), self.topology
+        # An epoch before the one held: a daemon has lost its state while its machine's clock was behind. A version before
+        # the one held, in the same epoch: the delta was faster than the answer.
+        if held is None or newest.epoch != held.epoch or newest.version > held.version:
+            self.topology = newest
