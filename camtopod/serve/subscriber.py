@@ -110,7 +110,7 @@ class TopologyView:
             self._stale = True
             return
         newest, held = max(found, key=lambda one: (one.epoch, one.version)), self.topology
-        # An epoch before the one held: a daemon has lost its state while its machine's clock was behind. A version before
+        # An epoch before the one held: a daemon has lost its state while its clock was behind. A version before
         # the one held, in the same epoch: the delta was faster than the answer.
         if held is None or newest.epoch != held.epoch or newest.version > held.version:
             self.topology = newest
