@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -182,6 +183,34 @@ def test_a_wrong_configuration_and_nothing_there(
     assert "synchronisation unknown" in text
     assert "== bus ==\nthe bus is away\n" in text
     assert main(["doctor", "--out", str(tmp_path / "none" / "x.txt")]) == 1
+
+
+class _Blind(contextlib.AbstractContextManager["_Blind"]):
+    """The bus as a camera's certificate sees it."""
+
+    endpoint, site = "tls/hub:7447", "hq"
+
+    def present(self, role: str) -> list[str]:
+        return []
+
+    def ask(self, key: str) -> list[tuple[str, bytes]]:
+        return []
+
+    def __exit__(self, *_: object) -> None:
+        return
+
+
+def test_what_a_certificate_does_not_show_is_not_called_away(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "c.toml"
+    tls = '[bus.tls]\nca = "ca"\ncertificate = "c"\nprivate_key = "k"\n'
+    path.write_text(f'[bus]\nconnect = ["tls/hub:7447"]\n{tls}')
+    monkeypatch.setattr(doctor, "dial", lambda config: _Blind())
+    assert main(["--config", str(path), "doctor"]) == 0
+    text = capsys.readouterr().out
+    assert "daemons there: none seen, which a camera's certificate is not shown\n" in text
+    assert "nobody answers for a status, which a camera's certificate is not shown\n" in text
 
 
 def test_the_clock_s_keeper_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -259,6 +259,11 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         err = capsys.readouterr().err
         assert f"{path}:8: cameras.gone: cannot read {tmp_path}/none: No such file" in err
         assert "is reached, but no daemon of site other is there" in err
+        path.write_text(cameras)
+        assert main(["check", str(path), "--probe", "--connect", daemon.endpoint, "--site", "other"]) == 69
+        assert f"{daemon.endpoint} is reached, but no daemon of site other is there" in capsys.readouterr().err
+        assert main(["check", str(path), "--connect", "nowhere"]) == 2
+        capsys.readouterr()
         path.write_text(f'{bus}[cameras.gone]\nsource = "4242"\n')
         assert main(["check", str(path), "--probe"]) == 66
         capsys.readouterr()

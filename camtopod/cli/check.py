@@ -9,6 +9,7 @@ from typing import Any
 
 from camtopod import config, secret_files
 from camtopod.cli import exits
+from camtopod.cli.common import with_options
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.serve import guard
 
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     if path is None:
         raise CommandError("which configuration? camtopod check CONFIG", exits.USAGE)
     try:
-        loaded = config.load(path)
+        loaded = with_options(args, config.load(path))
     except config.ConfigError as error:
         print(error, file=sys.stderr)
         return exits.CONFIG
@@ -51,9 +52,13 @@ def run(args: argparse.Namespace) -> int:
     warnings += [] if (open_to := guard.openness(loaded)) is None else [open_to]
     for warning in warnings:
         print(f"{path}: warning: {warning}", file=sys.stderr)
-    print(f"{path}: no mistakes; site {loaded.site.name}, {len(loaded.cameras)} cameras", file=sys.stderr)
+    print(f"{path}: no mistakes; site {loaded.site.name}, {_cameras(len(loaded.cameras))}", file=sys.stderr)
     if not args.probe:
         return exits.DONE
     from camtopod.cli.probe import check_site
 
     return check_site(path, loaded)
+
+
+def _cameras(number: int) -> str:
+    return f"{number} {'camera' if number == 1 else 'cameras'}"

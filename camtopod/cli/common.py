@@ -58,6 +58,17 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> config.
         if above is None:  # or that one has said it, once for all cameras
             for sentence in secret_files.exposed(loaded.secrets(args.config)):
                 log.warning("%s", sentence)
+    loaded = with_options(args, loaded)
+    if getattr(args, "camera", None):
+        try:
+            loaded = loaded.for_camera(args.camera)
+        except OSError as error:
+            raise InputError(f"the source of camera {args.camera}: {error.filename}: {error.strerror}") from None
+    return loaded
+
+
+def with_options(args: argparse.Namespace, loaded: config.Config) -> config.Config:
+    """``--site``, ``--connect`` and ``--state`` on top of what a file says. Raises `CommandError`."""
     if args.site is not None:
         if not re.match(CAMERA_PATTERN, args.site):
             raise CommandError(f"--site {args.site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
@@ -72,11 +83,6 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> config.
         loaded = msgspec.structs.replace(loaded, bus=bus)
     if getattr(args, "state", None):
         loaded = msgspec.structs.replace(loaded, state=config.StateSettings(args.state))
-    if getattr(args, "camera", None):
-        try:
-            loaded = loaded.for_camera(args.camera)
-        except OSError as error:
-            raise InputError(f"the source of camera {args.camera}: {error.filename}: {error.strerror}") from None
     return loaded
 
 

@@ -177,10 +177,11 @@ def _bus(config: Config) -> Iterator[str]:
     except BusError as error:
         yield str(error)
         return
+    hidden = ", which a camera's certificate is not shown" if config.bus.tls.ca else ""
     with bus:
         yield f"{bus.endpoint} is reached after {time.monotonic() - began:.2f} s, site {bus.site}"
         for role in ("daemon", "grabber"):
-            yield f"{role}s there: {', '.join(sorted(bus.present(role))) or 'none seen'}"
+            yield f"{role}s there: {', '.join(sorted(bus.present(role))) or f'none seen{hidden}'}"
         statuses = {key.removeprefix("status/"): _status(raw) for key, raw in bus.ask("status/*")}
     for name, status in sorted(statuses.items()):
         refusals = {key: status.pop(key) for key in _REFUSALS if key in status}
@@ -190,7 +191,7 @@ def _bus(config: Config) -> Iterator[str]:
             refusals["reject_samples"] = {why: [_QUOTED.sub("", one) for one in each] for why, each in samples.items()}
             yield f"{name} refused: {json.dumps(_clean(refusals))}"
     if not statuses:
-        yield "nobody answers for a status"
+        yield f"nobody answers for a status{hidden}"
 
 
 def _status(raw: bytes) -> dict[str, Any]:
