@@ -45,7 +45,15 @@ def test_what_the_configuration_names_is_handed_to_the_service() -> None:
     for file, named in zip(UNITS, (daemons, boxes), strict=True):
         drop_ins = [directives(path) for path in (DEPLOY / f"{file}.d").iterdir()]
         handed = {value.split(":")[0] for drop_in in drop_ins for value in drop_in["LoadCredential"]}
-        assert handed == set(named)
+        assert {name.replace("%i", "lobby") for name in handed} == set(named)
+
+
+def test_a_camera_s_file_is_called_as_the_service_is_handed_it() -> None:
+    """So that one folder stands for all services' credentials where `check --probe` runs outside of them."""
+    [handed] = directives(DEPLOY / "camtopod-grab@.service.d" / "source.conf")["LoadCredential"]
+    name, _, path = handed.partition(":")
+    assert (name, Path(path).name) == ("%i", "%i")
+    assert f"export CREDENTIALS_DIRECTORY={Path(path).parent}\n" in README
 
 
 def test_a_shard_is_the_daemon_but_for_its_name() -> None:
