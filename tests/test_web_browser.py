@@ -19,7 +19,7 @@ from chromium import Browser, chromium
 from made_site import made_site
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
-from camtopod.cli.web import hosts, listening
+from camtopod.cli.web import listening, names
 from camtopod.config import BusSettings
 from camtopod.records import Event
 from camtopod.serve import bus as buses
@@ -75,7 +75,7 @@ class Site:
         """A server of the page; yields its port."""
         with (
             listening("127.0.0.1", port) as listener,
-            app.serving(bus, listener, hosts("127.0.0.1"), self.directory, self.now, 1.0),
+            app.serving(bus, listener, names("127.0.0.1"), self.directory, self.now, 1.0),
         ):
             yield listener.getsockname()[1]
 

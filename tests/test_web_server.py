@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import subprocess
 import sys
 import urllib.error
@@ -20,7 +21,7 @@ from one_bus import OneBus
 from serving import free_endpoint, small_config, wait_for
 
 from camtopod.cli import exits, main
-from camtopod.cli.web import address, hosts, is_loopback, listening
+from camtopod.cli.web import address, is_loopback, listening, names
 from camtopod.config import BusSettings
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus
@@ -63,7 +64,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     bus.kept = {1: SITE, 2: NEWER}
     with (
         listening("127.0.0.1", 0) as listener,
-        app.serving(cast(Bus, bus), listener, hosts("127.0.0.1"), folder, lambda: 1000.0, 1.0),
+        app.serving(cast(Bus, bus), listener, names("127.0.0.1"), folder, lambda: 1000.0, 1.0),
     ):
         one = Server(listener.getsockname()[1])
         wait_for(lambda: one.get("/data/map")[2] != b"null", "the map")
@@ -118,8 +119,22 @@ def test_it_only_reads(server: Server) -> None:
 
 
 def test_another_name_for_this_machine_is_refused(server: Server) -> None:
-    assert server.get("/data/map", Host="evil.example")[0] == 400
-    assert server.get("/data/map", Host="localhost:1234")[0] == 200
+    status, headers, body = server.get("/data/map", Host="evil.example")
+    assert (status, "content-security-policy" in headers) == (421, True)
+    assert b"camtopod web --name" in body
+    assert server.get("/data/map", Host="LocalHost:1234")[0] == 200
+    assert server.get("/data/map", Host="[::1]:1234")[0] == 200
+    assert server.get("/data/map", Host="10.0.0.1")[0] == 421, "it listens to this machine alone"
+
+
+def test_open_to_others_it_answers_to_addresses_and_to_names_it_was_given() -> None:
+    with (
+        listening("127.0.0.1", 0) as listener,
+        app.serving(cast(Bus, OneBus()), listener, names("0.0.0.0", ["maps.example"]), None, lambda: 1000.0, 1.0, True),
+    ):
+        server = Server(listener.getsockname()[1])
+        hosts = ("10.0.0.1:8780", "[fe80::1]", "Maps.Example", socket.gethostname(), "evil.example", "10.0.0.1.evil")
+        assert [server.get("/data/map", Host=host)[0] for host in hosts] == [200, 200, 200, 200, 421, 421]
 
 
 def test_only_pictures_of_cameras_leave_the_folder(server: Server) -> None:
@@ -215,4 +230,3 @@ def test_only_loopback_is_for_this_machine_alone() -> None:
     assert [is_loopback(host) for host in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "cam.example")] == [
         True, True, True, False, False,
     ]  # fmt: skip
-    assert hosts("0.0.0.0") == ["*"]

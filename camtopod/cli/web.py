@@ -8,6 +8,7 @@ import ipaddress
 import logging
 import re
 import socket
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,10 @@ def add_parser(subparsers: Any) -> None:
         help=f"where (default: {LISTEN}, this machine only; port 0: a free one)",
     )  # fmt: skip
     parser.add_argument(
+        "--name", metavar="NAME", action="append", default=[],
+        help="a further name that it is asked for by, behind a proxy say (addresses need none; repeat for several)",
+    )  # fmt: skip
+    parser.add_argument(
         "--pictures", metavar="DIR", type=Path, help="a folder with a picture a camera, CAMERA.jpg or CAMERA.png"
     )
 
@@ -61,7 +66,9 @@ def run(args: argparse.Namespace) -> int:
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
         every = config.limits.status_seconds
-        running = stack.enter_context(app.serving(bus, listener, hosts(host), args.pictures, clock.wall, every))
+        running = stack.enter_context(app.serving(
+            bus, listener, names(host, args.name), args.pictures, clock.wall, every, not is_loopback(host)
+        ))  # fmt: skip
         log.info("the page is at http://%s/", _shown(listener))
         if not is_loopback(host):
             log.warning("anybody who reaches %s can read it: there is no password", _shown(listener))
@@ -79,9 +86,10 @@ def address(text: str) -> tuple[str, int]:
     return match[1].strip("[]"), int(match[2])
 
 
-def hosts(host: str) -> list[str]:
-    """Names to answer to: on this machine only its own, else another site's page could read it through a name."""
-    return ["localhost", "127.0.0.1", "[::1]", host] if is_loopback(host) else ["*"]
+def names(host: str, further: Sequence[str] = ()) -> list[str]:
+    """Names to answer to: else the page of another site could read this one through a name that leads here."""
+    ours = ["localhost", "127.0.0.1", "[::1]", host, *further]
+    return ours if is_loopback(host) else [*ours, socket.gethostname(), f"{socket.gethostname()}.local"]
 
 
 def is_loopback(host: str) -> bool:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import re
 import socket
 import threading
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Collection, Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,8 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -46,6 +46,11 @@ HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cross-origin-opener-policy": "same-origin",
 }
+REFUSED = (
+    "This page does not answer to that name. Ask for it by its address, or start it with the name: "
+    "camtopod web --name NAME\n"
+)
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(?::[0-9]{1,5})?")
 STATIC = resources.files("camtopod.web") / "static"
 
 
@@ -63,6 +68,36 @@ class _Strict:
             await send(message)
 
         await self._app(scope, receive, strict)
+
+
+class _Named:
+    """Refuses who asks for another name than ``names``, and with ``any_address`` no address.
+
+    Else anybody's page, once its own name is made to lead here, could read this one (DNS rebinding).
+    """
+
+    def __init__(self, app: ASGIApp, names: Collection[str], any_address: bool) -> None:
+        self._app = app
+        self._names, self._any_address = {name.lower() for name in names}, any_address
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        app = self._app if scope["type"] != "http" or self._is_ours(Request(scope)) else PlainTextResponse(REFUSED, 421)
+        await app(scope, receive, send)
+
+    def _is_ours(self, request: Request) -> bool:
+        match = _HOST.fullmatch(request.headers.get("host", ""))
+        if match is None:
+            return False
+        asked = match[1].lower()
+        return asked in self._names or (self._any_address and _is_address(asked.strip("[]")))
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
 
 
 class Site:
@@ -156,8 +191,8 @@ class Site:
         return StreamingResponse(stream(), media_type="text/event-stream")
 
 
-def application(site: Site, hosts: list[str]) -> Starlette:
-    """The application; it answers to the names ``hosts`` only (``*``: to any)."""
+def application(site: Site, names: Collection[str], any_address: bool) -> Starlette:
+    """The application; it answers to ``names`` only, and with ``any_address`` to every address."""
     routes = [
         Route("/", lambda request: FileResponse(str(STATIC / "index.html"))),
         Route("/data/map", site.map),
@@ -173,7 +208,7 @@ def application(site: Site, hosts: list[str]) -> Starlette:
     ]
     middleware = [
         Middleware(_Strict),
-        Middleware(TrustedHostMiddleware, allowed_hosts=hosts, www_redirect=False),
+        Middleware(_Named, names=names, any_address=any_address),
         Middleware(GZipMiddleware, minimum_size=1000, compresslevel=5),
     ]
     app = Starlette(routes=routes, middleware=middleware)
@@ -183,14 +218,23 @@ def application(site: Site, hosts: list[str]) -> Starlette:
 
 @contextlib.contextmanager
 def serving(
-    bus: Bus, listener: socket.socket, hosts: list[str], pictures: Path | None, clock: Clock, status_seconds: float
+    bus: Bus,
+    listener: socket.socket,
+    names: Collection[str],
+    pictures: Path | None,
+    clock: Clock,
+    status_seconds: float,
+    any_address: bool = False,
 ) -> Iterator[Callable[[], bool]]:
-    """Serve the page from a socket that listens, in threads, while the block runs; yields whether all of them live."""
+    """Serve the page from a socket that listens, in threads, while the block runs; yields whether all of them live.
+
+    It answers to ``names`` only, and with ``any_address`` to every address.
+    """
     stop = threading.Event()
     hub = Hub()
     feed = Feed(bus, hub, clock, status_seconds)
     config = uvicorn.Config(
-        application(Site(feed, Past(bus), hub, pictures), hosts), log_config=None, log_level="warning",
+        application(Site(feed, Past(bus), hub, pictures), names, any_address), log_config=None, log_level="warning",
         access_log=False, lifespan="off", server_header=False, limit_concurrency=CONNECTIONS_MAX,
         timeout_graceful_shutdown=CLOSE_SECONDS,
     )  # fmt: skip

@@ -51,7 +51,7 @@ function _shtab_camtopod_using
 end
 
 set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check doctor completion
-set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --objects-per-second --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --updates --zone-separation --zone-stretch
+set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --name --objects-per-second --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --updates --zone-separation --zone-stretch
 
 complete -c camtopod -e
 complete -c camtopod -f
@@ -174,6 +174,7 @@ complete -c camtopod -n '_shtab_camtopod_using watch' -l log-format -xka "text l
 complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -eq 0' -a web -d 'the page: map, cameras, links, versions and health in a browser'
 complete -c camtopod -n '_shtab_camtopod_using web' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using web' -l listen -x -d 'where (default: 127.0.0.1:8780, this machine only; port 0: a free one)'
+complete -c camtopod -n '_shtab_camtopod_using web' -l name -x -d 'a further name that it is asked for by, behind a proxy say (addresses need none; repeat for several)'
 complete -c camtopod -n '_shtab_camtopod_using web' -l pictures -xka "(__fish_complete_directories)" -d 'a folder with a picture a camera, CAMERA.jpg or CAMERA.png'
 complete -c camtopod -n '_shtab_camtopod_using web' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
 complete -c camtopod -n '_shtab_camtopod_using web' -l site -x -d 'name of the site, second part of every key'

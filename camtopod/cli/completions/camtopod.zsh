@@ -414,6 +414,7 @@ _shtab_camtopod_watch_defaults_added=0
 _shtab_camtopod_web_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--listen[where (default\: 127.0.0.1\:8780, this machine only\; port 0\: a free one)]:HOST:PORT:"
+  "*--name[a further name that it is asked for by, behind a proxy say (addresses need none\; repeat for several)]:NAME:"
   "--pictures[a folder with a picture a camera, CAMERA.jpg or CAMERA.png]:DIR:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, second part of every key]:NAME:"
