@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import msgspec
 from msgspec.structs import force_setattr
 
-from camtopod.records import Delta, Event, Link, Prediction, Topology
+from camtopod.records import Delta, Event, Link, Model, Prediction, Topology
 
 EVENT_ENCODING = "application/msgpack;schema=camtopod.event.1"
 EVENT_BYTES_MAX = 4096
@@ -122,6 +122,7 @@ def read_topology(raw: bytes, pack: bool = False) -> Topology:
         ),
         (zones, "zone", _ends("links", topology.links)),
         (zones, "zone", _ends("weak_links", topology.weak_links or [])),
+        (zones, "zone", () if topology.model is None else _zones_of(topology.model)),
         (cameras, "camera", ((f"pairs[{k}]", name) for k, pair in enumerate(topology.pairs) for name in pair.cameras)),
     ):
         for place, name in named:
@@ -134,6 +135,26 @@ def _ends(field: str, links: Sequence[Link]) -> Iterator[tuple[str, str]]:
     for k, link in enumerate(links):
         yield f"{field}[{k}].from", link.from_
         yield f"{field}[{k}].to", link.to
+
+
+def _zones_of(model: Model) -> Iterator[tuple[str, str]]:
+    """The zones that prediction looks up, each with its place."""
+    for k, zone in enumerate(model.zones):
+        yield f"model.zones[{k}].zone", zone.zone
+    for k, onward in enumerate(model.onward or []):
+        yield f"model.onward[{k}].zone", onward.zone
+        for n, outcome in enumerate(onward.next_):
+            yield f"model.onward[{k}].next_[{n}].to", outcome.to
+    for k, kernel in enumerate(model.entered or []):
+        yield f"model.entered[{k}].zone", kernel.zone
+        yield f"model.entered[{k}].to", kernel.to
+    for k, context in enumerate(model.contexts or []):
+        yield from ((f"model.contexts[{k}]", name) for name in (context.zone, *context.to))
+        if context.entry is not None:
+            yield f"model.contexts[{k}].entry", context.entry
+    for k, way in enumerate(model.pace.ways if model.pace is not None else []):
+        yield f"model.pace.ways[{k}].entry", way.entry
+        yield f"model.pace.ways[{k}].exit", way.exit
 
 
 def read_in_parts(kind: Any, raw: bytes | msgspec.Raw) -> Any:

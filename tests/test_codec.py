@@ -26,7 +26,23 @@ from camtopod.codec import (
     to_pack,
 )
 from camtopod.learn.learner import Learner
-from camtopod.records import Ack, Event, NextCamera, Pair, Prediction, Topology
+from camtopod.records import (
+    Ack,
+    Context,
+    EntryKernel,
+    Event,
+    Histogram,
+    Model,
+    NextCamera,
+    Onward,
+    Outcome,
+    Pace,
+    Pair,
+    Prediction,
+    Topology,
+    Way,
+    ZoneModel,
+)
 
 GOOD = {"camera": "lobby", "kind": "entry", "t": 1700000000.25, "x": 0.31, "y": 0.88, "track": "17"}
 NUMBERS = st.floats(0, 1)
@@ -204,6 +220,25 @@ def test_every_name_in_a_topology_stands_for_something() -> None:
     ):
         with pytest.raises(Rejected, match=said) as caught:
             read_topology(to_json(changed))
+        assert caught.value.reason == "unknown-name"
+
+
+def test_every_zone_that_prediction_looks_up_is_there() -> None:
+    site = made_site(4)
+    here, hazard = site.zones[0].id, Histogram(0, [1.0])
+    whole = Model(
+        4.0, 0.1, -20.0, 120.0, [ZoneModel(here, 5, 0.1, [])], [],
+        onward=[Onward(here, 0.5, [Outcome(here, 0.5, hazard)])], entered=[EntryKernel(here, here, hazard)],
+        contexts=[Context(here, 5.0, {here: 1.0}, entry=here)], pace=Pace(0.1, 0.1, 0.1, [Way(here, here, 3.0)]),
+    )  # fmt: skip
+    raw = to_json(replace(site, model=whole)).partition(b'"model":')
+    assert read_topology(b"".join(raw)).model == whole
+    name = f'"{here}"'.encode()
+    assert raw[2].count(name) == 10
+    for nth in range(10):
+        before, after = name.join(raw[2].split(name)[: nth + 1]), name.join(raw[2].split(name)[nth + 1 :])
+        with pytest.raises(Rejected, match=r"no zone 'cellar/1' in it - at `\$\.model\.") as caught:
+            read_topology(b"".join((*raw[:2], before, b'"cellar/1"', after)))
         assert caught.value.reason == "unknown-name"
 
 
