@@ -72,11 +72,32 @@ def test_onto_the_bus_and_once_however_often(recording: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
+    ("arguments", "line", "because"),
+    [
+        (["mot", "--camera", "a", "--fps", "5", "--size", "9x9"], b"1,-1,0,0,5,5,1", "detections"),
+        (["frigate", "--label", "cat"], says.passage()[0], "not among --label"),
+    ],
+)
+def test_lines_that_come_to_nothing_are_not_passed_over_in_silence(
+    arguments: list[str], line: bytes, because: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "lines").write_bytes(2 * (line + b"\n"))
+    name, *options = arguments
+    assert main(["ingest", name, str(tmp_path / "lines"), *options, "--out", "-"]) == exits.DONE
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "no event came of 2 lines" in err
+    assert because in err
+
+
+@pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["mot", "x.txt"], "mot needs --camera and --fps and --size"),
         (["mot", "x.txt", "--camera", "daemon", "--fps", "5", "--size", "4x4"], "taken on the bus"),
         (["mot", "x.txt", "--camera", "a", "--fps", "-5", "--size", "4x4"], "above 0"),
+        (["mot", "x.txt", "--camera", "a", "--fps", "0", "--size", "4x4"], "above 0"),
+        (["mot", "x.txt", "--camera", "", "--fps", "5", "--size", "4x4"], "1 to 64"),
         (["mot", "x.txt", "--camera", "a", "--fps", "5", "--size", "b=4x4"], "not of camera a"),
         (["frigate", "x.txt", "--size", "4by4"], "write it like 1280x720"),
         (["frigate", "x.txt", "--fps", "5"], "--fps is for mot, not frigate"),

@@ -89,7 +89,7 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
 
 
 def _mot(args: argparse.Namespace, sizes: dict[str, Size]) -> Mot:
-    missing = [f"--{name}" for name in ("camera", "fps", "size") if not getattr(args, name)]
+    missing = [f"--{name}" for name in ("camera", "fps", "size") if getattr(args, name) in (None, [])]
     if missing:
         raise CommandError(f"mot needs {' and '.join(missing)}", exits.USAGE)
     if args.camera in RESERVED:

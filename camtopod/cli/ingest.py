@@ -38,6 +38,12 @@ PATIENCE_SECONDS = 10.0
 may be fitting, or its disk be full, and says so in its status.
 """
 _TICK_SECONDS = 0.2
+_NO_EVENTS = {
+    "frigate": "nobody has come in or left, or only objects that stand or are not among --label",
+    "mot": "boxes with an id below 0 (detections, which no tracker has seen) or a confidence of 0 are of no track",
+    "scenescape": "nobody has come in or left, or only objects that are not among --label",
+}
+"""Why lines that fit may come to nothing, by format."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -78,6 +84,8 @@ def run(args: argparse.Namespace) -> int:
             _publish(config, source, stack, stop)
     if (summary := reader.summary()) is not None:
         log.warning("%s", summary)
+    if reader.read > sum(reader.rejected.values()) and not reader.events:
+        log.warning("no event came of %d lines: %s", reader.read, _NO_EVENTS[args.format])
     return exits.DONE
 
 

@@ -27,11 +27,12 @@ class Line(NamedTuple):
 
 
 class LineReader:
-    """Reads event lines; ``rejected`` counts by reason what did not fit."""
+    """Reads lines; ``rejected`` counts by reason what did not fit, ``read`` all, ``events`` what came of them."""
 
     def __init__(self) -> None:
         self.rejected: Counter[str] = Counter()
         self.read = 0
+        self.events = 0
 
     def merged(self, paths: list[str]) -> Iterator[Line]:
         """Lines of several files in one stream by time; each file may be out of order as far as its lateness goes.
@@ -55,6 +56,7 @@ class LineReader:
             except Rejected as error:
                 self.reject(error.reason, f"{path}:{number}: {error}", text)
                 continue
+            self.events += 1
             yield Line(event, path, number)
 
     def adapted(self, path: str, lines: Iterable[tuple[int, bytes]], adapter: Adapter) -> Iterator[Event]:
@@ -68,8 +70,11 @@ class LineReader:
             except Rejected as error:
                 self.reject(error.reason, f"{path}:{number}: {error}", quotable(text[:LINE_BYTES_MAX]))
                 continue
+            self.events += len(events)
             yield from events
-        yield from adapter.close()
+        events = adapter.close()
+        self.events += len(events)
+        yield from events
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
         """Count a line that changes nothing; the first of each reason is quoted on standard error."""
