@@ -54,7 +54,9 @@ def completion(shell: str) -> str:
     """What ``shell`` reads, for every command; files and folders by the names of the values."""
     parser, _ = parser_of(COMMANDS)
     _prepare(parser)
-    return shtab.complete(parser, shell)
+    text = shtab.complete(parser, shell)
+    # shtab writes what zsh takes for "the first argument, and no others beside it" where it means "each argument".
+    return text.replace('\n  "(*):', '\n  "*:') if shell == "zsh" else text
 
 
 def _prepare(parser: argparse.ArgumentParser) -> None:

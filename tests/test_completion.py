@@ -87,10 +87,22 @@ def test_fish(typed: str, offered: set[str], of: Callable[[str], Path], tmp_path
     assert all(word.startswith(typed.split(" ")[-1]) for word in found)
 
 
-def test_zsh(of: Callable[[str], Path], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("grab --re", "--realtime"),
+        ("keys re", "revoke"),
+        ("learn eve", "events.jsonl"),
+        ("learn first.jsonl eve", "events.jsonl"),
+        ("init hall=0 eve", "events.jsonl"),
+    ],
+)
+def test_zsh(typed: str, offered: str, of: Callable[[str], Path], tmp_path: Path) -> None:
+    for name in ("events.jsonl", "events.csv"):
+        (tmp_path / name).touch()
     folder = of("zsh").parent
-    seen = output("zsh", "-f", "-c", ZSH, "zsh", folder, "camtopod grab --re", "--realtime", cwd=tmp_path)
-    assert "--realtime" in " ".join(seen)
+    seen = output("zsh", "-f", "-c", ZSH, "zsh", folder, f"camtopod {typed}", offered, cwd=tmp_path)
+    assert offered in " ".join(seen)
 
 
 @pytest.mark.parametrize("shell", SHELLS)

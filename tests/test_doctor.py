@@ -171,17 +171,17 @@ def test_a_wrong_configuration_and_nothing_there(
     path.write_text('[cameras.lobby]\nsource = "rtsp://u:hunter2@h"\nspede = 1\npassword = "hunter2"\n')
 
     def away(config: Config) -> NoReturn:
-        raise BusError("the bus is away")
+        raise BusError(f"the bus at {', '.join(config.dials)} is away")
 
     monkeypatch.setattr(machine.shutil, "which", lambda name: None)
     monkeypatch.setattr(doctor, "dial", away)
-    assert main(["--config", str(path), "doctor"]) == 0
+    assert main(["--config", str(path), "--connect", "tcp/192.0.2.1:7447", "doctor"]) == 0
     text = capsys.readouterr().out
     assert "hunter2" not in text
     assert f"{path}:3: cameras.lobby.spede: no such key; did you mean 'speed'?" in text
     assert f"{tmp_path}/state-home/camtopod (No such file or directory)" in text
     assert "synchronisation unknown" in text
-    assert "== bus ==\nthe bus is away\n" in text
+    assert "== bus ==\nthe bus at tcp/192.0.2.1:7447 is away\n" in text
     assert main(["doctor", "--out", str(tmp_path / "none" / "x.txt")]) == 1
 
 

@@ -240,6 +240,7 @@ def test_what_cannot_be_reached_and_what_is_missing(
 ) -> None:
     assert main(["bridge", "mqtt://u:hunter2-long@h/x"]) == exits.USAGE
     assert main(["bridge", "http://h"]) == exits.USAGE
+    assert "write it like mqtt://HOST:1883/PREFIX" in capsys.readouterr().err
     meeting = buses.meet(small_config(tmp_path))
     try:
         connect = ["--connect", meeting.endpoint]

@@ -5,6 +5,7 @@ each value by itself, and the whole text.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import json
 import os
@@ -22,7 +23,7 @@ import msgspec
 
 from camtopod import secret_files
 from camtopod.cli import exits, machine
-from camtopod.cli.common import configuration
+from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
 from camtopod.config import TABLES, Config
 from camtopod.redact import redact, remember
@@ -59,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
         config, mistakes = configuration(args), ""
     except CommandError as error:
         config, mistakes = Config(), str(error)
+        with contextlib.suppress(CommandError):
+            config = with_options(args, config)
     _remember_secrets(config)
     parts: dict[str, Callable[[], list[str]]] = {
         "versions": machine.versions,

@@ -61,7 +61,7 @@ def broker(url: str, password: str | None = None, ca: str | None = None, prefix:
     remember(url)
     parts = urlsplit(url)
     if parts.scheme not in PORTS or not parts.hostname:
-        raise ValueError(f"{redact(url)!r}: write it like mqtt://USER@HOST:1883/PREFIX, or mqtts:// for TLS")
+        raise ValueError(f"{redact(url)!r}: write it like mqtt://HOST:1883/PREFIX, or mqtts:// for TLS")
     if parts.password is not None:
         raise ValueError("others on this machine can read a password on the command line: put it in a file")
     prefix = unquote(parts.path).strip("/") or prefix
@@ -70,7 +70,7 @@ def broker(url: str, password: str | None = None, ca: str | None = None, prefix:
     user = None if parts.username is None else unquote(parts.username)
     if password is not None:
         if user is None:
-            raise ValueError("a password needs a user: mqtt://USER@HOST/PREFIX")
+            raise ValueError("a password needs a user: put the name and an @ before the host")
         remember(f"mqtt://{user}:{password}@")
     tls = parts.scheme == "mqtts"
     return Broker(parts.hostname, parts.port or PORTS[parts.scheme], tls, prefix, user, password, ca)

@@ -188,7 +188,7 @@ _shtab_camtopod_init_options=(
   "--site[name of the site, second part of every key]:NAME:"
   "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  "(*):rtsp\:\/\/ URL, video file or device number\; \'-\'\: read them from standard input, a line each, as others on this machine can read passwords on a command line:_files"
+  "*:rtsp\:\/\/ URL, video file or device number\; \'-\'\: read them from standard input, a line each, as others on this machine can read passwords on a command line:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -216,7 +216,7 @@ _shtab_camtopod_keys_camera_options=(
   "--site[name of the site, second part of every key]:NAME:"
   "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  "(*):the camera\'s id, or any name for a reader:"
+  "*:the camera\'s id, or any name for a reader:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -274,7 +274,7 @@ _shtab_camtopod_keys_reader_options=(
   "--site[name of the site, second part of every key]:NAME:"
   "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  "(*):the camera\'s id, or any name for a reader:"
+  "*:the camera\'s id, or any name for a reader:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -288,7 +288,7 @@ _shtab_camtopod_keys_revoke_options=(
   "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
   ":role:(camera reader)"
-  "(*):the camera\'s id, or any name for a reader:"
+  "*:the camera\'s id, or any name for a reader:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -302,7 +302,7 @@ _shtab_camtopod_learn_options=(
   "--site[name of the site, second part of every key]:NAME:"
   "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
   "--log-format[form of the messages on standard error (default\: text)]:log_format:(text logfmt json)"
-  "(*):files of event lines (\'-\'\: standard input):_files"
+  "*:files of event lines (\'-\'\: standard input):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
