@@ -7,21 +7,31 @@ import { ago, clock, count, percent, plural, seconds, span, stateClass } from ".
 const FRAME = [1600, 900]; // where there is no picture, pixels
 const SPREAD = 2; // standard deviations that a zone's ellipse shows
 const COUNTS_UNITS = 44; // half the width of a zone's counts, in 400ths of the picture's
+const HEAD_BEFORE = 0.055; // a passage ends so much of the width before a zone's middle, for its head to be seen
 const EVENTS_SHOWN = 40;
 const PASSAGE_SHARE_MIN = 0.12;
 
 // What the panel shows of camera `id`.
 export async function cameraPanel(app, id) {
   const story = await app.source.camera(id);
-  const scene = new Scene(story, app.source.picture(id));
+  const picture = app.source.picture(id);
+  const scene = app.scene(id)?.update(story, picture) ?? new Scene(story, picture);
   const status = h("div", { class: "status" });
-  const heard = h("dd", {}, story.last_event ? ago(app.now() - story.last_event) : "–");
+  const since = h("span", { class: "quiet" });
+  const learned = h("dd", {});
+  const tellAges = () => {
+    const newest = app.rows.get(id)?.newest;
+    since.textContent = newest ? `heard ${ago(app.now() - newest)}` : "";
+    const last = story.last_event;
+    learned.textContent = !last ? "–" : app.source.live ? ago(app.now() - last) : clock(last);
+  };
+  tellAges();
   const facts = h(
     "dl",
     { class: "figures" },
     fact("Zones", count(story.zones.length)),
     fact("Share of all events", percent(story.share)),
-    h("div", {}, h("dt", {}, "Last learned event"), heard),
+    h("div", {}, h("dt", {}, "Last learned event"), learned),
     fact(
       "Clock",
       clockText(story),
@@ -36,6 +46,7 @@ export async function cameraPanel(app, id) {
     title: id,
     chosen: [id],
     watch: id,
+    scene,
     body: [
       status,
       scene.element,
@@ -58,7 +69,11 @@ export async function cameraPanel(app, id) {
     ],
     onEvent: (event) => event.camera === id && scene.add(event),
     onPrediction: (prediction) => prediction.camera === id && scene.left(prediction),
-    onHealth: (rows) => showStatus(status, rows.get(id), app),
+    onHealth: (rows) => {
+      showStatus(status, rows.get(id), since);
+      tellAges();
+    },
+    onTick: tellAges,
   };
 }
 
@@ -152,12 +167,12 @@ function zoneTable(story) {
   );
 }
 
-function showStatus(element, row, app) {
+function showStatus(element, row, since) {
   if (!row) return fill(element);
   return fill(
     element,
     h("span", { class: stateClass(row.state) }, row.state),
-    row.newest ? h("span", { class: "quiet" }, `heard ${ago(app.now() - row.newest)}`) : null,
+    since,
     row.reason ? h("span", { class: "reason" }, row.reason) : null,
   );
 }
@@ -165,20 +180,28 @@ function showStatus(element, row, app) {
 // The picture (or a plain frame) with zones, passages and live events drawn on it.
 class Scene {
   constructor(story, picture) {
-    this.story = story;
     this.pulse = h("span", { class: "quiet" }, "waiting for events");
     this.element = h("figure", { class: "scene" });
     this.size = FRAME;
     this.events = [];
-    this.#draw(null);
-    if (story.picture && picture) {
-      const image = new Image();
-      image.addEventListener("load", () => {
-        this.size = [image.naturalWidth, image.naturalHeight];
-        this.#draw(picture);
-      });
-      image.src = picture;
-    }
+    this.picture = null; // once it is there
+    this.update(story, picture);
+  }
+
+  // Draw what is known now; the events that have been seen stay.
+  update(story, picture) {
+    this.story = story;
+    this.#draw();
+    if (!story.picture || !picture || this.picture) return this;
+    const image = new Image();
+    image.addEventListener("load", () => {
+      this.size = [image.naturalWidth, image.naturalHeight];
+      this.picture = picture;
+      this.events = []; // which were drawn on the frame
+      this.#draw();
+    });
+    image.src = picture;
+    return this;
   }
 
   // An entry or exit that has just been seen.
@@ -212,10 +235,11 @@ class Scene {
     if (this.events.length > EVENTS_SHOWN) this.events.shift().remove();
   }
 
-  #draw(picture) {
+  #draw() {
     const [width, height] = this.size;
+    const { picture } = this;
     this.element.classList.toggle("pictured", Boolean(picture));
-    this.marks = s("g", {});
+    this.marks = s("g", {}, this.events);
     this.zones = new Map();
     const placed = this.story.zones.filter((zone) => zone.x !== undefined && zone.x !== null);
     const svg = s(
@@ -283,9 +307,11 @@ class Scene {
         const [ax, ay] = at.get(one.from);
         const [bx, by] = at.get(one.to);
         const [mx, my] = [(ax + bx) / 2 - 0.16 * (by - ay), (ay + by) / 2 + 0.16 * (bx - ax)];
+        const along = 1 - Math.min(0.4, (HEAD_BEFORE * width) / (Math.hypot(bx - ax, by - ay) || 1));
+        const d = `M${ax} ${ay}Q${partOfCurve([ax, ay], [mx, my], [bx, by], along).flat().join(" ")}`;
         const path = s(
           "path",
-          { class: "passage", d: `M${ax} ${ay}Q${mx} ${my} ${bx} ${by}`, "marker-end": "url(#head)" },
+          { class: "passage", d, "marker-end": "url(#head)" },
           s("title", {}, `${one.from} → ${one.to}: ${percent(one.probability)}, ${seconds(one.transit.q50)}`),
         );
         path.style.setProperty("--share", one.probability.toFixed(2));
@@ -304,6 +330,13 @@ export function ellipse(cov, width, height) {
     minor: SPREAD * Math.sqrt(Math.max(middle - apart, 0)),
     turn: (0.5 * Math.atan2(2 * b, a - d) * 180) / Math.PI,
   };
+}
+
+// The middle and the end point of the first part, up to `along`, of a curve with these three.
+function partOfCurve(start, middle, end, along) {
+  const between = (one, other) => one.map((value, k) => value + along * (other[k] - value));
+  const first = between(start, middle);
+  return [first, between(first, between(middle, end))];
 }
 
 function grid(width, height) {

@@ -17,10 +17,26 @@ export function more(text, onClick) {
   return h("button", { type: "button", class: "more", on: { click: onClick } }, text);
 }
 
-// Replace what is in an element.
+// Replace what is in an element. Who was on something in it by keyboard is then on what took its place.
 export function fill(element, ...children) {
+  const held = document.activeElement;
+  const name = held !== element && element.contains(held) ? nameOf(held) : null;
   element.replaceChildren(...flat(children));
+  if (name !== null && document.activeElement !== held) {
+    const same = [...element.querySelectorAll("a, button, input, h2, [tabindex]")].find((one) => nameOf(one) === name);
+    (same ?? element.closest("[tabindex]"))?.focus({ preventScroll: true });
+  }
   return element;
+}
+
+// Set a text that is read out when it changes, so that it is not read out when it has not.
+export function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+function nameOf(element) {
+  const own = element.getAttribute("href") ?? element.getAttribute("aria-label");
+  return `${element.tagName} ${own ?? (element.className === "more" ? "more" : element.textContent)}`;
 }
 
 function filled(element, properties, children) {

@@ -1,8 +1,9 @@
 // Who is well: the daemon, and every camera with its reason. Asked anew every few seconds while it is shown.
 
 import { fact } from "./camera.js";
-import { fill, h, more } from "./dom.js";
+import { fill, h, more, say } from "./dom.js";
 import { link } from "./place.js";
+import { Away } from "./source.js";
 import { ago, count, plural, seconds, stateClass, troubled } from "./words.js";
 
 const EVERY_SECONDS = 4;
@@ -57,7 +58,7 @@ export class Health {
     try {
       this.#content = await this.app.source.health();
     } catch (error) {
-      if (!(error instanceof TypeError)) throw error; // the server is away, which the banner says
+      if (!(error instanceof Away)) throw error; // the server is away, which the banner says
       return;
     }
     this.app.heardHealth(this.#content.cameras, this.#content.now);
@@ -104,7 +105,8 @@ export class Health {
     const bad = (row) => (troubled(row.state) ? 0 : row.reason ? 1 : row.state === "no grabber" ? 2 : 3);
     wanted.sort((a, b) => bad(a) - bad(b) || (a.id < b.id ? -1 : 1));
     const ill = cameras.filter((row) => troubled(row.state)).length;
-    this.said.textContent = `${plural(cameras.length, "camera")}, ${ill ? plural(ill, "needs", "need") + " attention" : "none needs attention"}`;
+    const needy = ill ? plural(ill, "needs", "need") : "none needs";
+    say(this.said, `${plural(cameras.length, "camera")}, ${needy} attention`);
     fill(
       this.table,
       h(

@@ -56,6 +56,7 @@ export async function pairPanel(app, a, b) {
 export async function linkPanel(app, from, to, relation) {
   const story = await app.source.link(from, to, relation);
   const t = story.transit;
+  const inOneView = relation === "visible"; // which is seen, not inferred
   return {
     kind: story.weak ? "Weak evidence" : KINDS[story.relation],
     title: `${story.from} → ${story.to}`,
@@ -65,11 +66,11 @@ export async function linkPanel(app, from, to, relation) {
         "p",
         { class: "lead" },
         h("b", {}, percent(story.probability)),
-        ` of those who ${relation === "visible" ? "come in" : "leave"} at ${story.from}, in `,
+        ` of those who ${inOneView ? "come in" : "leave"} at ${story.from}, in `,
         h("b", {}, seconds(t.q50)),
       ),
       chart(story),
-      h("h3", {}, "Why it is believed"),
+      h("h3", {}, story.weak ? "What speaks for it" : "Why it is believed"),
       h(
         "ul",
         { class: "why" },
@@ -84,18 +85,28 @@ export async function linkPanel(app, from, to, relation) {
           count(story.transitions),
           "Expected number of objects that took it, in the window it was learned from",
         ),
-        fact("Departures", count(story.departures)),
+        inOneView ? null : fact("Departures", count(story.departures)),
         fact("Most popular time", seconds(t.mode), "The mode: the thesis's weight of the edge"),
         fact("Median", t.q50_sd ? `${seconds(t.q50)} ± ${seconds(t.q50_sd)}` : seconds(t.q50)),
         fact("Mean, sd", `${seconds(t.mean)}, ${seconds(t.sd)}`),
         fact("Middle 80 %", span(t.q10, t.q90)),
-        fact("q value", scientific(story.q_value), "False discovery rate at which the link is published"),
-        fact("Var(d)", scientific(story.mahalanobis_variance), "The thesis's Mahalanobis test: linked up to 1"),
-        fact(
-          "Background",
-          story.background === null ? "–" : `${scientific(story.background)} / s`,
-          "Unrelated arrivals that follow a departure, per second of lag",
-        ),
+        inOneView
+          ? null
+          : [
+              fact("q value", scientific(story.q_value), "False discovery rate at which the link is published"),
+              fact(
+                "Var(d)",
+                scientific(story.mahalanobis_variance),
+                "The thesis's Mahalanobis test: linked up to 1",
+              ),
+            ],
+        inOneView
+          ? null
+          : fact(
+              "Background",
+              story.background === null ? "–" : `${scientific(story.background)} / s`,
+              "Unrelated arrivals that follow all departures together, per second of lag",
+            ),
       ),
       new Set(story.cameras).size === 2
         ? h(
@@ -109,7 +120,7 @@ export async function linkPanel(app, from, to, relation) {
 }
 
 function chart(story) {
-  if (!story.chart) return h("p", { class: "quiet" }, "No histogram is kept of weak evidence.");
+  if (!story.chart) return h("p", { class: "quiet" }, `No histogram is kept of ${story.weak ? "weak evidence" : "it here"}.`);
   const t = story.transit;
   const { counts, curve, samples } = story.chart;
   const edge = (k) => story.chart.scale * Math.sinh(story.chart.step * (story.chart.first + k));

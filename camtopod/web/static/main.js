@@ -1,14 +1,14 @@
 // The page: what the address names is shown, and everything stays live.
 
 import { cameraPanel } from "./camera.js";
-import { fill, h } from "./dom.js";
+import { fill, h, say } from "./dom.js";
 import { Health } from "./health.js";
 import { linkPanel, pairPanel } from "./link.js";
 import { Connection } from "./live.js";
 import { Overlays } from "./overlays.js";
 import { NetworkMap } from "./map.js";
 import { go, here, link } from "./place.js";
-import { NotThere, openSource } from "./source.js";
+import { Away, NotThere, openSource } from "./source.js";
 import { LinkTable } from "./table.js";
 import { Versions } from "./versions.js";
 import { ago, clock, count, troubled } from "./words.js";
@@ -33,6 +33,7 @@ class App {
     this.title = h("span", { class: "site" });
     this.stage = h("div", { class: "stage" });
     this.panel = h("aside", { class: "panel", hidden: true, tabindex: "-1", "aria-label": "Details" });
+    this.inPanel = h("div", {});
     this.pages = h("div", { class: "pages", hidden: true });
     this.nav = h(
       "nav",
@@ -64,9 +65,15 @@ class App {
     if (this.source.live) {
       this.connection = new Connection({
         map: (change) => this.#change(change),
-        resync: () => this.load(),
+        resync: () => {
+          this.load();
+          this.#askHealth();
+        },
+        // of a new connection: what was missed meanwhile is fetched
         version: (version) => {
           if (!this.#has(version)) this.load();
+          else if (!this.#shown || this.#shown.failed) this.#again();
+          this.#askHealth();
         },
         live: (said) => {
           this.#daemon = said;
@@ -78,17 +85,25 @@ class App {
         },
         prediction: (prediction) => this.#predicted(prediction, true),
         past: (prediction) => this.#predicted(prediction, false),
-        event: (event) => this.#shown?.onEvent?.(event),
+        event: (event) => {
+          this.#heardFrom(event);
+          this.#shown?.onEvent?.(event);
+        },
         health: (row) => this.heardHealth([row], row.at),
       });
-      setInterval(() => this.#tellLive(), 1000);
+      setInterval(() => {
+        this.#tellLive();
+        this.#shown?.onTick?.();
+      }, 1000);
     }
     await this.load();
     this.#tellLive();
     await this.route();
-    if (!this.source.live) return;
-    const { cameras, now } = await this.source.health();
-    this.heardHealth(cameras, now);
+  }
+
+  // What is drawn of camera `id`, if it is shown.
+  scene(id) {
+    return this.#shown?.scene?.story.id === id ? this.#shown.scene : null;
   }
 
   // Seconds since the epoch by the server's clock.
@@ -101,7 +116,7 @@ class App {
     try {
       this.#use(await this.source.map());
     } catch (error) {
-      if (!(error instanceof TypeError || error instanceof SyntaxError)) throw error;
+      if (!(error instanceof Away)) throw error;
       setTimeout(() => this.load(), RETRY_MILLISECONDS);
     }
   }
@@ -116,12 +131,27 @@ class App {
     this.#shown?.onHealth?.(this.rows);
   }
 
+  async #askHealth() {
+    try {
+      const { cameras, now } = await this.source.health();
+      this.heardHealth(cameras, now);
+    } catch (error) {
+      if (!(error instanceof Away)) throw error; // the next connection asks again
+    }
+  }
+
+  // Something has come from a camera.
+  #heardFrom({ camera, t }) {
+    const row = this.rows.get(camera);
+    if (row) row.newest = Math.max(row.newest ?? 0, t);
+  }
+
   // Show what the address names.
   async route() {
     const place = location.hash;
     this.#place = place;
     const [name, ...rest] = here();
-    const page = this.views[name];
+    const page = Object.hasOwn(this.views, name) ? this.views[name] : null;
     const before = this.#shown;
     for (const a of this.nav.children) {
       if (a.dataset.name === name || (!page && a.dataset.name === "map")) a.setAttribute("aria-current", "page");
@@ -134,7 +164,7 @@ class App {
       this.#close();
       if (this.pages.firstChild !== page.element) fill(this.pages, page.element);
       await page.shown(...rest);
-    } else if (name in PANELS) {
+    } else if (Object.hasOwn(PANELS, name)) {
       await this.#open(name, rest, place);
     } else {
       this.#close();
@@ -147,29 +177,21 @@ class App {
     try {
       shown = await PANELS[name](this, ...rest);
     } catch (error) {
-      if (!(error instanceof NotThere || error instanceof TypeError)) throw error;
+      if (!(error instanceof NotThere || error instanceof Away)) throw error;
       if (again) return;
-      const away = "The server is not reached.";
       shown = {
         kind: "Not there",
+        failed: true,
         title: rest[0] ?? name,
         chosen: [],
-        body: [h("p", {}, error instanceof NotThere ? error.message : away)],
+        body: [h("p", {}, error.message)],
       };
     }
     if (this.#place !== place) return; // somebody has gone on meanwhile
-    this.#shown = shown;
     const top = again ? this.panel.scrollTop : 0;
-    fill(
-      this.panel,
-      h(
-        "div",
-        { class: "head" },
-        h("div", {}, h("p", { class: "kind" }, shown.kind), h("h2", { tabindex: "-1" }, shown.title)),
-        h("a", { class: "close", href: "#/map", "aria-label": "Close" }, "✕"),
-      ),
-      shown.body,
-    );
+    fill(this.inPanel, shown.body);
+    if (!again || this.#shown?.kind !== shown.kind) fill(this.panel, headOf(shown), this.inPanel);
+    this.#shown = shown;
     this.panel.hidden = false;
     this.panel.scrollTop = top;
     document.body.classList.add("with-panel");
@@ -201,20 +223,26 @@ class App {
   }
 
   #use(map) {
-    const before = this.map;
     this.map = map;
     if (!map) return;
     this.title.textContent = map.site;
     document.title = `${map.site} · camtopod`;
     this.network.update(map);
     this.overlays.update(map);
-    for (const view of Object.values(this.views)) view.update?.(map);
+    this.heardHealth([]);
+    this.#again();
     this.#tellLive();
+  }
+
+  // Fetch what is shown once more: it is of an older version, or could not be had before.
+  #again() {
+    for (const view of Object.values(this.views)) view.update?.(this.map);
     const [name, ...rest] = here();
-    if (before && this.#shown && name in PANELS && name !== "camera") this.#open(name, rest, location.hash, true);
+    if (this.#shown && Object.hasOwn(PANELS, name)) this.#open(name, rest, location.hash, true);
   }
 
   #predicted(prediction, live) {
+    this.#heardFrom(prediction);
     if (live) this.network.flow.send(prediction, this.now() - prediction.t);
     this.overlays.predicted(prediction);
     if (live) this.#shown?.onPrediction?.(prediction);
@@ -235,7 +263,7 @@ class App {
     const reason = this.#lost !== null ? "this page does not reach its server" : this.#daemon.reason;
     const what = this.map ? `Map, predictions and health stand still at ${version}.` : "Nothing is known yet.";
     const text = `Not live since ${clock(since)}: ${reason}. ${what} It goes on by itself. `;
-    if (this.#told.textContent !== text) this.#told.textContent = text;
+    say(this.#told, text);
     this.#age.textContent = `(${ago(this.now() - since)})`;
   }
 
@@ -253,6 +281,15 @@ class App {
       this.overlays.search.focus();
     }
   }
+}
+
+function headOf({ kind, title }) {
+  return h(
+    "div",
+    { class: "head" },
+    h("div", {}, h("p", { class: "kind" }, kind), h("h2", { tabindex: "-1" }, title)),
+    h("a", { class: "close", href: "#/map", "aria-label": "Close" }, "✕"),
+  );
 }
 
 function withValues(row) {

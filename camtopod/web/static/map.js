@@ -23,6 +23,7 @@ export class NetworkMap {
   #frame = 0;
   #focused = null;
   #chosen = [];
+  #ill = new Set(); // ids of those that need attention
   #found = null; // ids that match the search, or null
 
   constructor(element) {
@@ -67,12 +68,12 @@ export class NetworkMap {
       if (held?.camera !== camera) this.#place(id, camera, held);
     }
     for (const [id, node] of this.nodes) {
-      if (!(id in map.cameras)) this.#drop(this.nodes, id, node);
+      if (!Object.hasOwn(map.cameras, id)) this.#drop(this.nodes, id, node);
     }
     this.traffic = Math.max(1, ...Object.values(map.edges).map((edge) => edge.transitions));
     for (const [key, edge] of Object.entries(map.edges)) this.#join(key, edge);
     for (const [key, drawn] of this.edges) {
-      if (!(key in map.edges)) this.#drop(this.edges, key, drawn);
+      if (!Object.hasOwn(map.edges, key)) this.#drop(this.edges, key, drawn);
     }
     this.#findSides();
     this.nothing.hidden = this.nodes.size > 0;
@@ -122,9 +123,17 @@ export class NetworkMap {
     this.nodes.get(id).element.focus({ preventScroll: true });
   }
 
-  // Mark who is not well: id -> state and reason.
-  health(troubles) {
-    for (const [id, node] of this.nodes) node.element.classList.toggle("ill", troubles.has(id));
+  // Mark who is not well, now and on maps to come.
+  health(ids) {
+    this.#ill = ids;
+    for (const node of this.nodes.values()) this.#tellHealth(node);
+  }
+
+  #tellHealth({ id, camera, element }) {
+    const ill = this.#ill.has(id);
+    element.classList.toggle("ill", ill);
+    const name = `Camera ${id}, ${plural(camera.zones, "zone")}${ill ? ", needs attention" : ""}`;
+    if (element.getAttribute("aria-label") !== name) element.setAttribute("aria-label", name);
   }
 
   // Draw with the next frame.
@@ -151,7 +160,7 @@ export class NetworkMap {
     };
     Object.assign(node, { x, y, camera });
     node.element.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
-    node.element.setAttribute("aria-label", `Camera ${id}, ${plural(camera.zones, "zone")}`);
+    this.#tellHealth(node);
     if (held) return;
     this.nodes.set(id, node);
     node.element.addEventListener("focus", () => this.#focusedNode(node));
@@ -305,7 +314,7 @@ export class NetworkMap {
 function nodeTip({ id, camera }) {
   return [
     h("b", {}, id),
-    h("span", {}, `${plural(camera.zones, "zone")} · ${count(camera.entries)} in, ${count(camera.exits)} out`),
+    h("span", {}, `${plural(camera.zones, "zone")} · about ${count(camera.entries)} in, ${count(camera.exits)} out`),
   ];
 }
 

@@ -1,6 +1,6 @@
 // What lies on the map: the search field, zoom buttons, the legend and the newest predictions.
 
-import { fill, h } from "./dom.js";
+import { fill, h, say } from "./dom.js";
 import { go, link } from "./place.js";
 import { clock, count, percent, plural, span } from "./words.js";
 
@@ -143,11 +143,11 @@ export class Overlays {
   #find() {
     const found = this.app.network.search(this.search.value);
     if (found === null) {
-      this.said.textContent = "";
+      say(this.said, "");
       fill(this.hits);
       return;
     }
-    this.said.textContent = `${plural(found.length, "camera")} found`;
+    say(this.said, `${plural(found.length, "camera")} found`);
     fill(
       this.hits,
       found

@@ -2,6 +2,9 @@
 
 export class NotThere extends Error {}
 
+// The server is not reached, or cannot answer now.
+export class Away extends Error {}
+
 // The report that is part of this page, or the server.
 export function openSource() {
   const held = document.getElementById("report");
@@ -79,9 +82,17 @@ class Report {
 }
 
 async function get(path) {
-  const answer = await fetch(path, { cache: "no-store" });
-  const content = await answer.json();
+  let answer;
+  let content;
+  try {
+    answer = await fetch(path, { cache: "no-store" });
+    content = await answer.json();
+  } catch (error) {
+    // SyntaxError: a proxy's page instead of an answer
+    if (error instanceof TypeError || error instanceof SyntaxError) throw new Away("The server is not reached.");
+    throw error;
+  }
   if (answer.status === 404) throw new NotThere(content.error);
-  if (!answer.ok) throw new Error(content.error);
+  if (!answer.ok) throw new Away(content.error);
   return content;
 }

@@ -1,6 +1,6 @@
 // The links as a table: the map for those who do not see it, and for whoever wants to sort.
 
-import { fill, h, more } from "./dom.js";
+import { fill, h, more, say } from "./dom.js";
 import { link } from "./place.js";
 import { count, percent, plural, seconds, span } from "./words.js";
 
@@ -14,6 +14,8 @@ const COLUMNS = [
   ["Middle 80 %", (way) => way.q10],
   ["Traffic", (way) => -way.transitions],
 ];
+
+const sortOf = (name) => (["Share", "Traffic"].includes(name) ? "descending" : "ascending");
 
 export class LinkTable {
   #order = 6;
@@ -68,10 +70,8 @@ export class LinkTable {
     );
     const by = COLUMNS[this.#order][1];
     wanted.sort((a, b) => (by(a) < by(b) ? -1 : by(a) > by(b) ? 1 : 0));
-    this.said.textContent =
-      wanted.length === ways.length
-        ? plural(ways.length, "link")
-        : `${count(wanted.length)} of ${plural(ways.length, "link")}`;
+    const all = plural(ways.length, "link");
+    say(this.said, wanted.length === ways.length ? all : `${count(wanted.length)} of ${all}`);
     fill(
       this.place,
       h(
@@ -86,7 +86,7 @@ export class LinkTable {
             COLUMNS.map(([name], k) =>
               h(
                 "th",
-                { scope: "col", "aria-sort": k === this.#order ? "ascending" : null, class: k > 2 ? "number" : null },
+                { scope: "col", "aria-sort": k === this.#order ? sortOf(name) : null, class: k > 2 ? "number" : null },
                 h(
                   "button",
                   {

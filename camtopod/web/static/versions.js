@@ -4,8 +4,8 @@ import { alarmList, fact } from "./camera.js";
 import { axisX, axisY, points, scale, ticks } from "./chart.js";
 import { fill, h, s } from "./dom.js";
 import { go, link } from "./place.js";
-import { NotThere } from "./source.js";
-import { clock, count, percent, plural } from "./words.js";
+import { Away, NotThere } from "./source.js";
+import { axisTime, clock, count, percent, plural } from "./words.js";
 
 const ASKED_MAX = 60; // older versions that are asked of the daemon while this is open
 const LISTED = 40;
@@ -20,6 +20,7 @@ export class Versions {
   #open = false;
   #asking = false;
   #compared = "";
+  #named = []; // the versions that the address names, if any
 
   constructor(app) {
     this.app = app;
@@ -40,12 +41,13 @@ export class Versions {
   // A new version has come.
   async update(map) {
     if (this.#known.size && map && this.#known.values().next().value.epoch !== map.epoch) this.#known.clear();
-    if (this.#open) await this.#refresh();
+    if (this.#open) await (this.#known.size ? this.#refresh() : this.shown(...this.#named));
   }
 
   // The view is shown, comparing two versions if they are named.
   async shown(old, now) {
     this.#open = true;
+    this.#named = [old, now];
     await this.#refresh();
     const [, last] = this.#ends();
     if (last === undefined) return;
@@ -68,7 +70,13 @@ export class Versions {
   }
 
   async #refresh() {
-    for (const one of await this.app.source.versions()) this.#known.set(one.version, one);
+    try {
+      for (const one of await this.app.source.versions()) this.#known.set(one.version, one);
+    } catch (error) {
+      if (!(error instanceof Away)) throw error;
+      if (!this.#known.size) fill(this.head, h("p", { class: "quiet" }, error.message));
+      return;
+    }
     this.#draw();
   }
 
@@ -89,7 +97,7 @@ export class Versions {
         this.#draw();
       }
     } catch (error) {
-      if (!(error instanceof NotThere || error instanceof TypeError)) throw error; // TypeError: the server is away
+      if (!(error instanceof NotThere || error instanceof Away)) throw error;
     } finally {
       this.#asking = false;
     }
@@ -215,7 +223,7 @@ export class Versions {
       const found = await this.app.source.changes(old, now);
       if (asked === this.#compared) fill(result, changeList(found));
     } catch (error) {
-      if (!(error instanceof Error)) throw error;
+      if (!(error instanceof NotThere || error instanceof Away)) throw error;
       fill(result, h("p", { class: "quiet" }, error.message));
     }
   }
@@ -282,6 +290,7 @@ function scoreChart(all) {
   const x = scale(scored[0].as_of, scored.at(-1).as_of, EDGE.left, width - EDGE.right);
   const y = scale(0, 1, HEIGHT - EDGE.bottom, EDGE.top);
   const along = (value) => points(scored.map((one) => [x(one.as_of), y(value(one.score))]));
+  const range = scored.at(-1).as_of - scored[0].as_of;
   const marks = [scored[0], scored[Math.floor(scored.length / 2)], scored.at(-1)];
   return h(
     "figure",
@@ -295,7 +304,7 @@ function scoreChart(all) {
       },
       axisY(y, ticks(0, 1, 4), EDGE.left, width - EDGE.right, (value) => `${100 * value} %`),
       axisX(x, [...new Set(marks.map((one) => one.as_of))], HEIGHT - EDGE.bottom + 2, HEIGHT - EDGE.bottom, (t) =>
-        new Date(1000 * t).toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" }),
+        axisTime(t, range),
       ),
       s("path", { class: "curve usual", d: along((score) => score.baseline_top1) }),
       s("path", { class: "curve third", d: along((score) => score.top3) }),

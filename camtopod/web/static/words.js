@@ -35,12 +35,24 @@ export function scientific(value) {
   return `${Number(digits)} × 10${raised}`;
 }
 
+const RECORDING_MAX = 1e8; // seconds; times below are counted from a recording's begin, not from 1970
+
 // Time of day, with the date where it is not today's.
 export function clock(t) {
+  if (t < RECORDING_MAX) return `${count(t)} s`;
   const date = new Date(1000 * t);
   const time = date.toLocaleTimeString("en-GB");
   const today = date.toDateString() === new Date().toDateString();
   return today ? time : `${date.toLocaleDateString("en-CA")} ${time.slice(0, 5)}`;
+}
+
+// The same for the axis of a chart that is `range` seconds wide: the day where it is of days.
+export function axisTime(t, range) {
+  if (t < RECORDING_MAX) return `${count(t)} s`;
+  const date = new Date(1000 * t);
+  if (range > 2 * 86400) return date.toLocaleDateString("en-GB", { day: "numeric", month: "short" });
+  const time = date.toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" });
+  return range > 43200 ? `${date.toLocaleDateString("en-GB", { weekday: "short" })} ${time}` : time;
 }
 
 export function ago(age) {
@@ -53,7 +65,7 @@ export function ago(age) {
 
 // Whether a camera's state asks for attention.
 export function troubled(state) {
-  return !["running", "unknown", "no grabber", undefined].includes(state);
+  return !["running", "ended", "unknown", "no grabber", undefined].includes(state);
 }
 
 // The look of a state.

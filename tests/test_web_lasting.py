@@ -1,0 +1,254 @@
+"""The page over hours and with little to show, in a real browser: what it says stays true, who uses keys stays where
+they are, and no part that is missing breaks it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import time
+from collections.abc import Iterator
+from typing import Any, cast
+from urllib.parse import quote
+
+import msgspec
+import pytest
+from chromium import Browser, chromium
+from made_site import made_site
+from one_bus import OneBus
+
+from camtopod.cli.web import listening, names
+from camtopod.records import Camera, Event, Link, SelfScore, Topology
+from camtopod.serve.bus import Bus
+from camtopod.web import app
+
+SITE = made_site(9)
+FIRST = SITE.cameras[0].id
+VISIBLE = next(link for link in SITE.links if link.relation == "visible")
+PATH = next(link for link in SITE.links if link.relation == "unseen")
+ZONE = msgspec.structs.replace(SITE.zones[0], id="a/1", camera="a", x=None, y=None, cov=None)
+BARE = msgspec.structs.replace(
+    SITE, cameras=[Camera("a", ["a/1"])], zones=[ZONE], links=[], pairs=[], model=None, alarms=None, score=None
+)
+PLACES = ("#/map", "#/links", "#/versions", "#/versions/1/2", "#/health", f"#/camera/{FIRST}", "#/camera/a", "#/map")
+
+
+class Shown:
+    """A page on a bus that the test speaks on."""
+
+    def __init__(self, *versions: Topology) -> None:
+        self.bus = OneBus()
+        self.bus.kept = {one.version: one for one in versions}
+        self.address = ""
+
+    @contextlib.contextmanager
+    def serving(self, port: int = 0) -> Iterator[int]:
+        """Yields the port."""
+        bus = cast(Bus, self.bus)
+        with (
+            listening("127.0.0.1", port) as listener,
+            app.serving(bus, listener, names("127.0.0.1"), None, time.time, 3600.0),
+        ):
+            port = listener.getsockname()[1]
+            self.address = f"http://127.0.0.1:{port}/"
+            yield port
+
+    def publish(self, topology: Topology) -> None:
+        """A new version, which the page's server fetches whole."""
+        self.bus.kept[topology.version] = topology
+        self.bus.put("topology/delta", "not a delta")
+
+    def status(self, **cameras: dict[str, Any]) -> None:
+        """The daemon's word of itself and of cameras."""
+        self.bus.put("status/daemon", {"state": "running", "reason": "", "cameras": cameras})
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with chromium(tmp_path_factory.mktemp("profile")) as opened:
+        opened.size(1280, 800)
+        yield opened
+
+
+def newer(version: int, **changed: Any) -> Topology:
+    return msgspec.structs.replace(SITE, version=version, **changed)
+
+
+def place_of(link: Link) -> str:
+    return "#/link/" + "/".join(quote(part, safe="") for part in (link.from_, link.to, link.relation))
+
+
+def opened(browser: Browser, shown: Shown, place: str = "#/map") -> None:
+    shown.status()
+    browser.open(shown.address + place)
+    browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+
+
+def test_a_camera_that_is_learned_while_its_page_is_open_is_shown(browser: Browser) -> None:
+    shown = Shown(BARE)
+    with shown.serving():
+        opened(browser, shown, f"#/camera/{FIRST}")
+        browser.wait(lambda: "has not been learned yet" in browser.text(".panel"), "that it is not known")
+        shown.publish(newer(2))
+        browser.wait(lambda: browser.count(".panel .zone") > 0, "its zones")
+        assert browser.text(".panel .kind") == "Camera"
+
+
+def test_a_cameras_page_follows_the_versions_and_keeps_its_events(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, f"#/camera/{FIRST}")
+        browser.wait(lambda: bool(shown.bus.subscribed.get(f"event/{FIRST}")), "the page to watch")
+        shown.bus.put(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
+        browser.wait(lambda: browser.count(".event.exit") == 1, "the event")
+        zones = [msgspec.structs.replace(zone, entries=777_777) for zone in SITE.zones]
+        shown.publish(newer(2, zones=zones))
+        browser.wait(lambda: "777,777" in browser.text(".panel table"), "the newer figures")
+        assert browser.count(".event.exit") == 1
+
+
+def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
+    focused = "const one = document.activeElement; return one.getAttribute('href') ?? one.textContent"
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, f"#/pair/{PATH.from_.split('/')[0]}/{PATH.to.split('/')[0]}")
+        browser.wait(lambda: browser.count(".panel .links a") > 0, "the links")
+        browser.run("document.querySelector('.panel .links a').focus()")
+        before = browser.run(focused)
+        links = [msgspec.structs.replace(link, probability=0.11) for link in SITE.links]
+        shown.publish(newer(2, links=links))
+        browser.wait(lambda: "11 %" in browser.text(".panel .links"), "the newer share")
+        assert browser.run(focused) == before
+        browser.go("#/links")
+        browser.wait(lambda: browser.count(".sort") > 0, "the table")
+        browser.run("document.querySelectorAll('.sort')[3].focus()")
+        browser.press("ENTER")
+        browser.wait(lambda: browser.text("[aria-sort]") == "Share", "the order")
+        assert browser.run(focused) == "Share"
+        assert browser.run("return document.querySelector('[aria-sort]').getAttribute('aria-sort')") == "descending"
+        browser.go("#/health")
+        browser.wait(lambda: browser.count(".page tbody a") == 9, "the cameras")
+        browser.run("document.querySelector('.page tbody a').focus()")
+        before = browser.run(focused)
+        shown.status(another={"events": 1})
+        browser.wait(lambda: browser.count(".page tbody a") == 10, "health asked again")
+        assert browser.run(focused) == before
+
+
+def test_cameras_that_need_attention_are_marked_on_a_map_that_comes_later(browser: Browser) -> None:
+    shown = Shown()
+    with shown.serving():
+        opened(browser, shown)
+        shown.bus.put(f"status/{FIRST}", {"state": "stalled", "reason": "no frame"})
+        shown.bus.put(f"status/{SITE.cameras[1].id}", {"state": "ended", "reason": "the file is at its end"})
+        shown.publish(SITE)
+        browser.wait(lambda: browser.count(".node") == 9, "the map")
+        browser.wait(lambda: browser.count(".node.ill") == 1, "the one that stalled, not the one that has ended")
+        assert "needs attention" in browser.run("return document.querySelector('.node.ill').getAttribute('aria-label')")
+
+
+def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving():
+        shown.status(**{FIRST: {"events": 1, "newest": time.time() - 7200}})
+        shown.bus.put(f"status/{FIRST}", {"state": "running", "reason": ""})
+        browser.open(shown.address)
+        browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+        shown.status(**{FIRST: {"events": 2, "newest": time.time() - 1200}})
+        browser.go(f"#/camera/{FIRST}")
+        browser.wait(lambda: "heard 20 min ago" in browser.text(".panel .status"), "what the daemon knows now")
+        browser.wait(lambda: bool(shown.bus.subscribed.get(f"event/{FIRST}")), "the page to watch")
+        shown.bus.put(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
+        browser.wait(lambda: "heard now" in browser.text(".panel .status"), "the event to count")
+        browser.wait(lambda: "heard 2 s ago" in browser.text(".panel .status"), "its age to grow")
+
+
+def test_what_a_server_away_could_not_say_is_fetched_once_it_is_back(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving() as port:
+        opened(browser, shown)
+    for place, away, back in (
+        (f"#/camera/{FIRST}", "The server is not reached", ".panel .zone"),
+        ("#/versions", "The server is not reached", ".page tbody tr"),
+    ):
+        browser.go(place)
+        browser.wait(lambda away=away: away in browser.text("main"), "that it is away")  # type: ignore[misc]
+        with shown.serving(port):
+            browser.wait(lambda back=back: browser.count(back) > 0, f"{place} by itself")  # type: ignore[misc]
+    errors = [text for text in browser.complaints() if "ERR_CONNECTION_REFUSED" not in text]
+    assert [text for text in errors if "ncaught" in text] == []
+
+
+@pytest.mark.parametrize("topology", [BARE, newer(1, model=None, alarms=None, score=None), newer(1, links=[])])
+def test_nothing_that_is_missing_breaks_it(browser: Browser, topology: Topology) -> None:
+    shown = Shown(topology)
+    before = len(browser.complaints())
+    with shown.serving():
+        opened(browser, shown)
+        for place in (*PLACES, place_of(VISIBLE), place_of(PATH)):
+            browser.go(place)
+            browser.wait(lambda place=place: browser.run("return location.hash") == place, place)  # type: ignore[misc]
+            browser.wait(lambda: "…" not in browser.text("main"), "all of it")
+    assert [text for text in browser.complaints()[before:] if "404" not in text and "REFUSED" not in text] == []
+
+
+def test_a_passage_that_is_seen_has_no_figures_of_what_is_inferred(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, place_of(VISIBLE))
+        browser.wait(lambda: "Within one view" in browser.text(".panel"), "the passage")
+        assert "Median" in browser.text(".panel .figures")
+        for inferred in ("Departures", "q value", "Var(d)", "Background"):
+            assert inferred not in browser.text(".panel .figures"), inferred
+
+
+def test_the_scores_axis_says_which_day_it_was(browser: Browser) -> None:
+    score = SelfScore(200, 1, 1.1, 0.75, 0.91, 1.6, 0.55)
+    shown = Shown(*(newer(k, as_of=SITE.as_of + 86400 * k, score=score) for k in range(1, 6)))
+    with shown.serving():
+        opened(browser, shown, "#/versions")
+        browser.wait(lambda: browser.count(".page .mark") == 5, "the score of all versions")
+        texts = browser.run("return [...document.querySelectorAll('.chart .axis text')].map((one) => one.textContent)")
+    assert {"15 Nov", "17 Nov", "19 Nov"} <= set(texts) or {"16 Nov", "18 Nov", "20 Nov"} <= set(texts), texts
+
+
+def contrast(one: str, other: str) -> float:
+    """Of two colours as a browser computes them (WCAG 2.2)."""
+
+    def light(colour: str) -> float:
+        parts = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]
+        r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+    low, high = sorted((light(one), light(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_what_is_drawn_can_be_seen(browser: Browser, dark: bool) -> None:
+    style = "return getComputedStyle(document.querySelector(arguments[0]))[arguments[1]]"
+    shown = Shown(SITE)
+    with shown.serving():
+        browser.dark(dark)
+        opened(browser, shown, f"#/camera/{VISIBLE.from_.split('/')[0]}")
+        for what in (".passage", ".labels .time", ".labels .name"):
+            browser.wait(lambda what=what: browser.count(what) > 0, what)  # type: ignore[misc]
+        browser.run("for (const one of document.querySelectorAll('.edge')) one.classList.remove('chosen')")
+        ground = browser.run(style, ".stage", "backgroundColor")
+        for what, part, least in (
+            (".edge.unseen_path", "stroke", 3.0),
+            (".edge.overlapped", "stroke", 3.0),
+            (".labels .time", "fill", 4.5),
+            (".labels .name", "fill", 4.5),
+        ):
+            assert contrast(browser.run(style, what, part), ground) >= least, what
+        browser.dark(False)
+        assert float(browser.run(style, ".labels .time", "strokeWidth").removesuffix("px")) >= 10, (
+            "a line behind the dot of 1.5 s made it 1:5 s"
+        )
+        apart = browser.run(
+            "const path = document.querySelector('.passage'); const end = path.getPointAtLength(1e9);"
+            "return Math.min(...[...document.querySelectorAll('.zone ellipse')].map((one) => {"
+            "const { e, f } = one.transform.baseVal.consolidate().matrix; return Math.hypot(e - end.x, f - end.y); }))"
+        )
+        assert apart > 40, "its head is beside the zone's number, not under it"
