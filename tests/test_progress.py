@@ -10,7 +10,7 @@ import pytest
 from made_site import made_site
 from serving import closing_event, walkers
 
-from camtopod.cli import progress, simulate
+from camtopod.cli import ingest, progress, simulate
 from camtopod.cli.main import main
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
@@ -42,6 +42,18 @@ def test_it_is_said_now_and_then(capsys: pytest.CaptureFixture[str], monkeypatch
             now[0] = 10.0 + step / 100
             shown.show("x")
         assert capsys.readouterr().err.count("x") == 1
+
+
+@pytest.mark.usefixtures("_at_once")
+def test_a_recording_of_which_all_events_come_at_the_end(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr(ingest, "_TICK_SECONDS", 0.001)
+    lines, options = tmp_path / "gt.txt", ["--camera", "a", "--fps", "10", "--size", "99x99"]
+    lines.write_text("".join(f"{n},1,{n % 50},20,30,60,1\n" for n in range(15, 20_000)))
+    assert main(["ingest", "mot", str(lines), *options, "--out", str(tmp_path / "e.jsonl")]) == 0
+    assert re.search(r"\r\x1b\[K\d+ lines read, 0 events\r", capfd.readouterr().err)
 
 
 @pytest.mark.usefixtures("_at_once")

@@ -10,7 +10,7 @@ import re
 import sys
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
 import msgspec
@@ -74,14 +74,20 @@ def run(args: argparse.Namespace) -> int:
     if args.boot is not None and not re.match(CAMERA_PATTERN, args.boot):
         raise CommandError(f"--boot {args.boot!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
     reader = LineReader()
-    with contextlib.ExitStack() as stack, until_signal() as stop:
+    with contextlib.ExitStack() as stack, until_signal() as stop, Progress() as progress:
+
+        def tell() -> None:
+            if args.out != "-":
+                progress.show("%d lines read, %d events", reader.read, reader.events)
+
         source = events(args, reader, stack, stop)
         if args.boot is not None:
             source = numbered_by(args.boot, source)
+        read = batches(source, config.limits.spool_batch_events, stop, tell)
         if args.out is not None:
-            _write(args.out, batches(source, config.limits.spool_batch_events, stop))
+            _write(args.out, read)
         else:
-            _publish(config, source, stack, stop)
+            _publish(config, read, stack, stop, progress)
     if (summary := reader.summary()) is not None:
         log.warning("%s", summary)
     if reader.read > sum(reader.rejected.values()) and not reader.events:
@@ -114,7 +120,13 @@ def _write(path: str, source: Iterator[list[Event]]) -> None:
             out.flush()
 
 
-def _publish(config: Config, source: Iterator[Event], stack: contextlib.ExitStack, stop: threading.Event) -> None:
+def _publish(
+    config: Config,
+    source: Iterator[list[Event]],
+    stack: contextlib.ExitStack,
+    stop: threading.Event,
+    progress: Progress,
+) -> None:
     try:
         bus = dial(config)
     except BusError as error:
@@ -129,16 +141,18 @@ def _publish(config: Config, source: Iterator[Event], stack: contextlib.ExitStac
     publisher.attach(bus)
     daemons: set[str] = set()
     bus.watch_alive("daemon", lambda name, alive: (daemons.add if alive else daemons.discard)(name))
-    with Progress() as progress:
-        for batch in batches(source, config.limits.spool_batch_events, stop):
-            publisher.publish(*batch)
-            _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons, progress)
-        _wait(publisher, 0, stop, config.site.name, daemons, progress)
+    for batch in source:
+        publisher.publish(*batch)
+        _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons, progress)
+    _wait(publisher, 0, stop, config.site.name, daemons, progress)
     log.info("%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged)
 
 
-def batches(events: Iterator[Event], most: int, stop: threading.Event) -> Iterator[list[Event]]:
-    """What is there already, at most ``most``: lines that trickle in go out at once, a file in bulk.
+def batches(
+    events: Iterator[Event], most: int, stop: threading.Event, tell: Callable[[], None]
+) -> Iterator[list[Event]]:
+    """What is there already, at most ``most``: lines that trickle in go out at once, a file in bulk. ``tell`` is called
+    while nothing comes: of some files all events come at the end.
 
     Raises `CommandError` when what it is read from fails; the thread that reads says why.
     """
@@ -159,6 +173,7 @@ def batches(events: Iterator[Event], most: int, stop: threading.Event) -> Iterat
         try:
             event = waiting.get(block=not batch, timeout=_TICK_SECONDS)
         except queue.Empty:
+            tell()
             if batch:
                 yield batch
                 batch = []
