@@ -148,6 +148,19 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
     assert "secret" not in str(health)
 
 
+def test_a_page_that_has_just_begun_does_not_blame_a_daemon_it_has_given_no_time() -> None:
+    with Rig() as rig:
+        rig.bus.put("status/a", {"state": "running"})
+        wait_for(lambda: bool(rig.hub.of("health")), "the first look")
+        rig.bus.put("status/a", {"state": "stalled"})
+        wait_for(lambda: len(rig.hub.of("health")) == 2, "the next look")
+        assert rig.hub.of("live") == []
+        rig.now += feed.SILENT_STATUSES + 1
+        wait_for(lambda: bool(rig.hub.of("live")), "that nobody is there")
+    (told,) = rig.hub.of("live")
+    assert told == {"live": False, "reason": "no daemon has said anything yet", "since": 1000.0}
+
+
 def test_a_grabber_that_says_nothing_more_is_silent_whatever_it_said_last() -> None:
     def told() -> list[tuple[str, str]]:
         return [(one["id"], one["state"]) for one in rig.hub.of("health")]
@@ -168,6 +181,7 @@ def test_a_grabber_that_says_nothing_more_is_silent_whatever_it_said_last() -> N
 
 def test_nobody_is_silent_while_the_bus_is_not_reached() -> None:
     with Rig() as rig:
+        rig.bus.put("status/daemon", {"state": "running"})
         rig.bus.put("status/a", {"state": "running", "reason": ""})
         wait_for(lambda: bool(rig.hub.of("health")), "its word")
         rig.bus.connected = False

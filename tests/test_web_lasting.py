@@ -8,6 +8,7 @@ import contextlib
 import re
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, cast
 from urllib.parse import quote
 
@@ -20,7 +21,8 @@ from one_bus import OneBus
 from camtopod.cli.web import listening, names
 from camtopod.records import Camera, Event, Link, SelfScore, Topology
 from camtopod.serve.bus import Bus
-from camtopod.web import app
+from camtopod.web import app, report
+from camtopod.web.bundle import page
 
 SITE = made_site(9)
 FIRST = SITE.cameras[0].id
@@ -200,6 +202,21 @@ def test_a_passage_that_is_seen_has_no_figures_of_what_is_inferred(browser: Brow
         assert "Median" in browser.text(".panel .figures")
         for inferred in ("Departures", "q value", "Var(d)", "Background"):
             assert inferred not in browser.text(".panel .figures"), inferred
+
+
+def test_a_report_of_a_recording_counts_its_seconds(browser: Browser, tmp_path: Path) -> None:
+    versions = [newer(k, as_of=400.0 * k) for k in (1, 2)]
+    path = tmp_path / "report.html"
+    path.write_text(page(report.gather(versions[1], versions[:1], None)), "utf-8")
+    before = len(browser.complaints())
+    browser.open(path.as_uri())
+    browser.wait(lambda: browser.text("#live") == "report, version 2, 800 s", "the report")
+    browser.go("#/versions")
+    browser.wait(lambda: browser.count(".page .mark") == 2, "the versions")
+    axis = browser.run("return [...document.querySelectorAll('.axis text')].map((one) => one.textContent)")
+    assert {"400 s", "800 s"} <= set(axis)
+    assert "1970" not in browser.text("body")
+    assert browser.complaints()[before:] == []
 
 
 def test_the_scores_axis_says_which_day_it_was(browser: Browser) -> None:

@@ -43,6 +43,7 @@ LOOK_SECONDS = 1.0
 """How often the cameras are looked through for those that have fallen silent."""
 _TICK_SECONDS = 0.2
 DAEMON = "daemon"
+WAITING = "waiting for the daemon"
 ENDED = "ended"
 """The state of a camera whose recording is over: it has nothing more to say."""
 
@@ -63,7 +64,7 @@ class Feed:
         self._silent: set[str] = set()
         self._looked_at_cameras = -1e18
         self._unheard_since = clock()  # nobody can be heard while the bus is not reached
-        self._live: dict[str, Any] = {"live": False, "reason": "waiting for the daemon", "since": clock()}
+        self._live: dict[str, Any] = {"live": False, "reason": WAITING, "since": clock()}
         self._predictions: deque[bytes] = deque(maxlen=PREDICTIONS_HELD)
         self._second, self._this_second = 0, 0
         self._watched: dict[str, tuple[int, Callable[[], None]]] = {}
@@ -219,9 +220,11 @@ class Feed:
         if abs(now - self._looked_at_cameras) >= LOOK_SECONDS:  # not for every message: they may be thousands
             self._looked_at_cameras = now
             self._look_at_cameras(now)
-        heard = self._heard.get(DAEMON, -1e18)
+        heard = self._heard.get(DAEMON)
         if not self._bus.connected:
             reason = f"the bus at {self._bus.endpoint} is not reached"
+        elif heard is None:
+            reason = WAITING if now - self._unheard_since < self._silent_seconds else "no daemon has said anything yet"
         elif not abs(now - heard) < self._silent_seconds:
             reason = f"the daemon has said nothing for {self._silent_seconds:.0f} s"
         else:
@@ -230,7 +233,7 @@ class Feed:
             if self._live["reason"] == reason:
                 return
             if not reason or self._live["live"]:  # another reason for the same silence goes on counting
-                self._live["since"] = now if not reason else max(heard, now - self._silent_seconds)
+                self._live["since"] = now if not reason else max(heard or 0.0, now - self._silent_seconds)
             self._live = {**self._live, "live": not reason, "reason": reason}
             told = msgspec.json.encode(self._live)
         self._hub.tell("live", told)
