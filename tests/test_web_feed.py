@@ -16,7 +16,7 @@ from camtopod.records import Event, NextCamera, Prediction
 from camtopod.serve.bus import Bus
 from camtopod.web import feed, mailbox
 from camtopod.web.feed import Feed
-from camtopod.web.mailbox import MESSAGES_MAX, PASSING_MAX, RESYNC, Hub, Mailbox
+from camtopod.web.mailbox import BYTES_MAX, MESSAGES_MAX, PASSING_MAX, RESYNC, Hub, Mailbox
 
 SITE = made_site(12)
 NEWER = msgspec.structs.replace(SITE, version=2, links=SITE.links[1:])
@@ -221,6 +221,24 @@ def test_a_page_that_lags_gets_less_and_then_starts_anew() -> None:
     assert taken is not None
     assert taken.startswith(RESYNC)
     assert taken.count(b"must.") < MESSAGES_MAX
+
+
+def test_versions_of_a_large_site_do_not_heap_up_for_a_page_that_lags() -> None:
+    async def lag() -> list[bytes | None]:
+        box = Mailbox(None)
+        version = bytes(BYTES_MAX // 3)
+        for _ in range(5):
+            box.put(version, passing=False)
+        lagging = await box.take(1)
+        box.put(bytes(2 * BYTES_MAX), passing=False)
+        return [lagging, await box.take(1)]
+
+    lagging, alone = asyncio.run(lag())
+    assert lagging is not None
+    assert alone is not None
+    assert lagging.startswith(RESYNC)
+    assert len(lagging) <= BYTES_MAX
+    assert len(alone) == 2 * BYTES_MAX
 
 
 def test_messages_come_in_order_from_any_thread_to_those_they_are_for() -> None:

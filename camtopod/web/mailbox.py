@@ -7,7 +7,10 @@ import threading
 from collections import deque
 
 MESSAGES_MAX = 256
-"""Messages that wait for a page; beyond it the page is told to fetch everything anew."""
+BYTES_MAX = 4 << 20
+"""Messages, and bytes, that wait for a page; beyond it the page is told to fetch everything anew. A version of a large
+site is half a megabyte; one that alone is more may wait alone.
+"""
 PASSING_MAX = 64
 """Predictions and events are left out while this many messages wait: a page that lags shows fewer of them."""
 PAGES_MAX = 64
@@ -25,6 +28,7 @@ class Mailbox:
         self._loop = asyncio.get_running_loop()
         self._mutex = threading.Lock()
         self._messages: deque[bytes] = deque()
+        self._bytes = 0
         self._something = asyncio.Event()
         self._told = False
         self.closed = False
@@ -37,10 +41,12 @@ class Mailbox:
             if passing and len(self._messages) >= PASSING_MAX:
                 self.left_out += 1
                 return
-            if len(self._messages) >= MESSAGES_MAX:
+            if len(self._messages) >= MESSAGES_MAX or (self._messages and self._bytes + len(message) > BYTES_MAX):
                 self._messages.clear()
+                self._bytes = 0
                 message = RESYNC
             self._messages.append(message)
+            self._bytes += len(message)
             self._wake()
 
     def close(self) -> None:
@@ -62,6 +68,7 @@ class Mailbox:
                 return None
             taken = b"".join(self._messages)
             self._messages.clear()
+            self._bytes = 0
         return taken
 
     def _wake(self) -> None:
