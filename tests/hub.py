@@ -5,17 +5,26 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
+from camtopod.client import Topology, aio
 from camtopod.config import BusSettings, SiteSettings
 from camtopod.learn.learner import Learner
-from camtopod.records import Event, Topology
+from camtopod.records import Event
+from camtopod.records import Topology as Version
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
 
 NOW = T0 + 20 * SPAN_SECONDS
+LEFT: dict[str, Any] = {"camera": "a", "t": NOW, "x": 0.9, "y": 0.5}
+
+
+def there(site: Topology | aio.Topology) -> None:
+    """Until the daemon knows of what has been subscribed to: a question takes the same way."""
+    site._bus.ask("topology")
 
 
 @contextlib.contextmanager
@@ -40,7 +49,7 @@ def later(events: list[Event], spans: int) -> list[Event]:
     return [msgspec.structs.replace(event, t=event.t + spans * SPAN_SECONDS) for event in events]
 
 
-def learned(daemon: Daemon, events: list[Event]) -> Topology:
+def learned(daemon: Daemon, events: list[Event]) -> Version:
     """The daemon's version once it has learned what the plain learner learns of these events, by time."""
     learner = Learner(small_config(Path()).learn, site="site", epoch="any")
     for event in events:

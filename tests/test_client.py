@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import math
 import subprocess
@@ -15,23 +14,16 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hub import NOW, Hub, a_hub, later, learned, put, running
+from hub import LEFT, NOW, Hub, a_hub, later, learned, put, running, there
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
-from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, aio, view
+from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, view
 from camtopod.codec import read
 from camtopod.config import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority
 from camtopod.records import Event, Prediction
 from camtopod.serve.bus import dial
-
-LEFT = {"camera": "a", "t": NOW, "x": 0.9, "y": 0.5}
-
-
-def there(site: Topology | aio.Topology) -> None:
-    """Until the daemon knows of what has been subscribed to: a question takes the same way."""
-    site._bus.ask("topology")
 
 
 @pytest.fixture(scope="module")
@@ -288,89 +280,6 @@ def test_one_may_wait_for_ever(site: Topology) -> None:
     with pytest.raises(TimeoutError, match="closed while"):
         site.wait_for(10**6, math.inf)
     closing.join()
-
-
-# --- asyncio --------------------------------------------------------------------------------------
-
-
-def test_asyncio_has_the_same(hub: Hub) -> None:
-    async def main() -> None:
-        async with aio.Topology.connect(connect=hub.daemon.endpoint) as site:
-            assert site.stale_since is None
-            assert site.predict(**LEFT).next_
-            assert await site.wait_for(1, 0.0) is site.current
-            with pytest.raises(TimeoutError, match="no version 1000000"):
-                await site.wait_for(10**6, 0.05)
-            versions = [one.version async for one in site.versions(seconds=0.05)]
-            assert versions[0] >= 1
-            async with site.predictions("b", seconds=0.5) as predictions:
-                there(site)
-                exits = [e.t for e in hub.walks(4, 16) if e.kind == "exit" and e.camera == "b"]
-                assert [p.t async for p in predictions] == exits
-                assert await predictions.get(0.0) is None
-        assert [one.version async for one in site.versions()] == []
-
-    asyncio.run(main())
-
-
-def test_what_waits_in_asyncio_can_be_cancelled(hub: Hub) -> None:
-    async def main() -> tuple[float, int]:
-        async with aio.Topology.connect(connect=hub.daemon.endpoint) as site:
-            waiting = [
-                asyncio.create_task(site.wait_for(10**6, 60.0)), asyncio.create_task(site.predictions().get()),
-            ]  # fmt: skip
-            await asyncio.sleep(0)
-            for task in waiting:
-                task.cancel()
-            started = time.monotonic()
-            await asyncio.wait(waiting)
-            assert all(task.cancelled() for task in waiting)
-            return time.monotonic() - started, len(site._news._listeners)
-
-    seconds, listeners = asyncio.run(main())
-    assert seconds < 5.0
-    assert listeners == 0
-
-
-def test_asyncio_says_that_nobody_is_there(tmp_path: Path) -> None:
-    config = Config(bus=BusSettings(connect=(free_endpoint(),), connect_seconds=0.2))
-
-    async def main() -> None:
-        async with aio.Topology.connect(config=config):
-            raise AssertionError
-
-    with pytest.raises(BusError, match="cannot reach the bus"):
-        asyncio.run(main())
-
-
-def test_a_connection_that_is_given_up_is_closed(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
-    closed = []
-    monkeypatch.setattr(aio.Topology, "close", lambda self: (closed.append(self), super(aio.Topology, self).close()))
-
-    async def main() -> None:
-        async def hold() -> None:
-            async with aio.Topology.connect(connect=hub.daemon.endpoint):
-                await asyncio.sleep(60)
-
-        task = asyncio.create_task(hold())
-        await asyncio.sleep(0)  # the thread has begun to dial
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-
-    asyncio.run(main())
-    assert len(closed) == 1
-
-
-def test_giving_up_is_not_hidden_by_what_went_wrong_meanwhile() -> None:
-    async def main() -> None:
-        task = asyncio.create_task(aio.Topology.connect(connect="nonsense").__aenter__())
-        await asyncio.sleep(0)
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-
-    asyncio.run(main())
 
 
 # --- as a package ---------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
 from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
 from typing import TypeVar
@@ -18,6 +19,7 @@ from camtopod.client.news import News
 from camtopod.client.view import Settings, View
 from camtopod.records import Prediction
 from camtopod.records import Topology as Version
+from camtopod.serve.bus import BusError
 
 T = TypeVar("T")
 
@@ -31,10 +33,20 @@ class Topology(View):
         cls, site: str | None = None, connect: str | Sequence[str] = (), config: Settings = None
     ) -> AsyncIterator[Topology]:
         """``async with`` it; arguments and errors as in `camtopod.client.Topology.connect`."""
-        opening = asyncio.ensure_future(asyncio.to_thread(cls, site, connect, config))
+        given_up = threading.Event()
+
+        def open_here() -> Topology:
+            one = cls(site, connect, config)
+            if given_up.is_set():
+                one.close()
+                raise BusError("given up while connecting")
+            return one
+
+        opening = asyncio.ensure_future(asyncio.to_thread(open_here))
         try:
             opened = await asyncio.shield(opening)
         except asyncio.CancelledError:  # the thread goes on until it is open or has failed
+            given_up.set()  # should this wait be given up, too
             await asyncio.wait([opening])
             if not opening.cancelled() and opening.exception() is None:
                 await asyncio.to_thread(opening.result().close)
