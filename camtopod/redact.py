@@ -9,14 +9,15 @@ HIDDEN = "***"
 _SECRET_CHARACTERS_MIN = 4
 """A shorter password is hidden inside its URL only: hiding every 'a' would hide the message too."""
 
-_USERINFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)\S*@")
-"""To the last @ of the word: passwords may hold @, : and /. It may hide the host too, never too little."""
+# None of these takes more than a few steps a character: what others say on the bus comes here, too.
+_WORD = re.compile(r"\S+")
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]{0,30}://")
 _PASSWORD = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://[^/]*:.*@")
 _PARAMETER = re.compile(
-    r"(?i)(?<![a-z0-9])(user(?:name)?|pass(?:word|wd)?|pwd|auth|token|secret|api_?key|sig(?:nature)?|\w*private_key\w*)"
-    r"=[^&\s]+"
+    r"(?i)((?<![a-z0-9])(?:user(?:name)?|pass(?:word|wd)?|pwd|auth|token|secret|api_?key|sig(?:nature)?)"
+    r"|private_key\w{0,30})=[^&\s]+"
 )
-_PATH = re.compile(r"(?<![A-Za-z0-9+.-])(?!file:)([A-Za-z][A-Za-z0-9+.-]*://[^\s/?#\"'<>]*)([/?#][^\s\"'<>]*)")
+_PATH = re.compile(r"(?<![A-Za-z])(?!file:)([A-Za-z][A-Za-z0-9+.-]{0,30}://[^\s/?#\"'<>]*)([/?#][^\s\"'<>]*)")
 """A URL's scheme and host, and what follows them; a file's is no secret."""
 _RUN = re.compile(r"[A-Za-z0-9_~%+-]+")
 _TOKEN_CHARACTERS_MIN = 16
@@ -31,7 +32,7 @@ _known: set[str] = set()
 
 def remember(source: str) -> None:
     """Learn a source's secret, so that it is hidden outside its URL too, whatever characters are in it."""
-    for _, rest in _PATH.findall(_USERINFO.sub(r"\1", source)):
+    for _, rest in _PATH.findall(_with_userinfo("", source)):
         _known.update(run for run in _RUN.findall(rest) if _is_token(run))
     match = re.match(r"[A-Za-z][A-Za-z0-9+.-]*://(.*)@", source, re.DOTALL)
     if match is None:
@@ -51,13 +52,24 @@ def redact(text: str) -> str:
     text = _KEY.sub(HIDDEN, text)
     for secret in sorted(_known, key=len, reverse=True):
         text = text.replace(secret, f"{HIDDEN}@" if secret.endswith("@") else HIDDEN)
-    return _without(_USERINFO.sub(rf"\g<1>{HIDDEN}@", text))
+    return _without(_with_userinfo(f"{HIDDEN}@", text))
 
 
 def holds_secret(source: str) -> bool:
     """Whether a source is a URL with a password or a token; a user's name alone is none."""
-    bare = _USERINFO.sub(r"\1", source)
+    bare = _with_userinfo("", source)
     return _PASSWORD.match(source) is not None or _without(bare) != bare
+
+
+def _with_userinfo(instead: str, text: str) -> str:
+    """Up to the last @ of the word: passwords may hold @, : and /. It may replace the host too, never too little."""
+
+    def replaced(word: re.Match[str]) -> str:
+        at = word[0].rfind("@")
+        scheme = _SCHEME.search(word[0], 0, max(at, 0))
+        return word[0] if scheme is None else f"{word[0][: scheme.end()]}{instead}{word[0][at + 1 :]}"
+
+    return _WORD.sub(replaced, text)
 
 
 def _without(text: str) -> str:

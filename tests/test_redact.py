@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import time
 
 import pytest
 
@@ -124,6 +125,21 @@ def test_a_user_s_name_alone_is_no_secret() -> None:
     assert not redact.holds_secret("rtsp://admin@192.0.2.7/live")
     assert redact.holds_secret("rtsp://admin:a@192.0.2.7/live")
     assert redact.holds_secret("https://192.0.2.7/live?api_key=abc")
+
+
+@pytest.mark.parametrize("before", ["1", "-", "...", "+", "x", "source="])
+def test_a_url_behind_other_characters_is_a_url(before: str) -> None:
+    said = redact.redact(f"{before}rtsp://admin:hunter2@192.0.2.7/3f9c8a7be1d24c5d")
+    assert said == f"{before}rtsp://{HIDDEN}@192.0.2.7/{HIDDEN}"
+
+
+@pytest.mark.parametrize("piece", ["a", "_", "a://", "a://x", "private_key", "x://h/a1", "a1", "@", "user", "a.1-"])
+@pytest.mark.parametrize("end", ["", " ", "@", "="])
+def test_text_that_somebody_made_to_take_long_does_not(piece: str, end: str) -> None:
+    text = piece * (20_000 // len(piece)) + end
+    began = time.process_time()
+    redact.redact(text)
+    assert time.process_time() - began < 1.0
 
 
 def test_other_text_is_left_alone() -> None:
