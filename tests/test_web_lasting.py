@@ -137,6 +137,24 @@ def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
         assert browser.run(focused) == before
 
 
+def test_what_a_figure_means_is_told_to_keys_and_fingers_too(browser: Browser) -> None:
+    meaning = "False discovery rate"
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, place_of(PATH))
+        browser.wait(lambda: "q value" in browser.text(".panel .figures"), "the figures")
+        assert meaning not in browser.text(".panel .figures")
+        summaries = "[...document.querySelectorAll('.figures summary')]"
+        browser.run(f"{summaries}.find((one) => one.textContent === 'q value').focus()")
+        browser.press("ENTER")
+        browser.wait(lambda: meaning in browser.text(".panel .figures"), "what it means")
+        links = [msgspec.structs.replace(link, probability=0.11) for link in SITE.links]
+        shown.publish(newer(2, links=links))
+        browser.wait(lambda: "11 %" in browser.text(".panel .lead"), "the newer share")
+        assert meaning in browser.text(".panel .figures")
+        assert browser.run("return document.activeElement.textContent") == "q value"
+
+
 def test_cameras_that_need_attention_are_marked_on_a_map_that_comes_later(browser: Browser) -> None:
     shown = Shown()
     with shown.serving():

@@ -382,6 +382,8 @@ function camera(zone) {
   return zone.slice(0, zone.lastIndexOf("/"));
 }
 
-export function fact(name, value, title = null) {
-  return h("div", { title }, h("dt", {}, name), h("dd", {}, value));
+// A figure; what it means unfolds below its name, as neither a finger nor a key can point at a name.
+export function fact(name, value, meaning = null) {
+  const told = meaning === null ? name : h("details", {}, h("summary", {}, name), h("span", {}, meaning));
+  return h("div", {}, h("dt", {}, told), h("dd", {}, value));
 }

@@ -17,13 +17,17 @@ export function more(text, onClick) {
   return h("button", { type: "button", class: "more", on: { click: onClick } }, text);
 }
 
-// Replace what is in an element. Who was on something in it by keyboard is then on what took its place.
+// Replace what is in an element. Who was on something in it by keyboard is then on what took its place,
+// and what has been unfolded stays so.
 export function fill(element, ...children) {
   const held = document.activeElement;
   const name = held !== element && element.contains(held) ? nameOf(held) : null;
+  const open = new Set([...element.querySelectorAll("details[open] > summary")].map(nameOf));
   element.replaceChildren(...flat(children));
+  for (const summary of element.querySelectorAll("details > summary"))
+    if (open.has(nameOf(summary))) summary.parentElement.open = true;
   if (name !== null && document.activeElement !== held) {
-    const same = [...element.querySelectorAll("a, button, input, h2, [tabindex]")].find((one) => nameOf(one) === name);
+    const same = [...element.querySelectorAll("a, button, input, h2, summary, [tabindex]")].find((one) => nameOf(one) === name);
     (same ?? element.closest("[tabindex]"))?.focus({ preventScroll: true });
   }
   return element;
