@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,8 +13,12 @@ BYTES_MAX = 4096
 
 def read(path: Path) -> str:
     """The first line of a file that holds one secret. Raises `OSError`, also if it is empty or not text."""
-    with path.open("rb") as file:
-        line = file.read(BYTES_MAX).split(b"\n", 1)[0].strip()
+    try:
+        with path.open("rb") as file:
+            line = file.read(BYTES_MAX).split(b"\n", 1)[0].strip()
+    except FileNotFoundError as error:
+        unset = re.search(r"\$\{?\w+\}?", str(path))  # as $CREDENTIALS_DIRECTORY outside of a service
+        raise error if unset is None else OSError(error.errno, f"{unset[0]} is not set here", str(path)) from None
     try:
         text = line.decode("utf-8")
     except UnicodeDecodeError:

@@ -259,6 +259,11 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         err = capsys.readouterr().err
         assert f"{path}:8: cameras.gone: cannot read {tmp_path}/none: No such file" in err
         assert "is reached, but no daemon of site other is there" in err
+        path.write_text('[cameras.gone]\nsource_file = "$NOT_SET_AT_ALL/gone"\n')
+        assert main(["check", str(path), "--probe", "--connect", daemon.endpoint]) == 66
+        assert (
+            f"cannot read {tmp_path}/$NOT_SET_AT_ALL/gone: $NOT_SET_AT_ALL is not set here" in capsys.readouterr().err
+        )
         path.write_text(cameras)
         assert main(["check", str(path), "--probe", "--connect", daemon.endpoint, "--site", "other"]) == 69
         assert f"{daemon.endpoint} is reached, but no daemon of site other is there" in capsys.readouterr().err
