@@ -89,7 +89,7 @@ def test_every_mistake_at_once_with_its_line() -> None:
         (11, "cameras.hall.source: expected a string, got a whole number"),
         (12, "cameras.hall.realtime: expected true or false, got a string"),
         (14, "learn.lateness_seconds: expected a number, got a string"),
-        (15, "learn.window_hours: must not be negative"),
+        (15, "learn.window_hours: expected a number > 0.0"),
         (16, "learn.future_seconds_max: no such key; it belongs in [limits]"),
         (17, "learn.transit_max_seconds: expected a finite number"),
         (18, "limts: no such table; did you mean 'limits'?"),
@@ -320,6 +320,11 @@ def test_a_pattern_is_told_in_words(text: str, what: str) -> None:
 
 
 def test_numbers_that_would_end_the_daemon_later_are_refused_here() -> None:
+    assert mistakes("[learn]\ntransit_max_seconds = 0\nwindow_hours = 0\npublish_q_max = 2") == [
+        (2, "learn.transit_max_seconds: expected a number > 0.0"),
+        (3, "learn.window_hours: expected a number > 0.0"),
+        (4, "learn.publish_q_max: expected a number <= 1.0"),
+    ]
     assert mistakes("[learn]\nversion_seconds = 0\n[limits]\npull_seconds = 1e15\ncommit_seconds = -1") == [
         (2, "learn.version_seconds: expected a number > 0.0"),
         (4, "limits.pull_seconds: expected at most 9e+09"),

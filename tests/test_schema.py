@@ -62,6 +62,7 @@ def test_an_editor_finds_it_from_the_example() -> None:
         ('[cameras.lobby]\nsource_file = ""', "cameras.lobby"),
         ("[bus]\nconnect_seconds = 1e12", "bus.connect_seconds"),
         ("[vision]\nanalysed_fps = 0", "vision.analysed_fps"),
+        ("[learn]\ntransit_max_seconds = 0", "learn.transit_max_seconds"),
     ],
 )
 def test_a_mistake_is_found_where_it_is(toml: str, where: str) -> None:
