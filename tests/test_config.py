@@ -69,7 +69,7 @@ realtime = "yes"
 lateness_seconds = "five"
 window_hours = -3
 future_seconds_max = 3
-transit_max_seconds = nan
+transit_max_seconds = inf
 [limts]
 a = 1
 [limits]
