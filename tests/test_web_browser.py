@@ -7,6 +7,7 @@ import http.server
 import re
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote, urlsplit
@@ -27,6 +28,7 @@ from camtopod.serve.bus import Bus
 from camtopod.serve.daemon import Daemon
 from camtopod.web import app, report
 from camtopod.web.bundle import page
+from camtopod.web.drawing import draw
 
 HOSTILE = "<img src=x onerror=\"document.title='owned'\"><script>document.title='owned'</script> no frame for 31 s"
 DOTTED = "gate.1-_x"
@@ -319,6 +321,8 @@ def test_a_report_of_a_thousand_cameras_needs_no_server(
 ) -> None:
     monkeypatch.setattr(report, "LINKS_MAX", 50)
     topology = made_site(1000)
+    few = [msgspec.structs.replace(link, transitions=5.0) for link in topology.links[:2]]  # both ways of one path
+    topology = msgspec.structs.replace(topology, links=[*few, *topology.links[2:]])
     links = sorted(topology.links, key=lambda link: (link.relation == "visible", -link.transitions))
     path = tmp_path / "report.html"
     path.write_text(page(report.gather(topology, [], None)), "utf-8")
@@ -328,6 +332,11 @@ def test_a_report_of_a_thousand_cameras_needs_no_server(
     browser.wait(lambda: browser.count(".node") == 1000, "a thousand cameras")
     browser.wait(lambda: browser.count(".labels .name") > 20, "names, as many as fit")
     assert browser.count(".labels text") < 300
+    pairs = Counter((edge.relation, edge.provisional != "") for edge in draw(topology).edges.values())
+    overlapped, provisional = (sum(pairs[some] for some in pairs if some[k] in ("overlapped", True)) for k in (0, 1))
+    assert provisional == 1
+    kinds = f"({overlapped:,} overlapping, {provisional:,} provisional)"
+    assert browser.text(".key summary .quiet") == f"1,000 cameras, {pairs.total():,} pairs {kinds}"
     browser.run("document.querySelector('.search input').focus()")
     browser.press("cam042")
     browser.wait(lambda: browser.count(".hits a") == 8, "the first of ten that fit")

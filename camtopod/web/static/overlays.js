@@ -88,7 +88,9 @@ export class Overlays {
     this.#tellAlarms(map.alarms);
     const edges = Object.values(map.edges);
     const overlapped = edges.filter((edge) => edge.relation === "overlapped").length;
-    this.summary.textContent = `${plural(Object.keys(map.cameras).length, "camera")}, ${plural(edges.length, "pair")} (${count(overlapped)} overlapping)`;
+    const provisional = edges.filter((edge) => edge.provisional).length;
+    const kinds = `${count(overlapped)} overlapping${provisional ? `, ${count(provisional)} provisional` : ""}`;
+    this.summary.textContent = `${plural(Object.keys(map.cameras).length, "camera")}, ${plural(edges.length, "pair")} (${kinds})`;
   }
 
   predicted(prediction) {
