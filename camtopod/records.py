@@ -41,7 +41,11 @@ class Event(Struct, frozen=True, omit_defaults=True, gc=False):
 
 
 class Zone(Struct, frozen=True, omit_defaults=True):
-    """An entry/exit zone. One without positions (one zone per camera) has no ``x``, ``y``, ``cov``."""
+    """An entry/exit zone. One without positions (one zone per camera) has no ``x``, ``y``, ``cov``.
+
+    ``entries`` and ``exits`` are counts in the window learned from; ``x``, ``y`` their mean foot point; ``cov`` its
+    covariance (2, 2), [[xx, xy], [xy, yy]]: of fractions of the width and height, so without a unit.
+    """
 
     id: str
     camera: str

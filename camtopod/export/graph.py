@@ -25,6 +25,7 @@ class Edge(Struct, frozen=True):
 
     @property
     def colour(self) -> str:
+        """As the thesis draws it: `BLACK` or `GREY`."""
         return BLACK if self.overlapped else GREY
 
 

@@ -53,6 +53,7 @@ class Spectrum(NamedTuple):
 
     @property
     def groups(self) -> int:
+        """G, how many groups: as many as eigenvectors are kept."""
         return len(self.values)
 
     def grid(self) -> NDArray[np.int16]:

@@ -18,13 +18,20 @@ class Component(Protocol):
     """A Gaussian of the mixture: mean, covariance, and its share among the Gaussians."""
 
     @property
-    def x(self) -> float: ...
+    def x(self) -> float:
+        """Mean, fraction of the image's width."""
+
     @property
-    def y(self) -> float: ...
+    def y(self) -> float:
+        """Mean, fraction of the image's height."""
+
     @property
-    def cov(self) -> Covariance: ...
+    def cov(self) -> Covariance:
+        """Covariance (2, 2) of (x, y), in the same fractions."""
+
     @property
-    def weight(self) -> float: ...
+    def weight(self) -> float:
+        """Share of the Gaussians' events that are of this one, in (0, 1]."""
 
 
 def log_density(x: Floats, y: Floats, component: Component) -> Floats:

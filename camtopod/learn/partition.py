@@ -78,6 +78,7 @@ class Cells(NamedTuple):
 
     @classmethod
     def of(cls, sums: Floats, index: NDArray[np.intp]) -> Cells:
+        """Cells from their sums (m, 6) and flat indices (m,); no cell may be empty."""
         n = sums[:, 0]
         x, y = sums[:, 1] / n, sums[:, 2] / n
         xx, yy = np.maximum(sums[:, 3] / n - x * x, 0), np.maximum(sums[:, 5] / n - y * y, 0)

@@ -33,13 +33,16 @@ class Recent:
         """Behind the newest."""
 
     def save(self) -> tuple[Floats, NDArray[np.int32]]:
+        """Copies of times and zones (n,), oldest first; rates are not kept."""
         return self.t[: self.stop].copy(), self.zone[: self.stop].copy()
 
     def load(self, t: Floats, zone: NDArray[np.int32]) -> None:
+        """Go on from what `save` gave, instead of what was there."""
         self.stop = len(t)
         self.t[: self.stop], self.zone[: self.stop] = t, zone
 
     def append(self, t: float, zone: int, rate: float = 0.0) -> None:
+        """The next one; ``t`` in seconds, ``rate`` as of `Arrival`. Makes room by dropping what does not count."""
         if self.stop == len(self.t):
             self.stop = RECENT_MAX
             for column in (self.t, self.zone, self.rate):
@@ -58,5 +61,6 @@ class Recent:
         return self.t[first : self.stop], self.zone[first : self.stop]
 
     def arrivals(self) -> list[Arrival]:
+        """Those that count, oldest first."""
         columns = (column[self.first : self.stop].tolist() for column in (self.t, self.zone, self.rate))
         return [Arrival(*one) for one in zip(*columns, strict=True)]

@@ -209,6 +209,7 @@ class Board:
 
     @at.setter
     def at(self, entry: int) -> None:
+        """By the process that learns, before each entry."""
         self._cells[self._AT] = entry
 
     @property
@@ -218,6 +219,7 @@ class Board:
 
     @hurry.setter
     def hurry(self, hurry: bool) -> None:
+        """By the process that waits for the other."""
         self._cells[self._HURRY] = hurry
 
     def close(self) -> None:

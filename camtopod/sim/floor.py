@@ -111,6 +111,7 @@ class Plan:
         return [name for name in self.places if len(self.around(name)) == 1]
 
     def around(self, place: str) -> list[str]:
+        """Places that a way leads to from ``place``, in the order of the ways."""
         return [b if a == place else a for a, b in self.ways if place in (a, b)]
 
 

@@ -54,6 +54,7 @@ class Sightings(Struct):
     zone_out: Ints
 
     def take(self, index: Ints | Bools) -> Sightings:
+        """Those at ``index`` (numbers in any order) or where it (n,) is true."""
         return Sightings(*(getattr(self, name)[index] for name in self.__struct_fields__))
 
     def sorted(self) -> Sightings:

@@ -55,10 +55,12 @@ class Score(Struct, frozen=True):
 
     @property
     def link_precision(self) -> float:
+        """Share of the learned links that are true ones."""
         return _share(self.links_right, self.links_learned)
 
     @property
     def link_recall(self) -> float:
+        """Share of the true links that were found."""
         return _share(self.links_found, self.links_true)
 
     @property
@@ -74,10 +76,12 @@ class Score(Struct, frozen=True):
 
     @property
     def pair_precision(self) -> float:
+        """Share of the learned pairs of cameras that are related in truth."""
         return _share(self.pairs_right, self.pairs_learned)
 
     @property
     def pair_recall(self) -> float:
+        """Share of the pairs of cameras related in truth that were learned."""
         return _share(self.pairs_right, self.pairs_true)
 
     def text(self) -> str:
@@ -114,6 +118,7 @@ class PredictionScore(Struct, frozen=True):
     """Share of the followed ones, next camera named at all, that came between the stated q10 and q90."""
 
     def text(self) -> str:
+        """A line for a person."""
         return (
             f"{self.exits} exits, {self.followed} seen again: next camera right {self.top1:.3f},"
             f" among the first three {self.top3:.3f}; log loss {self.log_loss:.3f}"

@@ -33,6 +33,7 @@ class Passages(Struct):
     t_out: Floats
 
     def take(self, index: Ints | NDArray[np.bool_]) -> Passages:
+        """Those at ``index`` (numbers in any order) or where it (n,) is true."""
         return Passages(*(getattr(self, name)[index] for name in self.__struct_fields__))
 
 
