@@ -31,7 +31,11 @@ TARGETS = (
     Target("overlapped", "relation_right", 0.98),
     *(Target(regime, figure, 0.98) for regime in LINKED for figure in ("top1_ratio", "top3_ratio")),
     *(Target(regime, "log_loss_above", 0.1, at_least=False) for regime in LINKED),
-    *(Target(regime, "calibration_error", 0.02, at_least=False) for regime in LINKED),
+    *(
+        Target(regime, figure, 0.02, at_least=False)
+        for regime in LINKED
+        for figure in ("calibration_error", "first_calibration_error")
+    ),
     Target("clocks", "clock_error", 0.5, at_least=False),
     Target("road", "top1_ratio", 0.95),
     Target("hall", "top1_ratio", 0.90),

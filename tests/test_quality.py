@@ -59,7 +59,8 @@ def test_everything_is_in_the_table(small: Small, capsys: pytest.CaptureFixture[
     assert quality.main(["--seeds", "1", "--jobs", "1", "--scale", "0.5"]) == 0
     shown = capsys.readouterr().out
     for name in (
-        "online", "zones right", "links, F1", "told chain", "log loss", "calibration", "clock offsets",
+        "online", "zones right", "links, F1", "told chain", "log loss", "clock offsets",
+        "calibration error, first guess",
         "events a second", "Var(d) <= 1", "Makris", "Tieu", "transfer entropy", "anonymous Markov", "Hawkes",
         "k-means", "HDBSCAN", "mean shift", "plain DaSpec", "most frequent next camera",
     ):  # fmt: skip

@@ -87,6 +87,21 @@ def test_windows_are_those_of_the_zone_and_leaving_is_an_outcome() -> None:
     assert by_likeliest.calibration_error == pytest.approx(0.25)
 
 
+def test_the_calibration_of_the_first_guess_is_not_diluted_by_the_others() -> None:
+    """Both first guesses are stated at 0.6 and one comes: 0.1 off, as no mean over all outcomes says. In the second
+    the likeliest is to leave; the two zones of a camera count together."""
+    events, truth = two_passages()
+    b = [NextCamera("b", "b/1", 0.3, 1.0, 2.0, 3.0), NextCamera("b", "b/2", 0.3, 4.0, 5.0, 6.0)]
+    others = [NextCamera(f"c{k}", f"c{k}/1", 0.01, 1.0, 2.0, 3.0) for k in range(5)]
+    first = Prediction("a", "a/1", 10.0, None, 1, 0.35, [*b, *others])
+    second = Prediction("b", "b/1", 20.0, None, 1, 0.35, [NextCamera("a", "a/1", 0.6, 1.0, 2.0, 3.0), *others])
+    result = score_predictions([first, second], events, truth)
+    assert result.first_calibration_error == pytest.approx(0.1)
+    assert result.calibration_error < 0.1
+    leaving = msgspec.structs.replace(second, leave=0.6, next_=[msgspec.structs.replace(b[0], camera="a")])
+    assert score_predictions([first, leaving], events, truth).first_calibration_error == pytest.approx(0.4)
+
+
 def test_a_camera_that_is_not_named_has_no_window() -> None:
     events, truth = two_passages()
     none = [Prediction(e.camera, None, e.t, None, 1, 1.0, []) for e in events if e.kind == "exit"]

@@ -113,7 +113,10 @@ class PredictionScore(Struct, frozen=True):
     log_loss: float
     """Mean of -ln(probability of what happened: that camera, or not seen again) over all exits, nats."""
     calibration_error: float = math.nan
-    """Expected calibration error of all stated probabilities, that of leaving included."""
+    """Expected calibration error of all stated probabilities, that of leaving included. Most of them are next to 0,
+    where nobody is far off."""
+    first_calibration_error: float = math.nan
+    """The same of the first guess alone: the likeliest outcome, which may be leaving."""
     window_coverage: float = math.nan
     """Share of the followed ones, next camera named at all, that came between the stated q10 and q90."""
 
@@ -246,6 +249,8 @@ def score_predictions(
     loss = 0.0
     stated: list[float] = []
     happened: list[bool] = []
+    first_stated: list[float] = []
+    first_happened: list[bool] = []
     within: list[bool] = []
     for index, prediction in zip(exits, predictions, strict=True):
         event = events[index]
@@ -268,6 +273,10 @@ def score_predictions(
         loss -= math.log(max(outcome, PROBABILITY_FLOOR))
         stated += [*by_camera.values(), prediction.leave]
         happened += [*(entry is not None and camera == entry.camera for camera in by_camera), entry is None]
+        likeliest = max(by_camera, key=lambda name: by_camera[name], default=None)
+        leaves = likeliest is None or prediction.leave > by_camera[likeliest]
+        first_stated.append(max(prediction.leave, *by_camera.values(), 0.0))
+        first_happened.append(entry is None if leaves else entry is not None and entry.camera == likeliest)
     return PredictionScore(
         exits=scored,
         followed=followed,
@@ -275,6 +284,7 @@ def score_predictions(
         top3=_share(top3, followed),
         log_loss=loss / scored if scored else math.nan,
         calibration_error=calibration_error(stated, happened),
+        first_calibration_error=calibration_error(first_stated, first_happened),
         window_coverage=float(np.mean(within)) if within else math.nan,
     )
 
