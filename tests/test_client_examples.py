@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import re
 import signal
 import subprocess
@@ -29,11 +31,14 @@ def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
         yield one
 
 
-def said(hub: Hub, name: str, events: list[Event]) -> list[str]:
-    """What an example prints when it is told of the events."""
+def said(hub: Hub, name: str, events: list[Event], looks: dict[str, list[float]] | None = None) -> list[str]:
+    """What an example prints when it is told of the events, and of how the people of tracks look."""
     command = [sys.executable, str(EXAMPLES / name), hub.daemon.endpoint]
-    lines = b"".join(to_json(event) + b"\n" for event in events)
-    done = subprocess.run(command, input=lines, capture_output=True, timeout=100)
+    lines = [json.loads(to_json(event)) for event in events]
+    if looks is not None:
+        lines = [{**line, "look": looks[line["track"]]} for line in lines]
+    given = "".join(json.dumps(line) + "\n" for line in lines).encode()
+    done = subprocess.run(command, input=given, capture_output=True, timeout=100)
     assert done.stderr == b""
     return done.stdout.decode().splitlines()
 
@@ -62,6 +67,20 @@ def test_who_is_who(hub: Hub) -> None:
     assert sorted(said(hub, "gating.py", events)) == ["a/11 = b/12", "a/21 = c/22", "a/31 = b/32"]
 
 
+def test_who_is_who_by_looks_and_by_the_site(hub: Hub) -> None:
+    """Of two at the same time looks tell; of two who look alike, the times and ways that the site knows."""
+    two = [*walk(1, NOW, "b"), *walk(2, NOW + 0.3, "b"), *walk(3, NOW + 300, "b")]
+    red, blue = [1.0, 0.0, 0.2], [0.0, 1.0, 0.2]
+    looks = {"11": red, "21": blue, "12": blue, "22": red, "31": red, "32": red}
+    found = said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), looks)
+    assert sorted(found) == ["a/11 = b/22", "a/21 = b/12", "a/31 = b/32"]
+    alike = said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), dict.fromkeys(looks, red))
+    assert len(alike) == 3
+    assert "a/31 = b/32" in alike
+    strangers = {**looks, "32": blue}
+    assert sorted(said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), strangers)) == found[:2]
+
+
 def test_as_it_comes(hub: Hub) -> None:
     """Until interrupted, after which nothing keeps the process."""
     command = [sys.executable, "-u", str(EXAMPLES / "in_asyncio.py"), hub.daemon.endpoint]
@@ -83,6 +102,33 @@ def test_as_it_comes(hub: Hub) -> None:
             running.kill()
         reader.join()
     assert re.match(r"version \d+: \d pairs of cameras", lines[0])
+
+
+def test_the_bus_itself_as_readme_shows_it(hub: Hub) -> None:
+    """The lines without camtopod, word for word but for where the daemon is."""
+    [shown] = re.findall(r"^```python\n(import json, msgspec, zenoh\n.*?)^```$", README, re.DOTALL | re.MULTILINE)
+    assert len([line for line in shown.splitlines() if line and not line.startswith("import ")]) <= LINES_MAX
+    assert shown.count('"tcp/127.0.0.1:7447"') == 1
+    block = shown.replace("tcp/127.0.0.1:7447", hub.daemon.endpoint)
+    with subprocess.Popen([sys.executable, "-u", "-c", block], stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        lines: list[str] = []
+        reader = threading.Thread(target=lines.extend, args=(running.stdout,), daemon=True)
+        reader.start()
+
+        def foretold() -> bool:
+            hub.walks(1, 15)
+            return len(lines) > 1
+
+        try:
+            wait_for(foretold, "a prediction")
+        finally:
+            running.kill()
+        reader.join()
+    assert [pair["cameras"] for pair in ast.literal_eval(lines[0])] == [["a", "b"], ["a", "c"]]
+    prediction = ast.literal_eval(lines[1])
+    assert prediction["camera"] in "abc"
+    assert prediction["leave"] + sum(one["probability"] for one in prediction["next"]) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("name", ["next_camera.py", "gating.py"])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import shlex
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from pages import FENCED, invocations
 
 from camtopod.cli.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
 from camtopod.cli.main import COMMANDS, parser_of
@@ -132,33 +131,12 @@ def test_systemd_takes_the_units(file: str, name: str, tmp_path: Path) -> None:
 # --- the pages ------------------------------------------------------------------------------------
 
 
-def invocations(line: str) -> Iterator[list[str]]:
-    """What a line of a shell gives to camtopod: here, in a container, or as systemd does."""
-    words = shlex.shlex(line, posix=True, punctuation_chars=True)
-    words.whitespace_split = True
-    command: list[str] = []
-    for word in [*words, ";"]:
-        if not set(word) <= set(";&|()<>"):
-            command.append(word.removeprefix("ExecStart="))
-            continue
-        if command and Path(command[0]).name == "camtopod":
-            yield command[1:]
-        elif command[:2] == ["docker", "run"] and "camtopod" in command:
-            yield command[command.index("camtopod") + 1 :]
-        elif command[:2] == ["docker", "compose"] and "run" in command:
-            yield command[command.index("--rm") + 2 :]
-        elif command[:1] == ["kubectl"] and "--" in command:
-            yield command[command.index("--") + 2 :]
-        command = []
-
-
 def in_pages() -> list[tuple[str, str]]:
     """(page, line) wherever a page shows a command: in a block, or between backquotes with more than its name."""
     found = []
     for page in sorted(DEPLOY.glob("*.md")):
         text = page.read_text()
-        blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-        shown = "".join(block for language, block in blocks if language in ("", "ini"))
+        shown = "".join(block for language, block in FENCED.findall(text) if language in ("", "ini"))
         lines = re.sub(r"<<'END'\n.*?^END$", "", shown, flags=re.DOTALL | re.MULTILINE).splitlines()
         lines += re.findall(r"`(camtopod \w+ [^`]+)`", text)
         found += [(page.name, line) for line in lines]

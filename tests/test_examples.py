@@ -16,8 +16,8 @@ from camtopod.records import Event
 
 EXAMPLES = Path(__file__).parent / "examples"
 SCALE, FPS = 3, 10.0
-LONGEST_LINES = 12
-"""What a tracker needs to plug in, without imports."""
+LONGEST_LINES = 10
+"""What a tracker needs to plug in, without imports; a line of comment counts, an empty one does not."""
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def assert_near(events: list[Event], kind: str, truth: list[tuple[float, float, 
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("with_*.py")), ids=lambda path: path.stem)
-def test_a_tracker_plugs_in_within_a_dozen_lines(path: Path) -> None:
+def test_a_tracker_plugs_in_within_ten_lines(path: Path) -> None:
     text = path.read_text()
     lines = [row for row in text[text.index("video = ") :].splitlines() if row.strip()]
     assert len(lines) <= LONGEST_LINES
