@@ -1,7 +1,8 @@
-"""Files that hold secrets: reading one, writing one, and whether others can read them."""
+"""Files that are not for everybody: reading one, writing one, and whether others can read them."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import stat
@@ -28,12 +29,19 @@ def read(path: Path) -> str:
     return text
 
 
-def write(path: Path, content: bytes) -> None:
-    """Whole or not at all, for its owner alone (0600) from its first byte on. Raises `OSError`."""
+def write(path: Path, content: bytes, mode: int = 0o600) -> None:
+    """Whole or not at all, for its owner alone (0600) from its first byte on. Raises `OSError`.
+
+    With another ``mode`` it is shared, and belongs to whom its folder belongs, if this user may give it away.
+    """
     new = path.with_name(f".{path.name}.new")
     new.unlink(missing_ok=True)
-    fd = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    fd = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     with os.fdopen(fd, "wb") as file:
+        if mode != 0o600:
+            with contextlib.suppress(PermissionError):
+                its = path.parent.stat()
+                os.fchown(fd, its.st_uid, its.st_gid)
         file.write(content)
         file.flush()
         os.fsync(file.fileno())

@@ -21,6 +21,7 @@ from camtopod.cli.main import main
 from camtopod.config import VisionSettings
 from camtopod.serve.daemon import Daemon
 from camtopod.vision.probe import PIXELS_MAX, Probe
+from camtopod.web import pictures
 
 QUICK = VisionSettings(open_timeout_seconds=1.0, read_timeout_seconds=1.0)
 PASSWORD = "p@ss:w/0rd"
@@ -37,11 +38,11 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Scene([]).film(tmp_path_factory.mktemp("film") / "yard.mp4", 3.0)
 
 
-def painted(path: Path, size: tuple[int, int], fps: float) -> Path:
-    """A grey film of this size."""
+def painted(path: Path, size: tuple[int, int], fps: float, colour: tuple[int, int, int] = (90, 90, 90)) -> Path:
+    """A film of this size, of one colour (blue, green, red)."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
     for _ in range(5):
-        writer.write(np.full((size[1], size[0], 3), 90, np.uint8))
+        writer.write(np.full((size[1], size[0], 3), colour, np.uint8))
     writer.release()
     return path
 
@@ -191,7 +192,7 @@ def test_passwords_go_into_files_of_their_own(
 def test_nothing_is_overwritten_unless_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(probes, "_probe", lambda source, settings: Probe("", "H.264", 640, 480, 15.0))
+    monkeypatch.setattr(probes, "_probe", lambda *_: Probe("", "H.264", 640, 480, 15.0))
     monkeypatch.chdir(tmp_path)
     assert main(["init", "lobby=rtsp://u:first@h/x"]) == 0
     before = everything_below(tmp_path)
@@ -236,6 +237,61 @@ def test_usage(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyP
         status = error.code  # type: ignore[assignment]
     assert status == 2
     assert not list(tmp_path.iterdir())
+
+
+# --- pictures ------------------------------------------------------------------------------------
+
+
+def test_a_picture_is_kept_when_asked_for_and_not_otherwise(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    yard, colour = painted(tmp_path / "yard.mp4", (2560, 1440), 7.0, (200, 120, 40)), np.array((200, 120, 40))
+    assert main(["init", str(yard), "gone=4242"]) == 66
+    assert main(["check", "camtopod.toml", "--probe"]) == 69
+    assert not list(tmp_path.rglob("*.jpg"))
+    folder = tmp_path / "state" / "pictures"
+    arguments = ["init", str(yard), "gone=4242", "--out", "other.toml", "--pictures", str(folder)]
+    assert main(arguments) == 66
+    assert [path.name for path in folder.iterdir()] == ["yard.jpg"], "and nothing beside it"
+    picture = cv2.imread(str(folder / "yard.jpg"))
+    assert picture is not None
+    assert picture.shape == (720, 1280, 3)
+    assert np.abs(picture.mean((0, 1)) - colour).max() < 10, "in colour"
+    assert ((folder / "yard.jpg").stat().st_mode & 0o777, folder.stat().st_mode & 0o777) == (0o640, 0o750)
+    assert pictures.picture_of(folder, "yard") == folder / "yard.jpg"
+    capsys.readouterr()
+    (tmp_path / "other.toml").unlink()
+    assert main(arguments) == 1, "it may be the operator's own"
+    assert "yard.jpg: there already; --force overwrites" in capsys.readouterr().err
+    (folder / "yard.jpg").write_bytes(b"old")
+    assert main(["check", "camtopod.toml", "--probe", "--pictures", str(folder)]) == 69
+    assert (folder / "yard.jpg").read_bytes()[:3] == b"\xff\xd8\xff", "a newer one"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_a_picture_belongs_to_whom_its_folder_belongs(film: Path, tmp_path: Path) -> None:
+    """As a service's user can read it then, whom systemd has given the folder."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    os.chown(folder, 61234, 61235)
+    probes.probe_all({"yard": str(film)}, QUICK, lambda *_: None, folder)
+    its = (folder / "yard.jpg").stat()
+    assert (its.st_uid, its.st_gid, its.st_mode & 0o777) == (61234, 61235, 0o640)
+
+
+def test_pictures_that_cannot_be_kept(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    assert main(["init", str(film), "--pictures", "file"]) == 1
+    assert "--pictures file: cannot write file: File exists" in capsys.readouterr().err
+    assert not (tmp_path / "camtopod.toml").exists()
+    assert main(["init", str(film)]) == 0
+    assert main(["check", "camtopod.toml", "--pictures", "folder"]) == 2
+    assert "--pictures is for --probe" in capsys.readouterr().err
+    assert not (tmp_path / "folder").exists()
 
 
 # --- check --probe -------------------------------------------------------------------------------

@@ -160,6 +160,15 @@ def test_a_name_with_a_path_in_it_is_nobodys_picture(tmp_path: Path) -> None:
     assert pictures.picture_of(folder, "../a") is None
 
 
+def test_a_picture_that_may_not_be_read_is_none(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(folder: Path | None, camera: str) -> Path | None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(app, "picture_of", forbidden)
+    assert server.json("/data/camera/cam0001")["picture"] is False
+    assert server.get("/picture/cam0001")[0] == 404
+
+
 def test_the_stream_begins_with_what_is_and_refuses_odd_names(server: Server) -> None:
     with urllib.request.urlopen(f"{server.address}/live?camera=cam0001", timeout=20) as stream:
         lines = [stream.readline() for _ in range(11)]
@@ -176,9 +185,12 @@ def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
     config = msgspec.structs.replace(small_config(tmp_path), bus=BusSettings(listen=(endpoint,)))
     with contextlib.closing(buses.meet(config)):
         process = serving.camtopod(
-            "web", "--connect", endpoint, "--listen", "127.0.0.1:0", stderr=subprocess.PIPE, stdout=subprocess.PIPE
-        )
+            "web", "--connect", endpoint, "--listen", "127.0.0.1:0", "--pictures", str(tmp_path / "none"),
+            stderr=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
         assert process.stderr is not None
+        line = process.stderr.readline().decode()
+        assert line == f"warning: --pictures {tmp_path}/none: there is no such folder; cameras have no picture yet\n"
         line = process.stderr.readline().decode()
         assert line.startswith("the page is at http://127.0.0.1:"), line
         with urllib.request.urlopen(line.split()[-1], timeout=20) as answer:
@@ -201,7 +213,6 @@ def test_without_a_bus_it_says_so(capsys: pytest.CaptureFixture[str], tmp_path: 
     [
         (["--listen", "nonsense"], exits.USAGE, "write it like"),
         (["--listen", "127.0.0.1:99999"], exits.USAGE, "write it like"),
-        (["--pictures", "/nowhere"], exits.INPUT, "there is no such folder"),
     ],
 )
 def test_wrong_options_are_told(capsys: pytest.CaptureFixture[str], options: list[str], status: int, said: str) -> None:

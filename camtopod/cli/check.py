@@ -23,6 +23,11 @@ def add_parser(subparsers: Any) -> None:
         "--example", action="store_true", help="write an example with every setting, its default and its unit"
     )
     parser.add_argument("--probe", action="store_true", help="also open every camera of it, and the bus")
+    parser.add_argument(
+        "--pictures", metavar="DIR", type=Path,
+        help="with --probe: keep a picture of each camera here, DIR/NAME.jpg instead of an older one, which "
+        "`camtopod web` and `report` draw on; it is stored here only and not sent",
+    )  # fmt: skip
     parser.add_argument("--schema", action="store_true", help="write the configuration's JSON Schema, for editors")
 
 
@@ -38,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
 
         sys.stdout.write(text())
         return exits.DONE
+    if args.pictures is not None and not args.probe:
+        raise CommandError("--pictures is for --probe, which opens the cameras: give both", exits.USAGE)
     path = args.file or args.config
     if path is None:
         raise CommandError("which configuration? camtopod check CONFIG", exits.USAGE)
@@ -57,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         return exits.DONE
     from camtopod.cli.probe import check_site
 
-    return check_site(path, loaded)
+    return check_site(path, loaded, args.pictures)
 
 
 def _cameras(number: int) -> str:

@@ -21,6 +21,7 @@ from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import TABLES, Config
 from camtopod.redact import holds_secret, redact
 from camtopod.vision.source import kind_of, percent_encoded
+from camtopod.web import pictures
 
 SECRETS = "secrets"
 """The folder of the passwords, beside the configuration."""
@@ -50,6 +51,11 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("camtopod.toml"), metavar="FILE", help="write it here (default: %(default)s)"
     )
+    parser.add_argument(
+        "--pictures", metavar="DIR", type=Path,
+        help="also keep a picture of each camera here, DIR/NAME.jpg, which `camtopod web` and `report` draw on; it is "
+        "stored here only and not sent. No other picture is ever stored",
+    )  # fmt: skip
     parser.add_argument("--force", action="store_true", help="overwrite files that are there already")
 
 
@@ -62,14 +68,16 @@ def run(args: argparse.Namespace) -> int:
     secrets = {name: args.out.parent / SECRETS / name for name, source in cameras.items() if redact(source) != source}
     if not args.out.parent.is_dir():
         raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
-    there = [path for path in (args.out, *secrets.values()) if path.exists()]
+    kept = [] if args.pictures is None else [pictures.kept_at(args.pictures, name) for name in cameras]
+    there = [path for path in (args.out, *secrets.values(), *kept) if path.exists()]
     if there and not args.force:
         raise CommandError(f"{', '.join(map(str, there))}: there already; --force overwrites, --out writes elsewhere")
     width = max(map(len, cameras))
     _say(f"looking at {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'} ...")
     probes = probe_all(
-        cameras, settings.vision, lambda name, probe: _say(f"  {name:<{width}}  {'; '.join(probe.words)}")
-    )
+        cameras, settings.vision, lambda name, probe: _say(f"  {name:<{width}}  {'; '.join(probe.words)}"),
+        args.pictures,
+    )  # fmt: skip
     words = {name: probe.words for name, probe in probes.items()}
     text = written(settings, cameras, words, secrets.keys())
     try:

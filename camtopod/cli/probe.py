@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
@@ -14,11 +15,13 @@ import msgspec
 from camtopod import toml_lines
 from camtopod.cli import exits
 from camtopod.cli.child import in_words
+from camtopod.cli.exits import CommandError
 from camtopod.config import Config
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.vision.probe import LOOK_SECONDS, Probe, Question
 from camtopod.vision.settings import VisionSettings
+from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.probe"
 PROCESSES_MAX = 8
@@ -27,28 +30,48 @@ START_SECONDS = 30.0
 
 
 def probe_all(
-    sources: Mapping[str, str], settings: VisionSettings, on_probe: Callable[[str, Probe], None]
+    sources: Mapping[str, str],
+    settings: VisionSettings,
+    on_probe: Callable[[str, Probe], None],
+    folder: Path | None = None,
 ) -> dict[str, Probe]:
-    """What each source is like, by the camera's id; ``on_probe`` is told as soon as one is known."""
+    """What each source is like, by the camera's id; ``on_probe`` is told as soon as one is known.
+
+    A picture of each camera that gives one is kept in ``folder``. Raises `CommandError` if that cannot be.
+    """
     for source in sources.values():
         remember(source)
+    if folder is not None:
+        with _writing(folder):
+            pictures.make(folder)
     with ThreadPoolExecutor(PROCESSES_MAX) as pool:
-        looks = {pool.submit(_probe, source, settings): camera for camera, source in sources.items()}
+        looks = {pool.submit(_probe, source, settings, folder is not None): name for name, source in sources.items()}
         found = {}
         for look in as_completed(looks):
-            camera = looks[look]
-            found[camera] = look.result()
+            camera, seen = looks[look], look.result()
+            if folder is not None and seen.picture:
+                with _writing(folder):
+                    pictures.keep(folder, camera, seen.picture)
+            found[camera] = msgspec.structs.replace(seen, picture=b"")
             on_probe(camera, found[camera])
     return {camera: found[camera] for camera in sources}
 
 
-def _probe(source: str, settings: VisionSettings) -> Probe:
+@contextlib.contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise CommandError(f"--pictures {folder}: cannot write {error.filename or folder}: {error.strerror}") from None
+
+
+def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
     """The source goes to the process through a pipe, as everybody can read a command line."""
     seconds = settings.open_timeout_seconds + settings.read_timeout_seconds + LOOK_SECONDS + START_SECONDS
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-m", PROGRAM],
-            input=msgspec.json.encode(Question(source, settings)),
+            input=msgspec.json.encode(Question(source, settings, picture)),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,  # libraries write there, perhaps with the password
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},  # it finds the same modules as this process
@@ -62,8 +85,11 @@ def _probe(source: str, settings: VisionSettings) -> Probe:
     return msgspec.json.decode(done.stdout, type=Probe)
 
 
-def check_site(path: Path, config: Config) -> int:
-    """Open every camera and the bus; what is found goes to standard error, a line each. The worst exit status."""
+def check_site(path: Path, config: Config, folder: Path | None) -> int:
+    """Open every camera and the bus; what is found goes to standard error, a line each. The worst exit status.
+
+    Pictures of the cameras are kept in ``folder``.
+    """
     lines = toml_lines.key_lines(path.read_text(encoding="utf-8"))
     status = exits.DONE
 
@@ -79,7 +105,7 @@ def check_site(path: Path, config: Config) -> int:
             sources[camera] = config.for_camera(camera).cameras[camera].source
         except OSError as error:
             tell(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
-    probe_all(sources, config.vision, tell)
+    probe_all(sources, config.vision, tell, folder)
     problem, found = _bus(config)
     print(f"{path}: bus: {redact(problem or found)}", file=sys.stderr)
     return max(status, exits.BUS if problem else exits.DONE)

@@ -34,8 +34,10 @@ def add_parser(subparsers: Any) -> None:
         "--updates", metavar="FILE", type=Path, help="the versions before it, what `learn --updates` wrote"
     )
     parser.add_argument(
-        "--pictures", metavar="DIR", type=Path, help="a folder with a picture a camera, CAMERA.jpg or CAMERA.png"
-    )
+        "--pictures", metavar="DIR", type=Path,
+        help="a folder with a picture a camera, CAMERA.jpg or CAMERA.png (`camtopod init --pictures` makes them); "
+        "they are in the file then",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:

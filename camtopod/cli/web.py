@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import ipaddress
 import logging
+import os
 import re
 import socket
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, leaving, start_logging, until_signal
-from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.exits import CommandError
 from camtopod.serve import clock
 from camtopod.serve.bus import BusError, dial
 
@@ -42,8 +43,10 @@ def add_parser(subparsers: Any) -> None:
         help="a further name that it is asked for by, behind a proxy say (addresses need none; repeat for several)",
     )  # fmt: skip
     parser.add_argument(
-        "--pictures", metavar="DIR", type=Path, help="a folder with a picture a camera, CAMERA.jpg or CAMERA.png"
-    )
+        "--pictures", metavar="DIR", type=Path,
+        help="a folder of this machine with a picture a camera, CAMERA.jpg or CAMERA.png (`camtopod init --pictures` "
+        "makes them; for cameras of other machines copy theirs)",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -57,8 +60,9 @@ def run(args: argparse.Namespace) -> int:
         raise CommandError("the page needs starlette and uvicorn: pip install 'camtopod[web]'") from None
     config = configuration(args)
     host, port = address(args.listen)
-    if args.pictures is not None and not args.pictures.is_dir():
-        raise InputError(f"--pictures {args.pictures}: there is no such folder")
+    if args.pictures is not None and not os.access(args.pictures, os.R_OK | os.X_OK):
+        why = "this user may not read it" if args.pictures.exists() else "there is no such folder"
+        log.warning("--pictures %s: %s; cameras have no picture yet", args.pictures, why)
     with until_signal() as stop, leaving(stop, LEAVE_SECONDS), contextlib.ExitStack() as stack:
         listener = stack.enter_context(listening(host, port))
         try:

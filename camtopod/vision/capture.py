@@ -47,8 +47,11 @@ class Frame(NamedTuple):
 class Capture:
     """One opened capture. All calls from one thread; dead after the first failed `grab`."""
 
-    def __init__(self, source: str, settings: VisionSettings) -> None:
-        """Open ``source``; see `is_open` for whether that worked. Blocks for at most the open timeout."""
+    def __init__(self, source: str, settings: VisionSettings, colour: bool = False) -> None:
+        """Open ``source``; see `is_open` for whether that worked. Blocks for at most the open timeout.
+
+        ``colour``: `jpeg` is wanted, too, for which frames have to be converted.
+        """
         cv2.utils.logging.setLogLevel(0)  # its messages hold URLs with passwords
         cv2.setNumThreads(1)  # for pictures this small, waking the others costs more than they do
         kind = kind_of(source)
@@ -65,7 +68,8 @@ class Capture:
         self._width_max = settings.working_width
         self._picture: Luma | None = None
         """Used again for each frame: a new one of this size costs more than filling it."""
-        if kind != "device" and _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT) in LUMA_FORMATS:
+        pixels = "" if kind == "device" else _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
+        if pixels in LUMA_FORMATS and not colour:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
 
     @property
@@ -102,6 +106,15 @@ class Capture:
         if not good or self._picture is None:
             return None
         return shrunk(_grey(self._picture), self._width_max)
+
+    def jpeg(self, width_max: int) -> bytes:
+        """The frame that was retrieved last, at most ``width_max`` pixels wide; b"" if there is none."""
+        if self._picture is None:
+            return b""
+        height, width = self._picture.shape[:2]
+        size = (width_max, round(height * width_max / width))
+        small = cv2.resize(self._picture, size, interpolation=cv2.INTER_AREA) if width > width_max else self._picture
+        return cv2.imencode(".jpg", small)[1].tobytes()
 
     def release(self) -> None:
         """Close it. From the thread that reads."""

@@ -32,6 +32,8 @@ PIXELS_MAX = 1920 * 1080
 WIDTH_MIN = 160
 CONTRAST_MIN = 3.0
 """Standard deviation of the luma, of 255; a picture with less shows nothing."""
+PICTURE_WIDTH_MAX = 1280
+"""Of the picture that is kept, pixels; to draw zones on, more is of no use."""
 _CODECS = {
     "avc1": "H.264", "h264": "H.264", "hev1": "H.265", "hevc": "H.265", "hvc1": "H.265",
     "mjpg": "MJPEG", "fmp4": "MPEG-4", "mp4v": "MPEG-4", "vp09": "VP9", "av01": "AV1",
@@ -39,14 +41,17 @@ _CODECS = {
 
 
 class Question(Struct):
-    """What to look at, and how."""
+    """What to look at, and how; ``picture``: whether one is wanted."""
 
     source: str
     settings: VisionSettings
+    picture: bool = False
 
 
 class Probe(Struct):
-    """What was seen. ``problem``: why it cannot be watched, "" if it can; ``remarks``: what could be better."""
+    """What was seen. ``problem``: why it cannot be watched, "" if it can; ``remarks``: what could be better;
+    ``picture``: its last frame as JPEG, b"" unless asked for.
+    """
 
     problem: str = ""
     codec: str = ""
@@ -54,6 +59,7 @@ class Probe(Struct):
     height: int = 0
     fps: float = 0.0
     remarks: list[str] = []
+    picture: bytes = b""
 
     @property
     def words(self) -> list[str]:
@@ -62,7 +68,7 @@ class Probe(Struct):
         return [self.problem or f"{self.codec}, {self.width}x{self.height}, {rate}", *self.remarks]
 
 
-def probe(source: str, settings: VisionSettings, complaints: Complaints) -> Probe:
+def probe(source: str, settings: VisionSettings, complaints: Complaints, picture: bool = False) -> Probe:
     """Open it and count its frames. Takes at most the timeouts and `LOOK_SECONDS`; nothing is raised."""
     kind = kind_of(source)
     path = source.removeprefix("file://")
@@ -71,12 +77,13 @@ def probe(source: str, settings: VisionSettings, complaints: Complaints) -> Prob
             RecordedSource(path, settings, 0.0, None).close()
         except OSError as error:
             return Probe(error.strerror or str(error).removeprefix(f"{path}: "))
-    capture = Capture(path, settings)
+    capture = Capture(path, settings, colour=picture)
     try:
         if not capture.is_open:
             why = _of_device(source) if kind == "device" else complaints.take()
             return Probe(f"it cannot be opened{why and ': '}{why}")
-        return _watched(capture, live=kind != "file")
+        seen = _watched(capture, live=kind != "file")
+        return msgspec.structs.replace(seen, picture=capture.jpeg(PICTURE_WIDTH_MAX)) if picture else seen
     finally:
         capture.release()
 
@@ -135,5 +142,5 @@ def decoders() -> list[str]:
 if __name__ == "__main__":
     asked = msgspec.json.decode(sys.stdin.buffer.read(), type=Question)
     with listening() as heard:
-        answer = probe(asked.source, asked.settings, heard)
+        answer = probe(asked.source, asked.settings, heard, asked.picture)
     sys.stdout.buffer.write(msgspec.json.encode(answer))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import os
 import re
 import socket
 import threading
@@ -120,7 +121,7 @@ class Site:
         story = self._feed.stories.camera(name) if self._feed.stories else None
         if story is None:
             return _json({"error": f"camera {name} has not been learned yet"}, 404)
-        return _json({**story, "picture": picture_of(self._pictures, name) is not None})
+        return _json({**story, "picture": self._picture_of(name) is not None})
 
     def pair(self, request: Request) -> Response:
         """The links between two cameras."""
@@ -163,10 +164,18 @@ class Site:
 
     def picture(self, request: Request) -> Response:
         """A camera's picture, if there is one in the folder."""
-        path = picture_of(self._pictures, request.path_params["camera"])
+        path = self._picture_of(request.path_params["camera"])
         if path is None:
             return _json({"error": "no picture"}, 404)
         return FileResponse(path)
+
+    def _picture_of(self, camera: str) -> Path | None:
+        """None, too, if this user may not read it: the camera's page is worth having without."""
+        try:
+            path = picture_of(self._pictures, camera)
+        except PermissionError:  # of the folder
+            return None
+        return path if path is not None and os.access(path, os.R_OK) else None
 
     async def live(self, request: Request) -> Response:
         """Server-sent events: what is new, and with ``camera`` that one's entries and exits."""
