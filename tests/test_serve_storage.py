@@ -171,6 +171,23 @@ def test_acknowledged_events_are_kept_for_a_journal_that_came_back_shorter(tmp_p
     spool.close()
 
 
+def test_what_is_acknowledged_of_older_boots_is_not_forgotten_by_a_kill(tmp_path: Path) -> None:
+    """The daemon knows only a camera's newest boots again: events of others would count twice."""
+    path = tmp_path / "spool.db"
+    boots = [f"boot-{number:02}" for number in range(20)]
+    for number, boot in enumerate(boots):
+        killed = Spool(path, boot, events_max=1000)
+        killed.append([event(n) for n in range(3)])
+        path = copy_of(path, tmp_path / f"after {number} kills")
+    spool = Spool(path, "newest", events_max=1000)
+    spool.append([event(1)])
+    for boot in boots:
+        spool.ack("lobby", boot, 3)
+    assert len(spool) == 1
+    again = Spool(copy_of(path, tmp_path / "at the end"), "another", events_max=1000)
+    assert len(again) == 1, "only that of the newest boot comes again"
+
+
 def test_a_full_spool_forgets_what_is_acknowledged_before_it_drops_anything(tmp_path: Path) -> None:
     spool = Spool(tmp_path / "spool.db", "b", events_max=20, kept_events_max=100)
     spool.append([event(n, "hall") for n in range(5)])

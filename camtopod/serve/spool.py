@@ -132,8 +132,9 @@ class Spool:
     def ack(self, camera: str, boot: str, seq: int) -> None:
         """Everything of (camera, boot) up to ``seq`` is safe elsewhere. Raises `sqlite3.Error`.
 
-        It is written with the next events, or on closing. Should it be lost before that, the daemon is told of
-        these events once more, and acknowledges them again.
+        Of this spool's own boot it is written with the next events, or on closing. Should it be lost before that, the
+        daemon is told of these events once more, and acknowledges them again. Of an older boot it is written at once:
+        the daemon knows only a camera's newest boots again, and there may be many after a time without it.
         """
         with self._mutex, database.damage_noticed(self._path):
             before = self._acked.get((camera, boot), -1)
@@ -142,6 +143,9 @@ class Spool:
                 self._kept += newly
                 self._acked[camera, boot] = seq
                 self._unwritten.add((camera, boot))
+                if boot != self.boot:
+                    with contextlib.suppress(sqlite3.OperationalError):  # no room: then with the next events
+                        self._write_acks()
 
     def batch(self, camera: str, boot: str | None, from_seq: int, events_max: int) -> SpoolBatch:
         """Events of ``camera`` from ``from_seq`` of ``boot`` on, acknowledged or not; if there are none, those
@@ -215,6 +219,12 @@ class Spool:
             spool_format.write_opened(self._db, self._opened)
         for camera, boot in self._unwritten:
             spool_format.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
+
+    def _write_acks(self) -> None:
+        with database.transaction(self._db):
+            self._write_down()
+        self._opened_written = True
+        self._unwritten.clear()
 
     def _ask_the_file(self, again: list[Event]) -> None:
         """After an error: what it did store, if it is not ``again`` the same, keeps its numbers."""
