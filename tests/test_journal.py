@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import threading
 import zlib
 from collections.abc import Iterator
 from contextlib import closing
@@ -16,6 +17,7 @@ from camtopod.serve import database
 from camtopod.serve import journal as journals
 from camtopod.serve.database import Damaged, StateError
 from camtopod.serve.journal import BOOTS_KEPT_MAX, DAY_SECONDS, Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storing import Storing
 
 OLD = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -276,6 +278,44 @@ def test_the_file_stays_within_its_size(tmp_path: Path, monkeypatch: pytest.Monk
         assert journal.size() < 1.2 * largest
         assert (tmp_path / "journal.db").stat().st_size < 1.5 * largest
         assert len(kept(journal)) > 1000
+
+
+def versions_left(journal: Journal, clocks: list[tuple[float, float]]) -> list[int]:
+    """How many versions the journal has after each look at what is old, at such times (wall clock, steady clock)."""
+    told, left = [clocks[0]], []
+    storing = Storing(journal, lambda: told[-1][0], lambda: told[-1][1], lambda _: None)
+    for wall_and_steady in clocks:
+        told.append(wall_and_steady)
+        storing.on_snapshot(Snapshot(0, "E", b"state"))
+        assert storing.store([], threading.Event())
+        storing.forget_old()
+        left.append(len(journal.versions("E")))
+    return left
+
+
+def test_a_clock_that_is_wrong_for_a_while_makes_nothing_old(journal: Journal) -> None:
+    for day in range(50):
+        journal.commit([entry(day)], [version(day)], now=NOW + day * DAY_SECONDS)
+    today, years, hour = NOW + 50 * DAY_SECONDS, 3650 * DAY_SECONDS, 3600
+    assert (
+        versions_left(journal, [(today, 0), (today + years, 60), (today + 120, 120), (today + years, 130)]) == [50] * 4
+    )
+    wrong_from_the_start = [(today + years + n * hour, n * hour) for n in range(12)]
+    assert versions_left(journal, wrong_from_the_start) == [50] * 12
+    assert len(list(journal.entries())) == 50
+
+
+def test_a_clock_that_runs_evenly_for_a_day_is_believed(journal: Journal) -> None:
+    """As after a year on a shelf."""
+    for day in range(50):
+        journal.commit([entry(day)], [version(day)], now=NOW + day * DAY_SECONDS)
+    later = NOW + 400 * DAY_SECONDS
+    assert versions_left(journal, [(later + n * DAY_SECONDS / 2, n * DAY_SECONDS / 2) for n in range(4)]) == [
+        50,
+        50,
+        1,
+        1,
+    ]
 
 
 def test_what_is_left_to_forget_is_said_whatever_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ import contextlib
 import logging
 import math
 import sqlite3
+import statistics
 import threading
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -35,6 +36,8 @@ STREAMS_KEPT_MAX = 100_000
 """Of all cameras: names can be made up."""
 PRUNED_ROWS_MAX = 5_000
 """At most this many entries are forgotten at a time, so that a transaction stays short."""
+USUAL_STAMPS = 1_000
+"""More than half of these would have to be stored while the clock is wrong, for it to be believed."""
 CHUNK_ENTRIES = 1_000
 """Read at a time; a read that went on for long would keep the log from being folded in."""
 DAY_SECONDS = 86_400
@@ -151,6 +154,17 @@ class Journal:
             if len(self._followed) > STREAMS_KEPT_MAX:
                 self._followed.clear()
             self._followed.update(streams)
+
+    def usual_stamp(self) -> float | None:
+        """When the newest entries (or versions, if there are no entries) were stored, Unix seconds: the median, for a
+        clock may have been wrong for a few. None: there are neither. Raises `sqlite3.Error`.
+        """
+        with self._mutex, database.damage_noticed(self._path):
+            for table in ("entry", "version"):
+                newest = f"SELECT stored FROM {table} ORDER BY id DESC LIMIT ?"
+                if rows := self._db.execute(newest, (USUAL_STAMPS,)).fetchall():
+                    return statistics.median(stored for (stored,) in rows)
+        return None
 
     def prune(self, now: float) -> bool:
         """Forget some of what is older than is to be kept (``now``: Unix seconds); to be called now and then, and again

@@ -55,7 +55,7 @@ class Merger:
         clock: clocks.Clock, publish: Callable[[Version], None],
     ) -> None:  # fmt: skip
         self._journal = Journal(directory / FOLDER, keep)
-        self._storing = Storing(self._journal, clock, publish)
+        self._storing = Storing(self._journal, clock, clocks.steady_beside(clock), publish)
         self._clock, self._shards, self._dealing = clock, shards, Dealing(sharding)
         self._inbox: list[Told] = []
         self._came = threading.Condition()

@@ -78,8 +78,8 @@ class Receiver:
     ) -> None:
         self._bus, self._limits, self._clock = bus, limits, clock
         self._see, self._learn, self._learner_room, self._owns = see, learn, room, owns
-        self.storing = Storing(journal, clock, publish)
         self._steady = steady or steady_beside(clock)
+        self.storing = Storing(journal, clock, self._steady, publish)
         self.cameras = Cameras(limits)
         self._inbox = Inbox(
             limits.inbox_events_max,

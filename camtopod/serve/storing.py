@@ -22,6 +22,10 @@ from camtopod.serve.progress import Beat, no_beat
 log = logging.getLogger(__name__)
 
 _RETRY_SECONDS = 0.5
+BELIEVED_SECONDS = 86_400.0
+"""A wall clock that has run evenly for so long is right; until then it makes nothing older by more than that."""
+EVEN_SECONDS = 60.0
+"""Further apart from the steady clock than before, the wall clock has stepped."""
 
 
 class Version(NamedTuple):
@@ -37,10 +41,14 @@ class Version(NamedTuple):
 
 
 class Storing:
-    """``publish``: called with each version after it is stored."""
+    """``publish``: called with each version after it is stored. Raises `sqlite3.Error`."""
 
-    def __init__(self, journal: Journal, clock: Clock, publish: Callable[[Version], None]) -> None:
-        self._journal, self._clock, self._publish = journal, clock, publish
+    def __init__(self, journal: Journal, clock: Clock, steady: Clock, publish: Callable[[Version], None]) -> None:
+        self._journal, self._clock, self._steady, self._publish = journal, clock, steady, publish
+        wall, now = clock(), steady()
+        usual = journal.usual_stamp()
+        self._believed = (wall if usual is None else usual, now)  # wall and steady clock
+        self._even = (wall - now, now)  # by how much the wall clock is ahead, and since when (steady)
         self._versions: collections.deque[Version] = collections.deque()
         self._snapshots: collections.deque[Snapshot] = collections.deque(maxlen=1)
         self._too_much = False  # whether the journal may have more than is to be kept
@@ -91,9 +99,22 @@ class Storing:
             return
         self._too_much = False
         try:
-            self._too_much = self._journal.prune(self._clock())
+            self._too_much = self._journal.prune(self._believable_time())
         except sqlite3.Error as error:
             log.warning("cannot forget what is old in the journal: %s", error)
+
+    def _believable_time(self) -> float:
+        """Unix seconds: the wall clock's unless that is far ahead of what was stored before and of the time since. One
+        wrong moment of a clock would otherwise make everything in the journal too old to keep.
+        """
+        wall, now = self._clock(), self._steady()
+        apart, since = self._even
+        if abs(wall - now - apart) > EVEN_SECONDS:
+            self._even = (wall - now, now)
+        elif now - since >= BELIEVED_SECONDS:
+            self._believed, self._even = (wall, now), (wall - now, since)  # it may drift
+        then, at = self._believed
+        return min(wall, then + (now - at) + BELIEVED_SECONDS)
 
     def last_words(self, snapshot: Snapshot | None) -> None:
         """Store what the learner has handed over to the end. Only after both threads have ended."""
