@@ -163,7 +163,7 @@ class Journal:
             for table in ("entry", "version"):
                 newest = f"SELECT stored FROM {table} ORDER BY id DESC LIMIT ?"
                 if rows := self._db.execute(newest, (USUAL_STAMPS,)).fetchall():
-                    return statistics.median(stored for (stored,) in rows)
+                    return float(statistics.median(stored for (stored,) in rows))
         return None
 
     def prune(self, now: float) -> bool:
