@@ -19,7 +19,7 @@ from bench.baselines.crossings import candidates, crossings
 from bench.baselines.findings import Ranked, at, rank
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
-from bench.baselines.told import recorded_medians, told, transit_error
+from bench.baselines.told import recorded_medians, told_score, transit_error
 from bench.baselines.transfer import transfer
 from bench.baselines.zoning import methods
 from camtopod.learn.learner import Learner
@@ -152,7 +152,7 @@ def prediction_figures(head: Topology, events: Sequence[Event], truth: Truth) ->
         return None if zone is None else predictor.zones[zone].id
 
     ours = score_predictions(made, events[cut:], tail, zone_of=zone_of)
-    chain = score_predictions(told(events, truth, cut, states), events[cut:], tail)
+    chain = told_score(events, truth, cut, states)
     return {
         **_of_predictions(ours, ""),
         **_of_predictions(chain, "told_"),
@@ -167,9 +167,6 @@ def prediction_figures(head: Topology, events: Sequence[Event], truth: Truth) ->
 def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
     """Links and zones where the truth knows them; predictions by those who are told identities."""
     cut = int(TRAIN_SHARE * len(events))
-    tail = msgspec.structs.replace(
-        truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
-    )
     cameras = [event.camera for event in events]
     chains: dict[str, Sequence[Hashable]] = {"most frequent next camera": cameras}
     if truth.zones:
@@ -177,7 +174,7 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
     records = []
     for name, states in chains.items():
         started = time.process_time()
-        result = score_predictions(told(events, truth, cut, states), events[cut:], tail)
+        result = told_score(events, truth, cut, states)
         seconds = time.process_time() - started
         records.append(Record(regime, seed, f"next: {name}", seconds, _plain(_of_predictions(result, ""))))
     if truth.zones:

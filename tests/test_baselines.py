@@ -15,10 +15,11 @@ from bench.baselines.crossings import LAG_MAX, LAG_MIN, Crossings, candidates, c
 from bench.baselines.findings import Findings, Ranked, at, rank, tune
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
-from bench.baselines.told import told, transit_error
+from bench.baselines.told import told, told_score, transit_error
 from bench.baselines.transfer import by_delay, transfer
 from bench.baselines.zoning import methods
 from camtopod.records import Event, Transit
+from camtopod.sim.score import score_predictions
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth
 
 SECONDS = 20_000.0
@@ -239,13 +240,34 @@ def told_case() -> tuple[list[Event], Truth]:
     return events, Truth(TRUTH_SCHEMA, ["a", "b"], [], [], [], {}, [*who, 8, 9], [*number, 0, 0], [-1] * len(events))
 
 
-def test_the_told_chain_counts_with_half_a_count_for_everything() -> None:
+def test_the_told_chain_counts_with_a_part_of_a_count_for_everything() -> None:
     events, truth = told_case()
     cut = len(events) - 2
-    here, elsewhere = told(events, truth, cut, [event.camera for event in events])
+    here, elsewhere = told(events, truth, cut, [event.camera for event in events], 0.5)
     assert here.leave == pytest.approx((1 + 0.5) / (4 + 1.0))
     assert [(c.camera, c.probability) for c in here.next_] == [("b", pytest.approx(3.5 / 5.0))]
     assert elsewhere.leave == here.leave  # nothing was ever seen to leave b: as all together
+
+
+def test_the_told_chain_is_smoothed_as_suits_it_best() -> None:
+    """Of 20 known states with one exit each the next exit does the same: the less is added, the better. Where the next
+    exits do anything but the same, much is better."""
+    for same, best in ((True, 0.02), (False, 0.5)):
+        events, who, number = [], [], []
+        for person in range(40):
+            there = person if same or person < 20 else person + 7
+            events += [Event("a", "exit", 100.0 * person), Event(f"b{there % 20}", "entry", 100.0 * person + 5)]
+            who, number = [*who, person, person], [*number, 0, 1]
+        truth = Truth(TRUTH_SCHEMA, ["a"], [], [], [], {}, who, number, [-1] * len(events))
+        states = [person % 20 for person in who]
+        expected = score_predictions(told(events, truth, 40, states, best), events[40:], tail_of(truth, 40))
+        assert told_score(events, truth, 40, states) == expected
+
+
+def tail_of(truth: Truth, cut: int) -> Truth:
+    return msgspec.structs.replace(
+        truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
+    )
 
 
 def test_the_told_transit_error_is_that_of_the_recorded_median() -> None:

@@ -2,8 +2,8 @@
 and how near the median of a link's transit times in the recording is to the true one.
 
 The predictors count, before the cut, which camera followed an exit at each state (a zone, or a camera) or that none
-did. They add half a count for every camera that ever followed anywhere and for leaving, so that nothing has probability
-zero.
+did. They add a part of a count for every camera that ever followed anywhere and for leaving, so that nothing has
+probability zero; how much, is chosen on the truth.
 """
 
 from __future__ import annotations
@@ -15,14 +15,24 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.records import Event, NextCamera, Prediction
-from camtopod.sim.score import TRANSIT_FLOOR_SECONDS, next_entries
+from camtopod.sim.score import TRANSIT_FLOOR_SECONDS, PredictionScore, next_entries, score_predictions
 from camtopod.sim.truth import CLUTTER, Truth
 
-PSEUDO_COUNT = 0.5
+PSEUDO_COUNTS = (0.5, 0.2, 0.1, 0.05, 0.02)
+"""Half a count for each of a dozen cameras is much beside a state's few exits; little is much too sure of them."""
 LEAVES = ""
 
 
-def told(events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable]) -> list[Prediction]:
+def told_score(events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable]) -> PredictionScore:
+    """How good `told` is on the events from ``cut`` on, with those of `PSEUDO_COUNTS` that have the best log loss."""
+    tail = replace(truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:])
+    scores = [score_predictions(told(events, truth, cut, states, a), events[cut:], tail) for a in PSEUDO_COUNTS]
+    return min(scores, key=lambda result: result.log_loss)
+
+
+def told(
+    events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable], pseudo_count: float
+) -> list[Prediction]:
     """One prediction for each exit from event ``cut`` on, from what the exits before it with the same state led to.
 
     ``states[i]`` is the state of event ``i``; an unknown state predicts as all exits together do.
@@ -40,8 +50,8 @@ def told(events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hasha
         event = events[index]
         if event.kind == "exit":
             counts = following.get(states[index], overall)
-            total = counts.total() + PSEUDO_COUNT * len(known)
-            share = {outcome: (counts[outcome] + PSEUDO_COUNT) / total for outcome in known}
+            total = counts.total() + pseudo_count * len(known)
+            share = {outcome: (counts[outcome] + pseudo_count) / total for outcome in known}
             leave = share.pop(LEAVES)
             ranked = sorted(share.items(), key=lambda item: -item[1])
             choices = [NextCamera(camera, "", p, 0.0, 0.0, 0.0) for camera, p in ranked]
