@@ -1,26 +1,31 @@
 """A month in simulated time: the real spool, bus, journal and daemon, restarted every night; memory and disk have to
-stay flat.
+stay flat, and the disk below the bounds that are set.
 
     python -m bench soak [--days 30] [--cameras 20] [--events 6000] [--json FILE]
 
 One made-up day of traffic is repeated with new seconds and numbers. Windows and retention are short enough to be full
 after two days (memory) and five (disk), so that whatever still grows then is a leak. Every night the daemon stops and
-another starts on the same state, in the same process. At the end every event has been stored
-once, and a plain learner given the same events has the same versions.
+another starts on the same state, in the same process, which has nothing else in it: its memory and its learner's are
+what is measured. At the end every camera's events have been stored, each once, and a plain learner given the same
+events has the same versions.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
 import itertools
-import os
+import multiprocessing
 import random
 import socket
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from msgspec import Struct
@@ -29,10 +34,10 @@ from bench._site import resident
 from camtopod.config import BusSettings, Config, KeepSettings, Limits, StateSettings
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.records import Event
 from camtopod.serve import memory
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
 from camtopod.sim.network import simulate
@@ -40,16 +45,25 @@ from camtopod.sim.settings import SimSettings
 
 DAY_SECONDS = 86_400.0
 MEMORY_FROM_DAY, DISK_FROM_DAY = 2, 5
-"""Days at whose end windows and retention are full."""
+"""Days, counted from 1, at whose end windows and retention are full; the days after are held against them."""
 GROWTH_MAX = 0.05
+JOURNAL_BYTES, JOURNAL_EVENT_BYTES = 2 * 2**20, 400
+"""What the journal may have: so much for versions and snapshots, and for each event of a day; full on the third."""
+SPOOL_BYTES = 2**20
+"""What the spool may have: several days' events, so that it is full on the first ones."""
+BESIDE_BYTES = 2 * 2**20
+"""On the disk besides what a bound counts: a log, and what comes before the next look at the bound."""
+REACHED_SHARE = 0.8
+"""A bound to which the disk never comes as near as this has not been tried."""
 BATCH_EVENTS = 500
 BATCH_SECONDS = 7200.0
 """Simulated time that comes at once, in any order of cameras; the learner is told to wait for as long."""
 WAIT_SECONDS = 300.0
+_PROCESSES = multiprocessing.get_context("spawn")
 
 
 class Day(Struct):
-    """How things are at the end of a simulated day. Bytes; seconds of wall time."""
+    """How things are at the end of a simulated day, the first being 1. Bytes; seconds of wall time."""
 
     day: int
     resident: int
@@ -68,11 +82,12 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--events", type=int, default=6000, help="events a day, about (default 6000)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="one line a day goes here")
     given = parser.parse_args(argv)
-    memory.limit_arenas()
-    with tempfile.TemporaryDirectory() as folder:
-        soak = Soak(Path(folder), given.cameras, given.events)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.closing(Soak(Path(folder), given.cameras, given.events)) as soak,
+    ):
         print("day  resident MiB  journal MiB  spool MiB  version  start s  day s")
-        for day in range(given.days):
+        for day in range(1, given.days + 1):
             soak.live_through(day)
             d = soak.days[-1]
             sizes = "  ".join(f"{value / 2**20:11.2f}" for value in (d.resident, d.journal, d.spool))
@@ -80,21 +95,113 @@ def main(argv: list[str]) -> int:
             if given.json is not None:
                 with given.json.open("ab") as out:
                     out.write(msgspec.json.encode(d) + b"\n")
-        wrong = [*grown(soak.days), *soak.wrong()]
+        wrong = [*grown(soak.days), *outside(soak.days, soak.bounds), *soak.wrong()]
     print("\n".join(wrong) or "flat, and nothing lost")
     return 1 if wrong else 0
 
 
 def grown(days: Sequence[Day]) -> Iterator[str]:
-    """What the last days have more of than the day when it should have been full."""
+    """What any later day has more of than the day when it should have been full."""
     for name, since in (("resident", MEMORY_FROM_DAY), ("journal", DISK_FROM_DAY), ("spool", DISK_FROM_DAY)):
-        if len(days) <= since + 1:
-            yield f"{name}: more than {since + 1} days are needed to tell"
+        if len(days) <= since:
+            yield f"{name}: more than {since} days are needed to tell"
             continue
-        before, now = getattr(days[since], name), getattr(days[-1], name)
-        print(f"{name}: {now / before - 1.0:+.1%} since day {since}")
-        if now > (1.0 + GROWTH_MAX) * before:
+        before = getattr(days[since - 1], name)
+        most = max(days[since:], key=lambda day: int(getattr(day, name)))
+        size = getattr(most, name)
+        print(f"{name}: {size / before - 1.0:+.1%} at most since day {since}, on day {most.day}")
+        if size > (1.0 + GROWTH_MAX) * before:
             yield f"{name} has grown by more than {GROWTH_MAX:.0%}"
+
+
+def outside(days: Sequence[Day], bounds: Mapping[str, int]) -> Iterator[str]:
+    """What had more bytes than it may, on any day; or never came near, so that nothing is known of its bound."""
+    for name, most in bounds.items():
+        peak = max(days, key=lambda day: int(getattr(day, name)))
+        size = getattr(peak, name)
+        print(f"{name}: at most {size} bytes, on day {peak.day}; it may have {most}, and {BESIDE_BYTES} beside")
+        if size > most + BESIDE_BYTES:
+            yield f"{name} has {size} bytes on day {peak.day} and may have {most}"
+        elif size < REACHED_SHARE * most:
+            yield f"{name} has never come near its bound, which says nothing"
+
+
+def miscounted(sent: Mapping[str, int], stored: Counter[tuple[str, int]]) -> Iterator[str]:
+    """Events that are not stored once each; a camera's are numbered from 1."""
+    made = {(camera, seq) for camera, last in sent.items() for seq in range(1, last + 1)}
+    lost, foreign = made - stored.keys(), stored.keys() - made
+    doubled = [one for one, times in stored.items() if times > 1]
+    for what, which in (("lost", lost), ("stored more than once", doubled), ("stored and never sent", foreign)):
+        if which:
+            yield f"{len(which)} of {len(made)} events are {what}, the first {min(which)}"
+
+
+class Beside:
+    """A process of its own that does what it is asked, one thing at a time."""
+
+    def __init__(self, work: Callable[..., None], *given: Any) -> None:
+        self._pipe, other = _PROCESSES.Pipe()
+        self._process = _PROCESSES.Process(target=work, args=(other, *given))
+        self._process.start()
+        other.close()
+
+    @property
+    def resident(self) -> int:
+        """Bytes in memory of it and of its children."""
+        assert self._process.pid is not None
+        return resident(self._process.pid)
+
+    def tell(self, what: Any) -> None:
+        """Ask, without waiting."""
+        self._pipe.send(what)
+
+    def hear(self) -> Any:
+        """The answer. Raises `EOFError` if it has ended."""
+        return self._pipe.recv()
+
+    def ask(self, what: Any) -> Any:
+        """Both."""
+        self.tell(what)
+        return self.hear()
+
+    def close(self) -> None:
+        """End it."""
+        self._pipe.close()
+        self._process.join(WAIT_SECONDS)
+
+
+def keep_house(pipe: Connection, config: Config, now: Any) -> None:
+    """The daemon's process: one after the other, on the same state and by the clock ``now``."""
+    memory.limit_arenas()
+    daemon: Daemon | None = None
+    with contextlib.suppress(EOFError):
+        while True:
+            match pipe.recv():
+                case "start":
+                    daemon = Daemon(config, clock=lambda: float(now.value))
+                    pipe.send(daemon.start())
+                case "status" if daemon is not None:
+                    made = daemon.topology
+                    pipe.send((daemon.status()["events"]["waiting"], (made.version, made.digest) if made else None))
+                case "tidy":  # what the daemons of the nights before left in cycles
+                    gc.collect()
+                    memory.give_back()
+                    pipe.send(True)
+                case "stop" if daemon is not None:
+                    daemon.stop()
+                    pipe.send(True)
+    if daemon is not None:
+        daemon.stop()
+
+
+def learn_beside(pipe: Connection, settings: Settings) -> None:
+    """The process of a plain learner that never stops: answers events with the versions they led to."""
+    learner = Learner(settings, "site", "plain")
+    with contextlib.suppress(EOFError):
+        while True:
+            for event in pipe.recv():
+                learner.receive(event)
+            pipe.send({one.version: one.digest for one in learner.updates()})
 
 
 class Soak:
@@ -102,21 +209,29 @@ class Soak:
 
     def __init__(self, folder: Path, cameras: int, events: int) -> None:
         learn = Settings(lateness_seconds=2 * BATCH_SECONDS, ahead_seconds_max=0.0, window_hours=24.0, refit_hours=4.0)
-        keep = KeepSettings(journal_days=3.0, history_days=3.0, snapshot_events=2000)
+        keep = KeepSettings(
+            journal_days=3.0, history_days=3.0, snapshot_events=2000,
+            journal_bytes_max=JOURNAL_BYTES + JOURNAL_EVENT_BYTES * events,
+        )  # fmt: skip
         self._config = Config(
             bus=BusSettings(listen=(f"tcp/127.0.0.1:{_free_port()}",)), state=StateSettings(str(folder / "state")),
-            learn=learn, keep=keep, limits=Limits(spool_kept_events=1000),
+            learn=learn, keep=keep, limits=Limits(spool_bytes_max=SPOOL_BYTES, spool_kept_events=100_000),
         )  # fmt: skip
+        self.bounds = {"journal": keep.journal_bytes_max, "spool": SPOOL_BYTES}
         rate = events / DAY_SECONDS / 12.0  # objects a second; each makes about twelve events
         day = SimSettings(seed=1, cameras=cameras, hours=23.5, objects_per_second=rate, rhythm=0.8)
         self._day, _ = simulate(day)
-        self._learner = Learner(learn, "site", "plain")
+        self._now = _PROCESSES.Value("d", 0.0)
+        self._home = Beside(keep_house, self._config, self._now)
+        self._twin = Beside(learn_beside, learn)
         self._expected: dict[int, str] = {}
         self._made: dict[int, str] = {}
-        self._now = 0.0
-        self._sent = self._stored = 0
+        self._sent: Counter[str] = Counter()
+        self._stored: Counter[tuple[str, int]] = Counter()
+        self._read = 0  # entries of the journal
         self._bus: Bus | None = None
-        self._spool = Spool(folder / "spool.db", "boot", 100_000, kept_events_max=1000)
+        limits = self._config.limits
+        self._spool = Spool(folder / "spool.db", "boot", 100_000, limits.spool_bytes_max, limits.spool_kept_events)
         self._publisher = Publisher(self._spool, BATCH_EVENTS)
         self._folder = folder
         self.days: list[Day] = []
@@ -124,8 +239,7 @@ class Soak:
     def live_through(self, day: int) -> None:
         """Start the daemon, let the day's traffic come, and stop it."""
         started = time.perf_counter()
-        daemon = Daemon(self._config, clock=lambda: self._now)
-        daemon.start()
+        self._home.ask("start")
         if self._bus is None:
             self._bus = dial(self._config)  # and reconnects by itself after each night
             self._publisher.attach(self._bus)
@@ -135,52 +249,54 @@ class Soak:
         events = [msgspec.structs.replace(event, t=event.t + later) for event in self._day]
         for _, group in itertools.groupby(events, key=lambda event: event.t // BATCH_SECONDS):
             batch = list(group)
-            self._now = batch[-1].t + 1.0
+            self._now.value = batch[-1].t + 1.0
+            self._twin.tell(batch)
             self._publisher.publish(*batch)
-            self._sent += len(batch)
+            self._sent.update(event.camera for event in batch)
             if not self._publisher.drained(WAIT_SECONDS):
                 raise TimeoutError("events are not acknowledged")
-            self._learn(batch)
-        self._wait(lambda: daemon.status()["events"]["waiting"] == 0)
-        self._wait(lambda: daemon.topology is not None and daemon.topology.version == max(self._expected))
-        assert daemon.topology is not None
-        self._made[daemon.topology.version] = daemon.topology.digest
-        self._stored += daemon.status()["events"]["stored"]
-        gc.collect()
-        memory.give_back()  # what the plain learner beside the daemon took
-        taken = resident(os.getpid())  # its learner is a process of its own
-        daemon.stop()
-        self.days.append(
-            Day(
-                day, taken, _bytes(self._folder / "state"), _bytes(self._folder, "spool"),
-                daemon.topology.version, ready, time.perf_counter() - started,
-            )
-        )  # fmt: skip
+            self._expected |= self._twin.hear()
+        version, digest = self._learned()
+        self._made[version] = digest
+        self._home.ask("tidy")
+        taken, journal, spool = self._home.resident, _bytes(self._folder / "state"), _bytes(self._folder, "spool")
+        self._home.ask("stop")
+        self._count()
+        self.days.append(Day(day, taken, journal, spool, version, ready, time.perf_counter() - started))
 
     def wrong(self) -> Iterator[str]:
         """What the daemon lost, or learned otherwise than one that never stopped."""
-        self._publisher.drained(WAIT_SECONDS)
-        if self._stored != self._sent:
-            yield f"{self._sent} events were sent and {self._stored} stored"
+        yield from miscounted(self._sent, self._stored)
         other = [version for version, digest in self._made.items() if self._expected[version] != digest]
         if other:
             yield f"versions {other} differ from those of an uninterrupted run"
+
+    def close(self) -> None:
+        """End everything."""
         if self._bus is not None:
             self._bus.close()
+        self._home.close()
+        self._twin.close()
         self._spool.close()
 
-    def _learn(self, batch: list[Event]) -> None:
-        for event in batch:
-            self._learner.receive(event)
-        self._expected |= {one.version: one.digest for one in self._learner.updates()}
-
-    def _wait(self, done: object) -> None:
-        assert callable(done)
+    def _learned(self) -> tuple[int, str]:
+        """The newest version and its digest, when the daemon has come as far as the twin."""
         deadline = time.monotonic() + WAIT_SECONDS
-        while not done():
+        while True:
+            waiting, newest = self._home.ask("status")
+            if waiting == 0 and newest is not None and newest[0] == max(self._expected):
+                return int(newest[0]), str(newest[1])
             if time.monotonic() > deadline:
                 raise TimeoutError("the daemon does not learn")
             time.sleep(0.02)
+
+    def _count(self) -> None:
+        """What the journal has more of than yesterday."""
+        with contextlib.closing(Journal(self._folder / "state", self._config.keep)) as journal:
+            for number, entry in journal.entries(after=self._read):
+                self._read = number
+                if entry is not None and entry.kind == "event" and entry.seq is not None:
+                    self._stored[entry.camera, entry.seq] += 1
 
 
 def _free_port() -> int:
