@@ -40,6 +40,6 @@ def test_the_harness_sees_a_writer_that_speaks_too_early(name: str, quick_path: 
 @pytest.mark.parametrize("name", NAMES)
 def test_campaign_of_killed_writers(name: str, tmp_path: Path) -> None:
     """On the real disk."""
-    told = killed(name, tmp_path, size("KILLS", 1000))
+    told = killed(name, tmp_path, size("FORKED_KILLS", 1000))
     print(f"{name}: {told}")
     assert told["lost"] == 0

@@ -21,6 +21,9 @@ from camtopod.serve.database import StateError
 QUICK_STEPS = {"journal": 45, "spool": 25}
 CAMPAIGN_STEPS = 520
 CAMPAIGN_EACH = 14
+CAMPAIGN_IMAGES_MIN = {"journal": 40_000, "spool": 100_000}
+"""Different ones that these give."""
+CANARY_STEPS, CANARY_EACH = 60, 3
 GOES_ON_EVERY = 20
 """Of the images, one in so many is also written on."""
 FILES: dict[str, Open] = {"journal": WrittenJournal, "spool": WrittenSpool}
@@ -122,6 +125,14 @@ def test_the_harness_sees_that_normal_is_not_enough(quick_path: Path, disk_watch
     assert any("is as after step" in problem for problem in outcome.lost)
 
 
+@pytest.mark.campaign
+@pytest.mark.timeout(1200)
+def test_campaign_of_the_canary(quick_path: Path, disk_watch: Vfs) -> None:
+    outcome = run(NormalJournal, CANARY_STEPS, CANARY_EACH, quick_path, disk_watch)
+    print(f"canary, synchronous=NORMAL: {len(outcome.lost)} of {outcome.images.total()} images lost something")
+    assert len(outcome.lost) > outcome.images.total() // 10
+
+
 class _MadeUnderFull(sqlite3.Connection):
     def execute(self, statement: str, *parameters: Any) -> sqlite3.Cursor:
         return super().execute(statement.replace("synchronous=EXTRA", "synchronous=FULL"), *parameters)
@@ -167,5 +178,7 @@ def test_a_table_that_was_made_stays_and_made_under_full_it_would_not(
 def test_campaign_of_power_cuts(name: str, quick_path: Path, disk_watch: Vfs) -> None:
     steps, each = size("POWERCUT_STEPS", CAMPAIGN_STEPS), size("POWERCUT_EACH", CAMPAIGN_EACH)
     outcome = run(FILES[name], steps, each, quick_path, disk_watch)
-    print(f"{name}: {sum(outcome.images.values())} images {dict(outcome.images)}, {len(outcome.lost)} lost")
+    print(f"{name}: {outcome.images.total()} images {dict(outcome.images)}, {len(outcome.lost)} lost")
     assert outcome.lost == []
+    if (steps, each) == (CAMPAIGN_STEPS, CAMPAIGN_EACH):
+        assert outcome.images.total() >= CAMPAIGN_IMAGES_MIN[name]
