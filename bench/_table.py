@@ -24,10 +24,13 @@ ROWS = {
     "precision": "links, precision",
     "recall": "links, recall",
     "f1": "links, F1",
-    "false_links": "false links between cameras",
+    "false_links": "false links",
     "silent": "runs without any, share",
     "median_error": "transit median, relative error",
+    "median_error_mean": "  mean over the links",
     "recorded_median_error": "  against the recording's own medians",
+    "transit_covered": "  within 1.96 stated sd (0.95 is right)",
+    "transit_mean_covered": "transit mean within 1.96 sd (0.95)",
     "relation_right": "relation of camera pairs right",
     "top1": "next camera, top-1",
     "told_top1": "  told chain, same zones",
@@ -53,7 +56,7 @@ ROWS = {
     "seconds": "seconds of processor time to learn",
 }
 TARGET_TITLES = {
-    "silent": "runs without a false link between cameras",
+    "silent": "runs without a false link",
     "top1_ratio": "top-1, share of the told chain's",
     "top3_ratio": "top-3, share of the told chain's",
     "log_loss_above": "log loss above the told chain's",

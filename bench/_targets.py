@@ -14,7 +14,8 @@ class Target(NamedTuple):
     at_least: bool = True
 
 
-LINKED = ("sparse", "medium", "dense", "rhythm", "rhythm-dense", "faulty", "short", "overlapped")
+RHYTHMS = ("rhythm", "rhythm-sparse", "rhythm-medium", "rhythm-dense")
+LINKED = ("sparse", "medium", "dense", *RHYTHMS, "faulty", "short", "overlapped")
 """Regimes on which transit times and predictions are to be right."""
 TARGETS = (
     Target("zones-10", "zones_right", 0.97),
@@ -22,8 +23,7 @@ TARGETS = (
     Target("sparse", "f1", 0.98),
     Target("medium", "f1", 0.98),
     Target("dense", "f1", 0.94),
-    Target("rhythm", "f1", 0.98),
-    Target("rhythm-dense", "f1", 0.98),
+    *(Target(regime, "f1", 0.98) for regime in RHYTHMS),
     Target("faulty", "f1", 0.96),
     Target("no-links", "silent", 0.95),
     Target("short", "f1", 0.94),

@@ -85,6 +85,12 @@ def _rows() -> list[Regime]:
         Regime("dense", "0.6 objects a second, about 50,000 events", dense),
         Regime("rhythm", "a day with a rhythm of +-90 %, about 50,000 events", day),
         Regime(
+            "rhythm-sparse", "0.05 objects a second, +-90 % in 34 hours", change(sparse, rhythm=0.9, rhythm_hours=34.0)
+        ),
+        Regime(
+            "rhythm-medium", "0.12 objects a second, +-90 % in 14 hours", change(medium, rhythm=0.9, rhythm_hours=14.0)
+        ),
+        Regime(
             "rhythm-dense", "0.6 objects a second, +-90 % in 2.8 hours", change(dense, rhythm=0.9, rhythm_hours=2.8)
         ),
         Regime("faulty", "25 % missed, 30 % clutter, about 50,000 events", change(medium, missed=0.25, clutter=0.3)),

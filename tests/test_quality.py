@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 import bench.quality as quality
-from bench._measure import Record, baselines, measure, network_figures
+from bench._measure import Record, baselines, by_their_clocks, measure, network_figures
 from bench._table import mean_and_error, tables
 from bench.baselines.findings import Ranked
 from camtopod.records import Event
@@ -107,6 +107,19 @@ def test_figures_of_a_perfect_topology() -> None:
     assert figures["median_error"] == 0
     assert figures["recorded_median_error"] > 0  # so few walkers have another median than all
     assert "clock_error" not in figures
+
+
+def test_transit_times_are_held_against_those_by_the_cameras_own_clocks() -> None:
+    from made import topology_of
+
+    events, truth = simulate(SimSettings(cameras=4, hours=0.3, clock_sd=20.0))
+    assert network_figures(topology_of(truth), truth, events)["median_error"] > 0.1
+    assert network_figures(topology_of(by_their_clocks(truth)), truth, events)["median_error"] == 0
+    link = next(link for link in truth.links if link.relation == "unseen")
+    offset = [truth.clock_offsets[zone.split("/")[0]] for zone in (link.from_, link.to)]
+    shifted = next(one for one in by_their_clocks(truth).links if (one.from_, one.to) == (link.from_, link.to))
+    assert shifted.transit.q50 == pytest.approx(link.transit.q50 + offset[1] - offset[0])
+    assert shifted.transit.sd == link.transit.sd
 
 
 def test_means_have_standard_errors() -> None:

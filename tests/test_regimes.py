@@ -11,7 +11,7 @@ from camtopod.sim.truth import TRUTH_SCHEMA, Truth
 
 ROWS = {
     *("zones-10", "zones-30", "sparse", "medium", "dense", "rhythm", "rhythm-dense", "faulty", "no-links", "short"),
-    *("overlapped", "clocks"),
+    *("overlapped", "clocks", "rhythm-sparse", "rhythm-medium"),
 }
 TWINS = {"hall", "crowd", "walkway", "road"}
 
@@ -32,7 +32,8 @@ def test_every_regime_is_made_and_its_seed_decides(name: str) -> None:
 
 
 def test_the_rows_have_the_sizes_asked_for() -> None:
-    for name, size in {"sparse": 50_000, "dense": 50_000, "no-links": 50_000, "short": 9_000}.items():
+    sizes_of = {"sparse": 50_000, "rhythm-sparse": 50_000, "dense": 50_000, "no-links": 50_000, "short": 9_000}
+    for name, size in sizes_of.items():
         sizes = [len(REGIMES[name].make(seed, 0.1)[0]) for seed in range(6)]
         assert np.mean(sizes) == pytest.approx(size / 10, rel=0.25)
 

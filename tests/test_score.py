@@ -47,6 +47,19 @@ def test_errors_of_medians_and_f1() -> None:
     assert fewer.link_f1 == pytest.approx(2 * fewer.link_recall / (1 + fewer.link_recall))
 
 
+def test_stated_uncertainty_covers_or_does_not() -> None:
+    """Of four links one is 3 s off, each with a stated error of 1 s; another states none. Means are right."""
+    links = [link for link in PERFECT.links if link.relation != "visible"][:5]
+    stated = [replace(link, transit=replace(link.transit, q50_sd=1.0, mean_sd=0.1)) for link in links[:4]]
+    off = replace(stated[0], transit=replace(stated[0].transit, q50=stated[0].transit.q50 + 3.0))
+    result = score(replace(PERFECT, links=[off, *stated[1:], links[4]]), TRUTH)
+    assert (result.median_covered, result.mean_covered) == (0.75, 1.0)
+    true = next(link for link in TRUTH.links if link.from_ == off.from_ and link.to == off.to).transit.q50
+    assert result.median_error == 0
+    assert result.median_error_mean == pytest.approx(3.0 / max(abs(true), 1.0) / 5)
+    assert math.isnan(score(PERFECT, TRUTH).median_covered)
+
+
 def test_missing_and_false_pairs_have_no_right_relation() -> None:
     assert score(PERFECT, TRUTH).relation_right == 1
     n = len(TRUTH.pairs)
@@ -55,15 +68,16 @@ def test_missing_and_false_pairs_have_no_right_relation() -> None:
     assert score(replace(PERFECT, pairs=[*PERFECT.pairs, false]), TRUTH).relation_right == pytest.approx(n / (n + 1))
 
 
-def test_false_links_between_cameras() -> None:
+def test_false_links_count_within_a_camera_too() -> None:
     link = next(link for link in PERFECT.links if link.relation != "visible")
     true = {(link.from_, link.to) for link in PERFECT.links}
     pairs = [(a, b) for a in PERFECT.zones for b in PERFECT.zones if a.camera != b.camera]
     a, b = next((a, b) for a, b in pairs if (a.id, b.id) not in true)
     false = replace(link, from_=a.id, to=b.id)
-    assert score(replace(PERFECT, links=[*PERFECT.links, false]), TRUTH).links_false_between_cameras == 1
+    assert score(replace(PERFECT, links=[*PERFECT.links, false]), TRUTH).links_false == 1
     same = replace(link, from_=a.id, to=a.id)
-    assert score(replace(PERFECT, links=[*PERFECT.links, same]), TRUTH).links_false_between_cameras == 0
+    assert score(replace(PERFECT, links=[*PERFECT.links, same]), TRUTH).links_false == 1
+    assert score(PERFECT, TRUTH).links_false == 0
 
 
 def two_passages() -> tuple[list[Event], Truth]:

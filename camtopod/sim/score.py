@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
@@ -14,6 +15,8 @@ from camtopod.sim.truth import CLUTTER, TrueLink, TrueZone, Truth
 
 ZONE_TOLERANCE = 0.1
 """A learned zone is a true one when their centres are at most this far apart, fraction of the image."""
+COVERED_SDS = 1.96
+"""An error within so many stated standard deviations is covered; 95 % should be."""
 TRANSIT_FLOOR_SECONDS = 1.0
 """Errors of shorter transit times are relative to this, as a fraction of next to nothing says nothing."""
 PROBABILITY_FLOOR = 1e-6
@@ -43,6 +46,12 @@ class Score(Struct, frozen=True):
     mean_error: float
     median_error: float
     """The same of the medians."""
+    median_error_mean: float
+    """Mean of the medians' errors: it counts the links that are far off, too."""
+    median_covered: float
+    """Share of the right links with the true median within `COVERED_SDS` stated standard errors; nan without any."""
+    mean_covered: float
+    """The same of the means."""
     pairs_true: int
     pairs_learned: int
     pairs_right: int
@@ -50,8 +59,8 @@ class Score(Struct, frozen=True):
     pair_relations_right: int
     pairs_walked: int
     """Pairs of cameras that somebody walked between, both ends recorded, or that were learned."""
-    links_false_between_cameras: int
-    """Learned links that are none in truth and join two cameras."""
+    links_false: int
+    """Learned links that are none in truth."""
 
     @property
     def link_precision(self) -> float:
@@ -140,8 +149,6 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
     walked = [link for link in truth.links if link.relation != "visible" and link.transitions > 0]
     camera_of = {zone.id: zone.camera for zone in truth.zones}
     walked_pairs = {tuple(sorted((camera_of[link.from_], camera_of[link.to]))) for link in walked}
-    learned_camera = {zone.id: zone.camera for zone in topology.zones}
-    false = [link for link in learned if (link.from_, link.to) not in true_links]
     learned_pairs = {pair.cameras: pair.relation for pair in topology.pairs}
     true_pairs = {pair.cameras: pair.relation for pair in truth.pairs}
     expected = walked_pairs if truth.links else true_pairs.keys()
@@ -162,12 +169,15 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
         mode_error=_error(right, "mode"),
         mean_error=_error(right, "mean"),
         median_error=_error(right, "q50"),
+        median_error_mean=_error(right, "q50", np.mean),
+        median_covered=_covered(right, "q50"),
+        mean_covered=_covered(right, "mean"),
         pairs_true=len(true_pairs),
         pairs_learned=len(learned_pairs),
         pairs_right=len(both),
         pair_relations_right=sum(learned_pairs[pair] == true_pairs[pair] for pair in both),
         pairs_walked=len(expected | learned_pairs.keys()),
-        links_false_between_cameras=sum(learned_camera[link.from_] != learned_camera[link.to] for link in false),
+        links_false=len(learned) - len(right),
     )
 
 
@@ -320,7 +330,9 @@ def _projected(links: list[TrueLink], match: dict[str, str]) -> dict[tuple[str, 
     return result
 
 
-def _error(right: list[tuple[Link, TrueLink]], figure: str) -> float:
+def _error(
+    right: list[tuple[Link, TrueLink]], figure: str, together: Callable[[list[float]], np.floating[Any]] = np.median
+) -> float:
     def value(transit: Transit) -> float:
         return float(getattr(transit, figure))
 
@@ -328,7 +340,16 @@ def _error(right: list[tuple[Link, TrueLink]], figure: str) -> float:
         abs(value(link.transit) - value(true.transit)) / max(abs(value(true.transit)), TRANSIT_FLOOR_SECONDS)
         for link, true in right
     ]
-    return float(np.median(errors)) if errors else math.nan
+    return float(together(errors)) if errors else math.nan
+
+
+def _covered(right: list[tuple[Link, TrueLink]], figure: str) -> float:
+    covered = [
+        abs(getattr(link.transit, figure) - getattr(true.transit, figure)) <= COVERED_SDS * sd
+        for link, true in right
+        if (sd := getattr(link.transit, f"{figure}_sd")) is not None
+    ]
+    return float(np.mean(covered)) if covered else math.nan
 
 
 def _share(part: int, whole: int) -> float:
