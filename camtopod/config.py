@@ -164,7 +164,9 @@ class HealthSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = ""
     """Where the daemon answers GET /healthz and /readyz, e.g. "127.0.0.1:8787"; empty: nowhere."""
     stall_seconds: Positive = 30.0
-    """A loop of the daemon that has not got on for this long makes it unhealthy: systemd starts it again."""
+    """A loop of the daemon, the page's server or the bridge that has not got on for this long makes it unhealthy:
+    systemd starts it again.
+    """
     learn_seconds: Positive = 900.0
     """The same for a step of the learner (fitting anew takes long on a small machine) and for the start."""
     hung_seconds: Positive = 30.0

@@ -92,8 +92,14 @@ def test_no_service_shares_its_user_or_gives_up() -> None:
         assert unit["StartLimitIntervalSec"] == ["0"]
         assert unit["RestartPreventExitStatus"] == ["2 78"]
         assert (unit["NoNewPrivileges"], unit["UMask"], unit["CapabilityBoundingSet"]) == (["yes"], ["0077"], [""])
-        assert float(unit["WatchdogSec"][0]) > HealthSettings().stall_seconds
         assert float(unit["TimeoutStopSec"][0]) > max(RUN_LEAVE_SECONDS, GRAB_LEAVE_SECONDS + CLOSE_SECONDS)
+
+
+@pytest.mark.parametrize("file", [*UNITS, *OTHERS])
+def test_systemd_starts_again_what_hangs(file: str) -> None:
+    unit = directives(DEPLOY / file)
+    assert (unit["Type"], unit["Restart"][0] in ("always", "on-failure")) == (["notify"], True)
+    assert float(unit["WatchdogSec"][0]) > HealthSettings().stall_seconds
 
 
 def test_readers_are_confined_as_the_daemon_is() -> None:

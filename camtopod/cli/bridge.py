@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
 import re
 import threading
 from typing import Any
 
 from camtopod import codec
 from camtopod.cli import broker, exits
-from camtopod.cli.common import configuration, start_logging, until_signal
+from camtopod.cli.common import configuration, start_logging, until_signal, watched
 from camtopod.cli.exits import CommandError
 from camtopod.export import homeassistant
 from camtopod.export.homeassistant import DISCOVERY, PREFIX, Counted, Messages, Said, SiteSaid, Topics
 from camtopod.records import CAMERA_PATTERN, Prediction
 from camtopod.serve import mqtt
 from camtopod.serve.bus import Bus, BusError, QueryError, dial
+from camtopod.serve.progress import Progress
 from camtopod.serve.subscriber import TopologyView
 
 LOOK_SECONDS = 1.0
@@ -111,6 +113,7 @@ class Site:
 def run(args: argparse.Namespace) -> int:
     """Publish until SIGTERM or SIGINT."""
     start_logging(args)
+    faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
     config = configuration(args)
     target = broker.named(args, args.url, PREFIX)
     topics = Topics(config.site.name, target.prefix, args.discovery.strip("/"))
@@ -122,7 +125,11 @@ def run(args: argparse.Namespace) -> int:
         site = Site(bus, topics, config.limits.cameras_max)
         with broker.connecting(exits.FAILED):
             board = stack.enter_context(contextlib.closing(mqtt.Board(target, topics.bridge)))
+        progress = Progress()
+        mark = progress.watch("bridge", config.health.stall_seconds)
+        stack.enter_context(watched(progress, f"publishing below {target.prefix}"))
         while not stop.is_set():
+            mark.beat()
             board.show(site.messages())
             stop.wait(LOOK_SECONDS)
     return exits.DONE

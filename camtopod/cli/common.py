@@ -22,6 +22,8 @@ from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
+from camtopod.serve import systemd
+from camtopod.serve.progress import Progress
 from camtopod.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 
 log = logging.getLogger(__name__)
@@ -185,3 +187,14 @@ def leaving(stop: threading.Event, seconds: float, parent: int | None = None) ->
     finally:
         done.set()
         stop.set()
+
+
+@contextlib.contextmanager
+def watched(progress: Progress, status: str) -> Iterator[None]:
+    """Tell systemd that it runs, in the words of ``status``, and feed its watchdog while the block gets on."""
+    with systemd.watchdog(progress.stuck, lambda: False):
+        systemd.notify("READY=1", systemd.status(status))
+        try:
+            yield
+        finally:
+            systemd.notify("STOPPING=1")

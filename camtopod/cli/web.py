@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
 import ipaddress
 import logging
 import os
@@ -14,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.common import configuration, leaving, start_logging, until_signal
+from camtopod.cli.common import configuration, leaving, start_logging, until_signal, watched
 from camtopod.cli.exits import CommandError
 from camtopod.serve import clock
 from camtopod.serve.bus import BusError, dial
+from camtopod.serve.progress import Progress
 
 log = logging.getLogger(__name__)
 
@@ -52,6 +54,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
     start_logging(args)
+    faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
     try:
         from camtopod.web import app
     except ModuleNotFoundError as error:
@@ -69,10 +72,12 @@ def run(args: argparse.Namespace) -> int:
             bus = stack.enter_context(dial(config))
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
-        every = config.limits.status_seconds
+        every, progress = config.limits.status_seconds, Progress()
         running = stack.enter_context(app.serving(
-            bus, listener, names(host, args.name), args.pictures, clock.wall, every, not is_loopback(host)
+            bus, listener, names(host, args.name), args.pictures, clock.wall, every, not is_loopback(host), progress,
+            config.health.stall_seconds,
         ))  # fmt: skip
+        stack.enter_context(watched(progress, f"the page is at http://{_shown(listener)}/"))
         log.info("the page is at http://%s/", _shown(listener))
         if not is_loopback(host):
             log.warning("anybody who reaches %s can read it: there is no password", _shown(listener))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import ipaddress
+import math
 import os
 import re
 import socket
@@ -28,6 +30,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from camtopod.records import CAMERA_PATTERN, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.clock import Clock
+from camtopod.serve.progress import Beat, Progress
 from camtopod.web.feed import Feed
 from camtopod.web.history import changes
 from camtopod.web.mailbox import Hub
@@ -38,6 +41,7 @@ BEAT_SECONDS = 4.0
 """A page hears something at least as often."""
 CONNECTIONS_MAX = 256
 CLOSE_SECONDS = 2
+_TICK_SECONDS = 0.2
 HEADERS = {
     "cache-control": "no-cache",
     "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
@@ -200,8 +204,24 @@ class Site:
         return StreamingResponse(stream(), media_type="text/event-stream")
 
 
-def application(site: Site, names: Collection[str], any_address: bool) -> Starlette:
-    """The application; it answers to ``names`` only, and with ``any_address`` to every address."""
+def application(site: Site, names: Collection[str], any_address: bool, beat: Beat) -> Starlette:
+    """The application; it answers to ``names`` only, and with ``any_address`` to every address. ``beat`` is called as
+    long as its event loop gets on.
+    """
+
+    @contextlib.asynccontextmanager
+    async def living(app: Starlette) -> AsyncIterator[None]:
+        async def beats() -> None:
+            while True:
+                beat()
+                await asyncio.sleep(_TICK_SECONDS)
+
+        task = asyncio.create_task(beats())
+        try:
+            yield
+        finally:
+            task.cancel()
+
     routes = [
         Route("/", lambda request: FileResponse(str(STATIC / "index.html"))),
         Route("/data/map", site.map),
@@ -220,7 +240,7 @@ def application(site: Site, names: Collection[str], any_address: bool) -> Starle
         Middleware(_Named, names=names, any_address=any_address),
         Middleware(GZipMiddleware, minimum_size=1000, compresslevel=5),
     ]
-    app = Starlette(routes=routes, middleware=middleware)
+    app = Starlette(routes=routes, middleware=middleware, lifespan=living)
     app.mount("/static", StaticFiles(directory=str(STATIC)))
     return app
 
@@ -234,24 +254,29 @@ def serving(
     clock: Clock,
     status_seconds: float,
     any_address: bool = False,
+    progress: Progress | None = None,
+    stall_seconds: float = math.inf,
 ) -> Iterator[Callable[[], bool]]:
     """Serve the page from a socket that listens, in threads, while the block runs; yields whether all of them live.
 
-    It answers to ``names`` only, and with ``any_address`` to every address.
+    It answers to ``names`` only, and with ``any_address`` to every address. In ``progress`` is whether the threads get
+    on: none may take longer than ``stall_seconds`` for a step.
     """
+    marks = progress or Progress()
+    page, versions, messages = (marks.watch(name, stall_seconds) for name in ("page", "versions", "messages"))
     stop = threading.Event()
     hub = Hub()
     feed = Feed(bus, hub, clock, status_seconds)
     config = uvicorn.Config(
-        application(Site(feed, Past(bus), hub, pictures), names, any_address), log_config=None, log_level="warning",
-        access_log=False, lifespan="off", server_header=False, limit_concurrency=CONNECTIONS_MAX,
+        application(Site(feed, Past(bus), hub, pictures), names, any_address, page.beat), log_config=None,
+        log_level="warning", access_log=False, lifespan="on", server_header=False, limit_concurrency=CONNECTIONS_MAX,
         timeout_graceful_shutdown=CLOSE_SECONDS,
     )  # fmt: skip
     server = uvicorn.Server(config)
     threads = [
         threading.Thread(target=server.run, args=[[listener]], name="page", daemon=True),
-        threading.Thread(target=feed.versions, args=[stop], name="versions", daemon=True),
-        threading.Thread(target=feed.messages, args=[stop], name="messages", daemon=True),
+        threading.Thread(target=feed.versions, args=[stop, versions.beat], name="versions", daemon=True),
+        threading.Thread(target=feed.messages, args=[stop, messages.beat], name="messages", daemon=True),
     ]
     for thread in threads:
         thread.start()

@@ -21,6 +21,7 @@ from camtopod import codec
 from camtopod.records import CAMERA_PATTERN, Event, Prediction, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.clock import Clock
+from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.subscriber import TopologyView
 from camtopod.web.drawing import Map, change, draw
 from camtopod.web.mailbox import Hub
@@ -78,9 +79,10 @@ class Feed:
         bus.subscribe("status/*", self._put)
         bus.subscribe("prediction/*", self._put)
 
-    def versions(self, stop: threading.Event) -> None:
+    def versions(self, stop: threading.Event, beat: Beat = no_beat) -> None:
         """Follow the topology until told to stop."""
         while not stop.wait(_TICK_SECONDS):
+            beat()
             if (newest := self._view.update()) is not None:
                 self.use(newest)
 
@@ -94,11 +96,12 @@ class Feed:
         else:
             self._hub.tell("resync", b"{}")
 
-    def messages(self, stop: threading.Event) -> None:
+    def messages(self, stop: threading.Event, beat: Beat = no_beat) -> None:
         """Work off the inbox, and notice when the daemon falls silent, until told to stop."""
         for key, payload in self._bus.ask("status/*"):
             self._on_status(key.removeprefix("status/"), payload)
         while not stop.is_set():
+            beat()
             with contextlib.suppress(queue.Empty):
                 key, payload = self._inbox.get(timeout=_TICK_SECONDS)
                 kind, _, name = key.partition("/")
