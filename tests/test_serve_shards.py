@@ -7,8 +7,11 @@ import logging
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import msgspec
 import pytest
@@ -75,14 +78,49 @@ def told(learner: ShardLearner) -> Told:
     return Told(*learner.shard, learner.reached(), learner.newest_parts())
 
 
-@pytest.fixture(scope="module")
+class Course(NamedTuple):
+    """What so many shards make of the events. Learned once: the same events give the same."""
+
+    versions: list[Topology]
+    """Of the first of them; if it is alone, the site's."""
+    steps: list[list[Told]]
+    """Whenever somebody made a version: what each of them says then."""
+    rest: list[Told]
+    """And at the end."""
+    early: Told
+    """Who made the first version, as if it had just started."""
+    after: dict[int, list[Told]]
+    """Each of them as if it had just started, after so many events."""
+
+
+THIRD, HALF = len(EVENTS) // 3, len(EVENTS) // 2
+
+
+@lru_cache
+def course(count: int, districts: int = SHARDING.districts) -> Course:
+    """Of shards of a site that is dealt out into so many districts."""
+    sharding = msgspec.structs.replace(SHARDING, districts=districts)
+    learners = [ShardLearner(SETTINGS, sharding, (number, count), "hq", "e") for number in range(count)]
+    versions, steps, early, after = list[Topology](), list[list[Told]](), list[Told](), dict[int, list[Told]]()
+    for number, event in enumerate(EVENTS, 1):
+        for learner in learners:
+            learner.receive(event)
+        made = [learner.updates() for learner in learners]
+        if any(made):
+            steps.append([Told(*learner.shard, learner.reached(), learner.parts()) for learner in learners])
+        if not early:
+            early = [told(learner) for learner, its in zip(learners, made, strict=True) if its]
+        versions += made[0]
+        if number in (THIRD, HALF, 2 * THIRD, len(EVENTS)):
+            after[number] = [told(learner) for learner in learners]
+    rest = [Told(*learner.shard, learner.reached(), learner.parts()) for learner in learners]
+    return Course(versions, steps, rest, early[0], after)
+
+
+@pytest.fixture
 def alone() -> list[Topology]:
     """The versions of one learner with all districts."""
-    learner, versions = shards_of(1)[0], list[Topology]()
-    for event in EVENTS:
-        learner.receive(event)
-        versions += learner.updates()
-    return versions
+    return course(1).versions
 
 
 class Site:
@@ -116,16 +154,12 @@ def content(topology: Topology) -> object:
 
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_shards_together_have_the_versions_of_one(count: int, tmp_path: Path, alone: list[Topology]) -> None:
-    learners = shards_of(count)
     with Site(tmp_path, count) as site:
         made = 0
-        for event in EVENTS:
-            for learner in learners:
-                learner.receive(event)
-            if any(learner.updates() for learner in learners):
-                for learner in learners:
-                    site.say(Told(*learner.shard, learner.reached(), learner.parts()))
-                made = len([version for version in alone if version.as_of <= min(x.reached() or 0 for x in learners)])
+        for step in course(count).steps:
+            for one in step:
+                site.say(one)
+            made = len([version for version in alone if version.as_of <= min(one.reached or 0 for one in step)])
         wait_for(lambda: len(site.versions) >= made, f"{made} versions")
     assert made > 3
     assert [content(version.topology) for version in site.versions] == [content(one) for one in alone[:made]]
@@ -133,17 +167,12 @@ def test_shards_together_have_the_versions_of_one(count: int, tmp_path: Path, al
 
 
 def test_a_merger_that_starts_again_goes_on_with_the_line(tmp_path: Path) -> None:
-    learners, half = shards_of(2), len(EVENTS) // 2
-    for start, stop in ((0, half), (half, len(EVENTS))):
-        for event in EVENTS[start:stop]:
-            for learner in learners:
-                learner.receive(event)
+    for events in (HALF, len(EVENTS)):
         with Site(tmp_path, 2) as site:
             before = site.merger.topology
-            assert (before is None) == (start == 0)
-            for _ in range(2):  # what has been said is no news
-                for learner in learners:
-                    site.say(told(learner))
+            assert (before is None) == (events == HALF)
+            for one in 2 * course(2).after[events]:  # what has been said is no news
+                site.say(one)
             wait_for(lambda: bool(site.versions), "a version")
             first = site.versions[0].topology
             if before is not None:
@@ -155,16 +184,13 @@ def test_a_merger_that_starts_again_goes_on_with_the_line(tmp_path: Path) -> Non
 
 def test_no_version_has_two_contents_if_the_newest_snapshot_is_damaged(tmp_path: Path) -> None:
     """It would be made again from an older one, of other parts."""
-    learner, third = shards_of(1)[0], len(EVENTS) // 3
     published: list[Topology] = []
-    for start in (0, third, 2 * third):
-        for event in EVENTS[start : start + third]:
-            learner.receive(event)
+    for events in (THIRD, 2 * THIRD, len(EVENTS)):
         with Site(tmp_path, 1) as site:
-            site.say(told(learner))
+            site.say(course(1).after[events][0])
             wait_for(lambda site=site: bool(site.versions), "a version")  # type: ignore[misc]
         published += [version.topology for version in site.versions]
-        if start == third:
+        if events == 2 * THIRD:
             with contextlib.closing(sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)) as journal:
                 journal.execute(
                     "UPDATE snapshot SET state = x'00' WHERE position = (SELECT MAX(position) FROM snapshot)"
@@ -174,12 +200,9 @@ def test_no_version_has_two_contents_if_the_newest_snapshot_is_damaged(tmp_path:
 
 
 def test_a_new_epoch_begins_with_what_is_known_though_nobody_says_anything(tmp_path: Path) -> None:
-    learner, half = shards_of(1)[0], len(EVENTS) // 2
-    for start in (0, half):
-        for event in EVENTS[start : start + half]:
-            learner.receive(event)
+    for events in (HALF, len(EVENTS)):
         with Site(tmp_path, 1) as site:
-            site.say(told(learner))
+            site.say(course(1).after[events][0])
             wait_for(lambda site=site: bool(site.versions), "a version")  # type: ignore[misc]
     before = site.versions[-1].topology
     with contextlib.closing(sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)) as journal:
@@ -194,17 +217,14 @@ def test_a_new_epoch_begins_with_what_is_known_though_nobody_says_anything(tmp_p
 
 def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mergers, "PATIENCE_SECONDS", 0.3)
-    learners = shards_of(2)
-    for event in EVENTS:
-        for learner in learners:
-            learner.receive(event)
+    first, second = course(2).after[len(EVENTS)]
     with Site(tmp_path, 2) as site:
-        site.say(told(learners[0]))
+        site.say(first)
         wait_for(lambda: bool(site.versions), "a version without the other")
         cameras = {camera.id for camera in site.versions[-1].topology.cameras}
-        assert cameras == {event.camera for event in EVENTS if learners[0].owns(event.camera)}
-        site.say(told(learners[0]))
-        site.say(told(learners[1]))
+        assert cameras == {event.camera for event in EVENTS if shards_of(2)[0].owns(event.camera)}
+        site.say(first)
+        site.say(second)
         wait_for(
             lambda: {camera.id for camera in site.versions[-1].topology.cameras} == {e.camera for e in EVENTS},
             "both shards' cameras",
@@ -213,14 +233,8 @@ def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pyt
 
 def test_who_gets_on_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: list[Topology]) -> None:
     """Though something always waits: one shard says everything a while after the other."""
-    now, learners, made = [0.0], shards_of(2), list[Version]()
+    now, said, made = [0.0], course(2).steps, list[Version]()
     monkeypatch.setattr(mergers, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    said: list[list[Told]] = []
-    for event in EVENTS:
-        for learner in learners:
-            learner.receive(event)
-        if sum(len(learner.updates()) for learner in learners):
-            said.append([Told(*learner.shard, learner.reached(), learner.parts()) for learner in learners])
     late = [pair[1] for pair in said]
     with contextlib.closing(
         Merger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 2, lambda: NOON, made.append)
@@ -242,17 +256,14 @@ def one_round(merger: Merger) -> None:
 
 def test_a_site_that_is_dealt_out_anew_has_every_camera_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Also while some shards have not heard of it."""
-    before, after = shards_of(1)[0], ShardLearner(SETTINGS, Sharding(districts=2), (0, 1), "hq", "e")
-    for event in EVENTS:
-        before.receive(event)
-        after.receive(event)
+    [before], [after] = (course(1, districts).after[len(EVENTS)] for districts in (4, 2))
     with Site(tmp_path, 1) as site:
-        site.say(told(before))
+        site.say(before)
         wait_for(lambda: bool(site.versions), "a version")
         old = site.versions[-1].topology
     with Site(tmp_path, 1, Sharding(districts=2)) as site:
-        site.say(told(before))
-        site.say(told(after))
+        site.say(before)
+        site.say(after)
         wait_for(lambda: bool(site.versions), "a version")
     new = site.versions[-1].topology
     assert (new.epoch, new.version) > (old.epoch, old.version)
@@ -264,46 +275,33 @@ def test_a_site_that_is_dealt_out_anew_has_every_camera_once(tmp_path: Path, cap
 def test_of_what_waits_too_long_the_newest_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Though the answer to a question may be older than what was said meanwhile."""
     monkeypatch.setattr(mergers, "INBOX_MAX", 1)
-    learner, made = shards_of(1)[0], list[Version]()
-    old = None
-    for event in EVENTS:
-        learner.receive(event)
-        if old is None and learner.topology is not None:
-            old = told(learner)
-    assert old is not None
+    [newest], made = course(1).after[len(EVENTS)], list[Version]()
     with contextlib.closing(
         Merger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 1, lambda: NOON, made.append)
     ) as merger:
-        merger.tell(told(learner))
-        merger.tell(old)
-        merger.tell(Told(*learner.shard, learner.reached()))
+        merger.tell(newest)
+        merger.tell(course(1).early)
+        merger.tell(msgspec.structs.replace(newest, parts=[]))
         one_round(merger)
-    assert learner.topology is not None
-    assert made[-1].topology.links == learner.topology.links
+    assert course(1).versions[0].links != course(1).versions[-1].links
+    assert made[-1].topology.links == course(1).versions[-1].links
 
 
-def test_too_much_at_a_time_costs_versions_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_much_at_a_time_costs_versions_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: list[Topology]
+) -> None:
     monkeypatch.setattr(mergers, "INBOX_MAX", 2)
-    learners = shards_of(2)
     merger = Merger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 2, lambda: NOON, lambda version: None)
-    for event in EVENTS:
-        for learner in learners:
-            learner.receive(event)
-            if made := learner.parts():
-                merger.tell(Told(*learner.shard, learner.reached(), made))
-    for learner in learners:
-        merger.tell(Told(*learner.shard, learner.reached()))
-    alone = shards_of(1)[0]
-    for event in EVENTS:
-        alone.receive(event)
+    for step in [*course(2).steps, course(2).rest]:
+        for one in step:
+            merger.tell(one)
     stopping = threading.Event()
     worker = threading.Thread(target=merger.work, args=(stopping,))
     worker.start()
     try:
-        wait_for(lambda: merger.topology is not None and merger.topology.digest == alone.topology.digest, "the end")  # type: ignore[union-attr]
+        wait_for(lambda: merger.topology is not None and merger.topology.digest == alone[-1].digest, "the end")
         assert merger.topology is not None
-        assert alone.topology is not None
-        assert merger.topology.version < alone.topology.version
+        assert merger.topology.version < alone[-1].version
     finally:
         stopping.set()
         worker.join()
@@ -382,10 +380,7 @@ def test_shards_of_one_site_are_no_rivals() -> None:
 
 
 def test_what_is_told_travels(monkeypatch: pytest.MonkeyPatch) -> None:
-    learner = shards_of(2)[0]
-    for event in EVENTS:
-        learner.receive(event)
-    one = told(learner)
+    one = course(2).after[len(EVENTS)][0]
     assert one.parts
     assert msgspec.msgpack.decode(codec.to_pack(one), type=Told) == one
     monkeypatch.setattr(codec, "PART_BYTES", 10)
@@ -496,10 +491,16 @@ def test_a_shard_that_was_away_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_shard_does_not_start_beside_itself_or_alone(tmp_path: Path) -> None:
-    with Daemon(shared_config(tmp_path / "one"), shard=(0, 2)) as first:
-        for shard in ((0, 2), (1, 3), None):
+    """All three try at once: each looks for a while whether the other goes."""
+    with Daemon(shared_config(tmp_path / "one"), shard=(0, 2)) as first, ThreadPoolExecutor() as at_once:
+        others = [(0, 2), (1, 3), None]
+        tried = [
+            at_once.submit(Daemon(shared_config(tmp_path / f"other-{number}", first.endpoint), shard=shard).start)
+            for number, shard in enumerate(others)
+        ]
+        for one in tried:
             with pytest.raises(BusError, match="another daemon"):
-                Daemon(shared_config(tmp_path / "two", first.endpoint), shard=shard).start()
+                one.result()
 
 
 def test_what_a_shard_of_many_cameras_has_learned_is_not_too_large(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import random
+from collections.abc import Collection
 from functools import lru_cache
 
 import msgspec
@@ -43,15 +45,22 @@ def events_of(name: str) -> list[Event]:
 
 
 def learned(
-    learner: Learner, events: list[Event], points: set[int], rules: Settings = SETTINGS
+    learner: Learner,
+    events: list[Event],
+    points: Collection[int] = (),
+    rules: Settings = SETTINGS,
+    left_at: int = -1,
+    left: list[bytes] | None = None,
 ) -> list[tuple[int, str]]:
     """(version, digest) of all that is learned to the end, by a learner that is replaced by its snapshot at each of
-    ``points``.
+    ``points``. At ``left_at`` a snapshot of its double goes to ``left``, from which so much can be learned again.
     """
     made = []
     for number, event in enumerate(events):
         if number in points:
             learner = restored(pack(learner.save()), rules=rules)
+        if number == left_at and left is not None:
+            left.append(pack(copy.deepcopy(learner).save()))
         learner.receive(event)
         made += [(update.version, update.digest) for update in learner.updates()]
     learner.flush()
@@ -68,18 +77,26 @@ def restored(blob: bytes, spoiled: str = "", rules: Settings = SETTINGS) -> Lear
 
 
 @lru_cache
+def at_once(name: str) -> tuple[list[tuple[int, str]], bytes]:
+    """What one that never stopped learns, and a snapshot of it after nine tenths of the events."""
+    events, left = events_of(name), list[bytes]()
+    made = learned(Learner(SETTINGS, "s", "e"), events, left_at=int(0.9 * len(events)), left=left)
+    return made, left[0]
+
+
 def expected(name: str) -> list[tuple[int, str]]:
-    """What one that never stopped learns."""
-    return learned(Learner(SETTINGS, "s", "e"), events_of(name), set())
+    return at_once(name)[0]
+
+
+def late(name: str) -> bytes:
+    return at_once(name)[1]
 
 
 @lru_cache
-def late(name: str) -> bytes:
-    """A snapshot after nine tenths of the events."""
-    learner, events = Learner(SETTINGS, "s", "e"), events_of(name)
-    for event in events[: int(0.9 * len(events))]:
-        learner.receive(event)
-    return pack(learner.save())
+def tail_of(name: str) -> list[tuple[int, str]]:
+    """What is learned of the last tenth of the events from `late` on."""
+    events = events_of(name)
+    return learned(restored(late(name)), events[int(0.9 * len(events)) :])
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -96,20 +113,23 @@ def test_restored_with_screening_the_versions_are_the_same(monkeypatch: pytest.M
     monkeypatch.setattr(screening, "LOOKS_PER_EVENT", 3)
     rules, events = msgspec.structs.replace(SETTINGS, candidates_max=20_000), events_of("usual")
 
-    def made(points: set[int], forgetful: bool = False) -> list[tuple[int, str]]:
+    def from_half(forgetful: bool = False) -> list[tuple[int, str]]:
+        """Once more a snapshot after two thirds."""
         with monkeypatch.context() as patch:
             patch.setattr(Learner, "load", forgetting if forgetful else Learner.load)
-            return learned(Learner(rules, "s", "e"), events, points, rules)
+            return learned(restored(left[0], rules=rules), events[half:], {2 * len(events) // 3 - half}, rules)
 
     def forgetting(learner: Learner, state: LearnerState) -> None:
         state.followed = {}
         whole_load(learner, state)
 
-    whole_load, points = Learner.load, {len(events) // 2, 2 * len(events) // 3}
-    unbroken = made(set())
+    whole_load, half, left = Learner.load, len(events) // 2, list[bytes]()
+    unbroken = learned(Learner(rules, "s", "e"), events, (), rules, half, left)
+    made = from_half()
     assert len(unbroken) > 8
-    assert made(points) == unbroken
-    assert made(points, forgetful=True) != unbroken
+    assert len(made) > 3
+    assert made == unbroken[-len(made) :]
+    assert from_half(forgetful=True) != made
 
 
 @pytest.mark.campaign
@@ -125,10 +145,11 @@ def test_a_thousand_restores() -> None:
 def test_nothing_in_a_snapshot_is_without_effect(part: str) -> None:
     events, name = events_of("hard"), "hard"
     tail = events[int(0.9 * len(events)) :]
-    whole = learned(restored(late(name)), tail, set())
+    whole = tail_of(name)
+    assert whole
     assert whole == expected(name)[-len(whole) :]
     try:
-        assert learned(restored(late(name), spoiled=part), tail, set()) != whole
+        assert learned(restored(late(name), spoiled=part), tail) != whole
     except (IndexError, KeyError, ValueError):
         assert part in ("window", "cameras")  # the rest does not fit any more
 
