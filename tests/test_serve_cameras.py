@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,23 @@ import msgspec
 import pytest
 from serving import T0, small_config, wait_for
 
+from camtopod.codec import event_from_bytes, to_pack
 from camtopod.config import Limits
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
+from camtopod.learn.snapshot import pack
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import BusError
-from camtopod.serve.cameras import EARLY_SECONDS_MAX, FLOOD_SECONDS_KEPT, IDLE_SECONDS, Cameras, Received
+from camtopod.serve.cameras import (
+    BELIEVED_SECONDS,
+    EARLY_SECONDS_MAX,
+    FLOOD_SECONDS_KEPT,
+    IDLE_SECONDS,
+    LEADS_SECONDS,
+    Cameras,
+    Received,
+)
 from camtopod.serve.clock import steady_beside, wall
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.inbox import Inbox, Message
@@ -111,6 +124,103 @@ def test_a_clock_that_was_wrong_and_is_set_back_to_the_right_time_is_believed() 
     assert cameras.clock_behind == 0.0
 
 
+DAY = 86_400.0
+
+
+@pytest.mark.parametrize("names", ["a", "ab", "abcd"])
+def test_cameras_that_share_a_clock_which_jumps_forward_do_not_take_event_time_along(names: str) -> None:
+    """Event time only rises: everything after it would be late, for as long as the jump was."""
+    cameras = admitted(*names)
+    assert not any(cameras.is_future(at(name, T0), T0, 0.0, True) for name in names)
+    for now in (1.0, 3.0, 120.0):
+        wall = T0 + DAY + now
+        assert all(cameras.is_future(at(name, wall), wall, now, True) for name in names)
+        assert (cameras.clock_ahead, cameras.clock_behind) == (DAY, -DAY)
+    wall = T0 + 121
+    assert cameras.is_future(at(names[0], wall + DAY), wall, 121.0, True), "one that was still under way"
+    for now in (121.0, 123.0, 200.0):
+        assert not any(cameras.is_future(at(name, T0 + now), T0 + now, now, True) for name in names)
+        assert (cameras.clock_ahead, cameras.clock_behind) == (0.0, 0.0)
+
+
+def test_those_still_under_way_when_a_clock_is_right_again_do_not_say_that_it_is_behind() -> None:
+    cameras = admitted(*"abcd")
+    for now, step in ((0.0, 0.0), (1.0, DAY)):
+        for name in "abcd":
+            cameras.is_future(at(name, T0 + step + now), T0 + step + now, now, True)
+    for now in (2.0, 4.0, 6.0):
+        assert all(cameras.is_future(at(name, T0 + DAY + 1), T0 + now, now, True) for name in "abcd")
+    for later in (7.0 + LEADS_SECONDS, 9.0 + LEADS_SECONDS):
+        future = [cameras.is_future(at(name, T0 + 3600 + later), T0 + later, later, True) for name in "abcd"]
+    assert future == [False] * 4, "not for ever"
+
+
+def test_a_jump_forward_is_believed_when_it_has_lasted() -> None:
+    cameras = admitted("a", "b", "c")
+    for name in "abc":
+        cameras.is_future(at(name, T0), T0, 0.0, True)
+    for now in (1.0, BELIEVED_SECONDS):
+        assert cameras.is_future(at("a", T0 + DAY), T0 + DAY + now, now, True)
+    lasted = BELIEVED_SECONDS + 1.0
+    assert cameras.in_time([], T0 + DAY + lasted, lasted) == []
+    assert (cameras.clock_ahead, cameras.clock_behind) == (0.0, 0.0), "although no event came"
+    assert not cameras.is_future(at("a", T0 + DAY + lasted), T0 + DAY + lasted, lasted, True)
+
+
+def test_each_jump_forward_has_to_last_by_itself() -> None:
+    cameras = admitted("a")
+    for now, step in ((0.0, 0.0), (1.0, 100.0), (500.0, 300.0), (601.0, 300.0)):
+        cameras.in_time([], T0 + step + now, now)
+    assert cameras.clock_ahead == 200.0
+    cameras.in_time([], T0 + 150.0 + 700.0, 700.0)
+    assert cameras.clock_ahead == 50.0, "what is set back is the newest"
+    cameras.in_time([], T0 + 150.0 + 1100.0, 1100.0)
+    assert cameras.clock_ahead == 0.0
+
+
+def test_a_jump_forward_to_where_the_cameras_are_is_believed_at_once() -> None:
+    """The clock was behind, and is right now."""
+    for names in ("a", "ab", "abcd"):
+        cameras = admitted(*names)
+        for name in names:
+            cameras.is_future(at(name, T0), T0 - 3600, 0.0, True)
+        assert not any(cameras.is_future(at(name, T0 + 1), T0 + 1, 1.0, True) for name in names)
+        assert (cameras.clock_ahead, cameras.clock_behind) == (0.0, 0.0)
+
+
+def test_cameras_with_clocks_of_their_own_notice_nothing_of_a_jump_forward() -> None:
+    cameras = admitted("a", "b", "c")
+    for now, step in ((0.0, 0.0), (1.0, DAY), (3.0, DAY), (5.0, 0.0)):
+        for name in "abc":
+            event = at(name, T0 + now)
+            assert not cameras.is_future(event, T0 + now + step, now, True)
+            assert cameras.in_time([received(event)], T0 + now + step, now) == [received(event)]
+
+
+def test_an_event_a_little_ahead_of_a_clock_that_jumped_forward_waits() -> None:
+    cameras = admitted("a")
+    assert cameras.in_time([], T0, 0.0) == []
+    jumped = received(at("a", T0 + 31))
+    assert cameras.in_time([jumped], T0 + 31, 1.0) == []
+    assert cameras.in_time([], T0 + 59, 29.0) == []
+    assert cameras.in_time([], T0 + 60, 30.0) == [jumped]
+
+
+def test_why_what_comes_is_not_learned() -> None:
+    cameras = admitted("a")
+    assert cameras.reason(0.0, T0) == cameras.reason(T0 + 60, T0) == ""
+    assert "event time is 3600 s ahead of this machine's clock" in cameras.reason(T0 + 3600, T0)
+    for now, step in ((0.0, 0.0), (1.0, 30.0)):
+        cameras.in_time([], T0 + step + now, now)
+    assert cameras.reason(T0, T0 + 31) == "", "nothing is set aside"
+    cameras.in_time([], T0 + DAY + 2, 2.0)
+    assert f"was set forward by {DAY:.0f} s" in cameras.reason(T0, T0 + DAY)
+    cameras.in_time([], T0 + 3, 3.0)
+    assert cameras.reason(T0, T0 + 3) == ""
+    cameras.is_future(at("a", T0 + 4), T0 - 3596, 4.0, True)
+    assert cameras.reason(T0 + 4, T0 - 3596) == "", "it is known that the clock is behind"
+
+
 def test_who_has_not_been_heard_since_the_start_does_not_vote() -> None:
     cameras = admitted(*"abcdefgh")
     for camera in "abc":
@@ -180,6 +290,39 @@ def test_setting_the_clock_forward_does_not_move_event_time(tmp_path: Path) -> N
     steady = 15.0
     [went_on] = receiver._time_went_on(steady)
     assert went_on.advance == T0 + 5.0
+    journal.close()
+
+
+def test_learning_goes_on_after_a_jump_forward_and_a_replay_learns_the_same(tmp_path: Path) -> None:
+    """Which events were set aside is in the journal: no clock is asked again."""
+    steady, step, live = 0.0, 0.0, Learner(Settings(), "site", "epoch")
+    journal = Journal(tmp_path)
+
+    def learn(batch: list[Received]) -> None:
+        for one in batch:
+            if one.event is not None:
+                live.receive(one.event)
+
+    receiver = Receiver(
+        journal, Nowhere(), Limits(), lambda: T0 + steady + step,  # type: ignore[arg-type]
+        learn, lambda: 1000, lambda version: None, lambda *seen: None, steady=lambda: steady,
+    )  # fmt: skip
+    for second in range(900):
+        steady, step = float(second), DAY if 300 <= second < 420 else 0.0
+        camera = "abc"[second % 3]
+        event = Event(camera, "entry", T0 + steady + step, 0.5, 0.5, boot="boot", seq=second // 3)
+        receiver._round([Message(camera, to_pack(event))])
+        assert receiver._store(receiver._ready.take(1000, 0.0, 0.0), threading.Event())
+    assert (receiver.counts["stored"], receiver.counts["future"]) == (780, 120)
+    statistics = live.statistics()
+    assert (statistics["accepted"], statistics["late"]) == (780, 0)
+    kinds = [entry.kind for _, entry in journal.entries() if entry is not None]
+    assert (kinds.count("event"), kinds.count("future"), len(kinds)) == (780, 120, 900), "nothing is lost"
+    again = Learner(Settings(), "site", "epoch")
+    for _, entry in journal.entries():
+        if entry is not None and entry.kind == "event":
+            again.receive(event_from_bytes(entry.raw))
+    assert pack(again.save()) == pack(live.save())
     journal.close()
 
 

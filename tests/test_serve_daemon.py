@@ -335,6 +335,26 @@ def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
     assert [kind for kind, *_ in journal_of(site)] == ["event", "future", "event"]
 
 
+def test_an_event_time_that_is_ahead_of_the_clock_is_said_with_what_to_do(site: Site) -> None:
+    """Everything that comes is late until then, and a restart does not help: nobody would notice for as long."""
+    first = site.daemon()
+    put(site.client(first), *(Event(camera, "entry", NOW) for camera in "ab"))
+    wait_for(lambda: first.status()["learner"].get("accepted") == 2, "the events to be learned")
+    assert (first.status()["reason"], first.unready()) == ("", [])
+    first.stop()
+    site.now = NOW - 86_400.0
+    again = site.daemon()
+    wait_for(lambda: again.status()["reason"] != "" and not again.status()["events"]["waiting"], "the reason")
+    status, ahead = again.status(), 86_400.0 - 2 * serving.SPAN_SECONDS
+    assert status["state"] == "degraded"
+    assert f"event time is {ahead:.0f} s ahead of this machine's clock" in status["reason"]
+    assert "move its state directory away" in status["reason"]
+    assert again.unready() == [status["reason"]]
+    assert again.failing() == [], "to start it again changes nothing"
+    site.now = NOW
+    assert (again.status()["reason"], again.unready()) == ("", [])
+
+
 def test_a_publisher_without_spool_loses_only_what_was_lost(site: Site) -> None:
     daemon = site.daemon(gap_seconds=0.2)
     bus = site.client(daemon)

@@ -3,13 +3,16 @@
 Clocks are not trusted. An event stamped far ahead of this machine's clock is set aside. One stamped a little ahead
 would make everybody else's late, as the learner's time is that of the newest event; so it, and what its camera sends
 after it, waits here until its time has come: a wild camera delays itself. When most cameras are ahead it is this
-machine's clock that is behind, and time is taken from them; of few cameras only as far as it has been set back. A
-camera that has more events within a second than any view can show floods; what is too much is not learned.
+machine's clock that is behind, and time is taken from them; of few cameras only as far as it has been set back. When
+it is set forward, so are the clocks of cameras on this machine, and event time would go with them and never come back:
+so that is believed when it has lasted, or at once as far as cameras were ahead already. A camera that has more events
+within a second than any view can show floods; what is too much is not learned.
 """
 
 from __future__ import annotations
 
 import collections
+import logging
 import math
 import statistics
 from typing import Any, NamedTuple
@@ -19,6 +22,8 @@ from msgspec import Struct, field
 from camtopod.config import Limits
 from camtopod.records import Event
 from camtopod.serve.journal import Entry
+
+log = logging.getLogger(__name__)
 
 EARLY_SECONDS_MAX = 1.0
 """An event this far ahead of the clock is taken at once; far below the lateness that the learner allows for."""
@@ -30,6 +35,8 @@ LOOK_SECONDS = 1.0
 """How often it is asked again whether this machine's clock is behind."""
 STEP_SECONDS_MIN = 5.0
 """This machine's clock is set when it moves so much against the one that does not step."""
+BELIEVED_SECONDS = 600.0
+"""A clock that was set forward is believed when it has stayed so for this long, by the one that does not step."""
 FLOOD_SECONDS_KEPT = 128
 """Seconds of event time in which a camera's events are counted."""
 IDLE_SECONDS = 3600.0
@@ -68,8 +75,12 @@ class Cameras:
         self._next_look = 0.0
         self._beside: float | None = None  # this machine's clock less the one that does not step
         self._set_back = 0.0
+        self._doubted: list[tuple[float, float]] = []  # when it was set forward, and by how much; oldest first
+        self._restored = -math.inf  # when that was last undone
+        self.clock_ahead = 0.0
+        """Seconds by which this machine's clock has been set forward that are not believed yet."""
         self.clock_behind = 0.0
-        """Seconds by which most cameras are ahead of this machine's clock."""
+        """Seconds by which most cameras are ahead of this machine's clock, less those that are not believed."""
 
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
@@ -88,15 +99,13 @@ class Cameras:
         """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too far ahead to be
         believed.
         """
-        self._notice_step(wall - now)
+        self._notice_step(wall - now, now)
         if fresh:
             camera = self._place(event.camera)
             camera.lead, camera.lead_at = event.t - wall, now
         if now >= self._next_look:
             self._next_look = now + LOOK_SECONDS
-            leads = [one.lead for one in self._cameras.values() if now - one.lead_at <= LEADS_SECONDS]
-            behind = max(0.0, statistics.median_low(leads)) if leads else 0.0
-            self.clock_behind = behind if len(leads) >= LEADS_MIN else min(behind, self._set_back)
+            self._look(now)
         return event.t - wall > self.clock_behind + self.limits.future_seconds_max
 
     def is_flood(self, event: Event) -> bool:
@@ -117,6 +126,7 @@ class Cameras:
 
     def in_time(self, ready: list[Received], wall: float, now: float) -> list[Received]:
         """Those whose time has come, of these and of what waits; in order for each camera."""
+        self._notice_step(wall - now, now)
         due = [received for name in sorted(self._waiting) for received in self._due(name, now)]
         wall += self.clock_behind
         for received in ready:
@@ -153,6 +163,23 @@ class Cameras:
             if one.events
         }
 
+    def reason(self, watermark: float, wall: float) -> str:
+        """Why what comes is not learned, and what to do; "" if it is. ``watermark``: nothing older is. Any thread."""
+        if self.clock_ahead > self.limits.future_seconds_max:
+            return (
+                f"this machine's clock was set forward by {self.clock_ahead:.0f} s: events of that time are set aside, "
+                f"not learned, until it has stayed so for {BELIEVED_SECONDS:g} s; if it is right now, a restart of the "
+                "daemon believes it at once"
+            )
+        ahead = watermark - wall - self.clock_behind
+        if ahead > self.limits.future_seconds_max:
+            return (
+                f"event time is {ahead:.0f} s ahead of this machine's clock: until then all events are late, stored "
+                "and not learned; if the clock is wrong, set it; if it is right now and was ahead before, stop the "
+                "daemon, move its state directory away and start it again: it learns anew, from what the spools have"
+            )
+        return ""
+
     def _place(self, name: str) -> Camera:
         """A camera's; made anew if it was given away while something of the camera was still under way."""
         camera = self._cameras.get(name)
@@ -160,15 +187,56 @@ class Cameras:
             camera = self._cameras[name] = Camera(-math.inf)
         return camera
 
-    def _notice_step(self, beside: float) -> None:
+    def _leads(self, now: float) -> list[float]:
+        """Of the cameras heard lately."""
+        return [one.lead for one in self._cameras.values() if now - one.lead_at <= LEADS_SECONDS]
+
+    def _look(self, now: float) -> None:
+        """Whether this machine's clock is behind. What was stamped by the wrong clock is no witness."""
+        leads = self._leads(now)
+        behind = max(0.0, statistics.median_low(leads)) if leads else 0.0
+        if len(leads) < LEADS_MIN or now - self._restored <= LEADS_SECONDS:
+            behind = min(behind, self._set_back)
+        self.clock_behind = behind - self.clock_ahead
+
+    def _notice_step(self, beside: float, now: float) -> None:
         """This machine's clock may have been set; ``beside``: it less the one that does not step, now."""
         step = beside - (beside if self._beside is None else self._beside)
         self._beside = beside
-        if abs(step) >= STEP_SECONDS_MIN:
-            self._set_back = max(0.0, self._set_back - step)
-            self._next_look = -math.inf
+        if step >= STEP_SECONDS_MIN:
+            self._go_forward(step, now)
+        elif step <= -STEP_SECONDS_MIN:
+            self._go_back(-step, now)
+        lasted = [seconds for since, seconds in self._doubted if now - since >= BELIEVED_SECONDS]
+        if lasted:
+            del self._doubted[: len(lasted)]
+            log.warning("this machine's clock has stayed %.0f s further on: it is believed now", sum(lasted))
+        if lasted or abs(step) >= STEP_SECONDS_MIN:
+            self.clock_ahead = sum(seconds for _, seconds in self._doubted)
             for camera in self._cameras.values():
                 camera.lead -= step
+            self._next_look = -math.inf
+            self._look(now)
+
+    def _go_forward(self, step: float, now: float) -> None:
+        leads = self._leads(now)
+        doubted = step - max(self._set_back, statistics.median_low(leads) if leads else 0.0)
+        self._set_back = max(0.0, self._set_back - step)
+        if doubted >= STEP_SECONDS_MIN:
+            self._doubted.append((now, doubted))
+            log.warning(
+                "this machine's clock was set forward by %.0f s: it is believed when it has stayed so for %g s",
+                doubted, BELIEVED_SECONDS,
+            )  # fmt: skip
+
+    def _go_back(self, step: float, now: float) -> None:
+        while self._doubted and step > 0.0:
+            since, doubted = self._doubted.pop()
+            self._restored = now
+            if doubted - step >= STEP_SECONDS_MIN:
+                self._doubted.append((since, doubted - step))
+            step = max(0.0, step - doubted)
+        self._set_back += step
 
     def _due(self, name: str, now: float) -> list[Received]:
         waiting = self._cameras[name].waiting

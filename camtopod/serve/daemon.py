@@ -181,7 +181,7 @@ class Daemon:
             return ["the daemon is stopping"]
         if not self.started or self._bus is None:
             return ["the daemon is starting"]
-        reasons = [self._storing_reason] if self._storing_reason else []
+        reasons = [reason] if (reason := self._reason) else []
         if self._learning.replaying:
             reasons.append(f"{self._learning.replaying} entries of the journal are still to be learned")
         if not self._config.listens and not self._bus.connected:
@@ -202,7 +202,7 @@ class Daemon:
     def status(self) -> dict[str, Any]:
         """What ``status/daemon`` says: state, reason, counters."""
         receiver, learning = self._receiver, self._learning
-        reason = self._storing_reason or self._rivals.reason or "; ".join(self.failing())
+        reason = self._reason or self._rivals.reason or "; ".join(self.failing())
         return {
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
@@ -235,9 +235,11 @@ class Daemon:
         }
 
     @property
-    def _storing_reason(self) -> str:
-        """Why nothing is stored at the moment; "" if all is well."""
-        return self._receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason)
+    def _reason(self) -> str:
+        """Why nothing is stored, or learned, at the moment; "" if all is well."""
+        receiver, watermark = self._receiver, self._learning.statistics["watermark"]
+        reason = receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason)
+        return reason or receiver.cameras.reason(watermark, self._clock())
 
     def __enter__(self) -> Daemon:
         self.start()
