@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, shortest_path
+from scipy.spatial.distance import cdist
 
 Floats = NDArray[np.float64]
 Place = tuple[float, float]
@@ -95,7 +96,7 @@ def _majorised(apart: Floats, at: Floats, rounds: int) -> Floats:
     solve = np.linalg.inv(laplacian + 1.0 / n) - 1.0 / n
     pull = weight * wanted
     for _ in range(rounds):
-        distance = np.sqrt(np.maximum(((at[:, None] - at[None]) ** 2).sum(2), 1e-12))
+        distance = np.maximum(cdist(at, at), 1e-6)
         ratio = pull / distance
         at = solve @ (ratio.sum(1)[:, None] * at - ratio @ at)
     return at
