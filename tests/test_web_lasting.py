@@ -4,24 +4,21 @@ they are, and no part that is missing breaks it.
 
 from __future__ import annotations
 
-import contextlib
 import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 from urllib.parse import quote
 
 import msgspec
 import pytest
 from chromium import Browser, chromium
 from made_site import made_site
-from one_bus import OneBus
+from shown import Shown, opened
 
-from camtopod.cli.web import listening, names
 from camtopod.records import Camera, Event, Link, SelfScore, Topology
-from camtopod.serve.bus import Bus
-from camtopod.web import app, report
+from camtopod.web import report
 from camtopod.web.bundle import page
 
 SITE = made_site(9)
@@ -33,36 +30,6 @@ BARE = msgspec.structs.replace(
     SITE, cameras=[Camera("a", ["a/1"])], zones=[ZONE], links=[], pairs=[], model=None, alarms=None, score=None
 )
 PLACES = ("#/map", "#/links", "#/versions", "#/versions/1/2", "#/health", f"#/camera/{FIRST}", "#/camera/a", "#/map")
-
-
-class Shown:
-    """A page on a bus that the test speaks on."""
-
-    def __init__(self, *versions: Topology) -> None:
-        self.bus = OneBus()
-        self.bus.kept = {one.version: one for one in versions}
-        self.address = ""
-
-    @contextlib.contextmanager
-    def serving(self, port: int = 0) -> Iterator[int]:
-        """Yields the port."""
-        bus = cast(Bus, self.bus)
-        with (
-            listening("127.0.0.1", port) as listener,
-            app.serving(bus, listener, names("127.0.0.1"), None, time.time, 3600.0),
-        ):
-            port = listener.getsockname()[1]
-            self.address = f"http://127.0.0.1:{port}/"
-            yield port
-
-    def publish(self, topology: Topology) -> None:
-        """A new version, which the page's server fetches whole."""
-        self.bus.kept[topology.version] = topology
-        self.bus.put("topology/delta", "not a delta")
-
-    def status(self, **cameras: dict[str, Any]) -> None:
-        """The daemon's word of itself and of cameras."""
-        self.bus.put("status/daemon", {"state": "running", "reason": "", "cameras": cameras})
 
 
 @pytest.fixture(scope="module")
@@ -78,12 +45,6 @@ def newer(version: int, **changed: Any) -> Topology:
 
 def place_of(link: Link) -> str:
     return "#/link/" + "/".join(quote(part, safe="") for part in (link.from_, link.to, link.relation))
-
-
-def opened(browser: Browser, shown: Shown, place: str = "#/map") -> None:
-    shown.status()
-    browser.open(shown.address + place)
-    browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
 
 
 def test_a_camera_that_is_learned_while_its_page_is_open_is_shown(browser: Browser) -> None:

@@ -1,4 +1,5 @@
-// Names and transit times on the map, as many as fit: those of busy cameras first, none upon another.
+// Names and transit times on the map, as many as fit, none upon another: names of busy cameras first, then times, those
+// of published and busy edges first.
 
 import { s } from "./dom.js";
 import { seconds } from "./words.js";
@@ -6,9 +7,15 @@ import { seconds } from "./words.js";
 const NAMES_MAX = 160;
 const TIMES_MAX = 80;
 const CHARACTER_PIXELS = 8.5;
+const TIME_CHARACTER_PIXELS = 7.5;
 const LINE_PIXELS = 15;
-const EDGE_PIXELS_MIN = 84; // a shorter edge has no room for its time
+const TIME_HEIGHT = 16;
+const EDGE_PIXELS_MIN = 40; // a time beside a shorter edge could be any edge's
+const SEEN_PIXELS_MIN = 14; // so much of an edge stays in sight when its time lies on it
+const ALONG = [1 / 2, 0.4, 0.6, 1 / 3, 2 / 3]; // where on an edge its time may stand
+const OTHER_PIXELS = 5; // so far it keeps from other edges
 const CELL = 64;
+const ARROWS = ["→", "↘", "↓", "↙", "←", "↖", "↑", "↗"]; // by eighths of a turn, y downwards
 
 // Below, above, right, left of a node: where its name may stand.
 export const SIDES = [
@@ -25,54 +32,13 @@ export class Labels {
     this.layer = layer;
   }
 
-  // Draw those in sight: the cameras in `chosen` whatever happens, then those in `found`, then all others.
-  draw(map, radius, chosen, found) {
-    const { clientWidth: width, clientHeight: height } = map.svg;
+  // Draw those in sight: the cameras in `chosen` whatever happens, then those in `found`, then all others; nothing
+  // under the boxes `covers`, [left, top, right, bottom] each.
+  draw(map, radius, chosen, found, covers) {
     const taken = new Taken();
-    const wanted = [];
-    const inSight = [];
-    for (const node of map.nodes.values()) {
-      const [x, y] = map.view.toScreen(node.x, node.y);
-      if (x < -40 || y < -20 || x > width + 40 || y > height + 20) continue;
-      inSight.push({ node, x, y });
-      taken.add(x - radius, y - radius, x + radius, y + radius);
-    }
-    const rank = ({ node }) =>
-      (chosen.has(node.id) ? 1e13 : found.has(node.id) ? 1e12 : 0) + node.camera.entries + node.camera.exits;
-    inSight.sort((one, other) => rank(other) - rank(one));
-    for (const { node, x, y } of inSight) {
-      if (wanted.length >= NAMES_MAX) break;
-      const half = (CHARACTER_PIXELS * node.id.length) / 2;
-      const places = [node.side, ...SIDES].map(([dx, dy]) => {
-        const [mx, my] = [x + dx * (radius + half + 5), y + dy * (radius + LINE_PIXELS / 2 + 3)];
-        return [mx - half, my - LINE_PIXELS / 2, mx + half, my + LINE_PIXELS / 2];
-      });
-      const inside = ([left, top, right, bottom]) => left >= 0 && top >= 0 && right <= width && bottom <= height;
-      const box = places.find((one) => inside(one) && taken.free(...one)) ?? (chosen.has(node.id) ? places[0] : null);
-      if (!box) continue;
-      taken.add(...box);
-      wanted.push({
-        text: node.id,
-        x: box[0] + half,
-        y: box[1] + LINE_PIXELS / 2 + 4,
-        kind: chosen.has(node.id) || found.has(node.id) ? "name first" : "name",
-      });
-    }
-    let times = 0;
-    for (const { a, b, edge } of map.edges.values()) {
-      if (times >= TIMES_MAX) break;
-      const [ax, ay] = map.view.toScreen(a.x, a.y);
-      const [bx, by] = map.view.toScreen(b.x, b.y);
-      const [x, y] = [(ax + bx) / 2, (ay + by) / 2];
-      if (x < 0 || y < 0 || x > width || y > height || Math.hypot(ax - bx, ay - by) < EDGE_PIXELS_MIN) continue;
-      const text = edgeText(edge);
-      const half = (CHARACTER_PIXELS * text.length) / 2;
-      if (!taken.free(x - half, y - 8, x + half, y + 8)) continue;
-      taken.add(x - half, y - 8, x + half, y + 8);
-      wanted.push({ text, x, y: y + 4, kind: `time ${edge.relation}` });
-      times += 1;
-    }
-    this.#show(wanted);
+    for (const box of covers) taken.add(...box);
+    const names = placeNames(map, radius, chosen, found, taken);
+    this.#show([...names, ...placeTimes(map, radius, chosen, taken)]);
   }
 
   #show(wanted) {
@@ -92,13 +58,109 @@ export class Labels {
   }
 }
 
-// The transit time of an edge, one where both ways are about the same.
-export function edgeText(edge) {
-  const [one, other] = edge.ways.map((way) => way.mode);
-  if (one === undefined) return "";
-  if (other === undefined || Math.abs(one - other) <= 0.15 * Math.max(Math.abs(one), Math.abs(other)))
-    return seconds(one);
-  return `${seconds(one).replace(/ s$/, "")} / ${seconds(other)}`;
+function placeNames(map, radius, chosen, found, taken) {
+  const { clientWidth: width, clientHeight: height } = map.svg;
+  const wanted = [];
+  const inSight = [];
+  for (const node of map.nodes.values()) {
+    const [x, y] = map.view.toScreen(node.x, node.y);
+    if (x < -40 || y < -20 || x > width + 40 || y > height + 20) continue;
+    inSight.push({ node, x, y });
+    taken.add(x - radius, y - radius, x + radius, y + radius);
+  }
+  const rank = ({ node }) =>
+    (chosen.has(node.id) ? 1e13 : found.has(node.id) ? 1e12 : 0) + node.camera.entries + node.camera.exits;
+  inSight.sort((one, other) => rank(other) - rank(one));
+  for (const { node, x, y } of inSight) {
+    if (wanted.length >= NAMES_MAX) break;
+    const half = (CHARACTER_PIXELS * node.id.length) / 2;
+    const places = [node.side, ...SIDES].map(([dx, dy]) => {
+      const [mx, my] = [x + dx * (radius + half + 5), y + dy * (radius + LINE_PIXELS / 2 + 3)];
+      return [mx - half, my - LINE_PIXELS / 2, mx + half, my + LINE_PIXELS / 2];
+    });
+    const inside = ([left, top, right, bottom]) => left >= 0 && top >= 0 && right <= width && bottom <= height;
+    const box = places.find((one) => inside(one) && taken.free(...one)) ?? (chosen.has(node.id) ? places[0] : null);
+    if (!box) continue;
+    taken.add(...box);
+    wanted.push({
+      text: node.id,
+      x: box[0] + half,
+      y: box[1] + LINE_PIXELS / 2 + 4,
+      kind: chosen.has(node.id) || found.has(node.id) ? "name first" : "name",
+    });
+  }
+  return wanted;
+}
+
+function placeTimes(map, radius, chosen, taken) {
+  const { clientWidth: width, clientHeight: height } = map.svg;
+  const lines = [];
+  for (const { a, b, edge, width: thick } of map.edges.values()) {
+    const [ax, ay] = map.view.toScreen(a.x, a.y);
+    const [bx, by] = map.view.toScreen(b.x, b.y);
+    if (Math.max(ax, bx) < 0 || Math.max(ay, by) < 0 || Math.min(ax, bx) > width || Math.min(ay, by) > height) continue;
+    lines.push({ a, b, edge, ax, ay, dx: bx - ax, dy: by - ay, length: Math.hypot(bx - ax, by - ay), thick });
+  }
+  const rank = ({ a, b, edge }) =>
+    (chosen.has(a.id) && chosen.has(b.id) ? 2e12 : 0) + (edge.provisional ? 0 : 1e12) + edge.transitions;
+  const long = lines.filter((line) => line.length >= EDGE_PIXELS_MIN && line.edge.ways.length);
+  long.sort((one, other) => rank(other) - rank(one));
+  const settled = lines.filter((line) => !line.edge.provisional);
+  const wanted = [];
+  for (const line of long) {
+    if (wanted.length >= TIMES_MAX) break;
+    const text = edgeText(line);
+    const half = (TIME_CHARACTER_PIXELS * text.length) / 2;
+    const [on, beside] = placesOf(line, half, radius);
+    const free = ([x, y]) =>
+      x > half && y > 8 && x < width - half && y < height - 8 && taken.free(x - half, y - 8, x + half, y + 8);
+    const clearOf = (others) => ([x, y]) => others.every((one) => one === line || apart(one, x, y, half) > OTHER_PIXELS);
+    const open = [...on, ...beside].filter(free);
+    let place = open.find(clearOf(lines));
+    if (!place && !line.edge.provisional) place = open.find(clearOf(settled)) ?? on.find(free);
+    if (!place) continue;
+    const [x, y] = place;
+    taken.add(x - half, y - 8, x + half, y + 8);
+    wanted.push({ text, x, y: y + 4, kind: `time ${line.edge.relation}` });
+  }
+  return wanted;
+}
+
+// Where the time of an edge may stand: upon it, as long as enough of it stays in sight, and beside it.
+function placesOf({ ax, ay, dx, dy, length, thick }, half, radius) {
+  const [ux, uy] = [dx / length, dy / length];
+  const hidden = 2 * Math.min(half / Math.abs(ux), TIME_HEIGHT / 2 / Math.abs(uy));
+  const on = length - 2 * radius - hidden >= SEEN_PIXELS_MIN ? ALONG : [];
+  const aside = Math.abs(uy) * half + Math.abs(ux) * (TIME_HEIGHT / 2) + thick / 2 + 2;
+  return [
+    on.map((share) => [ax + share * dx, ay + share * dy]),
+    [-aside, aside, -aside - radius, aside + radius].map((off) => [ax + dx / 2 - off * uy, ay + dy / 2 + off * ux]),
+  ];
+}
+
+// Pixels between an edge and a time of half the width `half` at a place.
+function apart({ ax, ay, dx, dy }, x, y, half) {
+  return Math.min(
+    ...[-half, 0, half].map((shift) => {
+      const [px, py] = [x + shift - ax, y - ay];
+      const along = Math.min(1, Math.max(0, (px * dx + py * dy) / (dx * dx + dy * dy || 1)));
+      return Math.hypot(px - along * dx, py - along * dy) - TIME_HEIGHT / 2;
+    }),
+  );
+}
+
+// The transit time of an edge, one where both ways are about the same; else each with an arrow the way it is of, as the
+// edge lies on the screen.
+export function edgeText({ a, edge, dx, dy }) {
+  const [one, other] = edge.ways;
+  if (!other) return seconds(one.mode);
+  if (Math.abs(one.mode - other.mode) <= 0.15 * Math.max(Math.abs(one.mode), Math.abs(other.mode)))
+    return seconds(one.mode);
+  const eighth = Math.round(Math.atan2(dy, dx) / (Math.PI / 4)) + 8;
+  const arrow = (way) => ARROWS[(eighth + (way.from === a.id ? 0 : 4)) % 8];
+  const [first, second] = [seconds(one.mode), seconds(other.mode)];
+  const short = first.endsWith(" s") && second.endsWith(" s") ? first.slice(0, -2) : first;
+  return `${arrow(one)} ${short} ${arrow(other)} ${second}`;
 }
 
 // Which parts of the screen are taken, in a coarse grid so that a thousand are quickly asked.

@@ -4,6 +4,7 @@ import { fact, linkList } from "./camera.js";
 import { axisX, axisY, points, scale, ticks } from "./chart.js";
 import { h, s } from "./dom.js";
 import { link } from "./place.js";
+import { NotThere } from "./source.js";
 import { count, percent, scientific, seconds, span } from "./words.js";
 
 const WIDTH = 420;
@@ -54,7 +55,7 @@ export async function pairPanel(app, a, b) {
 
 // What the panel shows of the link between two zones.
 export async function linkPanel(app, from, to, relation) {
-  const story = await app.source.link(from, to, relation);
+  const story = await app.source.link(from, to, relation ?? (await onlyRelation(app, from, to)));
   const t = story.transit;
   const inOneView = relation === "visible"; // which is seen, not inferred
   return {
@@ -97,7 +98,7 @@ export async function linkPanel(app, from, to, relation) {
               fact(
                 "Var(d)",
                 scientific(story.mahalanobis_variance),
-                "The thesis's Mahalanobis test: linked up to 1",
+                "The thesis's Mahalanobis test: linked up to 1. It was made with the samples drawn when this version was learned; those below the chart are drawn anew from the fitted curve",
               ),
             ],
         inOneView
@@ -117,6 +118,18 @@ export async function linkPanel(app, from, to, relation) {
         : null,
     ],
   };
+}
+
+// Of the link between two zones, for an address that does not say it.
+async function onlyRelation(app, from, to) {
+  const [a, b] = [from, to ?? ""].map((zone) => zone.split("/")[0]);
+  const { links, weak = [] } = a === b ? await app.source.camera(a) : await app.source.pair(a, b);
+  const found = [...links, ...weak].filter((each) => each.from === from && each.to === to);
+  if (found.length === 1) return found[0].relation;
+  const which = found.map((each) => each.relation).join(", ");
+  throw new NotThere(
+    found.length ? `There are several from ${from} to ${to}: ${which}.` : `No link leads from ${from} to ${to ?? "?"}.`,
+  );
 }
 
 function chart(story) {
@@ -200,7 +213,7 @@ function chart(story) {
       h("span", {}, h("i", { class: "swatch curve" }), "fitted curve"),
       h("span", {}, h("i", { class: "swatch median" }), "median"),
       h("span", {}, h("i", { class: "swatch band" }), "middle 80 %"),
-      h("span", {}, h("i", { class: "swatch sample" }), `${samples.length} Monte Carlo samples`),
+      h("span", {}, h("i", { class: "swatch sample" }), `${samples.length} Monte Carlo samples, drawn anew from the fitted curve`),
       story.background === null || story.relation === "visible"
         ? null
         : h(

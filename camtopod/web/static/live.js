@@ -9,8 +9,9 @@ export class Connection {
   #heard = performance.now();
   #opened = 0;
   #lostSince = null;
+  #refused = ""; // why the server does not let this page in, in its own words
 
-  // handlers: {map, resync, version, live, prediction, past, event, health, beat, lost(since or null)}
+  // handlers: {map, resync, version, live, prediction, past, event, health, beat, lost(since or null, why)}
   constructor(handlers) {
     this.handlers = handlers;
     this.offset = 0; // seconds that the server's clock is ahead of this one's
@@ -48,6 +49,24 @@ export class Connection {
         this.handlers[name]?.(content);
       });
     }
+    events.addEventListener("error", () => {
+      if (events.readyState === EventSource.CLOSED && events === this.#events) this.#askWhy();
+    });
+  }
+
+  // An EventSource does not tell what a server answers that refuses it.
+  async #askWhy() {
+    const asked = new AbortController();
+    let why = "";
+    try {
+      const answer = await fetch("live", { cache: "no-store", signal: asked.signal });
+      if (!answer.ok) why = (await answer.json()).error ?? "";
+    } catch (error) {
+      if (!(error instanceof TypeError || error instanceof SyntaxError)) throw error; // as for any other question
+    }
+    asked.abort();
+    this.#refused = why;
+    if (this.#lostSince !== null) this.handlers.lost(this.#lostSince, why);
   }
 
   #comeBack() {
@@ -60,7 +79,7 @@ export class Connection {
     if (now !== null) this.offset = now - Date.now() / 1000;
     if (this.#lostSince !== null) {
       this.#lostSince = null;
-      this.handlers.lost(null);
+      this.handlers.lost(null, "");
     }
   }
 
@@ -70,7 +89,7 @@ export class Connection {
     const closed = this.#events.readyState !== EventSource.OPEN;
     if (this.#lostSince === null && (quiet > SILENT_SECONDS || (closed && quiet > RETRY_SECONDS))) {
       this.#lostSince = Date.now() / 1000 - quiet;
-      this.handlers.lost(this.#lostSince);
+      this.handlers.lost(this.#lostSince, this.#refused);
     }
     const age = (performance.now() - this.#opened) / 1000;
     const given = this.#events.readyState === EventSource.CLOSED ? RETRY_SECONDS : SILENT_SECONDS;

@@ -20,7 +20,8 @@ class App {
   map = null; // the newest version's, as the server draws it
   rows = new Map(); // camera -> its health
   #shown = null; // the panel that is open
-  #lost = null; // since when the server is not reached
+  #lost = null; // since when the server is not reached, or refuses this page
+  #refused = ""; // why it does
   #daemon = null; // what the server says of the daemon
   #place = "";
   #told = h("span", {});
@@ -79,8 +80,9 @@ class App {
           this.#daemon = said;
           this.#tellLive();
         },
-        lost: (since) => {
+        lost: (since, why) => {
           this.#lost = since;
+          this.#refused = why;
           this.#tellLive();
         },
         prediction: (prediction) => this.#predicted(prediction, true),
@@ -260,7 +262,8 @@ class App {
     this.banner.hidden = since === null;
     document.body.classList.toggle("stale", since !== null);
     if (since === null) return;
-    const reason = this.#lost !== null ? "this page does not reach its server" : this.#daemon.reason;
+    const lost = this.#refused || "this page does not reach its server";
+    const reason = this.#lost !== null ? lost : this.#daemon.reason;
     const what = this.map ? `Map, predictions and health stand still at ${version}.` : "Nothing is known yet.";
     const text = `Not live since ${clock(since)}: ${reason}. ${what} It goes on by itself. `;
     say(this.#told, text);

@@ -14,7 +14,9 @@ const NODE_PIXELS = [1.8, 11];
 const NEAR_SCALE = 0.8;
 const PICK_PIXELS = 14;
 const WIDTH_PIXELS = [1.2, 7]; // of an edge, by traffic
-const INSETS = { top: 76, right: 40, bottom: 48, left: 40 };
+const INSETS = { top: 40, right: 40, bottom: 48, left: 40 };
+const CLEAR_PIXELS = [20, 34]; // beside and above a camera when all of it is shown, to what lies on the map
+const SHIFTS = [0, 0.25, 0.5, 0.75, 1]; // by how much of what lies at an edge of the map the cameras are kept from it
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class NetworkMap {
@@ -25,6 +27,8 @@ export class NetworkMap {
   #chosen = [];
   #ill = new Set(); // ids of those that need attention
   #found = null; // ids that match the search, or null
+  #covers = []; // elements that lie on it
+  #covered = []; // where, [left, top, right, bottom] in its pixels
 
   constructor(element) {
     this.svg = s("svg", {
@@ -57,7 +61,26 @@ export class NetworkMap {
     this.svg.addEventListener("pointermove", (event) => this.#hover(event));
     this.svg.addEventListener("pointerleave", () => this.#point(null));
     this.svg.addEventListener("keydown", (event) => this.#key(event));
-    new ResizeObserver(() => (this.view.touched ? this.redraw() : this.fit())).observe(this.svg);
+    this.sizes = new ResizeObserver(() => {
+      this.#findCovered();
+      if (this.view.touched) this.redraw();
+      else this.fit();
+    });
+    this.sizes.observe(this.svg);
+  }
+
+  // Elements that lie on the map: it keeps them free of names, and when all of it is shown of cameras.
+  coveredBy(...elements) {
+    this.#covers = elements;
+    for (const element of elements) this.sizes.observe(element);
+  }
+
+  #findCovered() {
+    const own = this.svg.getBoundingClientRect();
+    this.#covered = this.#covers
+      .map((element) => element.getBoundingClientRect())
+      .filter((box) => box.width && box.height)
+      .map((box) => [box.left - own.left, box.top - own.top, box.right - own.left, box.bottom - own.top]);
   }
 
   // Show a map; what is the same object as before is left alone.
@@ -89,9 +112,40 @@ export class NetworkMap {
     const xs = nodes.map((node) => node.x);
     const ys = nodes.map((node) => node.y);
     const [x, y] = [Math.min(...xs), Math.min(...ys)];
-    const bottom = INSETS.bottom + (this.legend?.offsetHeight ?? 0);
-    this.view.fit({ x, y, width: Math.max(...xs) - x, height: Math.max(...ys) - y }, { ...INSETS, bottom });
+    const box = { x, y, width: Math.max(...xs) - x, height: Math.max(...ys) - y };
+    this.view.fit(box, this.#insets(box, nodes));
     this.view.touched = false;
+  }
+
+  // The margins with which the map is largest and no camera is under what lies on it.
+  #insets(box, nodes) {
+    const { clientWidth: width, clientHeight: height } = this.svg;
+    const boxes = this.#covered.map(([left, top, right, bottom]) => [
+      left - CLEAR_PIXELS[0],
+      top - CLEAR_PIXELS[1],
+      right + CLEAR_PIXELS[0],
+      bottom + CLEAR_PIXELS[1],
+    ]);
+    const free = ({ x, y }) => {
+      const [px, py] = this.view.toScreen(x, y);
+      return boxes.every(([left, top, right, bottom]) => px <= left || py <= top || px >= right || py >= bottom);
+    };
+    const above = Math.max(0, ...boxes.map(([, , , bottom]) => (bottom < height / 2 ? bottom : 0)));
+    const below = Math.max(0, ...boxes.map(([, top]) => (top > height / 2 ? height - top : 0)));
+    const beside = Math.max(0, ...boxes.map(([left, , right]) => (left < width / 4 && right < width / 2 ? right : 0)));
+    const least = (most, inset) => SHIFTS.map((share) => Math.max(inset, share * most));
+    const wanted = least(above, INSETS.top).flatMap((top) =>
+      least(below, INSETS.bottom).flatMap((bottom) =>
+        least(beside, INSETS.left).map((left) => ({ ...INSETS, top, bottom, left })),
+      ),
+    );
+    const scaled = wanted.map((insets) => ({ insets, scale: this.view.scaleOf(box, insets) }));
+    scaled.sort((one, other) => other.scale - one.scale);
+    const best = scaled.find(({ insets }) => {
+      this.view.place(box, insets);
+      return nodes.every(free);
+    });
+    return best?.insets ?? { ...INSETS, top: Math.max(INSETS.top, above), bottom: Math.max(INSETS.bottom, below) };
   }
 
   // Mark the cameras or the edge that are open beside the map.
@@ -148,7 +202,7 @@ export class NetworkMap {
       this.world.style.setProperty("--thin", Math.max(0.4, near).toFixed(2));
       this.world.style.setProperty("--dot", `${Math.max(DOT_PIXELS_MIN, 0.55 * radius) / scale}px`);
       this.world.style.setProperty("--ring", `${(0.25 * radius).toFixed(2)}px`);
-      this.labels.draw(this, radius, new Set(this.#chosen), new Set(this.#found));
+      this.labels.draw(this, radius, new Set(this.#chosen), new Set(this.#found), this.#covered);
     });
   }
 

@@ -58,10 +58,16 @@ export class Overlays {
         h("li", {}, h("i", { class: "stroke wide" }), "wider: more traffic"),
         app.source.live ? h("li", {}, h("i", { class: "swatch dot" }), "predicted, under way") : null,
         app.source.live ? h("li", {}, h("i", { class: "swatch ill" }), "needs attention") : null,
-        h("li", { class: "quiet" }, "numbers: most popular transit time"),
+        h("li", { class: "quiet" }, "numbers: most popular transit time, with arrows where the two ways differ"),
       ),
     );
-    app.network.legend = this.legend; // which the map keeps free of cameras
+    const zoom = h(
+      "div",
+      { class: "overlay zoom" },
+      button("+", "Zoom in", () => view.zoom(1.4)),
+      button("−", "Zoom out", () => view.zoom(1 / 1.4)),
+      button("⤢", "Show all", () => app.network.fit()),
+    );
     stage.append(
       h(
         "div",
@@ -70,16 +76,11 @@ export class Overlays {
         this.hits,
         this.said,
       ),
-      h(
-        "div",
-        { class: "overlay zoom" },
-        button("+", "Zoom in", () => view.zoom(1.4)),
-        button("−", "Zoom out", () => view.zoom(1 / 1.4)),
-        button("⤢", "Show all", () => app.network.fit()),
-      ),
+      zoom,
       this.legend,
       h("div", { class: "left" }, this.alarms, this.predictions),
     );
+    app.network.coveredBy(this.search, zoom, this.legend, this.alarms, this.predictions); // not the search's hits, which pass
   }
 
   update(map) {

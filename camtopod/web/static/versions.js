@@ -2,17 +2,20 @@
 
 import { alarmList, fact } from "./camera.js";
 import { axisX, axisY, points, scale, ticks } from "./chart.js";
-import { fill, h, s } from "./dom.js";
+import { fill, h, more, s } from "./dom.js";
 import { go, link } from "./place.js";
 import { Away, NotThere } from "./source.js";
 import { axisTime, clock, count, percent, plural } from "./words.js";
 
 const ASKED_MAX = 60; // older versions that are asked of the daemon while this is open
-const LISTED = 40;
+const ROWS = 40;
 const CHANGES_SHOWN = 300;
 const SIGNS = { "+": ["new", "appeared"], "-": ["gone", "disappeared"], "~": ["other", "changed"] };
 const NARROW = matchMedia("(max-width: 720px)");
 const HEIGHT = 200;
+const HEIGHT_BARE = 64; // of a time line without a curve
+const WITHOUT_CURVE =
+  "Each mark is a version. The daemon marks its predictions by what later versions know; a curve needs two scored versions.";
 const EDGE = { left: 44, right: 14, top: 16, bottom: 26 };
 
 export class Versions {
@@ -21,6 +24,7 @@ export class Versions {
   #asking = false;
   #compared = "";
   #named = []; // the versions that the address names, if any
+  #rows = ROWS;
 
   constructor(app) {
     this.app = app;
@@ -55,7 +59,7 @@ export class Versions {
       fill(this.compare, h("h2", {}, "What changed"), h("p", { class: "quiet" }, "There is one version so far."));
       return;
     }
-    const versions = [Number(old) || Math.max(1, last - 1), Number(now) || last];
+    const versions = [numbered(old) ?? Math.max(1, last - 1), numbered(now) ?? last];
     await this.#compareThem(Math.min(...versions), Math.max(...versions));
     if (this.app.source.live) await this.#askForOlder();
   }
@@ -133,8 +137,16 @@ export class Versions {
           : null,
       ),
     );
-    fill(this.chart, h("h2", {}, "Its own score"), scoreChart(all));
-    fill(this.list, this.#table(all));
+    fill(this.chart, h("h2", {}, "Time line and its own score"), timeLine(all));
+    fill(
+      this.list,
+      this.#table(all),
+      all.length > this.#rows &&
+        more(`Show ${count(Math.min(ROWS, all.length - this.#rows))} more`, () => {
+          this.#rows += ROWS;
+          this.#draw();
+        }),
+    );
     const alarms = all.flatMap((one) => one.alarms);
     fill(
       this.alarms,
@@ -164,7 +176,7 @@ export class Versions {
         {},
         [...all]
           .reverse()
-          .slice(0, LISTED)
+          .slice(0, this.#rows)
           .map((one) =>
             h(
               "tr",
@@ -229,6 +241,12 @@ export class Versions {
   }
 }
 
+// The version that a part of the address names, if it can be one.
+function numbered(text) {
+  const number = Number(text);
+  return Number.isSafeInteger(number) && number > 0 ? number : null;
+}
+
 function changeList(changes) {
   if (!changes.length)
     return h("p", { class: "quiet" }, "Nothing that shows: figures moved by less than their own uncertainty.");
@@ -278,61 +296,64 @@ function subject({ kind, sign, subject: parts }) {
   );
 }
 
-function scoreChart(all) {
+// All versions along the time, those that have a score at the height of it.
+function timeLine(all) {
   const width = NARROW.matches ? 360 : 680;
   const scored = all.filter((one) => one.score);
-  if (scored.length < 2)
-    return h(
-      "p",
-      { class: "quiet" },
-      "The daemon marks its predictions by what later versions know; a curve needs two scored versions.",
-    );
-  const x = scale(scored[0].as_of, scored.at(-1).as_of, EDGE.left, width - EDGE.right);
-  const y = scale(0, 1, HEIGHT - EDGE.bottom, EDGE.top);
+  const curved = scored.length > 1; // one has no curve
+  const height = curved ? HEIGHT : HEIGHT_BARE;
+  const floor = height - EDGE.bottom;
+  const range = all.at(-1).as_of - all[0].as_of;
+  const x = scale(all[0].as_of, all.at(-1).as_of, range ? EDGE.left : width / 2, width - EDGE.right);
+  const y = scale(0, 1, floor, EDGE.top);
   const along = (value) => points(scored.map((one) => [x(one.as_of), y(value(one.score))]));
-  const range = scored.at(-1).as_of - scored[0].as_of;
-  const marks = [scored[0], scored[Math.floor(scored.length / 2)], scored.at(-1)];
+  const named = [all[0], all[Math.floor(all.length / 2)], all.at(-1)];
+  const label = curved
+    ? `First guess right in ${percent(scored.at(-1).score.top1)} of the newest predictions scored`
+    : `${plural(all.length, "version")} along the time`;
   return h(
     "figure",
     { class: "chart" },
     s(
       "svg",
-      {
-        viewBox: `0 0 ${width} ${HEIGHT}`,
-        role: "img",
-        "aria-label": `First guess right in ${percent(scored.at(-1).score.top1)} of the newest predictions scored`,
-      },
-      axisY(y, ticks(0, 1, 4), EDGE.left, width - EDGE.right, (value) => `${100 * value} %`),
-      axisX(x, [...new Set(marks.map((one) => one.as_of))], HEIGHT - EDGE.bottom + 2, HEIGHT - EDGE.bottom, (t) =>
-        axisTime(t, range),
-      ),
-      s("path", { class: "curve usual", d: along((score) => score.baseline_top1) }),
-      s("path", { class: "curve third", d: along((score) => score.top3) }),
-      s("path", { class: "curve", d: along((score) => score.top1) }),
-      scored.map((one) =>
-        s(
-          "a",
-          { href: link("versions", Math.max(1, one.version - 1), one.version), tabindex: -1 },
-          s("circle", {
-            class: one.alarms.length ? "mark alarm" : "mark",
-            cx: x(one.as_of),
-            cy: y(one.score.top1),
-            r: one.alarms.length ? 5 : 3.5,
-          }),
-          s(
-            "title",
-            {},
-            `version ${one.version}: ${percent(one.score.top1)}, log loss ${one.score.log_loss.toFixed(2)}, ${count(one.score.exits)} exits`,
-          ),
-        ),
-      ),
+      { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label },
+      axisY(y, curved ? ticks(0, 1, 4) : [0], EDGE.left, width - EDGE.right, (v) => (curved ? `${100 * v} %` : "")),
+      axisX(x, [...new Set(named.map((one) => one.as_of))], floor + 2, floor, (t) => axisTime(t, range)),
+      curved
+        ? [
+            s("path", { class: "curve usual", d: along((score) => score.baseline_top1) }),
+            s("path", { class: "curve third", d: along((score) => score.top3) }),
+            s("path", { class: "curve", d: along((score) => score.top1) }),
+          ]
+        : null,
+      all.map((one) => mark(one, x(one.as_of), curved && one.score ? y(one.score.top1) : floor)),
     ),
-    h(
-      "figcaption",
-      { class: "legend" },
-      h("span", {}, h("i", { class: "swatch curve" }), "first guess right"),
-      h("span", {}, h("i", { class: "swatch third" }), "among the first three"),
-      h("span", {}, h("i", { class: "swatch usual" }), "always naming the usual next camera"),
-    ),
+    h("figcaption", {}, curved ? curves() : h("p", {}, WITHOUT_CURVE)),
+  );
+}
+
+// A version on the time line, which opens what changed with it.
+function mark(one, cx, cy) {
+  const alarmed = one.alarms.length > 0;
+  const said = one.score
+    ? `${percent(one.score.top1)}, log loss ${one.score.log_loss.toFixed(2)}, ${count(one.score.exits)} exits`
+    : "not scored yet";
+  return s(
+    "a",
+    { href: link("versions", Math.max(1, one.version - 1), one.version), tabindex: -1 },
+    s("circle", { class: alarmed ? "mark alarm" : "mark", cx, cy, r: alarmed ? 5 : 3.5 }),
+    s("title", {}, `version ${one.version}, ${clock(one.as_of)}: ${said}`),
+  );
+}
+
+function curves() {
+  return h(
+    "div",
+    { class: "legend" },
+    [
+      ["curve", "first guess right"],
+      ["third", "among the first three"],
+      ["usual", "always naming the usual next camera"],
+    ].map(([kind, text]) => h("span", {}, h("i", { class: `swatch ${kind}` }), text)),
   );
 }

@@ -50,12 +50,27 @@ export class View {
 
   // Show the whole of a box {x, y, width, height} of the map, inside `insets` {top, right, bottom, left} in pixels.
   fit(box, insets) {
-    const width = Math.max(80, this.element.clientWidth - insets.left - insets.right);
-    const height = Math.max(80, this.element.clientHeight - insets.top - insets.bottom);
-    this.scale = Math.min(width / Math.max(box.width, 1), height / Math.max(box.height, 1), FIT_SCALE_MAX);
+    this.place(box, insets);
+    this.onChange();
+  }
+
+  // The same without telling.
+  place(box, insets) {
+    const [width, height] = this.#inside(insets);
+    this.scale = this.scaleOf(box, insets);
     this.x = insets.left + width / 2 - (box.x + box.width / 2) * this.scale;
     this.y = insets.top + height / 2 - (box.y + box.height / 2) * this.scale;
-    this.onChange();
+  }
+
+  // At which scale the box would be shown.
+  scaleOf(box, insets) {
+    const [width, height] = this.#inside(insets);
+    return Math.min(width / Math.max(box.width, 1), height / Math.max(box.height, 1), FIT_SCALE_MAX);
+  }
+
+  #inside({ top, right, bottom, left }) {
+    const { clientWidth, clientHeight } = this.element;
+    return [Math.max(80, clientWidth - left - right), Math.max(80, clientHeight - top - bottom)];
   }
 
   // Bring a point into the middle, near enough to read its name.
