@@ -110,6 +110,14 @@ def test_what_it_tells(server: Server) -> None:
         assert (status, "error" in json.loads(body)) == (404, True), path
 
 
+def test_a_number_that_no_version_can_have_is_not_found(server: Server, capfd: pytest.CaptureFixture[str]) -> None:
+    digits = "9" * 5000
+    for path in (f"/data/version/{digits}", f"/data/changes/1/{digits}", f"/data/changes/{digits}/1"):
+        assert server.get(path)[0] == 404, path[:20]
+    assert server.get(f"/data/version/{'9' * 18}")[0] == 404
+    assert "Traceback" not in capfd.readouterr().err
+
+
 def test_it_only_reads(server: Server) -> None:
     request = urllib.request.Request(f"{server.address}/data/map", data=b"{}", method="POST")
     with pytest.raises(urllib.error.HTTPError) as refused:

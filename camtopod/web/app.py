@@ -19,6 +19,7 @@ import msgspec
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
@@ -57,6 +58,15 @@ REFUSED = (
 )
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(?::[0-9]{1,5})?")
 STATIC = resources.files("camtopod.web") / "static"
+
+
+class _Version(IntegerConvertor):
+    """A version's number: as many digits as the daemon takes; Python refuses to read thousands of them."""
+
+    regex = "[0-9]{1,18}"
+
+
+register_url_convertor("version", _Version())
 
 
 class _Strict:
@@ -230,8 +240,8 @@ def application(site: Site, names: Collection[str], any_address: bool, beat: Bea
         Route("/data/pair/{a}/{b}", site.pair),
         Route("/data/link", site.link),
         Route("/data/versions", site.versions),
-        Route("/data/version/{version:int}", site.version),
-        Route("/data/changes/{old:int}/{new:int}", site.changes),
+        Route("/data/version/{version:version}", site.version),
+        Route("/data/changes/{old:version}/{new:version}", site.changes),
         Route("/picture/{camera}", site.picture),
         Route("/live", site.live),
     ]
