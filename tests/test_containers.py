@@ -77,6 +77,14 @@ def test_compose_starts_what_there_is() -> None:
     assert extras == ["metrics,mqtt,web"]
 
 
+def test_the_page_is_shown_the_pictures_that_init_keeps() -> None:
+    command = COMPOSE["services"]["web"]["command"]
+    folder = command[command.index("--pictures") + 1]
+    assert f"init --pictures {folder} --out " in (DEPLOY / "compose.md").read_text()
+    [site] = [volume.split(":")[-2] for volume in COMPOSE["services"]["web"]["volumes"]]
+    assert Path(folder).parent == Path(site)
+
+
 @pytest.mark.parametrize("service", ["daemon", "web"])
 def test_what_a_health_check_asks_is_listened_to(service: str) -> None:
     asked = re.findall(r"http://127\.0\.0\.1:([0-9]+)/", " ".join(COMPOSE["services"][service]["healthcheck"]["test"]))

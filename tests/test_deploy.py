@@ -11,10 +11,11 @@ import pytest
 from pages import FENCED, invocations
 
 from camtopod.cli.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
+from camtopod.cli.init import SECRETS, written
 from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.cli.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.speaker import CLOSE_SECONDS
-from camtopod.config import HealthSettings, parse
+from camtopod.config import Config, HealthSettings, parse
 
 DEPLOY = Path(__file__).parent.parent / "deploy"
 UNITS = {"camtopod.service": "camtopod.service", "camtopod-grab@.service": "camtopod-grab@lobby.service"}
@@ -53,6 +54,9 @@ def test_a_camera_s_file_is_called_as_the_service_is_handed_it() -> None:
     name, _, path = handed.partition(":")
     assert (name, Path(path).name) == ("%i", "%i")
     assert f"export CREDENTIALS_DIRECTORY={Path(path).parent}\n" in README
+    text = written(Config(), {"lobby": "0"}, {"lobby": []}, ["lobby"], handed=True)
+    assert 'source_file = "$CREDENTIALS_DIRECTORY/lobby"' in text
+    assert Path(path).parent == Path("/etc/camtopod") / SECRETS
 
 
 def test_a_shard_is_the_daemon_but_for_its_name() -> None:
@@ -78,10 +82,28 @@ def test_kubernetes_starts_as_many_shards_as_it_says() -> None:
     parse("\n".join(line[4:] for line in body.splitlines()))
 
 
-def test_services_can_read_the_configuration_that_is_installed() -> None:
-    """Their users own nothing in /etc and are in no group of it."""
-    modes = re.findall(r"install -Dm (\d+) \S+ /etc/camtopod/camtopod.toml", README)
-    assert modes == ["644"]
+def test_the_page_begins_with_what_services_can_read() -> None:
+    """Their users own nothing in /etc and are in no group of it: `init --credentials` writes no password there."""
+    first = README.split("```")[1]
+    parser, _ = parser_of(COMMANDS)
+    [init, *_] = [words for line in first.splitlines() for words in invocations(line)]
+    args = parser.parse_args(init)
+    assert (args.command, args.credentials, args.out) == ("init", True, Path("/etc/camtopod/camtopod.toml"))
+    assert "deploy/camtopod.toml" not in first, "the example has a password in it"
+    assert "source.conf" in first
+    [extras] = re.findall(r"pip install '\.\[([a-z,]+)\]'", first)
+    assert set(extras.split(",")) >= {"metrics", "terminal", "web"}, "health, watch and the page are used below"
+
+
+def test_the_page_s_service_is_shown_the_pictures_that_init_keeps() -> None:
+    """Its folder is made if there is none, and handed to its user."""
+    unit = directives(DEPLOY / "camtopod-web.service")
+    [folder], [command] = unit["StateDirectory"], unit["ExecStart"]
+    parser, _ = parser_of(COMMANDS)
+    args = parser.parse_args(command.split()[1:])
+    assert args.pictures == Path("/var/lib") / folder
+    assert f"init --credentials --pictures {args.pictures} " in README
+    assert unit["StateDirectoryMode"] == ["0750"]
 
 
 def test_no_service_shares_its_user_or_gives_up() -> None:

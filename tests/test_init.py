@@ -189,6 +189,38 @@ def test_passwords_go_into_files_of_their_own(
     assert main(["check", "site/camtopod.toml"]) == 0
 
 
+def test_services_are_handed_every_source(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the unit's LoadCredential= says it: a service whose file is not there does not start."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "yard.mp4").write_bytes(film.read_bytes())
+    (tmp_path / "site").mkdir()
+    url = f"rtsp://user:{PASSWORD}@127.0.0.1:1/x"
+    umask = os.umask(0o077)
+    try:
+        assert main(["init", "--credentials", f"hall={url}", "yard.mp4", "--out", "site/camtopod.toml"]) == 66
+    finally:
+        os.umask(umask)
+    err = capsys.readouterr().err
+    assert "systemctl enable --now camtopod camtopod-web camtopod-grab@hall camtopod-grab@yard\n" in err
+    assert f"    CREDENTIALS_DIRECTORY={tmp_path}/site/secrets camtopod check site/camtopod.toml --probe\n" in err
+    files = everything_below(tmp_path / "site")
+    mode, text = files.pop("camtopod.toml")
+    assert (mode, PASSWORD in text) == (0o644, False)
+    assert files == {"secrets/hall": (0o600, f"{url}\n"), "secrets/yard": (0o600, f"{tmp_path}/yard.mp4\n")}
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path / "site" / "secrets"))
+    loaded = config.load(tmp_path / "site/camtopod.toml")
+    assert loaded.health.listen == "127.0.0.1:8787"
+    assert loaded.for_camera("hall").cameras["hall"].source == url
+    assert main(["check", "site/camtopod.toml"]) == 0
+    assert "chmod" not in capsys.readouterr().err
+    elsewhere = ["--connect", "tcp/192.0.2.1:7447", "init", "--credentials", "4242", "--out", "box.toml"]
+    assert main(elsewhere) == 66
+    assert "systemctl enable --now camtopod-grab@device-4242\n" in capsys.readouterr().err
+    assert config.load(tmp_path / "box.toml").health.listen == "", "the daemon's, which is not here"
+
+
 def test_nothing_is_overwritten_unless_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -25,6 +25,10 @@ from camtopod.web import pictures
 
 SECRETS = "secrets"
 """The folder of the passwords, beside the configuration."""
+CREDENTIALS = "$CREDENTIALS_DIRECTORY"
+"""Where systemd hands a service's files to it: the units of deploy/ take them from `SECRETS`."""
+HEALTH = "127.0.0.1:8787"
+"""Where a daemon that is a service answers."""
 NAME_CHARACTERS_MAX = 64
 _GIVEN = re.compile(r"([A-Za-z0-9_.-]{1,64})=(.+)", re.DOTALL)
 _HEAD = """\
@@ -56,6 +60,12 @@ def add_parser(subparsers: Any) -> None:
         help="also keep a picture of each camera here, DIR/NAME.jpg, which `camtopod web` and `report` draw on; it is "
         "stored here only and not sent. No other picture is ever stored",
     )  # fmt: skip
+    parser.add_argument(
+        "--credentials", action="store_true",
+        help=f"for systemd's services, whose users cannot read {SECRETS}: every camera's source goes into a file of "
+        f"that folder, and the configuration names it as {CREDENTIALS}/NAME, where systemd hands it to that camera's "
+        f"service; the daemon tells how it is at {HEALTH}",
+    )  # fmt: skip
     parser.add_argument("--force", action="store_true", help="overwrite files that are there already")
 
 
@@ -65,7 +75,8 @@ def run(args: argparse.Namespace) -> int:
 
     settings = configuration(args)
     cameras = named(_given(args.sources))
-    secrets = {name: args.out.parent / SECRETS / name for name, source in cameras.items() if redact(source) != source}
+    folder, handed = args.out.parent / SECRETS, args.credentials
+    secrets = {name: folder / name for name, source in cameras.items() if handed or redact(source) != source}
     if not args.out.parent.is_dir():
         raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
     kept = [] if args.pictures is None else [pictures.kept_at(args.pictures, name) for name in cameras]
@@ -79,14 +90,17 @@ def run(args: argparse.Namespace) -> int:
         args.pictures,
     )  # fmt: skip
     words = {name: probe.words for name, probe in probes.items()}
-    text = written(settings, cameras, words, secrets.keys())
+    text = written(settings, cameras, words, secrets.keys(), handed)
     try:
-        _write(args.out, text, {path: cameras[name] for name, path in secrets.items()})
+        _write(args.out, text, {path: _located(cameras[name]) for name, path in secrets.items()})
+        if handed:
+            args.out.chmod(0o644)  # the services' users have to read it, and there is no password in it
     except OSError as error:
         raise CommandError(f"cannot write {error.filename or args.out}: {error.strerror}") from None
-    where = f", URLs with secrets are in {args.out.parent / SECRETS}, for you alone" if secrets else ""
+    what = "the sources" if handed else "URLs with secrets"
+    where = f", {what} are in {folder}, for you alone" if secrets else ""
     _say(f"{args.out} is written{where}")
-    _say(_next(args.out, settings))
+    _say(_next_services(args.out, settings, cameras) if handed else _next(args.out, settings))
     return exits.INPUT if any(probe.problem for probe in probes.values()) else exits.DONE
 
 
@@ -108,19 +122,26 @@ def named(given: Sequence[tuple[str, str]]) -> dict[str, str]:
 
 
 def written(
-    settings: Config, cameras: Mapping[str, str], words: Mapping[str, Sequence[str]], secret: Collection[str]
+    settings: Config,
+    cameras: Mapping[str, str],
+    words: Mapping[str, Sequence[str]],
+    secret: Collection[str],
+    handed: bool = False,
 ) -> str:
-    """The configuration; of those in ``secret`` it names the file that has the source."""
+    """The configuration; of those in ``secret`` it names the file that has the source, ``handed`` to a service."""
     bus = {"connect": settings.bus.connect} if settings.bus.connect else {}
     parts = [_HEAD, table("site", TABLES["site"], {"name": settings.site.name})]
     parts.append("# One table a camera; its name is the camera's id on the bus. Call it as you like.")
+    folder = CREDENTIALS if handed else SECRETS
     for name, source in cameras.items():
         key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
-        where = ("source_file", f"{SECRETS}/{name}") if name in secret else ("source", _located(source))
+        where = ("source_file", f"{folder}/{name}") if name in secret else ("source", _located(source))
         lines = [f"[cameras.{key}]", *(f"# {word}" for word in words[name])]
         lines += [_OF_A_FILE] if kind_of(source) == "file" else []
         parts.append("\n".join([*lines, f"{where[0]} = {json.dumps(where[1], ensure_ascii=False)}"]))
     parts += [table("bus", TABLES["bus"], bus), table("state", TABLES["state"], {})]
+    if handed and not settings.bus.connect:  # else the daemon is elsewhere
+        parts.append(table("health", TABLES["health"], {"listen": HEALTH}))
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
 
@@ -196,6 +217,16 @@ def _next(out: Path, settings: Config) -> str:
     if settings.bus.connect:
         return f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab"
     return f"next, each in a terminal of its own:\n    camtopod --config {out} run\n    camtopod --config {out} grab"
+
+
+def _next_services(out: Path, settings: Config, cameras: Collection[str]) -> str:
+    """The same where they are services."""
+    daemon = "" if settings.bus.connect else "camtopod camtopod-web "
+    services = daemon + " ".join(f"camtopod-grab@{name}" for name in cameras)
+    return (
+        f"next, with the units of deploy/ installed as its README says:\n    systemctl enable --now {services}\n"
+        f"    {CREDENTIALS[1:]}={(out.parent / SECRETS).absolute()} camtopod check {out} --probe"
+    )
 
 
 def _say(text: str) -> None:

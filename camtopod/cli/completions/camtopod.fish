@@ -76,6 +76,7 @@ complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -
 complete -c camtopod -n '_shtab_camtopod_using init' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using init' -l out -xka "(__fish_complete_path (commandline -ct))" -d 'write it here (default: camtopod.toml)'
 complete -c camtopod -n '_shtab_camtopod_using init' -l pictures -xka "(__fish_complete_directories)" -d 'also keep a picture of each camera here, DIR/NAME.jpg, which `camtopod web` and `report` draw on; it is stored here only and not sent. No other picture is ever stored'
+complete -c camtopod -n '_shtab_camtopod_using init' -l credentials -d 'for systemd'"'"'s services, whose users cannot read secrets: every camera'"'"'s source goes into a file of that folder, and the configuration names it as $CREDENTIALS_DIRECTORY/NAME, where systemd hands it to that camera'"'"'s service; the daemon tells how it is at 127.0.0.1:8787'
 complete -c camtopod -n '_shtab_camtopod_using init' -l force -d 'overwrite files that are there already'
 complete -c camtopod -n '_shtab_camtopod_using init' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
 complete -c camtopod -n '_shtab_camtopod_using init' -l site -x -d 'name of the site, second part of every key'

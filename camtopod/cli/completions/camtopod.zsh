@@ -185,6 +185,7 @@ _shtab_camtopod_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--out[write it here (default\: camtopod.toml)]:FILE:_files"
   "--pictures[also keep a picture of each camera here, DIR\/NAME.jpg, which \`camtopod web\` and \`report\` draw on\; it is stored here only and not sent. No other picture is ever stored]:DIR:_files -/"
+  "--credentials[for systemd\'s services, whose users cannot read secrets\: every camera\'s source goes into a file of that folder, and the configuration names it as \$CREDENTIALS_DIRECTORY\/NAME, where systemd hands it to that camera\'s service\; the daemon tells how it is at 127.0.0.1\:8787]"
   "--force[overwrite files that are there already]"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, second part of every key]:NAME:"
