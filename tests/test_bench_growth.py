@@ -34,7 +34,7 @@ def test_links_counts_a_version_a_minute_for_the_others(tmp_path: Path) -> None:
 
 def test_shards_hear_more_than_their_own_and_less_than_all(tmp_path: Path) -> None:
     figures = tmp_path / "shards.json"
-    assert shards.main(["--cameras", "6", "--shards", "2", "--hours", "0.15", "--json", str(figures)]) == 0
+    assert shards.main(["--cameras", "6", "--shards", "2", "--hours", "0.08", "--json", str(figures)]) == 0
     written = json.loads(figures.read_text())
     assert [row["name"] for row in written["tables"][0]["rows"]] == ["one shard", "shard 0 of 2", "shard 1 of 2"]
     alone, *shared = written["work"][:3]
