@@ -1,4 +1,5 @@
-"""One network measured: ours as it learns online and in one fit, and every baseline; for `bench.quality`."""
+"""One network measured: ours as it learns online, in one fit and as it serves, and every baseline; for
+`bench.quality`."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ import copy
 import math
 import time
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -43,7 +44,8 @@ WARM_EVENTS = 5000
 """Events before the cut that a predictor observes first; it remembers 2,000 of each kind."""
 CLOCK_SECONDS_MAX = 0.5
 """The issue's tolerance of clock offsets."""
-GROUPS = ("online", "batch", "baselines")
+OURS = ("online", "live", "batch")
+GROUPS = (*OURS, "baselines")
 
 LINK_METHODS: dict[str, Callable[..., Any]] = {
     "closest pairs (thesis)": closest,
@@ -73,14 +75,22 @@ class Record(Struct, omit_defaults=True):
         return math.nan if value is None else value
 
 
-def measure(group: str, regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
-    """All records of one of `GROUPS`."""
+def measure(
+    group: str, regime: str, seed: int, events: Sequence[Event], truth: Truth, settings: Settings | None = None
+) -> list[Record]:
+    """All records of one of `GROUPS`, learned with ``settings`` (default: those by default)."""
     if group == "baselines":
         return baselines(regime, seed, events, truth)
-    settings = Settings() if group == "online" else Settings(refit_share=1e9, refit_hours=1e9)
-    topology, head, seconds = learn(events, settings)
+    settings = settings or Settings()
+    if group == "live":
+        topology, predicted, seconds = serve(events, settings)
+    else:
+        if group == "batch":
+            settings = msgspec.structs.replace(settings, refit_share=1e9, refit_hours=1e9)
+        topology, head, seconds = learn(events, settings)
+        predicted = predict(head, events)
     figures = network_figures(topology, truth, events)
-    figures |= prediction_figures(head, events, truth)
+    figures |= prediction_figures(predicted, events, truth)
     figures |= {"events": len(events), "events_per_second": len(events) / seconds, "versions": topology.version}
     return [Record(regime, seed, group, seconds, _plain(figures))]
 
@@ -148,22 +158,66 @@ def by_their_clocks(truth: Truth) -> Truth:
     return msgspec.structs.replace(truth, links=links)
 
 
-def prediction_figures(head: Topology, events: Sequence[Event], truth: Truth) -> dict[str, float]:
-    """Predictions after the cut, beside a chain told identities on the same zones."""
+class Predicted(NamedTuple):
+    """One prediction for each exit after the cut, processor seconds for all, and the version known at the cut."""
+
+    made: list[Prediction]
+    seconds: float
+    head: Topology
+
+
+def predict(head: Topology, events: Sequence[Event]) -> Predicted:
+    """Predictions by what was known at the cut, all events before each known."""
     cut = int(TRAIN_SHARE * len(events))
-    tail = msgspec.structs.replace(
-        truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
-    )
     predictor = Predictor(head)
-    place = predictor.zone_of
-    states = [place(event) if event.kind == "exit" else None for event in events]
     made: list[Prediction] = []
     started = time.process_time()
     for index in range(max(0, cut - WARM_EVENTS), len(events)):
         if index >= cut and events[index].kind == "exit":
             made.append(predictor.predict(events[index]))
         predictor.observe(events[index])
-    seconds = time.process_time() - started
+    return Predicted(made, time.process_time() - started, head)
+
+
+def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predicted, float]:
+    """As it is in service: each exit after the cut is predicted by the newest version published by then, and nothing is
+    learned but what falls due by itself. The newest version in the end, the predictions, and seconds to learn."""
+    cut = int(TRAIN_SHARE * len(events))
+    learner, predictor, head = Learner(settings), None, None
+    made: list[Prediction] = []
+    observing = predicting = 0.0
+    started = time.process_time()
+    for index, event in enumerate(events):
+        paused = time.process_time()
+        if index == cut:
+            head = learner.topology
+        if predictor is not None:
+            if index >= cut and event.kind == "exit":
+                made.append(predictor.predict(event))
+            predictor.observe(event)
+        if index < cut:
+            observing += time.process_time() - paused
+        else:
+            predicting += time.process_time() - paused
+        learner.receive(event)
+        for version in learner.updates():
+            predictor = predictor.follow(version) if predictor else Predictor(version)
+    seconds = time.process_time() - started - observing - predicting
+    assert learner.topology is not None
+    assert head is not None
+    return learner.topology, Predicted(made, predicting, head), seconds
+
+
+def prediction_figures(predicted: Predicted, events: Sequence[Event], truth: Truth) -> dict[str, float]:
+    """Predictions after the cut, beside a chain told identities up to the cut, on the zones that were known there."""
+    cut = int(TRAIN_SHARE * len(events))
+    tail = msgspec.structs.replace(
+        truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
+    )
+    made, seconds, head = predicted
+    predictor = Predictor(head)
+    place = predictor.zone_of
+    states = [place(event) if event.kind == "exit" else None for event in events]
 
     def zone_of(event: Event) -> str | None:
         zone = place(event)

@@ -9,13 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench._measure import CLOCK_SECONDS_MAX, Record
+from bench._measure import CLOCK_SECONDS_MAX, OURS, Record
 from bench._targets import LINKED, TARGETS, Target
 from bench.baselines.closest import LITERAL
 from bench.baselines.findings import Ranked, Tuned, at, tune
 
 Floats = NDArray[np.float64]
-OURS = ("online", "batch")
 TITLE, CELL = 58, 16
 """Widths of the first column and of the others."""
 

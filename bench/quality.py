@@ -2,7 +2,9 @@
 
     python -m bench quality [--seeds N] [--regimes a,b] [--jobs 2] [--json FILE] [--data FOLDER] [--no-baselines]
 
-Ours twice: ``online``, fed as `camtopod learn` is, and ``batch``, one fit of everything. Every network is made up from
+Ours three times: ``online``, fed as `camtopod learn` is, with a version of all there is at 70 % (for the predictions
+of the rest) and at the end; ``live``, where each exit of the rest is predicted by the newest version that had been made
+by itself, as the daemon does; and ``batch``, one fit of everything. Every network is made up from
 its seed (`bench.regimes`); ``campus-auditorium`` is a real recording, skipped where it is not at hand (``--data`` or
 CAMTOPOD_TEST_DATA name the folder it lies in). Each figure is a mean over networks with its standard error.
 
@@ -33,6 +35,7 @@ from bench._measure import GROUPS, Record, measure
 from bench._table import tables
 from bench.regimes import REGIMES
 from camtopod.codec import read, to_json
+from camtopod.learn.settings import Settings
 from camtopod.records import Event, Pair
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Truth
 
@@ -159,10 +162,11 @@ def _results(tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
 def run(task: Task) -> Done:
     """Make the network and measure it."""
     if task.regime == CAMPUS:
-        events, truth = campus(Path(task.data or "") / CAMPUS)
+        (events, truth), settings = campus(Path(task.data or "") / CAMPUS), Settings()
     else:
-        events, truth = REGIMES[task.regime].make(task.seed, task.scale)
-    return Done(*task.key, measure(task.group, task.regime, task.seed, events, truth))
+        regime = REGIMES[task.regime]
+        (events, truth), settings = regime.make(task.seed, task.scale), regime.learning(task.scale)
+    return Done(*task.key, measure(task.group, task.regime, task.seed, events, truth, settings))
 
 
 def campus(folder: Path) -> tuple[list[Event], Truth]:

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from camtopod.learn.settings import Settings as LearnSettings
 from camtopod.records import Event
 from camtopod.sim.crowd import CrowdSettings, simulate_crowd
 from camtopod.sim.hall import HallSettings, simulate_hall
@@ -43,6 +44,14 @@ class Regime(Struct, frozen=True):
     name: str
     about: str
     settings: Settings
+    window_events: int | None = None
+    """Events the learner keeps, if not as many as by default."""
+
+    def learning(self, scale: float = 1.0) -> LearnSettings:
+        """How it is to be learned; a shorter recording has a shorter window."""
+        if self.window_events is None:
+            return LearnSettings()
+        return LearnSettings(window_events=round(scale * self.window_events), window_camera_events=0)
 
     def make(self, seed: int, scale: float = 1.0) -> tuple[list[Event], Truth]:
         """Events and truth; ``scale`` < 1 makes a shorter recording of the same network (and day)."""
@@ -97,6 +106,7 @@ def _rows() -> list[Regime]:
         Regime("no-links", "everybody at one camera only, a day with a rhythm of +-90 %", alone),
         Regime("short", "3 hours, about 9,000 events", SimSettings(objects_per_second=0.108, hours=3.0)),
         Regime("overlapped", "40 % of the links overlapped", change(medium, overlap_share=OVERLAPPED_PER_CAMERA)),
+        Regime("windows", "0.12 objects a second, five times what the learner keeps", medium, window_events=10_000),
         Regime("clocks", "a third of the clocks off by up to 30 s", change(medium, clock_max=30.0, clock_share=1 / 3)),
     ]
 

@@ -9,9 +9,12 @@ import msgspec
 import pytest
 
 import bench.quality as quality
-from bench._measure import Record, baselines, by_their_clocks, measure, network_figures
+from bench._measure import TRAIN_SHARE, Record, baselines, by_their_clocks, measure, network_figures, serve
 from bench._table import mean_and_error, tables
 from bench.baselines.findings import Ranked
+from bench.regimes import REGIMES
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries
@@ -26,6 +29,9 @@ class Small(msgspec.Struct):
     def make(self, seed: int, scale: float) -> tuple[list[Event], Truth]:
         self.made.append(seed)
         return simulate(SimSettings(cameras=3, hours=0.15 * scale, seed=seed, clock_sd=2.0))
+
+    def learning(self, scale: float) -> Settings:
+        return Settings()
 
 
 @pytest.fixture
@@ -59,7 +65,7 @@ def test_everything_is_in_the_table(small: Small, capsys: pytest.CaptureFixture[
     assert quality.main(["--seeds", "1", "--jobs", "1", "--scale", "0.5"]) == 0
     shown = capsys.readouterr().out
     for name in (
-        "online", "zones right", "links, F1", "told chain", "log loss", "clock offsets",
+        "online", "live", "zones right", "links, F1", "told chain", "log loss", "clock offsets",
         "calibration error, first guess",
         "events a second", "Var(d) <= 1", "Makris", "Tieu", "transfer entropy", "anonymous Markov", "Hawkes",
         "k-means", "HDBSCAN", "mean shift", "plain DaSpec", "most frequent next camera",
@@ -86,6 +92,34 @@ def test_the_recording_is_read_with_its_identities(tmp_path: Path) -> None:
     assert truth.identity == [3, 3, CLUTTER, 3]
     assert truth.passage == [0, 0, CLUTTER, 1]
     assert next_entries(events, truth) == [-1, 3, -1, -1]
+
+
+def test_live_predictions_are_of_the_newest_version_made_by_then() -> None:
+    events, _ = simulate(SimSettings(cameras=3, hours=0.5, objects_per_second=0.3))
+    settings = Settings(refit_share=0.05)
+    cut = int(TRAIN_SHARE * len(events))
+    topology, predicted, _ = serve(events, settings)
+    learner = Learner(settings)
+    newest = []
+    for event in events:
+        newest.append(learner.topology.version if learner.topology else 0)
+        learner.receive(event)
+    versions = [newest[i] for i, event in enumerate(events) if i >= cut and event.kind == "exit"]
+    assert [prediction.version for prediction in predicted.made] == versions
+    assert len(set(versions)) > 2
+    assert predicted.head.version == newest[cut]
+    assert topology == learner.topology
+    assert topology.as_of < events[-1].t  # nothing is learned that was not due
+
+
+def test_a_regime_may_have_a_window_of_its_own() -> None:
+    assert REGIMES["medium"].learning() == Settings()
+    assert REGIMES["windows"].learning(0.1) == Settings(window_events=1000, window_camera_events=0)
+    task = quality.Task("windows", 0, "batch", 0.02, None)
+    events, truth = REGIMES["windows"].make(0, 0.02)
+    narrow = quality.run(task).records[0].figures
+    wide = measure("batch", "windows", 0, events, truth)[0].figures
+    assert narrow["links_learned"] != wide["links_learned"]
 
 
 def test_what_the_truth_does_not_know_is_not_scored() -> None:
