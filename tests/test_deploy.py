@@ -84,13 +84,14 @@ def test_kubernetes_starts_as_many_shards_as_it_says() -> None:
 
 def test_the_page_begins_with_what_services_can_read() -> None:
     """Their users own nothing in /etc and are in no group of it: `init --credentials` writes no password there."""
-    first = README.split("```")[1]
+    first, then = README.split("```")[1:4:2]
+    assert first.endswith(" -\n"), "what is pasted behind it would be read as cameras"
     parser, _ = parser_of(COMMANDS)
-    [init, *_] = [words for line in first.splitlines() for words in invocations(line)]
+    [init] = [words for line in first.splitlines() for words in invocations(line)]
     args = parser.parse_args(init)
     assert (args.command, args.credentials, args.out) == ("init", True, Path("/etc/camtopod/camtopod.toml"))
-    assert "deploy/camtopod.toml" not in first, "the example has a password in it"
-    assert "source.conf" in first
+    assert "deploy/camtopod.toml" not in first + then, "the example has a password in it"
+    assert "source.conf" in then
     [extras] = re.findall(r"pip install '\.\[([a-z,]+)\]'", first)
     assert set(extras.split(",")) >= {"metrics", "terminal", "web"}, "health, watch and the page are used below"
 
