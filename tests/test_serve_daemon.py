@@ -378,7 +378,7 @@ def test_what_the_network_lost_is_pulled_from_the_spool(site: Site, monkeypatch:
         publisher.publish(event)
     assert publisher.drained(20), "everything is acknowledged"
     stored(daemon, len(events))
-    assert daemon.status()["events"]["lost"] == 0
+    assert (daemon.status()["events"]["lost"], daemon.status()["events"]["unknown"]) == (0, 0)
     daemon.stop()
     rows = journal_of(site)
     for camera in "abc":

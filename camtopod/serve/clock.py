@@ -17,11 +17,16 @@ def wall() -> float:
     return time.time()
 
 
+def since_boot() -> float:
+    """Seconds that never step and do not stand still while the machine is suspended, where the system tells those."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
+
+
 def steady_beside(clock: Clock) -> Clock:
     """The clock that measures how long something takes: it never steps. Whoever makes up the time (a simulation) makes
     it up for both.
     """
-    return time.monotonic if clock is wall else clock
+    return since_boot if clock is wall else clock
 
 
 def ulid(now: float, after: str = "") -> str:

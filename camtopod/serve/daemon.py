@@ -214,6 +214,7 @@ class Daemon:
             "events": {
                 **receiver.counts,
                 "lost": receiver.streams.lost,
+                "unknown": receiver.streams.unknown,
                 "waiting": learning.waiting,
                 "early": receiver.cameras.waiting,
                 "merging": receiver.merge.waiting,

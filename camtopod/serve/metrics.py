@@ -49,6 +49,7 @@ SITE = (
     Metric("events_put_off_total", "events.held_full", "Events too many of whose camera waited, to be pulled later"),
     Metric("events_refilled_total", "events.refilled", "Events filled in again from a spool after damage"),
     Metric("events_lost_total", "events.lost", "Events that no spool had any more"),
+    Metric("events_unknown_total", "events.unknown", "Events thrown away, as the spool they name has never had them"),
     Metric("events_learned_total", "learner.learned", "Events learned in this epoch"),
     Metric("events_late_total", "learner.late", "Events later than the lateness, stored and not learned"),
     Metric("events_not_learned_total", "learner.refused", "Events of too many cameras or incarnations, not learned"),
