@@ -171,6 +171,7 @@ def test_versions_with_a_score_are_as_high_as_it_and_those_without_are_there(bro
         opened(browser, shown, "#/versions")
         browser.wait(lambda: browser.count(".page .mark") == 5, "a mark each")
         y = browser.run("return [...document.querySelectorAll('.page .mark')].map((one) => one.cy.baseVal.value)")
+        assert browser.count(".page .mark.unscored") == 2, "not marked as if they had been wrong each time"
     assert y[0] == y[1] > y[4] > y[2] == y[3]
 
 

@@ -111,13 +111,19 @@ function placeTimes(map, radius, chosen, taken) {
     if (wanted.length >= TIMES_MAX) break;
     const text = edgeText(line);
     const half = (TIME_CHARACTER_PIXELS * text.length) / 2;
-    const [on, beside] = placesOf(line, half, radius);
+    const [on, beside, further] = placesOf(line, half, radius);
     const free = ([x, y]) =>
       x > half && y > 8 && x < width - half && y < height - 8 && taken.free(x - half, y - 8, x + half, y + 8);
     const clearOf = (others) => ([x, y]) => others.every((one) => one === line || apart(one, x, y, half) > OTHER_PIXELS);
-    const open = [...on, ...beside].filter(free);
-    let place = open.find(clearOf(lines));
-    if (!place && !line.edge.provisional) place = open.find(clearOf(settled)) ?? on.find(free);
+    const tried = line.edge.provisional
+      ? [[[...on, ...beside], lines]]
+      : [
+          [on, lines],
+          [on, settled],
+          [[...beside, ...further], lines],
+          [on, []],
+        ];
+    const place = tried.map(([places, others]) => places.filter(free).find(clearOf(others))).find(Boolean);
     if (!place) continue;
     const [x, y] = place;
     taken.add(x - half, y - 8, x + half, y + 8);
@@ -126,7 +132,7 @@ function placeTimes(map, radius, chosen, taken) {
   return wanted;
 }
 
-// Where the time of an edge may stand: upon it, as long as enough of it stays in sight, and beside it.
+// Where the time of an edge may stand: upon it, as long as enough of it stays in sight, beside it, and further beside.
 function placesOf({ ax, ay, dx, dy, length, thick }, half, radius) {
   const [ux, uy] = [dx / length, dy / length];
   const hidden = 2 * Math.min(half / Math.abs(ux), TIME_HEIGHT / 2 / Math.abs(uy));
@@ -134,7 +140,9 @@ function placesOf({ ax, ay, dx, dy, length, thick }, half, radius) {
   const aside = Math.abs(uy) * half + Math.abs(ux) * (TIME_HEIGHT / 2) + thick / 2 + 2;
   return [
     on.map((share) => [ax + share * dx, ay + share * dy]),
-    [-aside, aside, -aside - radius, aside + radius].map((off) => [ax + dx / 2 - off * uy, ay + dy / 2 + off * ux]),
+    ...[aside, aside + radius].map((off) =>
+      [-off, off].map((one) => [ax + dx / 2 - one * uy, ay + dy / 2 + one * ux]),
+    ),
   ];
 }
 

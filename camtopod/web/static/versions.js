@@ -13,7 +13,7 @@ const CHANGES_SHOWN = 300;
 const SIGNS = { "+": ["new", "appeared"], "-": ["gone", "disappeared"], "~": ["other", "changed"] };
 const NARROW = matchMedia("(max-width: 720px)");
 const HEIGHT = 200;
-const HEIGHT_BARE = 64; // of a time line without a curve
+const HEIGHT_BARE = 56; // of a time line without a curve
 const WITHOUT_CURVE =
   "Each mark is a version. The daemon marks its predictions by what later versions know; a curve needs two scored versions.";
 const EDGE = { left: 44, right: 14, top: 16, bottom: 26 };
@@ -307,7 +307,9 @@ function timeLine(all) {
   const x = scale(all[0].as_of, all.at(-1).as_of, range ? EDGE.left : width / 2, width - EDGE.right);
   const y = scale(0, 1, floor, EDGE.top);
   const along = (value) => points(scored.map((one) => [x(one.as_of), y(value(one.score))]));
-  const named = [all[0], all[Math.floor(all.length / 2)], all.at(-1)];
+  const off = (one) => Math.abs(one.as_of - all[0].as_of - range / 2);
+  const middle = all.reduce((best, one) => (off(one) < off(best) ? one : best));
+  const named = [all[0], ...(off(middle) < range / 4 ? [middle] : []), all.at(-1)]; // as far apart as their texts
   const label = curved
     ? `First guess right in ${percent(scored.at(-1).score.top1)} of the newest predictions scored`
     : `${plural(all.length, "version")} along the time`;
@@ -341,7 +343,7 @@ function mark(one, cx, cy) {
   return s(
     "a",
     { href: link("versions", Math.max(1, one.version - 1), one.version), tabindex: -1 },
-    s("circle", { class: alarmed ? "mark alarm" : "mark", cx, cy, r: alarmed ? 5 : 3.5 }),
+    s("circle", { class: `mark${alarmed ? " alarm" : ""}${one.score ? "" : " unscored"}`, cx, cy, r: alarmed ? 5 : 3.5 }),
     s("title", {}, `version ${one.version}, ${clock(one.as_of)}: ${said}`),
   );
 }
