@@ -16,8 +16,8 @@ from msgspec import Struct
 from bench.baselines.anonymous import anonymous
 from bench.baselines.closest import LITERAL, LITERAL_SCORE_MIN, closest
 from bench.baselines.correlation import correlation
-from bench.baselines.crossings import candidates, crossings
-from bench.baselines.findings import Ranked, at, rank
+from bench.baselines.crossings import NARROW, WIDE, Candidates, Crossings, candidates, crossings
+from bench.baselines.findings import Findings, Ranked, at, rank
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
 from bench.baselines.told import recorded_medians, told_score, transit_error
@@ -56,6 +56,7 @@ LINK_METHODS: dict[str, Callable[..., Any]] = {
     "Hawkes process": hawkes,
 }
 TAKE_CANDIDATES = (correlation, information, hawkes)
+TAKE_LAGS = (transfer, anonymous)
 
 
 class Record(Struct, omit_defaults=True):
@@ -259,13 +260,13 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
 
 
 def links(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
-    """Every baseline for links."""
+    """Every baseline for links, in either range of lags."""
     seen = crossings(events, truth)
-    found = candidates(seen)
+    found = [candidates(seen, lags=lags) for lags in (NARROW, WIDE)]
     records = []
     for name, method in LINK_METHODS.items():
         started = time.process_time()
-        findings = method(seen, found) if method in TAKE_CANDIDATES else method(seen)
+        findings = by_range(method, seen, found)
         seconds = time.process_time() - started
         ranked = {variant: rank(result, seen, truth) for variant, result in findings.items()}
         figures: dict[str, float | None] = {}
@@ -274,6 +275,17 @@ def links(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
             figures = {name: float(getattr(printed, name)[0]) for name in ("f1", "precision", "recall")}
         records.append(Record(regime, seed, f"links: {name}", seconds, figures, ranked))
     return records
+
+
+def by_range(method: Callable[..., Any], seen: Crossings, found: Sequence[Candidates]) -> dict[str, Findings]:
+    """What a method finds among the candidates of each range of lags; by variant and range, if it looks at any."""
+    if method not in (*TAKE_CANDIDATES, *TAKE_LAGS):
+        return dict(method(seen))
+    result = {}
+    for one in found:
+        findings = method(seen, one if method in TAKE_CANDIDATES else one.lags)
+        result |= {f"{name}, {one.lags.low:g}..{one.lags.high:g} s": each for name, each in findings.items()}
+    return result
 
 
 def zones(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:

@@ -15,7 +15,7 @@ from bench.baselines.closest import LITERAL
 from bench.baselines.findings import Ranked, Tuned, at, tune
 
 Floats = NDArray[np.float64]
-TITLE, CELL = 58, 16
+TITLE, CELL = 72, 16
 """Widths of the first column and of the others."""
 
 ROWS = {

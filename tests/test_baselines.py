@@ -8,10 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from bench._measure import by_range
 from bench.baselines.anonymous import anonymous, fit
 from bench.baselines.closest import LITERAL, closest
 from bench.baselines.correlation import correlation
-from bench.baselines.crossings import LAG_MAX, LAG_MIN, Crossings, candidates, crossings, lag_counts
+from bench.baselines.crossings import NARROW, WIDE, Crossings, candidates, crossings, lag_counts
 from bench.baselines.findings import Findings, Ranked, at, rank, tune
 from bench.baselines.hawkes import hawkes
 from bench.baselines.information import information
@@ -63,7 +64,7 @@ def test_candidates_are_all_pairs_of_two_cameras_within_the_lags() -> None:
         (i, j)
         for j in range(len(CHAIN.came))
         for i in range(len(CHAIN.left))
-        if LAG_MIN <= CHAIN.came[j] - CHAIN.left[i] <= LAG_MAX and CHAIN.left_zone[i] != CHAIN.came_zone[j]
+        if NARROW.low <= CHAIN.came[j] - CHAIN.left[i] <= NARROW.high and CHAIN.left_zone[i] != CHAIN.came_zone[j]
     ]
     assert [*zip(FOUND.departure.tolist(), FOUND.arrival.tolist(), strict=True)] == naive
     few = candidates(CHAIN, 100)
@@ -115,6 +116,23 @@ def test_pairwise_methods_find_the_links_and_their_times(findings: dict[str, Fin
     assert min(result.score[0, 1], result.score[1, 2]) > 1.5 * max(unrelated)
     assert result.transit[0, 1] == pytest.approx(FIRST, abs=2.5)
     assert result.transit[1, 2] == pytest.approx(SECOND, abs=2.5)
+
+
+def test_a_long_way_is_found_in_the_wide_range_only() -> None:
+    """Two minutes and a half from a to b, or b's view is entered a minute before a's is left."""
+    for seconds in (150.0, -60.0):
+        rng = np.random.default_rng(7)
+        left = np.sort(rng.uniform(0, SECONDS, 300))
+        came = np.sort(np.concatenate([left[:240] + seconds + rng.normal(0, 1, 240), rng.uniform(0, SECONDS, 60)]))
+        seen = two_zones(left.tolist(), [0] * 300, came.tolist())
+        found = [candidates(seen, lags=lags) for lags in (NARROW, WIDE)]
+        for method in (correlation, information, hawkes, transfer, anonymous):
+            times = {variant: result.transit[0, 1] for variant, result in by_range(method, seen, found).items()}
+            wide = [time for variant, time in times.items() if variant.endswith("-120..180 s")]
+            narrow = [time for variant, time in times.items() if variant.endswith("-20..120 s")]
+            assert len(wide) == len(narrow) > 0
+            assert wide == pytest.approx([seconds] * len(wide), abs=15)
+            assert all(abs(time - seconds) > 15 for time in narrow)
 
 
 def test_the_thesis_test_as_printed_accepts_everything() -> None:

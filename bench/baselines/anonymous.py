@@ -18,12 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from bench.baselines.crossings import Crossings
+from bench.baselines.crossings import NARROW, Crossings, Lags
 from bench.baselines.findings import Findings
 
 Floats = NDArray[np.float64]
 STEP_SECONDS = 2.0
-GROUPS = (-20, -12, -8, -6, -4, -2, 0, 2, 4, 6, 8, 12, 16, 20, 26, 32, 40, 50, 64, 80, 100, 120)
+GROUPS = (
+    *(-120, -90, -64, -44, -30, -20, -12, -8, -6, -4, -2, 0, 2, 4, 6, 8, 12, 16, 20, 26, 32, 40, 50, 64, 80, 100, 120),
+    *(150, 180),
+)
 """Seconds: between two of these ``p_uv(d)`` is the same."""
 AVERAGE_SECONDS = 1200.0
 RIDGE = 1.0
@@ -31,16 +34,17 @@ RIDGE = 1.0
 ITERATIONS = 150
 
 
-def anonymous(seen: Crossings) -> dict[str, Findings]:
+def anonymous(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
     """Scores: probability of the transition, its size against chance, and the highest rate of any delay."""
     zones = len(seen.zones)
-    edges = np.array(GROUPS) / STEP_SECONDS
+    groups = np.array([seconds for seconds in GROUPS if lags.low <= seconds <= lags.high])
+    edges = groups / STEP_SECONDS
     left, came = _centred(seen)
     leaving, coming = (np.bincount(z, minlength=zones).astype(float) for z in (seen.left_zone, seen.came_zone))
     rate = fit(left, came, edges.astype(np.int64), seen.between)
     share = (rate * np.diff(edges)[:, None, None]).sum(axis=0)
     noise = np.sqrt(np.maximum(coming, 1.0)[None, :] / np.maximum(leaving, 1.0)[:, None])
-    transit = (np.array(GROUPS)[1:] + np.array(GROUPS)[:-1])[rate.argmax(axis=0)] / 2
+    transit = (groups[1:] + groups[:-1])[rate.argmax(axis=0)] / 2
     return {
         "probability": Findings(share, transit),
         "against chance": Findings(share / noise, transit),

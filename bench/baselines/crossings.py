@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,8 +15,17 @@ from camtopod.sim.truth import CLUTTER, TrueZone, Truth
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-LAG_MIN, LAG_MAX = -20.0, 120.0
-"""Seconds: the lags that ours looks at by default."""
+
+class Lags(NamedTuple):
+    """From when to when after a departure its arrival is looked for, seconds."""
+
+    low: float
+    high: float
+
+
+NARROW, WIDE = Lags(-20.0, 120.0), Lags(-120.0, 180.0)
+"""Where most transits of the made-up networks lie, which spares the baselines much chance, and what ours looks at by
+default. The better one counts."""
 CANDIDATES_MAX = 10_000_000
 """At most this many pairs of a departure and an arrival are weighed; beyond, only the newest events are."""
 
@@ -45,6 +55,7 @@ class Candidates(NamedTuple):
     pair: Ints
     """``from * zones + to``."""
     lag: Floats
+    lags: Lags
 
 
 def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
@@ -74,10 +85,10 @@ def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
     )  # fmt: skip
 
 
-def candidates(seen: Crossings, candidates_max: int = CANDIDATES_MAX) -> Candidates:
+def candidates(seen: Crossings, candidates_max: int = CANDIDATES_MAX, lags: Lags = NARROW) -> Candidates:
     """All candidates, or those of the newest arrivals when there are more than ``candidates_max``."""
-    low = np.searchsorted(seen.left, seen.came - LAG_MAX, side="left")
-    high = np.searchsorted(seen.left, seen.came - LAG_MIN, side="right")
+    low = np.searchsorted(seen.left, seen.came - lags.high, side="left")
+    high = np.searchsorted(seen.left, seen.came - lags.low, side="right")
     n = high - low
     kept = int(np.searchsorted(np.cumsum(n[::-1]), candidates_max, side="right"))
     n[: len(n) - kept] = 0
@@ -87,13 +98,14 @@ def candidates(seen: Crossings, candidates_max: int = CANDIDATES_MAX) -> Candida
     keep = np.flatnonzero(seen.camera[source] != seen.camera[target])
     departure, arrival = departure[keep], arrival[keep]
     pair = source[keep] * len(seen.zones) + target[keep]
-    return Candidates(departure, arrival, pair, seen.came[arrival] - seen.left[departure])
+    return Candidates(departure, arrival, pair, seen.came[arrival] - seen.left[departure], lags)
 
 
 def lag_counts(seen: Crossings, found: Candidates, width: float) -> tuple[Floats, Floats]:
     """Cross-correlation of departures and arrivals: (zones, zones, bins) pairs per lag bin, and the bins' centres."""
-    zones, bins = len(seen.zones), round((LAG_MAX - LAG_MIN) / width)
-    at = np.minimum(((found.lag - LAG_MIN) / width).astype(np.int64), bins - 1)
+    (low, high), zones = found.lags, len(seen.zones)
+    bins = math.ceil((high - low) / width)
+    at = np.minimum(((found.lag - low) / width).astype(np.int64), bins - 1)
     counts = np.bincount(found.pair * bins + at, minlength=zones * zones * bins)
-    centres = LAG_MIN + width * (np.arange(bins, dtype=np.float64) + 0.5)
+    centres = low + width * (np.arange(bins, dtype=np.float64) + 0.5)
     return counts.reshape(zones, zones, bins).astype(np.float64), centres

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.baselines.crossings import LAG_MAX, LAG_MIN, Candidates, Crossings
+from bench.baselines.crossings import Candidates, Crossings
 from bench.baselines.findings import Findings
 
 Floats = NDArray[np.float64]
@@ -23,10 +23,10 @@ BACKGROUND_SECONDS = 900.0
 
 def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     """Scores: arrivals caused per departure, and how much likelier the kernel makes the arrivals, nats."""
-    zones = len(seen.zones)
-    first = int(np.floor(np.arcsinh(LAG_MIN / SCALE_SECONDS) / STEP))
-    edges = SCALE_SECONDS * np.sinh(STEP * np.arange(first, np.arcsinh(LAG_MAX / SCALE_SECONDS) / STEP + 1))
-    edges[0], edges[-1] = LAG_MIN, LAG_MAX
+    (low, high), zones = found.lags, len(seen.zones)
+    first = int(np.floor(np.arcsinh(low / SCALE_SECONDS) / STEP))
+    edges = SCALE_SECONDS * np.sinh(STEP * np.arange(first, np.arcsinh(high / SCALE_SECONDS) / STEP + 1))
+    edges[0], edges[-1] = low, high
     bins, widths = len(edges) - 1, np.diff(edges)
     at = np.clip(np.searchsorted(edges, found.lag, side="right") - 1, 0, bins - 1)
     key = (found.pair * bins + at).astype(np.int32)
@@ -35,7 +35,7 @@ def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     starts = np.flatnonzero(np.r_[True, arrival[1:] != arrival[:-1]]) if len(arrival) else np.zeros(0, np.int64)
     block = ((seen.came[used] - seen.came[0]) / BACKGROUND_SECONDS).astype(np.int64) * zones + seen.came_zone[used]
     exposure = np.repeat(np.maximum(np.bincount(seen.left_zone, minlength=zones), 1), zones)[:, None] * widths
-    rate = np.full((zones * zones, bins), 0.5 / zones / (LAG_MAX - LAG_MIN))
+    rate = np.full((zones * zones, bins), 0.5 / zones / (high - low))
     background = np.bincount(block) * 0.5 / BACKGROUND_SECONDS
     mass = np.zeros_like(rate)
     spread = _smoother(bins)

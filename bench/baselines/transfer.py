@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from bench.baselines.crossings import LAG_MAX, LAG_MIN, Crossings
+from bench.baselines.crossings import NARROW, Crossings, Lags
 from bench.baselines.findings import Findings
 
 Floats = NDArray[np.float64]
@@ -21,11 +21,11 @@ WIDTHS = (2.0, 4.0, 8.0)
 AROUND_SECONDS = 8.0
 
 
-def transfer(seen: Crossings) -> dict[str, Findings]:
+def transfer(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
     """Scores: peak and coincidence index, for each bin width."""
     result = {}
     for width in WIDTHS:
-        entropy, delays = by_delay(seen, width)
+        entropy, delays = by_delay(seen, width, lags)
         peak = entropy.argmax(axis=0)
         half = round(AROUND_SECONDS / width / 2)
         near = np.abs(np.arange(len(delays))[:, None, None] - peak[None]) <= half
@@ -37,7 +37,7 @@ def transfer(seen: Crossings) -> dict[str, Findings]:
     return result
 
 
-def by_delay(seen: Crossings, width: float) -> tuple[Floats, Floats]:
+def by_delay(seen: Crossings, width: float, lags: Lags = NARROW) -> tuple[Floats, Floats]:
     """Transfer entropy, bits, (delays, zones, zones); and the delays, seconds."""
     zones = len(seen.zones)
     start = min(seen.left[0], seen.came[0])
@@ -48,7 +48,7 @@ def by_delay(seen: Crossings, width: float) -> tuple[Floats, Floats]:
     both = y.multiply(before).tocsr()
     leaves = np.asarray(x.sum(axis=0)).ravel()[:, None]
     of_y, of_both = (np.asarray(m.sum(axis=0)).ravel()[None, :] for m in (y, both))
-    steps = np.arange(round(LAG_MIN / width), round(LAG_MAX / width) + 1)
+    steps = np.arange(round(lags.low / width), round(lags.high / width) + 1)
     result: list[Floats] = []
     for step in steps:
         late = _shift(x, int(step)).T
