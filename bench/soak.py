@@ -19,7 +19,6 @@ import itertools
 import multiprocessing
 import random
 import socket
-import sqlite3
 import tempfile
 import time
 from collections import Counter
@@ -60,7 +59,6 @@ BATCH_EVENTS = 500
 BATCH_SECONDS = 7200.0
 """Simulated time that comes at once, in any order of cameras; the learner is told to wait for as long."""
 WAIT_SECONDS = 300.0
-_NEWER = "SELECT id, camera, seq FROM entry WHERE kind = 'event' AND id > ? ORDER BY id"
 _PROCESSES = multiprocessing.get_context("spawn")
 
 
@@ -185,6 +183,9 @@ def keep_house(pipe: Connection, config: Config, now: Any) -> None:
                 case "status" if daemon is not None:
                     made = daemon.topology
                     pipe.send((daemon.status()["events"]["waiting"], (made.version, made.digest) if made else None))
+                case ("newer", int(read)) if daemon is not None:  # of the events in the journal
+                    newer = ((n, one) for n, one in daemon._journal.entries(read) if one and one.kind == "event")
+                    pipe.send([(number, event.camera, event.seq) for number, event in newer])
                 case "tidy":  # what the daemons of the nights before left in cycles
                     gc.collect()
                     memory.give_back()
@@ -294,8 +295,7 @@ class Soak:
 
     def _count(self) -> None:
         """What the journal has more of than before; soon, as it forgets."""
-        with contextlib.closing(sqlite3.connect(f"file:{self._folder}/state/journal.db?mode=ro", uri=True)) as journal:
-            rows = journal.execute(_NEWER, (self._read,)).fetchall()
+        rows = self._home.ask(("newer", self._read))
         for number, camera, seq in rows:
             self._read = number
             self._stored[camera, seq] += 1
