@@ -99,9 +99,10 @@ def _centred(seen: Crossings) -> tuple[Floats, Floats]:
 
 def _lagged(a: Floats, b: Floats, steps: int) -> Floats:
     """``sum_t a_u(t - steps) b_v(t)``, (zones, zones)."""
+    kept = max(len(a) - abs(steps), 0)  # none of a recording shorter than the lag
     if steps >= 0:
-        return a[: len(a) - steps].T @ b[steps:]
-    return a[-steps:].T @ b[:steps]
+        return a[:kept].T @ b[len(b) - kept :]
+    return a[len(a) - kept :].T @ b[:kept]
 
 
 def _largest_eigenvalue(matrix: Floats) -> float:
