@@ -4,11 +4,11 @@
                            [--objects RATE] [--rhythm SHARE] [--groups SHARE]
 
 Half-way through a made-up recording some doors (paths, both directions) close, or open. A link is *right* from the
-first version on after which it stays gone, or stays published. What it took is counted in passages: of a closed
-door those who would have taken it (departures at its zone times its earlier share), of an opened one those who did,
-both ends recorded. Versions come as the learner makes them, so passages are lost to waiting for the next. `steady`
-counts versions with an alarm where nothing changes; `score` holds the learner's own marks against the truth for the
-same exits.
+first version on after which it stays gone, or stays published; one that never is counts as taking for ever. What it
+took is counted in passages: of a closed door those who would have taken it (departures at its zone times its earlier
+share), of an opened one those who did, both ends recorded. Versions come as the learner makes them, so passages are
+lost to waiting for the next. `steady` counts versions with an alarm where nothing changes; `score` holds the learner's
+own marks against the truth for the same exits.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from camtopod.sim.settings import SimSettings
 from camtopod.sim.truth import TrueLink, Truth
 
 JOBS = ("close", "open", "steady", "score")
+SOON_PASSAGES = (20, 40, 80)
 
 
 class Found(NamedTuple):
@@ -89,16 +90,25 @@ def _doors(job: str, base: SimSettings, seeds: range, doors: int) -> None:
                 f"{job} seed {seed}: " + " ".join(f"{name} {value:g}" for name, value in row._asdict().items()),
                 flush=True,
             )
-    for least in (0, 20, 40):
-        some = [row for row in rows if row.known and row.after >= least]
-        known = np.array([row.needed for row in some if not np.isnan(row.needed)])
-        if len(known):
-            print(
-                f"{job}, {len(some)} links of {least} passages or more since: {len(known)} found, after a median of "
-                f"{np.median(known):.0f} passages (quartiles {np.quantile(known, 0.25):.0f} to "
-                f"{np.quantile(known, 0.75):.0f}); {sum(row.alarmed for row in some)} alarms"
-            )
+    print(*summary(job, rows), sep="\n")
     print(f"{job}: {false} alarms about opening or closing for other links")
+
+
+def summary(job: str, rows: Sequence[Found]) -> list[str]:
+    """How soon links were right; how many were so within some passages, of those that had as many."""
+    lines = []
+    for least in (0, *SOON_PASSAGES):
+        some = [row for row in rows if row.known and row.after >= least]
+        if not some:
+            continue
+        needed = np.array([np.inf if np.isnan(row.needed) else row.needed for row in some])
+        low, middle, high = np.quantile(needed, (0.25, 0.5, 0.75), method="higher")
+        line = f"{job}, {len(some)} links of {least} passages or more since: {int(np.isfinite(needed).sum())} found, "
+        line += f"after a median of {middle:.0f} passages (quartiles {low:.0f} to {high:.0f})"
+        if least:
+            line += f", within {least}: {np.mean(needed <= least):.2f}"
+        lines.append(f"{line}; {sum(row.alarmed for row in some)} alarms")
+    return lines
 
 
 def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[Found], int]:
