@@ -123,7 +123,7 @@ def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -
     result = score(topology, by_their_clocks(truth))
     figures: dict[str, float] = {"links_learned": result.links_learned}
     if truth.pairs:
-        figures["relation_right"] = result.relation_right
+        figures |= {"relation_right": result.relation_right, "pair_f1": result.pair_f1}
     if any(truth.clock_offsets.values()):
         signed = clock_errors(topology, truth)
         errors = [abs(error) for error in signed.values()]
@@ -238,7 +238,7 @@ def prediction_figures(predicted: Predicted, events: Sequence[Event], truth: Tru
 
 
 def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
-    """Links and zones where the truth knows them; predictions by those who are told identities."""
+    """Links, or pairs of cameras, and zones where the truth knows them; predictions by who is told identities."""
     cut = int(TRAIN_SHARE * len(events))
     cameras = [event.camera for event in events]
     chains: dict[str, Sequence[Hashable]] = {"most frequent next camera": cameras}
@@ -253,6 +253,7 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
     if truth.zones:
         told_error = _plain({"median_error": transit_error(events, truth)})
         records.append(Record(regime, seed, "transit: told identities", 0.0, told_error))
+    if truth.zones or truth.pairs:
         records += links(regime, seed, events, truth)
     if truth.zones and all(zone.x is not None for zone in truth.zones):
         records += zones(regime, seed, events, truth)

@@ -19,7 +19,7 @@ from bench.baselines.information import information
 from bench.baselines.told import told, told_score, transit_error
 from bench.baselines.transfer import by_delay, transfer
 from bench.baselines.zoning import methods
-from camtopod.records import Event, Transit
+from camtopod.records import Event, Pair, Transit
 from camtopod.sim.score import score_predictions
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth
 
@@ -231,6 +231,25 @@ def test_ranks_tell_walked_links_from_those_nobody_walked() -> None:
     whole = small_truth(placed=False)
     of_cameras = Findings(np.array([[50.0, 1.0], [2.0, 50.0]]), np.full((2, 2), 12.0))
     assert rank(of_cameras, crossings(EVENTS, whole), whole).kind == [0, 2]
+
+
+def test_without_true_zones_a_camera_is_one_and_the_surer_direction_counts() -> None:
+    truth = msgspec.structs.replace(
+        small_truth(),
+        cameras=["a", "b", "c"],
+        zones=[],
+        links=[],
+        zone=[-1] * 4,
+        pairs=[Pair(("a", "b"), "unseen_path")],
+    )
+    seen = crossings(EVENTS, truth)
+    assert seen.zones == ["a", "b", "c"]
+    assert (seen.left_zone.tolist(), seen.came_zone.tolist()) == ([0], [0, 1])  # the third belongs to nobody
+    score = np.array([[99.0, 1.0, np.nan], [5.0, 99.0, 4.0], [3.0, -np.inf, 99.0]])
+    ranked = rank(Findings(score, np.zeros((3, 3))), seen, truth)
+    assert (ranked.walked, ranked.score, ranked.kind) == (1, [5.0, 4.0, 3.0], [2, 0, 0])
+    assert math.isnan(at([ranked], 5.0).error[0])
+    assert at([ranked], 5.0).f1[0] == 1
 
 
 @pytest.mark.parametrize("method", ["k-means", "HDBSCAN", "mean shift", "plain DaSpec"])

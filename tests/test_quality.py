@@ -129,7 +129,24 @@ def test_what_the_truth_does_not_know_is_not_scored() -> None:
     assert "f1" not in figures
     assert figures["relation_right"] is not None
     assert figures["top1"] is not None
-    assert {record.method for record in baselines("blind", 0, events, blind)} == {"next: most frequent next camera"}
+    assert {r.method.split(":")[0] for r in baselines("blind", 0, events, blind)} == {"next", "links"}
+    unknown = msgspec.structs.replace(blind, pairs=[])
+    assert {r.method for r in baselines("blind", 0, events, unknown)} == {"next: most frequent next camera"}
+
+
+def test_without_true_zones_pairs_of_cameras_are_found() -> None:
+    from made import topology_of
+
+    events, truth = simulate(SimSettings(cameras=4, hours=0.6, overlap_share=0.0))
+    blind = msgspec.structs.replace(truth, zones=[], links=[], zone=[CLUTTER] * len(events))
+    topology = topology_of(truth)
+    fewer = msgspec.structs.replace(topology, pairs=topology.pairs[1:])
+    assert network_figures(fewer, blind, events)["pair_f1"] < 1
+    figures: dict[str, float | None] = {**network_figures(topology, blind, events)}
+    records = [Record("hall", 0, "batch", 1.0, figures), *baselines("hall", 0, events, blind)]
+    line = next(line for line in tables(records, ["hall"]) if line.startswith("  hall, pairs of cameras"))
+    assert line.split()[4:7] == ["-", "-", "1.000"]  # live and online were not asked for
+    assert max(float(f1) for f1 in line.split()[7:]) > 0.8
 
 
 def test_figures_of_a_perfect_topology() -> None:

@@ -59,7 +59,8 @@ class Candidates(NamedTuple):
 
 
 def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
-    """The recorded events of walkers; without positions a camera is one zone, named by its first true one."""
+    """The recorded events of walkers; without positions a camera is one zone, named by its first true one, and without
+    true zones one named after it."""
     cameras = {name: index for index, name in enumerate(truth.cameras)}
     placed = all(zone.x is not None for zone in truth.zones)
     names: list[TrueZone] = []
@@ -71,10 +72,14 @@ def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
             number[key] = len(names)
             names.append(zone)
         index.append(number[key])
-    zone_of = np.array(index, dtype=np.int64)
-    mine = np.flatnonzero((np.array(truth.identity) != CLUTTER) & (np.array(truth.zone) >= 0))
-    t = np.array([event.t for event in events])[mine]
-    zone = zone_of[np.array(truth.zone)[mine]]
+    mine = np.array(truth.identity) != CLUTTER
+    if truth.zones:
+        mine &= np.array(truth.zone) >= 0
+        zone = np.array(index, dtype=np.int64)[np.array(truth.zone)]
+    else:
+        names = [TrueZone(name, name) for name in truth.cameras]
+        zone = np.array([cameras[event.camera] for event in events], dtype=np.int64)
+    t, zone = np.array([event.t for event in events])[mine], zone[mine]
     entry = np.array([event.kind for event in events])[mine] == "entry"
     order = np.argsort(t, kind="stable")
     came, left = order[entry[order]], order[~entry[order]]

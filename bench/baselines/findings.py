@@ -51,7 +51,12 @@ class Tuned(Struct):
 
 
 def rank(found: Findings, seen: Crossings, truth: Truth, everything: bool = False) -> Ranked:
-    """Hold the findings against the truth; with ``everything`` all pairs are kept."""
+    """Hold the findings against the truth; with ``everything`` all pairs are kept.
+
+    A truth without zones knows pairs of cameras only: then each camera is a zone, and the surer direction counts.
+    """
+    if not truth.zones:
+        return _rank_pairs(found, truth)
     index = {name: k for k, name in enumerate(seen.zones)}
     by_camera = {seen.camera[k]: k for k in range(len(seen.zones))} if len(seen.zones) < len(truth.zones) else {}
     cameras = {name: k for k, name in enumerate(truth.cameras)}
@@ -73,6 +78,19 @@ def rank(found: Findings, seen: Crossings, truth: Truth, everything: bool = Fals
         result.kind.append(0 if true is None else 2 if true.transitions else 1)
         result.error.append(-1.0 if true is None else round(_error(float(found.transit[u, v]), true), 4))
     return result
+
+
+def _rank_pairs(found: Findings, truth: Truth) -> Ranked:
+    true = {pair.cameras for pair in truth.pairs}
+    score = np.where(np.isfinite(found.score), found.score, -np.inf)
+    score = np.maximum(score, score.T)
+    names = truth.cameras
+    pairs = [
+        (score[u, v], tuple(sorted((names[u], names[v])))) for u, v in zip(*np.triu_indices(len(names), 1), strict=True)
+    ]
+    pairs = sorted((pair for pair in pairs if np.isfinite(pair[0])), key=lambda pair: -pair[0])
+    scores = [float(f"{surest:.6g}") for surest, _ in pairs]
+    return Ranked(len(true), scores, [2 * (cameras in true) for _, cameras in pairs], [-1.0] * len(pairs))
 
 
 def _error(seconds: float, true: TrueLink) -> float:

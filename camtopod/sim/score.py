@@ -93,6 +93,12 @@ class Score(Struct, frozen=True):
         """Share of the pairs of cameras related in truth that were learned."""
         return _share(self.pairs_right, self.pairs_true)
 
+    @property
+    def pair_f1(self) -> float:
+        """Harmonic mean of the two."""
+        both = self.pair_precision + self.pair_recall
+        return 2 * self.pair_precision * self.pair_recall / both if both else 0.0
+
     def text(self) -> str:
         """A few lines for a person."""
         return (
