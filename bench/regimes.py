@@ -84,6 +84,7 @@ def _rows() -> list[Regime]:
     medium = SimSettings(objects_per_second=0.12, hours=14.0)
     dense = SimSettings(objects_per_second=0.6, hours=2.8)
     change = msgspec.structs.replace
+    clocks = change(medium, clock_max=30.0, clock_share=1 / 3)
     day = SimSettings(objects_per_second=0.07, hours=24.0, rhythm=0.9)
     alone = SimSettings(objects_per_second=0.3, hours=24.0, rhythm=0.9, linked=False)
     return [
@@ -107,7 +108,8 @@ def _rows() -> list[Regime]:
         Regime("short", "3 hours, about 9,000 events", SimSettings(objects_per_second=0.108, hours=3.0)),
         Regime("overlapped", "40 % of the links overlapped", change(medium, overlap_share=OVERLAPPED_PER_CAMERA)),
         Regime("windows", "0.12 objects a second, five times what the learner keeps", medium, window_events=10_000),
-        Regime("clocks", "a third of the clocks off by up to 30 s", change(medium, clock_max=30.0, clock_share=1 / 3)),
+        Regime("clocks", "a third of the clocks off by up to 30 s", clocks),
+        Regime("clocks-uneven", "the same, ways 10 % longer or shorter each way", change(clocks, uneven=0.1)),
     ]
 
 

@@ -11,7 +11,7 @@ from camtopod.sim.truth import TRUTH_SCHEMA, Truth
 
 ROWS = {
     *("zones-10", "zones-30", "sparse", "medium", "dense", "rhythm", "rhythm-dense", "faulty", "no-links", "short"),
-    *("overlapped", "clocks", "rhythm-sparse", "rhythm-medium", "windows"),
+    *("overlapped", "clocks", "rhythm-sparse", "rhythm-medium", "windows", "clocks-uneven"),
 }
 TWINS = {"hall", "crowd", "walkway", "road"}
 

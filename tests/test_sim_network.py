@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from pathlib import Path
 
@@ -39,6 +40,7 @@ small = st.builds(
     clock_max=st.floats(0, 30),
     overlap_share=st.floats(0, 1),
     platoons=st.floats(0, 1),
+    uneven=st.floats(0, 0.5),
     fire_doors=st.integers(0, 3),
     linked=st.booleans(),
     zone_separation=st.floats(0.1, 0.3),
@@ -319,6 +321,23 @@ def test_a_share_of_the_clocks_is_off_by_up_to() -> None:
     assert abs(wrong.mean()) < 5
 
 
+def test_uneven_ways_take_longer_one_way_than_the_other() -> None:
+    apart: dict[float, list[float]] = {0.0: [], 0.1: []}
+    for seed in range(6):
+        even = simulate(SimSettings(hours=0.02, seed=seed))[1]
+        uneven = simulate(SimSettings(hours=0.02, seed=seed, uneven=0.1))[1]
+        assert uneven.zones == even.zones
+        assert [(a.from_, a.to, a.probability) for a in uneven.links] == [
+            (a.from_, a.to, a.probability) for a in even.links
+        ]
+        for spread, truth in ((0.0, even), (0.1, uneven)):
+            median = {(link.from_, link.to): link.transit.q50 for link in truth.links if link.relation != "visible"}
+            apart[spread] += [math.log(median[v, u] / median[u, v]) for u, v in median if u < v]
+            assert all(link.transit.q50 < 0 for link in truth.links if link.relation == "overlapped")
+    assert np.abs(apart[0.0]).max() < 0.001
+    assert np.std(apart[0.1]) == pytest.approx(0.1 * math.sqrt(2), rel=0.2)
+
+
 def test_rhythm_moves_people_into_the_day() -> None:
     events, _ = simulate(SimSettings(hours=24, cameras=3, rhythm=0.9, start=0.0, clutter=0))
     noon = sum(10 < e.t / 3600 < 14 for e in events)
@@ -332,6 +351,7 @@ def test_rhythm_moves_people_into_the_day() -> None:
         {"missed": 1.5}, {"clutter": 1.0}, {"cameras": 0}, {"hours": 0.0}, {"speed_sd": -1.0},
         {"objects_per_second": 0.0}, {"lost": (("nowhere", 0.0, 1.0),)}, {"seed": -1}, {"zone_separation": 0.9},
         {"zone_stretch": 0.5}, {"platoon_size": 0.0}, {"platoons": 2.0}, {"clock_max": -1.0}, {"moved": (("x", 1.0),)},
+        {"uneven": -0.1},
     ],
 )  # fmt: skip
 def test_settings_without_sense_are_refused(wrong: dict[str, object]) -> None:

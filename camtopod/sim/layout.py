@@ -128,6 +128,12 @@ def with_fire_doors(layout: Layout, count: int, rng: np.random.Generator) -> Lay
     return replace(layout, through=replace(layout.through, probability=through), arrivals=arrivals / arrivals.sum())
 
 
+def with_uneven_ways(layout: Layout, spread: float, rng: np.random.Generator) -> Layout:
+    """The same, where each direction of a way between cameras is longer or shorter by a factor of its own."""
+    metres = layout.onward.metres * np.exp(spread * rng.standard_normal(layout.onward.metres.shape))
+    return replace(layout, onward=replace(layout.onward, metres=metres))
+
+
 def _zones(counts: Ints, separation: float, stretch: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Centres (zones, 2) and covariances (zones, 2, 2), the zones of one camera well apart."""
     zones: list[tuple[Floats, Floats]] = []

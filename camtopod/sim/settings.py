@@ -15,7 +15,7 @@ SHARES = (
     "clock_share",
 )
 NOT_NEGATIVE = (
-    *("speed_sd", "path_sd", "position_noise", "clock_sd", "clock_max", "doors_closed", "doors_opened"),
+    *("speed_sd", "path_sd", "uneven", "position_noise", "clock_sd", "clock_max", "doors_closed", "doors_opened"),
     *("fire_doors", "seed"),
 )
 
@@ -40,6 +40,8 @@ class SimSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """How many times as long the zones are, along the image's border."""
     fire_doors: int = 0
     """Cameras with a zone that sees about 1 % of their events."""
+    uneven: float = 0.0
+    """Spread (log scale) of the length of a way in each direction: up the stairs takes longer than down."""
     u_turn: float = 0.03
     """Probability of leaving a view where one came in."""
     speed_sd: float = 0.3
