@@ -48,7 +48,7 @@ def test_the_disk_is_held_against_the_fifth_day() -> None:
 
 def test_the_disk_is_held_against_its_bound_on_every_day() -> None:
     bounds = {"journal": 10 * MEGABYTE}
-    beside = BESIDE_BYTES // MEGABYTE
+    beside = BESIDE_BYTES["journal"] // MEGABYTE
     assert list(outside(on_the_disk([1, 9, 10, 10 + beside]), bounds)) == []
     [said] = outside(on_the_disk([1, 9, 11 + beside, 10]), bounds)
     assert said == f"journal has {(11 + beside) * MEGABYTE} bytes on day 3 and may have {10 * MEGABYTE}"
