@@ -232,6 +232,7 @@ def prediction_figures(predicted: Predicted, events: Sequence[Event], truth: Tru
         "top1_ratio": ours.top1 / chain.top1 if chain.top1 else math.nan,
         "top3_ratio": ours.top3 / chain.top3 if chain.top3 else math.nan,
         "log_loss_above": ours.log_loss - chain.log_loss,
+        "first_calibration_error_all": ours.first_calibration_error_all,
         "window_coverage": ours.window_coverage,
         "prediction_ms": 1000 * seconds / max(len(made), 1),
     }

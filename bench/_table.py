@@ -45,6 +45,7 @@ ROWS = {
     "told_calibration_error": "  told chain, same zones",
     "first_calibration_error": "calibration error, first guess",
     "told_first_calibration_error": "  told chain, same zones",
+    "first_calibration_error_all": "  ours, all exits, clutter's included",
     "window_coverage": "came within q10..q90 (0.8 is right)",
     "clock_error": "clock offsets, largest error, s",
     "clock_error_mean": "  mean error, s",

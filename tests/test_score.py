@@ -11,7 +11,7 @@ from made import topology_of
 from camtopod.records import Event, NextCamera, Pair, Prediction
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import calibration_error, clock_errors, score, score_predictions
-from camtopod.sim.truth import TRUTH_SCHEMA, Truth
+from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Truth
 
 TRUTH = simulate(SimSettings(cameras=4, hours=0.3))[1]
 PERFECT = topology_of(TRUTH)
@@ -114,6 +114,23 @@ def test_the_calibration_of_the_first_guess_is_not_diluted_by_the_others() -> No
     assert result.calibration_error < 0.1
     leaving = msgspec.structs.replace(second, leave=0.6, next_=[msgspec.structs.replace(b[0], camera="a")])
     assert score_predictions([first, leaving], events, truth).first_calibration_error == pytest.approx(0.4)
+
+
+def test_exits_of_nobody_count_in_the_calibration_over_all_exits() -> None:
+    """A tenth of the exits belong to nobody, so 0.9 is right for who always comes; over their own exits it is not."""
+    events, identity, passage = [], [], []
+    for k in range(10):
+        nobody = k == 4
+        events += [Event("a", "exit", 100.0 * k), *([] if nobody else [Event("b", "entry", 100.0 * k + 5)])]
+        identity += [CLUTTER] if nobody else [k, k]
+        passage += [CLUTTER] if nobody else [0, 1]
+    truth = Truth(TRUTH_SCHEMA, ["a", "b"], [], [], [], {}, identity, passage, [-1] * len(events))
+    b = NextCamera("b", "b/1", 0.9, 4.0, 5.0, 6.0)
+    made = [Prediction("a", "a/1", event.t, None, 1, 0.1, [b]) for event in events if event.kind == "exit"]
+    result = score_predictions(made, events, truth)
+    assert result.exits == 9
+    assert result.first_calibration_error == pytest.approx(0.1)
+    assert result.first_calibration_error_all == pytest.approx(0.0)
 
 
 def test_a_camera_that_is_not_named_has_no_window() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -132,6 +132,9 @@ class PredictionScore(Struct, frozen=True):
     where nobody is far off."""
     first_calibration_error: float = math.nan
     """The same of the first guess alone: the likeliest outcome, which may be leaving."""
+    first_calibration_error_all: float = math.nan
+    """The same over all exits, those of nobody too, after which nobody comes: who predicts cannot know which they are,
+    so over the others alone what is right over all looks too careful."""
     window_coverage: float = math.nan
     """Share of the followed ones, next camera named at all, that came between the stated q10 and q90."""
 
@@ -265,8 +268,7 @@ def score_predictions(
     loss = 0.0
     stated: list[float] = []
     happened: list[bool] = []
-    first_stated: list[float] = []
-    first_happened: list[bool] = []
+    firsts: list[_Guess] = []
     within: list[bool] = []
     for index, prediction in zip(exits, predictions, strict=True):
         event = events[index]
@@ -274,10 +276,13 @@ def score_predictions(
             raise ValueError(
                 f"the prediction for {prediction.camera} at {prediction.t} is not for exit line {index + 1}"
             )
-        if truth.identity[index] == CLUTTER or event.t < since:
+        if event.t < since:
             continue
         entry = events[following[index]] if following[index] >= 0 else None
         by_camera = _by_camera(prediction)
+        firsts.append(_first(prediction.leave, by_camera, entry, truth.identity[index] == CLUTTER))
+        if firsts[-1].clutter:
+            continue
         scored += 1
         if entry is not None:
             ranked = sorted(by_camera, key=lambda name: -by_camera[name])
@@ -289,10 +294,6 @@ def score_predictions(
         loss -= math.log(max(outcome, PROBABILITY_FLOOR))
         stated += [*by_camera.values(), prediction.leave]
         happened += [*(entry is not None and camera == entry.camera for camera in by_camera), entry is None]
-        likeliest = max(by_camera, key=lambda name: by_camera[name], default=None)
-        leaves = likeliest is None or prediction.leave > by_camera[likeliest]
-        first_stated.append(max(prediction.leave, *by_camera.values(), 0.0))
-        first_happened.append(entry is None if leaves else entry is not None and entry.camera == likeliest)
     return PredictionScore(
         exits=scored,
         followed=followed,
@@ -300,9 +301,29 @@ def score_predictions(
         top3=_share(top3, followed),
         log_loss=loss / scored if scored else math.nan,
         calibration_error=calibration_error(stated, happened),
-        first_calibration_error=calibration_error(first_stated, first_happened),
+        first_calibration_error=_calibration_error([guess for guess in firsts if not guess.clutter]),
+        first_calibration_error_all=_calibration_error(firsts),
         window_coverage=float(np.mean(within)) if within else math.nan,
     )
+
+
+class _Guess(NamedTuple):
+    """The likeliest outcome of an exit: its probability, whether it came so, whether the exit belonged to nobody."""
+
+    stated: float
+    happened: bool
+    clutter: bool
+
+
+def _first(leave: float, by_camera: dict[str, float], entry: Event | None, clutter: bool) -> _Guess:
+    camera = max(by_camera, key=lambda name: by_camera[name], default=None)
+    if camera is None or leave > by_camera[camera]:
+        return _Guess(leave, entry is None, clutter)
+    return _Guess(by_camera[camera], entry is not None and entry.camera == camera, clutter)
+
+
+def _calibration_error(guesses: Sequence[_Guess]) -> float:
+    return calibration_error([guess.stated for guess in guesses], [guess.happened for guess in guesses])
 
 
 def _by_camera(prediction: Prediction) -> dict[str, float]:
