@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -426,4 +429,27 @@ def test_damage_in_a_spool_too_large_to_be_scanned_is_found_out_at_the_next_star
     again = Spool(path, "boot-3", events_max=1000)
     assert 800 < again.rescued < 900
     again.append([event(900)])
+    again.close()
+
+
+def test_who_reads_a_database_beside_its_process_does_not_take_the_memory_from_under_it(tmp_path: Path) -> None:
+    """SQLite knows by a lock on the log's index that another process uses it; without, the reader truncates it."""
+    path = tmp_path / "spool.db"
+    killed = Spool(path, "boot-1", events_max=1000)
+    killed.append([event(n) for n in range(5)])
+    again = Spool(copy_of(path, tmp_path / "killed"), "boot-2", events_max=1000)  # with a log to look at
+    index = tmp_path / "killed" / "spool.db-shm"
+    locks = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
+    held = [
+        words[-2] for words in locks if words[-4] == str(os.getpid()) and words[-3].endswith(f":{index.stat().st_ino}")
+    ]
+    assert "128" in held
+    reads = "import sqlite3, sys; print(sqlite3.connect(sys.argv[1]).execute('SELECT COUNT(*) FROM event').fetchone())"
+    for number in range(6, 9):
+        again.append([event(number)])
+        read = subprocess.run(
+            [sys.executable, "-c", reads, str(index)[:-4]], capture_output=True, text=True, check=True
+        )
+        assert read.stdout == f"({number},)\n"
+        assert index.stat().st_size > 0
     again.close()

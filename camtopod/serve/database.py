@@ -82,6 +82,19 @@ def crc(*columns: int | float | str | bytes | None) -> int:
     return zlib.crc32(msgspec.msgpack.encode(columns))
 
 
+class _Connection(sqlite3.Connection):
+    """Closes with itself, and not before, what is open of its log's index (see `wal.open_index`)."""
+
+    index: int | None = None
+
+    def close(self) -> None:
+        """Close the database; may be called twice."""
+        super().close()
+        if self.index is not None:
+            os.close(self.index)
+            self.index = None
+
+
 def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None) -> sqlite3.Connection:
     """Open, or create with ``schema``, a database in WAL mode under synchronous=FULL.
 
@@ -92,13 +105,16 @@ def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], Non
     try:
         _make_private(path)
         written = wal.read(path)
-        database = sqlite3.connect(path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False)
+        database = sqlite3.connect(
+            path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False, factory=_Connection
+        )
         database.text_factory = _text
         with contextlib.ExitStack() as undo:
             undo.callback(database.close)
             database.execute("PRAGMA synchronous=EXTRA")
             _scan(database, path)
-            _report_lost(path, written)
+            database.index = wal.open_index(path)
+            _report_lost(path, written, database.index)
             with transaction(database):
                 if prepare is not None:
                     prepare(database)
@@ -280,9 +296,9 @@ def _suspicion(path: Path) -> Path:
     return path.with_name(f"{path.name}.suspect")
 
 
-def _report_lost(path: Path, written: wal.Log) -> None:
+def _report_lost(path: Path, written: wal.Log, index: int | None) -> None:
     """Say what SQLite left out of the log, and keep a copy of a log that was damaged."""
-    lost = wal.lost(path, written)
+    lost = wal.lost(path, written, index)
     if lost.damaged:
         try:
             copy = f"a copy is {_copy_aside(Path(f'{path}-wal'))}"

@@ -5,7 +5,7 @@ The layout is that of https://www.sqlite.org/fileformat2.html#walformat and http
 
 from __future__ import annotations
 
-import contextlib
+import os
 import struct
 import sys
 from pathlib import Path
@@ -73,13 +73,23 @@ def read(path: Path) -> Log:
         return Log([], [])
 
 
-def lost(path: Path, log: Log) -> Lost:
-    """What of ``log`` SQLite, which has the database open by now, has left out. Raises `OSError`."""
-    last = 0
-    with contextlib.suppress(FileNotFoundError), Path(f"{path}-shm").open("rb") as file:
-        file.seek(_LAST_FRAME_AT)
-        last = int.from_bytes(file.read(4), sys.byteorder)  # 0 if it is empty, as of a log that has gone
-    transactions = sum(one > last and _is_whole(path, one) for one in log.commits)
+def open_index(path: Path) -> int | None:
+    """A descriptor of the log's index (shared memory), while SQLite has the database open; None: there is none. To be
+    kept until SQLite has closed it, too: who closes a file loses all locks of the process on it, also SQLite's, and the
+    next process that reads the database would cut off the memory under this one. Raises `OSError`.
+    """
+    try:
+        return os.open(f"{path}-shm", os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return None
+
+
+def lost(path: Path, log: Log, index: int | None) -> Lost:
+    """What of ``log`` SQLite, which has the database open by now, has left out; ``index``: see `open_index`. Raises
+    `OSError`.
+    """
+    last = 0 if index is None else int.from_bytes(os.pread(index, 4, _LAST_FRAME_AT), sys.byteorder)
+    transactions = sum(one > last and _is_whole(path, one) for one in log.commits)  # 0 is of a log that has gone
     return Lost(sum(one > last for one in log.frames), transactions, log.headless)
 
 
