@@ -27,7 +27,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from bench._measure import TRAIN_SHARE, prediction_figures
+from bench._measure import TRAIN_SHARE, predict, prediction_figures
 from bench.regimes import REGIMES
 from camtopod.learn import posterior
 from camtopod.learn.candidates import Candidates
@@ -125,7 +125,7 @@ def measure(regime: str, seed: int, sweeps: Sequence[int]) -> dict[str, dict[str
                 learner.receive(event)
             learner.flush()
         assert learner.topology is not None
-        return prediction_figures(learner.topology, events, truth) | {"kept": told.kept}
+        return prediction_figures(predict(learner.topology, events), events, truth) | {"kept": told.kept}
 
     rows = {"learned": figures()}
     with told.at_every_step():

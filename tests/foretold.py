@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench._measure import TRAIN_SHARE, prediction_figures
+from bench._measure import TRAIN_SHARE, predict, prediction_figures
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
@@ -16,4 +16,4 @@ def foretold(events: list[Event], truth: Truth) -> dict[str, float]:
         learner.receive(event)
     learner.flush()
     assert learner.topology is not None
-    return prediction_figures(learner.topology, events, truth)
+    return prediction_figures(predict(learner.topology, events), events, truth)

@@ -45,6 +45,9 @@ class Shelf:
     def commit(self, entries: Sequence[Any], *others: object, **more: object) -> None:
         self.entries += entries
 
+    def usual_stamp(self) -> float | None:
+        return None
+
     def prune(self, now: float) -> None:
         """Nothing is old."""
 
