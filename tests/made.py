@@ -7,6 +7,9 @@ from camtopod.learn.rates import local_rates
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Link, Topology, Zone
 from camtopod.sim.truth import Truth
 
+LINKED = np.array([100.0])
+"""Evidence that something is linked."""
+
 
 def topology_of(truth: Truth) -> Topology:
     """What a learner that knew everything would publish."""

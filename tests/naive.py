@@ -312,6 +312,32 @@ def q_values(p, tests):
     return np.array(result)
 
 
+def doubts(pair, responsibility, pairs, evidence, zones, spread_min, to_tell, chance, least):
+    """1 - P(something is linked) P(in character), pair by pair."""
+    transitions, nats = [0.0] * pairs, [0.0] * pairs
+    for p, r in zip(pair, responsibility, strict=True):
+        transitions[p] += r
+        nats[p] += -np.log(1 - r) - r
+    odds = sum(np.exp(e) for e in evidence) / zones**2
+    each = sorted((nats[p] / transitions[p], transitions[p]) for p in range(pairs) if transitions[p] > 0)
+    reached = [(value, sum(n for _, n in each[: k + 1])) for k, (value, _) in enumerate(each)]
+
+    def quantile(share):
+        return next(max(value, 1e-12) for value, n in reached if n >= share * reached[-1][1])
+
+    result = []
+    for p in range(pairs):
+        real = 1.0
+        if transitions[p] > 0:
+            usual, high = quantile(0.5), quantile(0.75)
+            variance = (np.log(high / usual) / 0.6745) ** 2 + spread_min**2 + to_tell / (usual * transitions[p])
+            below = min(np.log(max(nats[p] / transitions[p] / usual, 1e-12)), 0.0)
+            likely = np.exp(-0.5 * below**2 / variance)
+            real = max((1 + chance) * likely / (likely + chance), least)
+        result.append(1 - odds / (1 + odds) * real)
+    return np.array(result)
+
+
 def slowness(source, target, stay, least, stay_min, slowness_max):
     """Log of each passage's duration over the median of its way; nan for a way with few passages."""
     result = []

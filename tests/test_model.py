@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made import Views
+from made import LINKED, Views
 
 from camtopod.learn.candidates import find_candidates
 from camtopod.learn.change import Change
@@ -39,7 +39,7 @@ def learned() -> tuple[Scene, Posterior]:
         np.bincount(arrivals.zone, minlength=3), np.bincount(departures.zone, minlength=3), np.ones(3, bool), 0.0,
         float(departures.t[-1]),
     )  # fmt: skip
-    return scene, fit_posterior(departures, arrivals, found, BINS, 3, scene.last)
+    return scene, fit_posterior(departures, arrivals, found, BINS, 3, scene.last, LINKED)
 
 
 def made(learned: tuple[Scene, Posterior | None], changes: list[Change] | None = None) -> Model:
@@ -111,7 +111,7 @@ def test_contexts_that_are_not_known_are_no_contexts(learned: tuple[Scene, Poste
     d, a = scene.departures, scene.arrivals
     half = np.arange(len(d.t)) % 2 == 0
     d = d._replace(own=np.where(half, -1, d.own).astype(np.int32), block=np.where(half, -1, d.block).astype(np.int32))
-    found = fit_posterior(d, a, find_candidates(d, a, BINS, 3), BINS, 3, scene.last)
+    found = fit_posterior(d, a, find_candidates(d, a, BINS, 3), BINS, 3, scene.last, LINKED)
     rows = made((scene, found)).contexts or []
     assert all(row.entry or row.block is not None or row.previous for row in rows)
     assert {row.block for row in rows if row.zone == "a/1"} == {None, 5}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import Views
+from made import LINKED, Views
 
 from camtopod.learn import posterior as module
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, find_candidates
@@ -52,7 +52,7 @@ UNRELATED = [(0, 0), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)]
 
 
 def test_finds_the_share_the_time_and_who_leaves() -> None:
-    found = fit_posterior(*problem(one_way(2, 1600, 32_000.0, clutter=800)))
+    found = fit_posterior(*problem(one_way(2, 1600, 32_000.0, clutter=800)), LINKED)
     assert share(found, 0, 1) == pytest.approx(0.6, abs=0.04)
     assert max(share(found, *pair) for pair in UNRELATED) < 0.08
     c = found.fit.candidates
@@ -64,7 +64,7 @@ def test_finds_the_share_the_time_and_who_leaves() -> None:
 def test_few_events_leave_much_open() -> None:
     """Weak evidence that is none fades as events come."""
     few, many = (
-        [fit_posterior(*problem(one_way(seed, 100 * n, 2000.0 * n, clutter=50 * n))) for seed in range(4)]
+        [fit_posterior(*problem(one_way(seed, 100 * n, 2000.0 * n, clutter=50 * n)), LINKED) for seed in range(4)]
         for n in (1, 16)
     )
     false = [sum(share(found, *pair) for found in fits for pair in UNRELATED) for fits in (few, many)]
@@ -72,7 +72,7 @@ def test_few_events_leave_much_open() -> None:
 
 
 def test_what_comes_at_any_lag_is_doubted() -> None:
-    found = fit_posterior(*problem(one_way(1, 400, 2000.0, clutter=300)))
+    found = fit_posterior(*problem(one_way(1, 400, 2000.0, clutter=300)), LINKED)
     c = found.fit.candidates
     doubt = dict(zip(zip(c.source.tolist(), c.target.tolist(), strict=True), found.doubt.tolist(), strict=True))
     assert doubt[0, 1] < 0.25
@@ -82,7 +82,7 @@ def test_what_comes_at_any_lag_is_doubted() -> None:
 
 def test_what_becomes_of_the_departures_adds_up() -> None:
     departures, arrivals, *rest = problem(one_way(2, 200, 1500.0, clutter=100))
-    found = fit_posterior(departures, arrivals, *rest)
+    found = fit_posterior(departures, arrivals, *rest, LINKED)
     came = np.bincount(found.fit.candidates.arrival, found.fit.responsibility, minlength=len(arrivals.t))
     assert (came <= 1 + 1e-9).all()
     seen_again = np.bincount(found.fit.candidates.source, found.share, minlength=3)
@@ -119,7 +119,7 @@ def test_entry_kernels_know_when_the_exit_says_little() -> None:
     """Five objects are in the first view at a time. Counted from the exit the lags lie anywhere in 72 s."""
     views, true = under_one_roof(3, 500, 5000.0)
     asked = problem(views)
-    found, plain = fit_posterior(*asked), fit_jointly(*asked)
+    found, plain = fit_posterior(*asked, LINKED), fit_jointly(*asked)
     (row,) = np.flatnonzero((found.entry_source == 0) & (found.entry_target == 1))
     mass = found.entry_hazard[row] * BINS.widths
     assert BINS.centres[np.argmax(found.entry_hazard[row])] == pytest.approx(5.0, abs=0.5)
@@ -133,16 +133,16 @@ def test_entry_kernels_know_when_the_exit_says_little() -> None:
 
 def test_views_that_do_not_overlap_take_nothing_ahead_of_the_exit() -> None:
     """By chance somebody is always just coming elsewhere; where views overlap, candidates ahead of the exit stay."""
-    apart = fit_posterior(*problem(one_way(4, 300, 4000.0, clutter=300)))
+    apart = fit_posterior(*problem(one_way(4, 300, 4000.0, clutter=300)), LINKED)
     assert (apart.fit.candidates.lag > 0).all()
     assert len(apart.entry_source) == 0
-    together = fit_posterior(*problem(under_one_roof(4, 200, 4000.0)[0]))
+    together = fit_posterior(*problem(under_one_roof(4, 200, 4000.0)[0]), LINKED)
     assert (together.fit.candidates.lag < 0).any()
 
 
 def test_the_same_every_time() -> None:
     asked = problem(one_way(7, 100, 600.0, clutter=50))
-    one, again = fit_posterior(*asked), fit_posterior(*asked)
+    one, again = fit_posterior(*asked, LINKED), fit_posterior(*asked, LINKED)
     assert (one.share == again.share).all()
     assert (one.fit.responsibility == again.fit.responsibility).all()
 
@@ -152,7 +152,7 @@ def test_the_same_every_time() -> None:
 
 def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = problem(one_way(8, 400, 8000.0, clutter=100))
-    found = fit_posterior(*asked)
+    found = fit_posterior(*asked, LINKED)
     scout = PosteriorFitter(*asked)
     scout.look()
     kept = scout.worth_following()
@@ -174,7 +174,7 @@ def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) ->
     assert kept.source[kept.pair].tolist() == asked[0].zone[kept.departure].tolist()
     assert kept.target[kept.pair].tolist() == asked[1].zone[kept.arrival].tolist()
     monkeypatch.setattr(module, "NEGLIGIBLE", 0.0)
-    everything = fit_posterior(*asked)
+    everything = fit_posterior(*asked, LINKED)
     assert len(everything.fit.candidates.lag) > len(found.fit.candidates.lag)
     for pair in ((0, 1), (0, 2), (2, 1), (1, 2)):
         assert share(found, *pair) == pytest.approx(share(everything, *pair), abs=0.02)
@@ -187,7 +187,7 @@ def test_without_a_candidate(gap: float) -> None:
     departures = departures._replace(own=np.full_like(departures.own, -1))
     nothing = find_candidates(departures, arrivals, bins, zones)
     assert len(nothing.lag) == 0
-    found = fit_posterior(departures, arrivals, nothing, bins, zones, until + 500.0)
+    found = fit_posterior(departures, arrivals, nothing, bins, zones, until + 500.0, LINKED)
     assert found.share.shape == (0,)
     assert found.fit.hazard.shape == (0, bins.size)
     assert (found.leave == 1)[:2].all()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import Views
+from made import LINKED, Views
 
 from camtopod.learn import joint
 from camtopod.learn.candidates import find_candidates
@@ -67,7 +67,7 @@ def test_what_comes_back_tells_what_goes_there() -> None:
                 views.through(t, t + rng.uniform(3, 5), zone, zone)
             departures, arrivals = views.columns()
             candidates = find_candidates(departures, arrivals, bins, 2)
-            found = fit_posterior(departures, arrivals, candidates, bins, 2, 40_060.0)
+            found = fit_posterior(departures, arrivals, candidates, bins, 2, 40_060.0, LINKED)
             c = found.fit.candidates
             shares.append(float(found.fit.counts[(c.source == 0) & (c.target == 1)].sum()))
         return float(np.mean(shares))

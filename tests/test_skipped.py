@@ -8,7 +8,7 @@ import pytest
 from foretold import foretold
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import Views
+from made import LINKED, Views
 
 from bench.regimes import REGIMES
 from camtopod.learn import posterior
@@ -44,7 +44,7 @@ def learned(views: Views) -> Posterior:
     zones = len(views.camera)
     until = float(max(departures.t[-1], arrivals.t[-1]))
     candidates = find_candidates(departures, arrivals, BINS, zones)
-    return fit_posterior(departures, arrivals, candidates, BINS, zones, until)
+    return fit_posterior(departures, arrivals, candidates, BINS, zones, until, LINKED)
 
 
 def screened(views: Views, pairs: set[tuple[int, int]]) -> tuple[Posterior, Posterior]:
@@ -59,7 +59,8 @@ def screened(views: Views, pairs: set[tuple[int, int]]) -> tuple[Posterior, Post
     )
     few = Candidates(every.departure[kept], every.arrival[kept], pair, every.lag[kept], source, target)
     until = float(max(departures.t[-1], arrivals.t[-1]))
-    without, beside = (fit_posterior(departures, arrivals, few, BINS, zones, until, told) for told in (False, True))
+    asked = departures, arrivals, few, BINS, zones, until, LINKED
+    without, beside = (fit_posterior(*asked, told) for told in (False, True))
     return without, beside
 
 

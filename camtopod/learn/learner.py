@@ -335,15 +335,16 @@ class Learner:
             departures, arrivals, self.bins, places, scene.last, self._learned, self.settings.candidates_max
         )
         problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
-        fit, posterior = fit_jointly(*problem), fit_posterior(*problem, screened=bool(self._screen.followed))
+        fit = fit_jointly(*problem)
         ratio = cross_evidence(
             departures, arrivals, self._all_of(fit, departures, arrivals, zones), self.bins, zones, first, scene.last
         )
+        posterior = fit_posterior(*problem, ratio, screened=bool(self._screen.followed))
         pace = pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), leaving, self.bins, zones, pace).with_evidence(ratio, zones * zones)
         likely = tabulate(transitions_of(posterior.fit), leaving, self.bins, zones)
         over = scene.last - self.bins.lag_max
-        self._scorer.mark(posterior.fit, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
+        self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
         share_min = self.settings.publish_probability_min
         return (

@@ -11,7 +11,8 @@ Beside the hazards of the joint fit this one has
 * a *prior* (`prior`): what leaves elsewhere in the view, and what comes back, foretells what has not been seen yet;
 * *contexts* of a departure (`contexts`), and leaving the network as an outcome like the others;
 * a test of whether two views overlap at all: without it what is seen elsewhere by chance counts for something;
-* *sampling* at the end (`sampling`): what is believed is half of the fit and half of what its samples say.
+* *sampling* at the end (`sampling`): what is believed is half of the fit and half of what its samples say;
+* *doubt* (`doubt`): what of it may as well be chance, in which case nobody was seen again.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess
 from camtopod.learn.contexts import Contexts, Level, multipliers
+from camtopod.learn.doubt import doubts
 from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import LEAVE_FLOOR, START_FLOOR, Fit, JointFitter, smooth
 from camtopod.learn.lags import LagBins
@@ -70,7 +72,7 @@ class Posterior(NamedTuple):
     leave: Floats
     """(zones,) of the departures, those not seen again."""
     doubt: Floats
-    """(P,) share of what appears at the target that may as well be chance: it comes at any lag."""
+    """(P,) share of what appears at the target that may as well be chance (`doubt`)."""
     entry_source: Ints
     """(Q,) zone of entry ..."""
     entry_target: Ints
@@ -82,9 +84,10 @@ class Posterior(NamedTuple):
 
 def fit_posterior(
     departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
-    screened: bool = False,
+    evidence: Floats, screened: bool = False,
 ) -> Posterior:  # fmt: skip
-    """The posterior of all that left and came up to ``until`` (seconds). ``screened``: candidates may be missing.
+    """The posterior of all that left and came up to ``until`` (seconds). ``evidence``: that zones are linked, in nats
+    (`cross_evidence`); ``screened``: candidates may be missing.
 
     Always from nothing: one that goes on from the last as events come in believes early mistakes ever more.
     """
@@ -94,9 +97,9 @@ def fit_posterior(
     fitter = PosteriorFitter(departures, arrivals, scout.worth_following(), bins, zones, until, scout.exposure)
     fitter.learn()
     fitter.sample()
-    fit = fitter.result()
+    doubt = doubts(fitter.candidates.pair, fitter.responsibility, fitter.pairs, evidence, zones)
     posterior = Posterior(
-        fit, fitter.share, fitter.leave, fitter.doubt(fit.flat), fitter.entry_source, fitter.entry_target,
+        fitter.result(), fitter.share, fitter.leave, doubt, fitter.entry_source, fitter.entry_target,
         fitter.entry_hazard, fitter.levels,
     )  # fmt: skip
     return fitter.with_skips(posterior) if screened else posterior
@@ -306,18 +309,6 @@ class PosteriorFitter(JointFitter):
         self.levels, share, leaving = self.contexts.learn(c, r, before, gone, self.leave[zone])
         self._multiplier = multipliers(before, share)
         self._leaving = np.maximum(leaving, LEAVE_FLOOR)
-
-    def doubt(self, flat: Floats) -> Floats:
-        """Share (P,) of each pair's transitions that may as well be chance: what it would have without a transit time
-        (``flat``). Half of it is the pair's own, half that of all that leaves there, as a pair has few to tell by.
-        """
-        c = self.candidates
-        untimed = self._at_exit * np.minimum(flat, 1.0)
-        of_all, of_untimed = (np.bincount(c.pair, r, minlength=self.pairs) for r in (self._responsibility, untimed))
-        zone_all, zone_untimed = (np.bincount(c.source, r, minlength=self.zones) for r in (of_all, of_untimed))
-        here = zone_untimed / np.maximum(zone_all, 1e-300)
-        share: Floats = 0.5 * of_untimed / np.maximum(of_all, 1e-300) + 0.5 * here[c.source]
-        return share
 
     def _find_early(self) -> None:
         """The candidates that appear before the exit of a passage whose entry is known, and their place in the tables

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.intake import MICROSECONDS
-from camtopod.learn.joint import Fit
+from camtopod.learn.posterior import Posterior
 from camtopod.learn.predict import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
 
@@ -121,8 +121,9 @@ class Scorer:
             shares[""] = max(1.0 - sum(shares.values()), 0.0)
 
     def mark(
-        self, fit: Fit, departures: Departures, arrivals: Arrivals, cameras: list[str], over: float, ahead: Floats
-    ) -> None:
+        self, posterior: Posterior, departures: Departures, arrivals: Arrivals, cameras: list[str], over: float,
+        ahead: Floats,
+    ) -> None:  # fmt: skip
         """Mark what left until ``over`` (seconds), from when on a lag window may still be open.
 
         ``ahead`` (cameras,): by how many seconds each camera's clock is; departures and arrivals are in right time.
@@ -132,7 +133,7 @@ class Scorer:
             due.append(self._guesses.popleft())
         rows = [_row_of(guess, departures, cameras, ahead) for guess in due]
         known = [(guess, row) for guess, row in zip(due, rows, strict=True) if row is not None]
-        outcomes = _outcomes(fit, arrivals, [row for _, row in known], len(cameras))
+        outcomes = _outcomes(posterior, arrivals, [row for _, row in known], len(cameras))
         for (guess, _), outcome in zip(known, outcomes, strict=True):
             happened = {cameras[k]: float(outcome[k]) for k in np.flatnonzero(outcome)}
             self.note(guess, happened)
@@ -172,20 +173,20 @@ def _row_of(guess: Guess, departures: Departures, cameras: list[str], ahead: Flo
     return next((row for row in range(low, high) if departures.camera[row] == camera), None)
 
 
-def _outcomes(fit: Fit, arrivals: Arrivals, rows: list[int], cameras: int) -> Floats:
+def _outcomes(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras: int) -> Floats:
     """Probability (rows, cameras) that each of the departures ``rows`` appears next at each camera.
 
-    Of each candidate what its pair of zones would have at any lag is left out: that says as much of chance as of it.
+    Of each candidate what may as well be chance is left out (`doubt`).
     """
     result = np.zeros((len(rows), cameras))
-    c = fit.candidates
+    c = posterior.fit.candidates
     of = np.full(int(c.departure.max(initial=-1)) + 1, -1)
     for number, row in enumerate(rows):
         if row < len(of):
             of[row] = number
     asked = np.flatnonzero(of[c.departure] >= 0)
-    timed = fit.responsibility[asked] * np.maximum(1.0 - fit.flat[asked], 0.0)
-    np.add.at(result, (of[c.departure[asked]], arrivals.camera[c.arrival[asked]]), timed)
+    sure = posterior.fit.responsibility[asked] * (1.0 - posterior.doubt[c.pair[asked]])
+    np.add.at(result, (of[c.departure[asked]], arrivals.camera[c.arrival[asked]]), sure)
     total = result.sum(axis=1, keepdims=True)
     shares: Floats = result / np.maximum(total, 1.0)
     return shares

@@ -26,9 +26,15 @@ def log_likelihood_ratio(pair: Ints, responsibility: Floats, flat: Floats, pairs
     hazard).
     """
     share = np.minimum(responsibility, RESPONSIBILITY_MAX)
-    unrelated = np.bincount(pair, -np.log1p(-share) - share, minlength=pairs)
     untimed = np.bincount(pair, -np.log1p(share * (np.minimum(flat, FLAT_MAX) - 1.0)), minlength=pairs)
-    return np.minimum(unrelated, untimed)
+    return np.minimum(unrelated(pair, responsibility, pairs), untimed)
+
+
+def unrelated(pair: Ints, responsibility: Floats, pairs: int) -> Floats:
+    """Evidence (P,) in nats against the zones having nothing to do with each other."""
+    share = np.minimum(responsibility, RESPONSIBILITY_MAX)
+    evidence: Floats = np.bincount(pair, -np.log1p(-share) - share, minlength=pairs).astype(float)
+    return evidence
 
 
 def q_values(ratio: Floats, tests: int) -> Floats:

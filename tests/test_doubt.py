@@ -1,0 +1,95 @@
+"""What of the posterior may be chance: what is out of character on its site, and everything where nothing is linked."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camtopod.learn.doubt import CHANCE_PRIOR, NATS_TO_TELL, REAL_MIN, SPREAD_MIN, doubts, in_character, linked
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
+from camtopod.records import Event, Prediction, Topology
+from camtopod.sim.network import simulate
+from camtopod.sim.settings import SimSettings
+
+ONCE = Settings(refit_share=1e9, refit_hours=1e9)
+"""Everything is learned in one fit."""
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 5), st.floats(0.001, 0.999)), max_size=30),
+    st.lists(st.floats(-50, 20), min_size=1, max_size=6),
+    st.integers(1, 30),
+)
+def test_by_loops(candidates: list[tuple[int, float]], evidence: list[float], zones: int) -> None:
+    pair, responsibility = (np.array([c[k] for c in candidates]) for k in (0, 1))
+    found = doubts(pair.astype(np.int32), responsibility, 6, np.array(evidence), zones)
+    slow = naive.doubts(pair, responsibility, 6, evidence, zones, SPREAD_MIN, NATS_TO_TELL, CHANCE_PRIOR, REAL_MIN)
+    assert found == pytest.approx(slow, abs=1e-9)
+
+
+def test_what_is_usual_is_not_doubted_and_what_is_out_of_character_is() -> None:
+    real = in_character(np.array([4.0, 5.0, 6.0, 2.0, 0.1]), np.array([100.0, 100.0, 100.0, 5.0, 5.0]))
+    assert real[1:3] == pytest.approx([1.0, 1.0])
+    assert real[0] > 0.95
+    assert 0.7 < real[3] < 0.95
+    assert real[4] < 0.02
+
+
+def test_little_evidence_is_in_character_where_all_have_little() -> None:
+    each, many = np.array([4.0, 5.0, 6.0, 0.5]), np.full(4, 1e6)
+    assert in_character(0.01 * each, many) == pytest.approx(in_character(each, many), abs=1e-3)
+    apart = in_character(np.array([0.5, 5.0, 50.0, 500.0]), many)
+    assert apart[0] > in_character(each, many)[3] + 0.1  # where pairs differ as widely, ten times less is nothing odd
+
+
+def test_a_few_transitions_tell_only_where_each_tells_much() -> None:
+    for usual, tells in ((5.0, True), (0.05, False)):
+        real = in_character(usual * np.array([1.0, 1.0, 0.02]), np.array([100.0, 100.0, 4.0]))
+        assert (real[2] < 0.1) == tells
+        assert (real[2] > 0.6) != tells
+
+
+def test_chance_alone_may_be_anything() -> None:
+    assert linked(np.zeros(0), 10) == 0.0
+    assert linked(np.array([np.log(100.0)]), 10) == pytest.approx(0.5)
+    assert linked(np.array([-20.0, 60.0]), 10) == pytest.approx(1.0)
+    assert doubts(np.zeros(0, np.int32), np.zeros(0), 2, np.array([60.0]), 2) == pytest.approx([0.0, 0.0])
+
+
+# --- what comes of it ---
+
+
+def said(events: list[Event], settings: Settings = ONCE) -> tuple[Topology, list[Prediction]]:
+    """What is learned, and a prediction by it for each exit, told nothing but the exit."""
+    learner = Learner(settings)
+    for event in events:
+        learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+    predictor = learner.predictor()
+    return learner.topology, [predictor.predict(event) for event in events if event.kind == "exit"]
+
+
+@pytest.mark.parametrize("seconds", [8.0, 100.0])
+def test_who_always_comes_is_foretold_as_surely_as_is_published(seconds: float) -> None:
+    """However long the way: chance has nothing to do with how long it is."""
+    rng = np.random.default_rng(3)
+    events = []
+    for t in np.sort(rng.uniform(0, 40_000, 400)):
+        came = t + seconds + rng.normal(0, 0.05 * seconds)
+        events += [Event("a", "exit", float(t), 0.8, 0.5), Event("b", "entry", float(came), 0.2, 0.5)]
+    topology, predictions = said(sorted(events, key=lambda event: event.t))
+    (link,) = topology.links
+    assert link.probability > 0.9
+    assert np.mean([p.next_[0].probability for p in predictions]) == pytest.approx(link.probability, abs=0.1)
+
+
+def test_where_nothing_is_linked_objects_are_foretold_to_leave() -> None:
+    events, _ = simulate(SimSettings(cameras=8, hours=2.0, seed=1, linked=False, rhythm=0.9))
+    topology, predictions = said(events)
+    assert not [link for link in topology.links if link.relation != "visible"]
+    assert np.mean([prediction.leave for prediction in predictions]) > 0.6
