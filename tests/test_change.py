@@ -145,7 +145,7 @@ def table(rows: list[tuple[int, int, int]], leaving: float = 100.0) -> LinkTable
     columns = [np.repeat([row[k] for row in rows], [row[2] for row in rows]).astype(np.int32) for k in (0, 1)]
     n = len(columns[0])
     moved = Transitions(columns[0], columns[1], np.full(n, 9.0), np.ones(n), np.zeros(n))
-    return tabulate(moved, np.full(4, leaving), BINS, 4)
+    return tabulate(moved, np.full((4, 1), leaving), BINS, 4)
 
 
 def test_without_changes_the_table_is_as_it_was() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made import Views
 
 from camtopod.learn.chain import markov_chain
 from camtopod.learn.lags import LagBins
@@ -18,6 +19,7 @@ from camtopod.learn.links import (
     Transitions,
     beside,
     join,
+    leaving,
     refresh_monte_carlo,
     significant,
     tabulate,
@@ -51,15 +53,17 @@ def test_table_has_every_pair_once_with_its_figures(seed: int, n: int, zones: in
     rng = np.random.default_rng(seed)
     source, target = rng.integers(0, zones, (2, n)).astype(np.int32)
     t = Transitions(source, target, rng.uniform(-25, 130, n), rng.random(n), np.ones(n))
-    leaving = rng.integers(0, 30, zones).astype(float)
-    table = tabulate(t, leaving, BINS, zones)
+    left = rng.integers(0, 30, (zones, BINS.size)).astype(float)
+    at = BINS.index(t.lag)
+    table = tabulate(t, left, BINS, zones)
     pairs = sorted(set(zip(source.tolist(), target.tolist(), strict=True)))
     assert list(zip(table.source.tolist(), table.target.tolist(), strict=True)) == pairs
     for row, (u, v) in enumerate(pairs):
         own = (source == u) & (target == v)
         total = t.weight[own].sum()
         assert table.transit.total[row] == pytest.approx(total)
-        assert table.probability[row] == pytest.approx(min(total / max(leaving[u], 1.0), 1.0))
+        seen = sum(w / max(left[u, k], 1.0) for w, k in zip(t.weight[own], at[own], strict=True) if k >= 0)
+        assert table.probability[row] == pytest.approx(min(seen, 1.0))
         counts = np.zeros(BINS.size)
         for lag, weight in zip(t.lag[own], t.weight[own], strict=True):
             k = naive.lag_bin(lag, BINS.lag_min, BINS.lag_max, BINS.scale, BINS.step)
@@ -73,11 +77,11 @@ def test_table_has_every_pair_once_with_its_figures(seed: int, n: int, zones: in
 
 
 def test_no_transitions_no_rows() -> None:
-    table = tabulate(join([]), np.zeros(3), BINS, 3)
+    table = tabulate(join([]), np.zeros((3, 1)), BINS, 3)
     assert len(table.source) == 0
     assert table.counts.shape == (0, BINS.size)
     assert not significant(table, SETTINGS).any()
-    assert len(tabulate(join([]), np.zeros(0), BINS, 0).source) == 0
+    assert len(tabulate(join([]), np.zeros((0, 1)), BINS, 0).source) == 0
 
 
 def test_join_keeps_all_in_order() -> None:
@@ -87,8 +91,21 @@ def test_join_keeps_all_in_order() -> None:
     assert both.weight.tolist() == [1.0, 0.5, 0.25]
 
 
+def test_who_may_still_be_on_the_way_does_not_lower_the_share() -> None:
+    """Everybody takes 60 s to the next view; half have left in the last minute."""
+    views = Views([0, 1])
+    for k in range(40):
+        views.through(3.0 * k, 3.0 * k + 1.0, 0, 0)
+    departures, _ = views.columns()
+    arrived = transitions(*repeated(0, 1, 60.0, 20))
+    table = tabulate(arrived, leaving(departures, BINS, 2, until=121.0), BINS, 2)
+    assert table.probability[0] == pytest.approx(1.0, abs=0.1)
+    ahead = tabulate(transitions(*repeated(0, 1, -3.0, 20)), leaving(departures, BINS, 2, until=121.0), BINS, 2)
+    assert ahead.probability[0] == pytest.approx(0.5, abs=0.01)  # what comes before the exit is over by then
+
+
 def test_evidence_from_elsewhere_replaces_that_of_the_table() -> None:
-    table = tabulate(transitions(*repeated(0, 1, 5.0, 20), *repeated(1, 0, 5.0, 20)), np.full(2, 20.0), BINS, 2)
+    table = tabulate(transitions(*repeated(0, 1, 5.0, 20), *repeated(1, 0, 5.0, 20)), np.full((2, 1), 20.0), BINS, 2)
     told = table.with_evidence(np.array([2.0, 9.0]), 4)
     assert told.q == pytest.approx([np.exp(-2) * 2, np.exp(-9) * 4])
     assert told.ratio.tolist() == [2.0, 9.0]
@@ -98,22 +115,24 @@ def test_evidence_from_elsewhere_replaces_that_of_the_table() -> None:
 # --- what is published ---
 
 
-def published(*rows: tuple[int, int, float, float], leaving: float = 100.0) -> list[tuple[int, int]]:
-    table = tabulate(transitions(*rows), np.full(5, leaving), BINS, 5)
+def published(*rows: tuple[int, int, float, float], left: float = 100.0) -> list[tuple[int, int]]:
+    table = tabulate(transitions(*rows), np.full((5, 1), left), BINS, 5)
     return [(int(table.source[k]), int(table.target[k])) for k in np.flatnonzero(significant(table, SETTINGS))]
 
 
 def test_a_link_needs_evidence_share_and_number() -> None:
     assert published(*repeated(0, 1, 8.0, 50)) == [(0, 1)]
     assert published(*repeated(0, 1, 8.0, 50, weight=0.05)) == []  # hardly any evidence
-    assert published(*repeated(0, 1, 8.0, 50), leaving=5000.0) == []  # 1 % of those who leave
+    assert published(*repeated(0, 1, 8.0, 50), left=5000.0) == []  # 1 % of those who leave
     assert published(*repeated(0, 1, 8.0, 1)) == []
     assert TRANSITIONS_MIN > 1
 
 
 def test_the_thesiss_variance_counts_too() -> None:
     """Lags at both ends of the range vary more than at chance."""
-    table = tabulate(transitions(*repeated(0, 1, -19.0, 50), *repeated(0, 1, 119.0, 50)), np.full(2, 100.0), BINS, 2)
+    table = tabulate(
+        transitions(*repeated(0, 1, -19.0, 50), *repeated(0, 1, 119.0, 50)), np.full((2, 1), 100.0), BINS, 2
+    )
     assert table.variance[0] > 1
     assert not significant(table, SETTINGS).any()
 
@@ -121,7 +140,7 @@ def test_the_thesiss_variance_counts_too() -> None:
 def test_monte_carlo_variance_is_near_that_of_the_transitions() -> None:
     """A little above: the observations are of the smoothed histogram."""
     rows = [(0, 1, float(lag), 0.9) for lag in np.random.default_rng(0).normal(30, 5, 400)]
-    table = tabulate(transitions(*rows), np.full(2, 500.0), BINS, 2)
+    table = tabulate(transitions(*rows), np.full((2, 1), 500.0), BINS, 2)
     refreshed = refresh_monte_carlo(table, BINS)
     assert table.variance[0] == pytest.approx(25 / (140**2 / 12), rel=0.1)
     assert table.variance[0] < refreshed.variance[0] < 2 * table.variance[0]
@@ -136,7 +155,7 @@ def weak_and_strong(seed: int) -> tuple[LinkTable, LinkTable, LinkTable]:
     rng = np.random.default_rng(seed)
     rows = [(0, v, 5.0, w) for v, w in enumerate(rng.exponential(1.0, 40))]
     rows += [(1, v, 5.0, 0.01) for v in range(5)] + [(2, 3, 5.0, 6.0)]
-    likely = tabulate(transitions(*rows), np.full(40, 60.0), BINS, 40)
+    likely = tabulate(transitions(*rows), np.full((40, 1), 60.0), BINS, 40)
     strong = likely.rows(np.flatnonzero(rng.random(len(rows)) < 0.1))
     strong = strong._replace(probability=np.minimum(1.2 * strong.probability, 1.0))
     return likely, strong, beside(likely, strong, 40)
@@ -174,7 +193,7 @@ def test_weak_links_share_what_the_published_leave_over(seed: int) -> None:
 
 
 def test_no_weak_links() -> None:
-    none = tabulate(join([]), np.zeros(3), BINS, 3)
+    none = tabulate(join([]), np.zeros((3, 1)), BINS, 3)
     assert len(beside(none, none, 3).source) == 0
 
 

@@ -26,7 +26,7 @@ def table(*rows: Row, zones: int = 9) -> LinkTable:
         spread = lag + np.linspace(-1.0, 1.0, n)
         column = (np.full(n, source, np.int32), np.full(n, target, np.int32), spread, np.full(n, 0.999))
         parts.append(Transitions(*column, np.full(n, 1e-3)))
-    return tabulate(join(parts), np.full(zones, LEAVING), BINS, zones)
+    return tabulate(join(parts), np.full((zones, 1), LEAVING), BINS, zones)
 
 
 CAMERA = np.array([0, 1, 1, 2, 2, 3, 3, 4, 4])

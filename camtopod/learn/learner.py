@@ -27,6 +27,7 @@ from camtopod.learn.links import (
     LinkTable,
     beside,
     join,
+    leaving,
     pace_of,
     refresh_monte_carlo,
     significant,
@@ -317,7 +318,7 @@ class Learner:
     def _through_views(self, scene: Scene) -> LinkTable:
         """Visible links: passages through one view."""
         transitions = visible_transitions(scene, self.stay_bins, self.settings.candidates_max)
-        return tabulate(transitions, scene.entries.astype(float), self.stay_bins, len(scene.zones))
+        return tabulate(transitions, scene.entries.astype(float)[:, None], self.stay_bins, len(scene.zones))
 
     def _between_views(
         self, scene: Scene, silences: list[Silences]
@@ -325,9 +326,8 @@ class Learner:
         """Links that leave a view: the joint fit of departures and arrivals, and what in it has changed."""
         zones = len(scene.zones)
         departures, arrivals = scene.departures, scene.arrivals
-        leaving = np.bincount(departures.zone, minlength=zones).astype(float)
         if len(departures.t) == 0 or len(arrivals.t) == 0:
-            empty = tabulate(join([]), leaving, self.bins, zones)
+            empty = tabulate(join([]), np.zeros((zones, 1)), self.bins, zones)
             return None, empty, empty, []
         first = float(min(departures.t[0], arrivals.t[0]))
         places = np.array([place(zone.camera, zone.number) for zone in scene.zones])
@@ -340,9 +340,9 @@ class Learner:
             departures, arrivals, self._all_of(fit, departures, arrivals, zones), self.bins, zones, first, scene.last
         )
         posterior = fit_posterior(*problem, ratio, screened=bool(self._screen.followed))
-        pace = pace_of(fit, departures, arrivals, zones)
-        between = tabulate(transitions_of(fit), leaving, self.bins, zones, pace).with_evidence(ratio, zones * zones)
-        likely = tabulate(transitions_of(posterior.fit), leaving, self.bins, zones)
+        left, pace = leaving(departures, self.bins, zones, scene.last), pace_of(fit, departures, arrivals, zones)
+        between = tabulate(transitions_of(fit), left, self.bins, zones, pace).with_evidence(ratio, zones * zones)
+        likely = tabulate(transitions_of(posterior.fit), left, self.bins, zones)
         over = scene.last - self.bins.lag_max
         self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn import mahalanobis, montecarlo
 from camtopod.learn.candidates import Arrivals, Departures
-from camtopod.learn.joint import Fit, smooth
+from camtopod.learn.joint import Fit, exposures, smooth
 from camtopod.learn.lags import LagBins
 from camtopod.learn.settings import Settings
 from camtopod.learn.significance import log_likelihood_ratio, q_values
@@ -53,6 +53,14 @@ def transitions_of(fit: Fit) -> Transitions:
     """The candidates of a joint fit."""
     c = fit.candidates
     return Transitions(c.source[c.pair], c.target[c.pair], c.lag, fit.responsibility, fit.flat)
+
+
+def leaving(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
+    """Departures of each zone that would have been seen to arrive by ``until`` (seconds) if they took so long: (zones,
+    bins). Who has just left may still be on the way, and says nothing yet of how many take it.
+    """
+    every = np.bincount(departures.zone, minlength=zones)[:, None]
+    return np.where(bins.edges[1:] > 0, exposures(departures, bins, zones, until), every)
 
 
 class Pace(NamedTuple):
@@ -104,10 +112,10 @@ class LinkTable(NamedTuple):
         return self._replace(ratio=ratio, q=q_values(ratio, tests))
 
 
-def tabulate(
-    transitions: Transitions, leaving: Floats, bins: LagBins, zones: int, pace: Pace | None = None
-) -> LinkTable:
-    """Figures of every pair of zones that has a transition. ``leaving`` (zones,): how many could have taken one."""
+def tabulate(transitions: Transitions, left: Floats, bins: LagBins, zones: int, pace: Pace | None = None) -> LinkTable:
+    """Figures of every pair of zones that has a transition. ``left`` (zones, bins): how many could have taken one and
+    been seen to; (zones, 1) where that does not depend on the lag.
+    """
     key = transitions.source.astype(np.int64) * zones + transitions.target
     present, pair = np.unique(key, return_inverse=True)
     pair = pair.astype(np.int32)
@@ -124,7 +132,7 @@ def tabulate(
     transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins, slow, error)
     ratio = log_likelihood_ratio(pair, transitions.weight, transitions.flat, pairs)
     variance = np.nan_to_num(transit.sd) ** 2 / mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
-    probability = np.minimum(transit.total / np.maximum(leaving[source], 1.0), 1.0)
+    probability = np.minimum((counts / np.maximum(left[source], 1.0)).sum(axis=1), 1.0)
     return LinkTable(
         source, target, probability, ratio, q_values(ratio, pairs), transit,
         variance, counts,
