@@ -32,8 +32,9 @@ SPREAD_MIN_SECONDS = 0.2
 """Entries and exits are not seen more exactly than this."""
 LAG_ERROR = 0.01
 PACE_ERROR = 0.02
-"""What does not become surer with numbers (false transitions, speeds that are only nearly kept), as a share of the
-median: of the lags as they are, and of those at usual speed. Found on made-up networks.
+MEAN_ERROR = 0.015
+"""What does not become surer with numbers (false transitions, speeds that are only nearly kept), as a share: of the
+median of the lags as they are, of the median of those at usual speed, of the mean. Found on made-up networks.
 """
 ERRORS_CORRELATION = 0.7
 """Of the two estimates, which are from the same transitions."""
@@ -75,7 +76,9 @@ def transit_figures(
         number = np.bincount(pair, inner, minlength=pairs)
         mean = np.bincount(pair, inner * lag, minlength=pairs) / number
         sd = np.sqrt(np.bincount(pair, inner * (lag - mean[pair]) ** 2, minlength=pairs) / number)
-        mean_error = np.hypot(np.maximum(sd, SPREAD_MIN_SECONDS) / np.sqrt(total), LAG_ERROR * mean)
+        sure = np.bincount(pair, inner * weight, minlength=pairs)
+        few = np.sqrt(number / np.maximum(number - 1.0, 0.5))
+        mean_error = np.hypot(np.maximum(sd, SPREAD_MIN_SECONDS) * few / np.sqrt(sure), MEAN_ERROR * mean)
         error = np.hypot(error, LAG_ERROR * median)
         if slow is not None and slow_error is not None:
             usual = np.isfinite(slow)
