@@ -140,6 +140,7 @@ def _disturbed() -> list[Regime]:
         like("opening-door", "two paths open half-way", doors_opened=2),
         like("lost-camera", "one camera silent for a while, one for good", lost=lost),
         like("moved-camera", "two cameras turned elsewhere half-way", moved=(("cam03", 5400.0), ("cam08", 5400.0))),
+        like("one-way", "half of the ways taken in one direction only", one_way=0.5),
         like("no-tracks", "nothing ties an entry to its exit", tracks=False),
         like("no-positions", "one zone per camera", positions=False),
         like("fire-doors", "four cameras with a door that sees 1 % of the events", fire_doors=4),

@@ -41,6 +41,7 @@ small = st.builds(
     overlap_share=st.floats(0, 1),
     platoons=st.floats(0, 1),
     uneven=st.floats(0, 0.5),
+    one_way=st.floats(0, 1),
     fire_doors=st.integers(0, 3),
     linked=st.booleans(),
     zone_separation=st.floats(0.1, 0.3),
@@ -336,6 +337,16 @@ def test_uneven_ways_take_longer_one_way_than_the_other() -> None:
             assert all(link.transit.q50 < 0 for link in truth.links if link.relation == "overlapped")
     assert np.abs(apart[0.0]).max() < 0.001
     assert np.std(apart[0.1]) == pytest.approx(0.1 * math.sqrt(2), rel=0.2)
+
+
+def test_one_way_ways_are_never_taken_back() -> None:
+    for seed in range(4):
+        both, one = (simulate(SimSettings(hours=0.2, seed=seed, one_way=share))[1] for share in (0.0, 0.5))
+        unseen = [{(a.from_, a.to) for a in truth.links if a.relation == "unseen"} for truth in (both, one)]
+        assert all((v, u) in unseen[0] for u, v in unseen[0])
+        assert unseen[1] < unseen[0]
+        single = sum((v, u) not in unseen[1] for u, v in unseen[1])
+        assert single == pytest.approx(0.5 * len(unseen[0]) / 2, abs=0.51)
 
 
 def test_rhythm_moves_people_into_the_day() -> None:

@@ -64,6 +64,7 @@ def add_parser(subparsers: Any) -> None:
         ("--zone-stretch", float, "how many times as long the zones are"),
         ("--fire-doors", int, "cameras with a zone that sees 1 %% of their events"),
         ("--uneven", float, "spread of a way's length in each direction (log scale)"),
+        ("--one-way", float, "share of the ways taken in one direction only"),
         ("--u-turn", float, "probability of leaving a view where one came in"),
         ("--speed-sd", float, "spread of the walkers' speeds (log scale)"),
         ("--path-sd", float, "spread of one walker's time over one way (log scale)"),

@@ -134,6 +134,17 @@ def with_uneven_ways(layout: Layout, spread: float, rng: np.random.Generator) ->
     return replace(layout, onward=replace(layout.onward, metres=metres))
 
 
+def with_one_way(layout: Layout, share: float, rng: np.random.Generator) -> Layout:
+    """The same, where ``share`` of the unseen ways are taken in one direction only, as through a turnstile."""
+    onward = layout.onward
+    rows, options = np.nonzero((onward.probability > 0) & (onward.metres > 0))
+    ends = zip(rows.tolist(), onward.target[rows, options].tolist(), strict=True)
+    ways = rng.permutation(np.array(sorted({(min(way), max(way)) for way in ends})).reshape(-1, 2))
+    backwards = rng.random(len(ways)) < 0.5
+    chosen = np.where(backwards[:, None], ways[:, ::-1], ways)[: round(share * len(ways))]
+    return replace(layout, onward=onward.without({(u, v) for u, v in chosen.tolist()}))
+
+
 def _zones(counts: Ints, separation: float, stretch: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Centres (zones, 2) and covariances (zones, 2, 2), the zones of one camera well apart."""
     zones: list[tuple[Floats, Floats]] = []

@@ -12,7 +12,7 @@ SEPARATION_RANGE = (0.05, 0.3)
 STRETCH_RANGE = (1.0, 4.0)
 SHARES = (
     *("missed", "group_share", "loiterers", "slow_share", "u_turn", "overlap_share", "rhythm", "platoons"),
-    "clock_share",
+    *("clock_share", "one_way"),
 )
 NOT_NEGATIVE = (
     *("speed_sd", "path_sd", "uneven", "position_noise", "clock_sd", "clock_max", "doors_closed", "doors_opened"),
@@ -42,6 +42,8 @@ class SimSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Cameras with a zone that sees about 1 % of their events."""
     uneven: float = 0.0
     """Spread (log scale) of the length of a way in each direction: up the stairs takes longer than down."""
+    one_way: float = 0.0
+    """Share of the ways between views that do not overlap that are taken in one direction only."""
     u_turn: float = 0.03
     """Probability of leaving a view where one came in."""
     speed_sd: float = 0.3

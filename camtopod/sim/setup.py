@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camtopod.sim.layout import Layout, make_layout, with_fire_doors, with_uneven_ways, without_ways
+from camtopod.sim.layout import Layout, make_layout, with_fire_doors, with_one_way, with_uneven_ways, without_ways
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.truth import Floats
 
@@ -48,6 +48,8 @@ def make_setup(settings: SimSettings, rng: np.random.Generator) -> Setup:
         layout = with_fire_doors(layout, s.fire_doors, later)
     if s.uneven:
         layout = with_uneven_ways(layout, s.uneven, np.random.default_rng((s.seed, 6)))
+    if s.one_way:
+        layout = with_one_way(layout, s.one_way, np.random.default_rng((s.seed, 7)))
     return Setup(layout if s.linked else without_ways(layout), closing, opening, offsets, turned)
 
 

@@ -51,7 +51,7 @@ function _shtab_camtopod_using
 end
 
 set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check doctor completion
-set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --name --objects-per-second --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --uneven --updates --zone-separation --zone-stretch
+set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --uneven --updates --zone-separation --zone-stretch
 
 complete -c camtopod -e
 complete -c camtopod -f
@@ -138,6 +138,7 @@ complete -c camtopod -n '_shtab_camtopod_using simulate' -l zone-separation -x -
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l zone-stretch -x -d 'how many times as long the zones are (default 1)'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l fire-doors -x -d 'cameras with a zone that sees 1 % of their events (default 0)'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l uneven -x -d 'spread of a way'"'"'s length in each direction (log scale) (default 0)'
+complete -c camtopod -n '_shtab_camtopod_using simulate' -l one-way -x -d 'share of the ways taken in one direction only (default 0)'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l u-turn -x -d 'probability of leaving a view where one came in (default 0.03)'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l speed-sd -x -d 'spread of the walkers'"'"' speeds (log scale) (default 0.3)'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l path-sd -x -d 'spread of one walker'"'"'s time over one way (log scale) (default 0.1)'

@@ -369,6 +369,7 @@ _shtab_camtopod_simulate_options=(
   "--zone-stretch[how many times as long the zones are (default 1)]:FLOAT:"
   "--fire-doors[cameras with a zone that sees 1 \% of their events (default 0)]:INT:"
   "--uneven[spread of a way\'s length in each direction (log scale) (default 0)]:FLOAT:"
+  "--one-way[share of the ways taken in one direction only (default 0)]:FLOAT:"
   "--u-turn[probability of leaving a view where one came in (default 0.03)]:FLOAT:"
   "--speed-sd[spread of the walkers\' speeds (log scale) (default 0.3)]:FLOAT:"
   "--path-sd[spread of one walker\'s time over one way (log scale) (default 0.1)]:FLOAT:"
