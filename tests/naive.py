@@ -546,12 +546,13 @@ def surroundings(share, leave, steps, back_off, most, leave_floor):
     return {target: multiplier(share[target], now[target], most) for target in share}, max(stays_now, leave_floor)
 
 
-def predicted(topology, seen, asked, zone_of, constants):
+def predicted(topology, seen, asked, zone_of, constants, now=None):
     """`camtopod.learn.predict.Predictor`: after the events ``seen`` (all at different times, clocks right), where the
     object of the exit ``asked`` goes: {zone index: probability}, None for leaving. ``constants``: back-off, largest
-    multiplier, least leaving, prior of a dead camera, least probability, least rate.
+    multiplier, least leaving, prior of a dead camera, least probability, least rate, shortest stay, largest slowness.
+    ``now``: as it is known then; the exit itself and what came after it may be among the events.
     """
-    back_off, most, leave_floor, dead, least, rate_min = constants
+    back_off, most, leave_floor, dead, least, rate_min, stay_min, slowest = constants
     model, zones = topology.model, topology.zones
     index = {zone.id: k for k, zone in enumerate(zones)}
     scale, step = model.lag_scale, model.lag_step
@@ -594,9 +595,8 @@ def predicted(topology, seen, asked, zone_of, constants):
             result += zones[u].exits / exits * ahead / max(stay[u][5] if stay[u] else 10.0, 1.0)
         return result
 
-    def passage_of(n):
-        """Number of the entry that began the passage which the exit number n ends."""
-        event = asked if n == len(seen) else seen[n]
+    def passage_of(n, event):
+        """Number of the entry that began the passage which an exit ends, number n or before that."""
         for j in range(n - 1, -1, -1):
             if event.track is not None and (seen[j].camera, seen[j].track) == (event.camera, event.track):
                 return j if seen[j].kind == "entry" else None
@@ -607,12 +607,14 @@ def predicted(topology, seen, asked, zone_of, constants):
         same = [seen[i].camera == seen[j].camera and seen[i].track == seen[j].track for i in range(j + 1, n)]
         return seen[j].kind == "entry" and seen[j].track is not None and not any(same)
 
-    def causes(n, now):
-        """By camera, the rate at which what is known when event ``now`` comes could have caused arrival number n."""
+    def causes(n, known, but=()):
+        """By camera, the rate at which what is known when event ``known`` comes could have caused arrival number n;
+        without the events ``but``.
+        """
         a, v, found = seen[n], zone_of(seen[n]), {}
-        for x in range(now):
-            if seen[x].kind == "exit":
-                lag, p = a.t - seen[x].t, passage_of(x)
+        for x in range(known):
+            if seen[x].kind == "exit" and x not in but:
+                lag, p = a.t - seen[x].t, passage_of(x, seen[x])
                 other = seen[x].camera != a.camera
                 fits = other and lag >= model.lag_min and (p is None or seen[p].t < a.t)
                 if lag > 0 or fits:
@@ -620,34 +622,53 @@ def predicted(topology, seen, asked, zone_of, constants):
                 if lag < 0 and fits and p is not None:
                     found[seen[x].camera] -= rate_ahead(seen[x].camera, v)
         for j in range(n):
-            if under_way(j, n) and seen[j].camera != a.camera:
+            if j not in but and under_way(j, n) and seen[j].camera != a.camera:
                 more = rate_ahead(seen[j].camera, v) + rate_entered(zone_of(seen[j]), v, a.t - seen[j].t)
                 found[seen[j].camera] = found.get(seen[j].camera, 0.0) + more
         return found
 
-    u, p = zone_of(asked), passage_of(len(seen))
+    u, p = zone_of(asked), passage_of(sum(event.t < asked.t for event in seen), asked)
+    own = [p, *(n for n, event in enumerate(seen) if event == asked)]
     since = -np.inf if p is None else seen[p].t
-    mass = {}
-    for v, (_, row) in onward[u].items():
-        last = max((n for n, event in enumerate(seen, 1) if event.camera == zones[v].camera), default=0)
-        share = sum(known.share for known in model.cameras if known.camera == zones[v].camera)
-        alive = 1.0 / (1.0 + dead * np.exp(min((len(seen) - last) * share, 50.0)))
-        mass[v] = sum(h * (edges(k)[1] - edges(k)[0]) for k, h in row.items() if edges(k)[1] > 0) * alive
-    for n, a in enumerate(seen):
-        v, lag = zone_of(a), a.t - asked.t
-        if a.kind != "entry" or v not in onward[u] or a.camera == asked.camera:
-            continue
-        if a.t <= since or lag < model.lag_min:
-            continue
-        k, entered, own = at(lag), 0.0, 0.0
-        exposed = begun(u, k)
-        if p is not None:
-            low, high = edges(k)
-            exposed = min(max((high - (since - asked.t)) / (high - low), 0.0), 1.0) if high <= 0 else 1.0
-            entered = rate_entered(zone_of(seen[p]), v, a.t - since)
-            own = entered + rate_ahead(asked.camera, v)
-        here = rate(u, v, lag) * exposed + entered
-        mass[v] += here / max(outside[v] + sum(causes(n, len(seen)).values()) - own, rate_min)
+    slower = 1.0
+    if p is not None and model.pace is not None:
+        for way in model.pace.ways:
+            if (index[way.entry], index[way.exit]) == (zone_of(seen[p]), u):
+                slow = min(max(np.log(max(asked.t - since, stay_min) / way.stay), -slowest), slowest)
+                slower = np.exp(model.pace.scaling * slow * (1 + model.pace.correlation) / 2)
+
+    def odds_by(until):
+        """By zone, of appearing there, as it is known then."""
+        mass, pace = {}, slower if until > asked.t else 1.0
+        for v, (_, row) in onward[u].items():
+            last = max((n for n, event in enumerate(seen, 1) if event.camera == zones[v].camera), default=0)
+            share = sum(known.share for known in model.cameras if known.camera == zones[v].camera)
+            alive = 1.0 / (1.0 + dead * np.exp(min((len(seen) - last) * share, 50.0)))
+            mass[v] = 0.0
+            for k, h in row.items():
+                low, high = edges(k)
+                if high > 0:
+                    left = (high * pace - max(until - asked.t, low * pace)) / (high * pace - low * pace)
+                    mass[v] += h * (high - low) * alive * max(left, 0.0)
+        for n, a in enumerate(seen):
+            v, lag = zone_of(a), a.t - asked.t
+            usual = lag / pace if lag > 0 else lag
+            if a.kind != "entry" or v not in onward[u] or a.t > until or (lag < 0 and a.camera == asked.camera):
+                continue
+            if a.t <= since or at(usual) is None:
+                continue
+            k, entered = at(usual), 0.0
+            exposed = begun(u, k)
+            if p is not None:
+                low, high = edges(k)
+                exposed = min(max((high - (since - asked.t)) / (high - low), 0.0), 1.0) if high <= 0 else 1.0
+                entered = rate_entered(zone_of(seen[p]), v, a.t - since) if lag < 0 else 0.0
+            here = rate(u, v, usual) * exposed / (pace if lag > 0 else 1.0) + entered
+            others = sum(causes(n, len(seen), own).values())
+            mass[v] += here / max(outside[v] + others, rate_min)
+        return mass
+
+    mass = odds_by(asked.t)
     steps = []
     block = None if asked.x is None else int(asked.y * 6) * 6 + int(asked.x * 6)
     entry, before = (None, {}) if p is None else (zones[zone_of(seen[p])].id, causes(p, p))
@@ -666,6 +687,8 @@ def predicted(topology, seen, asked, zone_of, constants):
         stays = leave[u]
     doubt = {(index[row.zone], index[o.to]): o.doubt for row in model.onward for o in row.next_}
     stays += sum(mass[v] * likelier[v] * doubt[u, v] for v in mass)
+    if now is not None and now > asked.t:
+        stays, mass = max(stays, leave_floor), odds_by(now)
     odds = {v: mass[v] * likelier[v] * (1.0 - doubt[u, v]) for v in mass}
     odds = {v: value for v, value in odds.items() if value >= least * (stays + sum(odds.values()))}
     total = stays + sum(odds.values())

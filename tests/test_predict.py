@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from camtopod.learn import predict as module
-from camtopod.learn import recent
+from camtopod.learn import recent, under_way
 from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.predict import NEXT_PROBABILITY_MIN, Predictor
 from camtopod.learn.settings import Settings
+from camtopod.learn.slowness import SLOWNESS_MAX, STAY_SECONDS_MIN
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
@@ -31,9 +32,11 @@ from camtopod.records import (
     Model,
     Onward,
     Outcome,
+    Pace,
     Prediction,
     Topology,
     Transit,
+    Way,
     Zone,
     ZoneModel,
 )
@@ -259,15 +262,19 @@ def test_a_silent_camera_is_not_where_they_appear() -> None:
 def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Passages that never end among them."""
     monkeypatch.setattr(recent, "RECENT_MAX", 7)
-    monkeypatch.setattr(module, "UNDER_WAY_MAX", 7)
+    monkeypatch.setattr(under_way, "UNDER_WAY_MAX", 7)
     predictor = Predictor(THREE)
     for k in range(50):
         predictor.observe(replace(ENTERED, t=float(k), track=str(k)))
         predictor.observe(replace(EXIT, t=float(k), track=None))
-    sizes = {name: len(value) for name, value in vars(predictor).items() if isinstance(value, dict | list)}
-    sizes["in view"] = sum(map(len, predictor._in_view.values()))
+        predictor.observe(replace(EXIT, t=float(k), track=f"only {k}"))
+    held = [*vars(predictor).items(), *vars(predictor._under_way).items()]
+    sizes = {name: len(value) for name, value in held if isinstance(value, dict | list)}
+    sizes["in view"] = sum(map(len, predictor._under_way._in_view.values()))
     state = predictor.save()
-    assert max(sizes.values()) == sizes["in view"] == len(state.under_way) == len(state.arrivals) == 7
+    assert (
+        max(sizes.values()) == sizes["in view"] == sizes["_ended"] == len(state.under_way) == len(state.arrivals) == 7
+    )
     assert len(predictor._exits.after(-math.inf)[0]) == 7
     assert len(predictor._arrivals.t) == len(predictor._exits.t) == 14
 
@@ -326,8 +333,17 @@ def test_every_prediction_is_sound(links: list[Link], weak: list[Link], stay: li
 
 # --- the whole of it, against its slow twin ---
 
-CONSTANTS = (BACK_OFF_DEPARTURES, MULTIPLIER_MAX, LEAVE_FLOOR, module.DEAD_PRIOR, NEXT_PROBABILITY_MIN, module.RATE_MIN)
+CONSTANTS = (
+    BACK_OFF_DEPARTURES, MULTIPLIER_MAX, LEAVE_FLOOR, module.DEAD_PRIOR, NEXT_PROBABILITY_MIN, module.RATE_MIN,
+    STAY_SECONDS_MIN, SLOWNESS_MAX,
+)  # fmt: skip
 SMALL = LagBins(-20.0, 60.0)
+
+
+def any_pace(rng: np.random.Generator, names: list[str]) -> Pace | None:
+    """How slow somebody is persists, as far as ways through a view are known."""
+    ways = [Way(a, b, float(rng.uniform(1, 30))) for a in names for b in names if a[0] == b[0] and rng.random() < 0.7]
+    return Pace(1.0, float(rng.random()), 0.3, ways) if rng.random() < 0.7 else None
 
 
 def any_topology(rng: np.random.Generator) -> Topology:
@@ -362,7 +378,7 @@ def any_topology(rng: np.random.Generator) -> Topology:
         SMALL.scale, SMALL.step, SMALL.lag_min, SMALL.lag_max,
         [ZoneModel(n, 50, float(rng.uniform(0, 0.05)), s) for n, s in zip(names, stay, strict=True)],
         [CameraModel(c, float(rng.uniform(0.1, 0.5)), 0.0) for c in "abc"],
-        onward=onward, entered=entered, contexts=contexts,
+        onward=onward, entered=entered, contexts=contexts, pace=any_pace(rng, names),
     )  # fmt: skip
     cameras = [Camera(c, [n for n in names if n[0] == c]) for c in "abc"]
     return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 800, "", cameras, zones, [], [], model=model)
@@ -386,6 +402,34 @@ def test_odds_equal_their_slow_twin(seed: int) -> None:
     slow = naive.predicted(topology, seen, exit_, predictor.zone_of, CONSTANTS)
     assert fast.leave == pytest.approx(slow.pop(None))
     assert chances(fast) == pytest.approx({topology.zones[v].id: p for v, p in slow.items()})
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 10**6))
+def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
+    """Whether the exit has been observed or not, and whatever has been since."""
+    rng = np.random.default_rng(seed)
+    topology = any_topology(rng)
+    exit_ = Event(str(rng.choice(list("abc"))), "exit", 20.0, 0.2, 0.55, "its" if rng.random() < 0.8 else None)
+    seen = [
+        Event(str(rng.choice(list("abc"))), "exit" if rng.random() < 0.4 else "entry", float(t),
+              float(rng.choice([0.2, 0.8])), 0.55, str(rng.integers(0, 4)) if rng.random() < 0.8 else None)
+        for t in rng.uniform(0, 45, int(rng.integers(0, 30)))
+    ]  # fmt: skip
+    if exit_.track is not None and rng.random() < 0.8:
+        seen.append(replace(exit_, kind="entry", t=float(rng.uniform(0, 20)), x=float(rng.choice([0.2, 0.8]))))
+    now = float(rng.choice([20.0, rng.uniform(20, 23), rng.uniform(20, 60), seen[0].t if seen else 20.0]))
+    now = max(now, 20.0)
+    for events in (seen, [*seen, exit_]):
+        ordered = sorted(events, key=lambda event: event.t)
+        predictor = Predictor(topology)
+        for event in ordered:
+            predictor.observe(event)
+        fast = predictor.predict(exit_, now)
+        slow = naive.predicted(topology, ordered, exit_, predictor.zone_of, CONSTANTS, now)
+        assert fast.leave == pytest.approx(slow.pop(None), rel=1e-6)
+        assert chances(fast) == pytest.approx({topology.zones[v].id: p for v, p in slow.items()}, rel=1e-6)
+        sound(fast)
 
 
 def test_predictions_on_a_made_up_network() -> None:

@@ -10,6 +10,9 @@ are the learned hazards, all of them, weak evidence included. Five things are th
 * *pace*: who was slow in this view takes longer to the next;
 * *alive*: a camera silent for far longer than its traffic allows is not where objects will be seen.
 
+Asked again later, what would have shown by then has lost its odds to the rest, and each arrival since the exit counts
+as those before it do; both by the object's pace. Windows are those of the odds that remain.
+
 Events come with their cameras' own clocks; inside, times are right ones, as far as the topology knows the clocks.
 """
 
@@ -17,25 +20,23 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.learn.hazards import Hazards, Outcomes
+from camtopod.learn.joint import LEAVE_FLOOR
+from camtopod.learn.lag_odds import paced, quantiles, unknown
 from camtopod.learn.pace import Paces
 from camtopod.learn.recent import RECENT_MAX, Arrival, Recent
 from camtopod.learn.scene import block_of
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.surroundings import Surroundings
+from camtopod.learn.under_way import Passage, UnderWay
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
 
 Floats = NDArray[np.float64]
 
-UNDER_WAY_MAX = RECENT_MAX
-"""Passages under way that are remembered."""
-UNDER_WAY_SECONDS_MAX = 600.0
-"""A passage without an exit is forgotten after this, or after the longest known at its camera."""
 DEAD_PRIOR = 1e-3
 """Prior probability that a camera has gone silent for good."""
 SILENCE_NATS_MAX = 50.0
@@ -44,23 +45,16 @@ NEXT_PROBABILITY_MIN = 1e-4
 RATE_MIN = 1e-6
 
 
-class _Passage(Struct):
-    t: float
-    camera: str
-    entry: int
-    """Zone of entry."""
-    previous: str | None = None
-    """Camera it most probably came from, and the probability of that."""
-    sure: float = 0.0
-
-
 class PredictorState(Struct):
-    """What a `Predictor` has observed; what it knows beside that is its topology."""
+    """What a `Predictor` has observed; what it knows beside that is its topology.
+
+    Passages that have ended are left out: they only matter to who asks again about an exit.
+    """
 
     arrivals: list[Arrival]
     exit_times: Floats
     exit_zones: NDArray[np.int32]
-    under_way: list[tuple[str, str, _Passage]]
+    under_way: list[tuple[str, str, Passage]]
     events: int
     last_event: dict[str, int]
 
@@ -68,7 +62,8 @@ class PredictorState(Struct):
 class Predictor:
     """Prediction over one topology version. `observe` keeps it abreast of events; `predict` answers for an exit.
 
-    An exit is to be predicted before it is observed, else it competes with itself.
+    An exit is to be predicted before it is observed, else it competes with itself; not so where `predict` is told when
+    it is asked.
     """
 
     def __init__(self, topology: Topology) -> None:
@@ -84,10 +79,8 @@ class Predictor:
         self._clocks_apart = max(self._ahead.values(), default=0.0) - min(self._ahead.values(), default=0.0)
         self._corrected = topology.model is not None and topology.model.clocks_corrected
         self._share = {known.camera: known.share for known in (topology.model.cameras if topology.model else [])}
-        self._stay_max = {
-            camera: self._hazards.longest_stay(zones) or UNDER_WAY_SECONDS_MAX
-            for camera, zones in self._of_camera.items()
-        }
+        stay_max = {camera: self._hazards.longest_stay(zones) for camera, zones in self._of_camera.items()}
+        self._under_way = UnderWay({camera: stay for camera, stay in stay_max.items() if stay})
         self._arrivals, self._exits = Recent(), Recent()
         self._ahead_of = np.array([self._ahead.get(zone.camera, 0.0) for zone in self.zones])
         self._wanted = np.zeros(len(self.zones), np.bool_)  # all False between calls
@@ -95,10 +88,6 @@ class Predictor:
         self._names = list(self._of_camera)
         number = {camera: k for k, camera in enumerate(self._names)}
         self._camera_of = np.array([number[zone.camera] for zone in self.zones], np.int32)
-        self._under_way: dict[tuple[str, str], _Passage] = {}
-        self._in_view: dict[str, dict[str, tuple[int, _Passage]]] = {}
-        """The same by camera and track, each with its place among all."""
-        self._begun = 0
         self._events = 0
         self._last_event = dict.fromkeys(self._of_camera, 0)
 
@@ -118,16 +107,13 @@ class Predictor:
         for t, zone in zip(*(column.tolist() for column in older._exits.after(-math.inf)), strict=True):
             if zone in moved:
                 self._exits.append(t, moved[zone])
-        for (camera, track), passage in older._under_way.items():
-            if passage.entry in moved:
-                self._goes_under_way(camera, track, msgspec.structs.replace(passage, entry=moved[passage.entry]))
+        self._under_way.take_over(older._under_way, moved)
         self._events = older._events
         self._last_event = {camera: older._last_event.get(camera, older._events) for camera in self._of_camera}
 
     def save(self) -> PredictorState:
         """Everything `load` needs, beside the topology, to go on from here."""
-        under_way = [(camera, track, passage) for (camera, track), passage in self._under_way.items()]
-        exits = self._exits.save()
+        under_way, exits = self._under_way.passages(), self._exits.save()
         return PredictorState(self._arrivals.arrivals(), *exits, under_way, self._events, self._last_event)
 
     def load(self, state: PredictorState) -> None:
@@ -136,7 +122,7 @@ class Predictor:
             self._arrivals.append(arrival.t, arrival.zone, arrival.rate)
         self._exits.load(state.exit_times, state.exit_zones)
         for camera, track, passage in state.under_way:
-            self._goes_under_way(camera, track, passage)
+            self._under_way.begin(camera, track, passage)
         self._events, self._last_event = state.events, state.last_event
 
     def observe(self, event: Event) -> None:
@@ -154,34 +140,17 @@ class Predictor:
             if event.track is not None:
                 previous = max(causes, key=lambda camera: causes[camera], default=None)
                 sure = causes[previous] / rate if previous is not None else 0.0
-                passage = _Passage(t, event.camera, zone, previous, sure)
-                self._goes_under_way(event.camera, str(event.track), passage)
-                self._forget_stale(t)
+                passage = Passage(t, event.camera, zone, previous, sure)
+                self._under_way.begin(event.camera, str(event.track), passage)
+                self._under_way.forget_stale(t)
             return
-        left = self._leaves(event.camera, str(event.track))
+        left = None if event.track is None else self._under_way.end(event.camera, str(event.track), event.t)
         since = left.t if left else -math.inf
         self._exits.append(t, zone)
         found = self._recent(t, since, zone)
         there = self._arrivals.zone[found]
         more = self._hazards.rates_from(zone, there, self._arrivals.t[found] - t)
         self._arrivals.rate[found] += more - self._hazards.rates_ahead(event.camera, there) if left else more
-
-    def _goes_under_way(self, camera: str, track: str, passage: _Passage) -> None:
-        """One whose track is under way already keeps its place."""
-        self._under_way[camera, track] = passage
-        in_view = self._in_view.setdefault(camera, {})
-        self._begun += 1
-        in_view[track] = (in_view[track][0] if track in in_view else self._begun, passage)
-
-    def _leaves(self, camera: str, track: str) -> _Passage | None:
-        """Not under way any more."""
-        passage = self._under_way.pop((camera, track), None)
-        if passage is not None:
-            in_view = self._in_view[camera]
-            del in_view[track]
-            if not in_view:
-                del self._in_view[camera]
-        return passage
 
     def zone_of(self, event: Event) -> int | None:
         """Index of the zone the event most likely belongs to; None for a camera without zones."""
@@ -193,40 +162,63 @@ class Predictor:
         x, y = event.x, event.y
         return max(candidates, key=lambda k: _log_density(self.zones[k], x, y))
 
-    def predict(self, event: Event) -> Prediction:
-        """Next appearance of the object of an exit."""
+    def predict(self, event: Event, now: float | None = None) -> Prediction:
+        """Next appearance of the object of an exit, by what is known at the exit.
+
+        Or, asked again, by what is known at ``now``, seconds by the same camera's clock. The exit may have been
+        observed since. Where an arrival may have been the object's, the window may lie before ``now``. Raises
+        ValueError for a ``now`` before the exit.
+        """
+        _check(event.t, now)
         zone = self.zone_of(event)
         track = None if event.track is None else str(event.track)
         if zone is None:
             return Prediction(event.camera, None, event.t, track, self.topology.version, 1.0, [])
-        passage = self._under_way.get((event.camera, str(event.track))) if event.track is not None else None
-        return self.predict_from(zone, event.t, passage, track, block_of(event.x, event.y))
+        passage = None
+        if track is not None and now is None:
+            passage = self._under_way.get(event.camera, track)
+        elif track is not None:
+            passage = self._under_way.left_at(event.camera, track, event.t)
+        return self.predict_from(zone, event.t, passage, track, block_of(event.x, event.y), now)
 
     def predict_from(
-        self, zone: int, t: float, passage: _Passage | None = None, track: str | None = None, block: int | None = None
+        self,
+        zone: int,
+        t: float,
+        passage: Passage | None = None,
+        track: str | None = None,
+        block: int | None = None,
+        now: float | None = None,
     ) -> Prediction:
         """The same for an object that left a zone (index) at ``t`` by the clock of the zone's camera, after a passage
         and in a block of the image, if known.
         """
+        _check(t, now)
         here, outcomes = self.zones[zone], self._hazards.outcomes.get(zone)
         if outcomes is None:
             return Prediction(here.camera, here.id, t, track, self.topology.version, 1.0, [])
-        mass = self._odds(zone, outcomes, t - self._ahead[here.camera], passage)
+        left, edges = t - self._ahead[here.camera], self._hazards.bins.edges
+        stay = None if passage is None else left - passage.t
+        entry, departures = None if passage is None else passage.entry, self._hazards.departures[zone]
+        pace = self._paces.of_passage(entry, zone, stay)
+        observed = now is not None and self._has_left(zone, left)
+        mass = self._odds(zone, outcomes, left, passage, observed)
         known = (None, None, 0.0) if passage is None else (passage.entry, passage.previous, passage.sure)
         likelier, leave = self._surroundings.multipliers(zone, outcomes, block, *known)
         mass *= likelier[:, None]
         odds = mass.sum(axis=1)
         leave += float((outcomes.doubt * odds).sum())
+        if now is not None and now > t:  # what may as well be chance was so at the exit: it is gone, seen or not
+            slower, pace = 1.0 if pace is None else pace[0], None
+            mass = self._odds(zone, outcomes, left, passage, observed, now - t, slower) * likelier[:, None]
+            edges, odds, leave = paced(edges, slower), mass.sum(axis=1), max(leave, LEAVE_FLOOR)
         odds *= 1.0 - outcomes.doubt
         total = leave + float(odds.sum())
         order = [int(k) for k in np.argsort(-odds, kind="stable") if odds[k] >= NEXT_PROBABILITY_MIN * total]
         kept = leave + float(odds[order].sum())
         following = []
-        stay = None if passage is None else t - self._ahead[here.camera] - passage.t
-        entry, departures = None if passage is None else passage.entry, self._hazards.departures[zone]
-        pace = self._paces.of_passage(entry, zone, stay)
         chances, rests_on = (odds[order] / kept).tolist(), (outcomes.share[order] * departures).tolist()
-        usual = _quantiles(mass[order], self._hazards.bins.edges)
+        usual = quantiles(mass[order], edges)
         for k, chance, transitions, lags in zip(order, chances, rests_on, usual, strict=True):
             target = self.zones[outcomes.targets[k]]
             q10, q50, q90 = self._paces.at_pace(pace, transitions, *lags)
@@ -235,8 +227,21 @@ class Predictor:
             following.append(NextCamera(target.camera, target.id, chance, *times))
         return Prediction(here.camera, here.id, t, track, self.topology.version, leave / kept, following)
 
-    def _odds(self, zone: int, outcomes: Outcomes, t: float, passage: _Passage | None) -> Floats:
-        """Odds of every (target, lag bin), (targets, bins), beside those of not being seen again."""
+    def _odds(
+        self,
+        zone: int,
+        outcomes: Outcomes,
+        t: float,
+        passage: Passage | None,
+        observed: bool,
+        elapsed: float = 0.0,
+        slower: float = 1.0,
+    ) -> Floats:
+        """Odds of every (target, lag bin), (targets, bins), beside those of not being seen again.
+
+        ``observed``: the exit has been, so that arrivals have it among their causes. ``elapsed``: what is known so many
+        seconds after it, of an object that takes ``slower`` times as long as usual; bins are at its pace then.
+        """
         bins, past, since = self._hazards.bins, self._hazards.past, -math.inf if passage is None else passage.t
         camera = self.zones[zone].camera
         if passage is None:
@@ -245,24 +250,54 @@ class Predictor:
             exposed = np.where(past, np.clip((bins.edges[1:] + (t - since)) / bins.widths, 0.0, 1.0), 1.0)
         prior = outcomes.hazard * bins.widths * exposed
         later = self._ahead_of[outcomes.targets] - self._ahead[camera]
-        mass: Floats = (
-            np.where(bins.edges[1:] <= -later[:, None], 0.0, prior)
-            * np.array([self._alive(k) for k in outcomes.targets])[:, None]
-        )
         found = self._recent(t, since, zone)
+        before = len(found)
+        if elapsed:
+            edges = paced(bins.edges, slower)
+            came_since, remembered = self._since(t, elapsed, camera)
+            found = np.concatenate((found, came_since))
+            prior *= unknown(edges, elapsed, remembered, later)
+        else:
+            prior = np.where(bins.edges[1:] <= -later[:, None], 0.0, prior)
+        mass: Floats = prior * np.array([self._alive(k) for k in outcomes.targets])[:, None]
         there, came = self._arrivals.zone[found], self._arrivals.t[found]
         self._row_of[outcomes.targets] = np.arange(len(outcomes.targets))
-        k, at = self._row_of[there], bins.index(came - t)
+        k, at = self._row_of[there], bins.index(paced(came - t, 1.0 / slower) if elapsed else came - t)
         self._row_of[outcomes.targets] = -1
         some = np.flatnonzero((k >= 0) & (at >= 0))
         k, at, there, came, rate = k[some], at[some], there[some], came[some], self._arrivals.rate[found[some]]
         here = outcomes.hazard[k, at] * exposed[at]
+        if elapsed:
+            here *= (bins.widths / np.diff(edges))[at]
+        if observed:
+            rate = rate - self._hazards.rates_from(zone, there, came - t)
         if passage is not None:
             entered = self._hazards.rates_entered(passage.entry, there, came - since)
+            own = entered if observed else entered + self._hazards.rates_ahead(camera, there)
+            if elapsed:  # those who came after the exit: not from within the view, though it was not known any better
+                in_view = some < before
+                own = own * (in_view if observed else self._camera_of[there] != self._camera_of[zone])
+                entered = entered * in_view
             here = here + entered
-            rate = rate - (entered + self._hazards.rates_ahead(camera, there))
+            rate = rate - own
         np.add.at(mass, (k, at), here / np.maximum(rate, RATE_MIN))
         return mass
+
+    def _has_left(self, zone: int, t: float) -> bool:
+        """Whether an exit there and then has been observed."""
+        times, zones = self._exits.after(-math.inf)
+        return bool(((times == t) & (zones == zone)).any())
+
+    def _since(self, t: float, elapsed: float, camera: str) -> tuple[NDArray[np.intp], float]:
+        """Arrivals (indices) from an exit until ``elapsed`` seconds after it, clocks taken as they are; and from how
+        many seconds after it on they are remembered.
+        """
+        arrivals = self._arrivals
+        first = arrivals.first
+        zones = arrivals.zone[first : arrivals.stop]
+        shown = arrivals.t[first : arrivals.stop] + (self._ahead_of[zones] - self._ahead[camera])
+        remembered = float(shown[0]) - t if len(shown) >= RECENT_MAX else -math.inf
+        return np.flatnonzero((shown >= t) & (shown <= t + elapsed)) + first, remembered
 
     def _recent(self, t: float, since: float, zone: int) -> NDArray[np.intp]:
         """Arrivals (indices, newest first) in other views from ``since`` on that were there by ``t``, clocks taken as
@@ -295,7 +330,7 @@ class Predictor:
             if camera == here:
                 continue
             ahead, rate, first = self._hazards.rate_ahead(camera, zone), causes.get(camera, 0.0), None
-            for place, passage in self._in_view.get(camera, {}).values():
+            for place, passage in self._under_way.in_view(camera):
                 one = ahead
                 if passage.entry in kernels:
                     one += self._hazards.rate_entered(passage.entry, zone, t - passage.t)
@@ -307,15 +342,6 @@ class Predictor:
         causes.update((camera, rate) for _, camera, rate in sorted(further))  # as they came: sums depend on the order
         return causes
 
-    def _forget_stale(self, now: float) -> None:
-        """Forget the oldest passages under way: those that have lasted too long, and any beyond the limit."""
-        while self._under_way:
-            key, oldest = next(iter(self._under_way.items()))
-            fresh = now - oldest.t <= self._stay_max.get(oldest.camera, UNDER_WAY_SECONDS_MAX)
-            if fresh and len(self._under_way) <= UNDER_WAY_MAX:
-                return
-            self._leaves(*key)
-
     def _alive(self, zone: int) -> float:
         """Probability that the zone's camera still reports, from how many events of others it has let pass."""
         camera = self.zones[zone].camera
@@ -323,19 +349,9 @@ class Predictor:
         return 1.0 / (1.0 + DEAD_PRIOR * math.exp(min(silent, SILENCE_NATS_MAX)))
 
 
-def _quantiles(mass: Floats, edges: Floats) -> list[list[float]]:
-    """Lags (targets, 3) below which there are 10, 50 and 90 % of the mass (targets, bins) between ``edges``; in between
-    as `np.interp` has it.
-    """
-    rows = np.arange(len(mass))[:, None]
-    reached = np.zeros((len(mass), len(edges)))
-    np.cumsum(mass, axis=1, out=reached[:, 1:])
-    wanted = np.array((0.1, 0.5, 0.9)) * reached[:, -1:]
-    k = np.minimum((reached[:, None, :] <= wanted[:, :, None]).sum(axis=2) - 1, len(edges) - 2)
-    below = reached[rows, k]
-    slope = (edges[k + 1] - edges[k]) / (reached[rows, k + 1] - below)
-    lags: list[list[float]] = (slope * (wanted - below) + edges[k]).tolist()
-    return lags
+def _check(t: float, now: float | None) -> None:
+    if now is not None and not t <= now < math.inf:
+        raise ValueError(f"now is {now}: give the time of the exit, {t}, or a later one, in seconds")
 
 
 def _log_density(zone: Zone, x: float, y: float) -> float:

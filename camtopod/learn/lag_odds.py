@@ -1,0 +1,41 @@
+"""Odds over lag bins: what is left of them as time passes, at whose pace, and the windows they make."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def paced(lag: Floats, slower: float) -> Floats:
+    """Lags of somebody who takes ``slower`` times as long; those before the exit do not go by it."""
+    return np.where(lag > 0, slower * lag, lag)
+
+
+def unknown(edges: Floats, elapsed: float, remembered: float, later: Floats) -> Floats:
+    """Share of each bin, (targets, bins), of lags at which an arrival would not be known ``elapsed`` seconds after an
+    exit: those still to come, and those after the exit of which what came is not ``remembered``, from so many seconds
+    after it on. ``later``: by how much the targets' clocks are ahead, (targets,).
+    """
+    shift = later[:, None]
+    low, high, until = np.maximum(edges[:-1], -shift), edges[1:], elapsed - shift
+    coming = np.maximum(high - np.maximum(low, until), 0.0)
+    forgotten = np.maximum(np.minimum(high, np.minimum(remembered - shift, until)) - low, 0.0)
+    share: Floats = (coming + forgotten) / np.diff(edges)
+    return share
+
+
+def quantiles(mass: Floats, edges: Floats) -> list[list[float]]:
+    """Lags (targets, 3) below which there are 10, 50 and 90 % of the mass (targets, bins) between ``edges``; in between
+    as `np.interp` has it.
+    """
+    rows = np.arange(len(mass))[:, None]
+    reached = np.zeros((len(mass), len(edges)))
+    np.cumsum(mass, axis=1, out=reached[:, 1:])
+    wanted = np.array((0.1, 0.5, 0.9)) * reached[:, -1:]
+    k = np.minimum((reached[:, None, :] <= wanted[:, :, None]).sum(axis=2) - 1, len(edges) - 2)
+    below = reached[rows, k]
+    slope = (edges[k + 1] - edges[k]) / (reached[rows, k + 1] - below)
+    lags: list[list[float]] = (slope * (wanted - below) + edges[k]).tolist()
+    return lags
