@@ -126,6 +126,29 @@ def test_a_prediction_is_the_daemons(hub: Hub, site: Topology) -> None:
     assert by_zone.next_[0].probability == pytest.approx(said.next_[0].probability, abs=0.05)
 
 
+def test_what_has_been_told_since_counts_when_asked_again(site: Topology) -> None:
+    """Whoever leaves a at 0.9, 0.5 appears at b or c 9 s later, as a rule."""
+    left = Event("a", "exit", NOW, 0.9, 0.5, "7")
+    for event in (Event("a", "entry", NOW - 4.0, 0.1, 0.5, "7"), Event("b", "exit", NOW - 1.0)):
+        site.observe(event)
+    at_exit = site.predict(**LEFT, track="7")
+    assert site.predict(**LEFT, track="7", now=NOW) == at_exit
+    late = site.predict(**LEFT, track="7", now=NOW + 60)
+    assert late.leave > 0.8 > 0.3 > at_exit.leave
+    site.observe(left)
+    again = site.predict(**LEFT, track="7", now=NOW + 60)
+    assert again.leave == pytest.approx(late.leave), "told or not, and after which passage is still known"
+    site.observe(Event("b", "entry", NOW + 9.0, 0.1, 0.5))
+    for zone in (None, at_exit.zone):
+        asked = {"zone": zone} if zone else {"x": 0.9, "y": 0.5}
+        came = site.predict("a", NOW, **asked, now=NOW + 60)  # type: ignore[arg-type]
+        assert came.next_[0].camera == "b"
+        assert came.next_[0].probability > 0.9
+        assert came.next_[0].q10 <= 9.0 <= came.next_[0].q90 < 12.0
+        with pytest.raises(ValueError, match=r"now is .*: give the time of the exit"):
+            site.predict("a", NOW, **asked, now=NOW - 0.5)  # type: ignore[arg-type]
+
+
 def test_numbers_may_be_those_of_an_array(site: Topology) -> None:
     kept = np.array([NOW, 0.9, 0.5])
     assert site.predict("a", kept[0], x=kept[1], y=kept[2], track=np.int64(17)) == site.predict(**LEFT, track="17")  # type: ignore[arg-type]

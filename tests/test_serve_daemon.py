@@ -243,12 +243,45 @@ def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
     for parameters in ({"zone": "b/1"}, {"x": 0.5}, {"t": "noon"}, {"zone": "a/99"}):
         with pytest.raises(QueryError):
             bus.ask("predict/a", parameters)
+    asked_again(bus, daemon, t + 100)
 
     [(key, raw)] = bus.ask("topology", {"format": "application/json"})
     assert codec.read(Topology, raw).digest == daemon.topology.digest
     [(key, raw)] = bus.ask("status/*")
     assert key == "status/daemon"
     assert msgspec.msgpack.decode(raw)["state"] == "running"
+
+
+def asked_again(bus: Bus, daemon: Daemon, t: float) -> None:
+    """Who left the view of a at ``t`` appears at b or c 9 s later, or not at all."""
+
+    def said(**parameters: object) -> Prediction:
+        return codec.read(Prediction, bus.ask("predict/a", {"t": t, **parameters})[0][1], pack=True)
+
+    def at(prediction: Prediction, camera: str) -> float:
+        return sum(following.probability for following in prediction.next_ if following.camera == camera)
+
+    place = {"x": 0.9, "y": 0.5}
+    at_exit = said(**place)
+    assert said(**place, now=t) == at_exit
+    assert min(at(at_exit, "b"), at(at_exit, "c")) > 0.2
+    for where in (place, {"zone": at_exit.zone}):
+        none_came = said(**where, now=t + 60)
+        assert at(none_came, "b") + at(none_came, "c") < 0.1 < 0.8 < none_came.leave
+    put(bus, Event("a", "exit", t, 0.9, 0.5), Event("b", "entry", t + 9, 0.1, 0.5))
+    wait_for(lambda: at(said(**place, now=t + 20), "b") > 0.9, "the arrival at b to count")
+    came = said(**place, now=t + 20)
+    assert came.next_[0].q10 <= 9 <= came.next_[0].q90 < 20
+    assert said(**place, now=t + 8).leave < 0.5, "it had not come by then"
+    for now, why in (
+        (t - 1, "now is .*: give the time of the exit"),
+        ("nan", "now is nan"),
+        ("noon", "and now are num"),
+    ):
+        for where in (place, {"zone": at_exit.zone}):
+            with pytest.raises(QueryError, match=why):
+                said(**where, now=now)
+    assert daemon.status()["questions_refused"] == 10
 
 
 def test_nothing_learned_yet_is_an_answer(site: Site) -> None:

@@ -105,6 +105,7 @@ class View:
         y: float | None = None,
         zone: str | None = None,
         track: str | None = None,
+        now: float | None = None,
     ) -> Prediction:
         """Where an object that left ``camera`` at ``t`` appears next, by the version held: no question to the daemon,
         about a tenth of a millisecond.
@@ -115,8 +116,13 @@ class View:
         are seconds after ``t``. Where views overlap an object may have appeared already: without its entry there
         having been told, it is taken not to have.
 
+        ``now``: to ask again later, by the same camera's clock. What would have shown by then and has not shifts the
+        odds to the rest and to ``leave``; an entry told by `observe` since may have been the object's, and a window
+        before ``now`` says so. Without `observe` nothing has appeared; the newest 2,000 entries count. Whether the exit
+        has been told by then makes no difference.
+
         Raises `NothingLearned`; `UnknownPlace`, a KeyError, for a camera or zone this version does not have;
-        ValueError for what is no event or a zone with a position beside it.
+        ValueError for what is no event, a zone with a position beside it or a ``now`` before ``t``.
         """
         asked = {"camera": camera, "kind": "exit", "t": t, "x": x, "y": y, "track": track}
         event = codec.event_from_pack(
@@ -127,12 +133,12 @@ class View:
         with self._mutex:
             predictor = self._now().predictor
             if zone is not None:
-                return predictor.predict_from(zone_at(predictor.topology, zone, camera), event.t, track=track)
+                return predictor.predict_from(zone_at(predictor.topology, zone, camera), event.t, track=track, now=now)
             zones_of(predictor.topology, camera)
-            return predictor.predict(event)
+            return predictor.predict(event, now)
 
     def observe(self, event: Event) -> None:
-        """Take note of an event for predictions to come; an exit after it has been predicted.
+        """Take note of an event for predictions to come; an exit after it has been predicted for the first time.
 
         Events of all cameras of the site, or of those that the program sees, by time as far as that is possible. The
         newest 2,000 of each kind count. Those told before there is a version do not.

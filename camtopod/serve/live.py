@@ -57,8 +57,8 @@ class Live:
             self._predictor = newer
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction | None:
-        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone; None is no answer, as it is for another to
-        give. Raises `QueryError`.
+        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone, by what is known at the exit or at ``now``;
+        None is no answer, as it is for another to give. Raises `QueryError`.
         """
         if not self._owns(key.removeprefix("predict/")):
             return None
@@ -73,13 +73,16 @@ class Live:
             predictor = self._predictor
             if predictor is None:
                 raise QueryError("nothing has been learned yet")
-            event = asked_exit(camera, parameters, predictor.topology.as_of)
-            if "zone" not in parameters:
-                return predictor.predict(event)
+            event, now = asked_exit(camera, parameters, predictor.topology.as_of)
             zones = [zone.id for zone in predictor.zones]
-            if parameters["zone"] not in zones or not parameters["zone"].startswith(f"{camera}/"):
-                raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
-            return predictor.predict_from(zones.index(parameters["zone"]), event.t)
+            try:
+                if "zone" not in parameters:
+                    return predictor.predict(event, now)
+                if parameters["zone"] not in zones or not parameters["zone"].startswith(f"{camera}/"):
+                    raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
+                return predictor.predict_from(zones.index(parameters["zone"]), event.t, now=now)
+            except ValueError as error:
+                raise QueryError(str(error)) from None
 
     def _step(self, event: Event) -> None:
         """The prediction leaves before its exit is taken note of."""
@@ -94,13 +97,16 @@ class Live:
                 self._predictor.observe(event)
 
 
-def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> Event:
-    """The exit a question is about; at ``as_of`` if it does not say when. Raises `QueryError`."""
+def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> tuple[Event, float | None]:
+    """The exit a question is about, at ``as_of`` if it does not say when, and the time it is asked for, None for that
+    of the exit. Raises `QueryError`.
+    """
     asked: dict[str, object] = {"camera": camera, "kind": "exit", "t": as_of}
     try:
         asked |= {name: float(parameters[name]) for name in ("t", "x", "y") if name in parameters}
-        return codec.event_from_pack(codec.to_pack(asked))
+        now = float(parameters["now"]) if "now" in parameters else None
+        return codec.event_from_pack(codec.to_pack(asked)), now
     except codec.Rejected as error:
         raise QueryError(str(error)) from None
     except ValueError:
-        raise QueryError("t, x and y are numbers") from None
+        raise QueryError("t, x, y and now are numbers") from None
