@@ -57,7 +57,7 @@ class Live:
             self._predictor = newer
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction | None:
-        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone, by what is known at the exit or at ``now``;
+        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone, by what is known then or at ``now``;
         None is no answer, as it is for another to give. Raises `QueryError`.
         """
         if not self._owns(key.removeprefix("predict/")):
