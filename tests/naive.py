@@ -312,7 +312,7 @@ def q_values(p, tests):
     return np.array(result)
 
 
-def doubts(pair, responsibility, pairs, evidence, zones, spread_min, to_tell, chance, least):
+def doubts(pair, responsibility, pairs, evidence, zones, spread_min, to_tell, chance, few, least):
     """1 - P(something is linked) P(in character), pair by pair."""
     transitions, nats = [0.0] * pairs, [0.0] * pairs
     for p, r in zip(pair, responsibility, strict=True):
@@ -333,7 +333,8 @@ def doubts(pair, responsibility, pairs, evidence, zones, spread_min, to_tell, ch
             variance = (np.log(high / usual) / 0.6745) ** 2 + spread_min**2 + to_tell / (usual * transitions[p])
             below = min(np.log(max(nats[p] / transitions[p] / usual, 1e-12)), 0.0)
             likely = np.exp(-0.5 * below**2 / variance)
-            real = max((1 + chance) * likely / (likely + chance), least)
+            odds_of_chance = chance * (1 + few / transitions[p])
+            real = max((1 + odds_of_chance) * likely / (likely + odds_of_chance), least)
         result.append(1 - odds / (1 + odds) * real)
     return np.array(result)
 

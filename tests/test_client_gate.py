@@ -267,7 +267,7 @@ def posterior_and_truth(site: Site) -> tuple[np.ndarray, np.ndarray]:
 
 def test_it_is_what_the_predictor_says_before_anything_has_been_seen() -> None:
     """Zone by zone, of a site without overlapping views."""
-    events, _ = simulate(SimSettings(cameras=6, hours=0.3, seed=4, overlap_share=0.0))
+    events, _ = simulate(SimSettings(cameras=6, hours=1.0, seed=4, overlap_share=0.0))
     learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
     for event in events:
         learner.receive(event)

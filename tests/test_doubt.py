@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn.doubt import CHANCE_PRIOR, NATS_TO_TELL, REAL_MIN, SPREAD_MIN, doubts, in_character, linked
+from camtopod.learn.doubt import (
+    CHANCE_PRIOR,
+    CHANCE_TRANSITIONS,
+    NATS_TO_TELL,
+    REAL_MIN,
+    SPREAD_MIN,
+    doubts,
+    in_character,
+    linked,
+)
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Prediction, Topology
@@ -27,7 +36,8 @@ ONCE = Settings(refit_share=1e9, refit_hours=1e9)
 def test_by_loops(candidates: list[tuple[int, float]], evidence: list[float], zones: int) -> None:
     pair, responsibility = (np.array([c[k] for c in candidates]) for k in (0, 1))
     found = doubts(pair.astype(np.int32), responsibility, 6, np.array(evidence), zones)
-    slow = naive.doubts(pair, responsibility, 6, evidence, zones, SPREAD_MIN, NATS_TO_TELL, CHANCE_PRIOR, REAL_MIN)
+    constants = SPREAD_MIN, NATS_TO_TELL, CHANCE_PRIOR, CHANCE_TRANSITIONS, REAL_MIN
+    slow = naive.doubts(pair, responsibility, 6, evidence, zones, *constants)
     assert found == pytest.approx(slow, abs=1e-9)
 
 

@@ -29,7 +29,9 @@ NATS_TO_TELL = 3.0
 """Where a way with so many transitions would have this much evidence, chance adds 1 to the variance of its log."""
 NORMAL_QUARTILE = 0.6745
 CHANCE_PRIOR = 0.1
-"""How likely a pair is one that chance made, beside a way whose evidence is the usual."""
+"""How likely a pair of many transitions is one that chance made, beside a way whose evidence is the usual; ..."""
+CHANCE_TRANSITIONS = 3.0
+"""... one of so many is twice as likely, as chance makes few of each."""
 REAL_MIN = 0.07
 """Share of the transitions that are real even where all speaks against it."""
 
@@ -62,7 +64,8 @@ def in_character(each: Floats, transitions: Floats) -> Floats:
     differ = (np.log(high / usual) / NORMAL_QUARTILE) ** 2 + SPREAD_MIN**2
     variance = differ + NATS_TO_TELL / np.maximum(usual * transitions, 1e-12)
     likely = np.exp(-0.5 * np.log(np.clip(each / usual, 1e-12, 1.0)) ** 2 / variance)
-    probability: Floats = (1.0 + CHANCE_PRIOR) * likely / (likely + CHANCE_PRIOR)
+    chance = CHANCE_PRIOR * (1.0 + CHANCE_TRANSITIONS / np.maximum(transitions, 1e-12))
+    probability: Floats = (1.0 + chance) * likely / (likely + chance)
     return probability
 
 
