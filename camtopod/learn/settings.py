@@ -25,9 +25,9 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     refit_hours: Annotated[float, Meta(ge=0)] = 1.0
     """... or when there are any and this much event time has passed."""
     window_hours: Annotated[float, Meta(gt=0)] = 336.0
-    """Forgetting: events older than this are not learned from. Ways that open or close are found within it."""
+    """Forgetting: events older than this are not learned from; on a busy site the number of events forgets sooner."""
     window_events: Annotated[int, Meta(ge=1)] = 60_000
-    """So many events are kept for learning, whatever their age, ..."""
+    """Of all events the newest so many are learned from, be they of a day, ..."""
     window_camera_events: Annotated[int, Meta(ge=0)] = 2_000
     """... or so many for each camera, if that is more, ..."""
     window_events_max: Annotated[int, Meta(ge=1)] = 20_000_000
