@@ -321,6 +321,7 @@ def _of_predictions(result: PredictionScore, prefix: str) -> dict[str, float]:
         f"{prefix}log_loss": result.log_loss,
         f"{prefix}calibration_error": result.calibration_error,
         f"{prefix}first_calibration_error": result.first_calibration_error,
+        f"{prefix}first_calibration_floor": result.first_calibration_floor,
     }
 
 

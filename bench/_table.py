@@ -44,6 +44,7 @@ ROWS = {
     "calibration_error": "calibration error, all outcomes",
     "told_calibration_error": "  told chain, same zones",
     "first_calibration_error": "calibration error, first guess",
+    "first_calibration_floor": "  of that by chance, were all right",
     "told_first_calibration_error": "  told chain, same zones",
     "first_calibration_error_all": "  ours, all exits, clutter's included",
     "window_coverage": "came within q10..q90 (0.8 is right)",

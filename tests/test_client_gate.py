@@ -27,8 +27,9 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
+from camtopod.sim.calibration import calibration_error
 from camtopod.sim.network import SimSettings, simulate
-from camtopod.sim.score import calibration_error, next_entries
+from camtopod.sim.score import next_entries
 
 COV = [[0.001, 0.0], [0.0, 0.001]]
 STEP = 0.05

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 
 import msgspec
+import numpy as np
 import pytest
 from made import topology_of
 
 from camtopod.records import Event, NextCamera, Pair, Prediction
+from camtopod.sim.calibration import calibration_error, calibration_floor
 from camtopod.sim.network import SimSettings, simulate
-from camtopod.sim.score import calibration_error, clock_errors, score, score_predictions
+from camtopod.sim.score import clock_errors, score, score_predictions
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Truth
 
 TRUTH = simulate(SimSettings(cameras=4, hours=0.3))[1]
@@ -139,3 +141,12 @@ def test_a_camera_that_is_not_named_has_no_window() -> None:
     result = score_predictions(none, events, truth)
     assert math.isnan(result.window_coverage)
     assert result.top1 == 0
+
+
+def test_the_floor_is_what_right_probabilities_come_to() -> None:
+    rng = np.random.default_rng(0)
+    stated = rng.uniform(0.2, 1.0, 500)
+    errors = [calibration_error(stated.tolist(), (rng.random(500) < stated).tolist()) for _ in range(400)]
+    assert np.mean(errors) == pytest.approx(calibration_floor(stated.tolist()), rel=0.05)
+    assert calibration_floor([1.0, 0.0]) == 0
+    assert math.isnan(calibration_floor([]))

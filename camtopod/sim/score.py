@@ -11,6 +11,7 @@ from msgspec import Struct
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.records import Event, Link, Prediction, Topology, Transit, Zone
+from camtopod.sim.calibration import calibration_error, calibration_floor
 from camtopod.sim.truth import CLUTTER, TrueLink, TrueZone, Truth
 
 ZONE_TOLERANCE = 0.1
@@ -21,7 +22,6 @@ TRANSIT_FLOOR_SECONDS = 1.0
 """Errors of shorter transit times are relative to this, as a fraction of next to nothing says nothing."""
 PROBABILITY_FLOOR = 1e-6
 """Least probability in the log loss: an outcome held impossible costs 13.8 nats, not infinitely many."""
-CALIBRATION_BINS = 10
 
 
 class Score(Struct, frozen=True):
@@ -132,6 +132,8 @@ class PredictionScore(Struct, frozen=True):
     where nobody is far off."""
     first_calibration_error: float = math.nan
     """The same of the first guess alone: the likeliest outcome, which may be leaving."""
+    first_calibration_floor: float = math.nan
+    """What chance would make of that on as many exits if every probability were right."""
     first_calibration_error_all: float = math.nan
     """The same over all exits, those of nobody too, after which nobody comes: who predicts cannot know which they are,
     so over the others alone what is right over all looks too careful."""
@@ -198,17 +200,6 @@ def clock_errors(topology: Topology, truth: Truth) -> dict[str, float]:
     error = {c.id: c.clock_offset - truth.clock_offsets.get(c.id, 0.0) for c in topology.cameras}
     gauge = float(np.median(list(error.values()))) if error else 0.0
     return {camera: value - gauge for camera, value in error.items()}
-
-
-def calibration_error(probability: Sequence[float], happened: Sequence[bool]) -> float:
-    """Expected calibration error: over equal bins of probability, the mean of |stated - happened|, weighted by how
-    many lie in each; nan without any."""
-    if not probability:
-        return math.nan
-    stated, came = np.array(probability), np.array(happened, dtype=float)
-    bin_ = np.minimum((stated * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)
-    gap = np.bincount(bin_, stated - came, CALIBRATION_BINS)
-    return float(np.abs(gap).sum() / len(stated))
 
 
 def match_zones(learned: Sequence[Zone], true: Sequence[TrueZone], tolerance: float) -> dict[str, str]:
@@ -294,6 +285,7 @@ def score_predictions(
         loss -= math.log(max(outcome, PROBABILITY_FLOOR))
         stated += [*by_camera.values(), prediction.leave]
         happened += [*(entry is not None and camera == entry.camera for camera in by_camera), entry is None]
+    somebody = [guess for guess in firsts if not guess.clutter]
     return PredictionScore(
         exits=scored,
         followed=followed,
@@ -301,7 +293,8 @@ def score_predictions(
         top3=_share(top3, followed),
         log_loss=loss / scored if scored else math.nan,
         calibration_error=calibration_error(stated, happened),
-        first_calibration_error=_calibration_error([guess for guess in firsts if not guess.clutter]),
+        first_calibration_error=_calibration_error(somebody),
+        first_calibration_floor=calibration_floor([guess.stated for guess in somebody]),
         first_calibration_error_all=_calibration_error(firsts),
         window_coverage=float(np.mean(within)) if within else math.nan,
     )
