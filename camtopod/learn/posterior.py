@@ -94,7 +94,9 @@ def fit_posterior(
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
     scout.look()
     scout.skip()
-    fitter = PosteriorFitter(departures, arrivals, scout.worth_following(), bins, zones, until, scout.exposure)
+    followed, exposure = scout.worth_following(), scout.exposure
+    del scout  # half of the memory of a fit
+    fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until, exposure)
     fitter.learn()
     fitter.sample()
     doubt = doubts(fitter.candidates.pair, fitter.responsibility, fitter.pairs, evidence, zones)
