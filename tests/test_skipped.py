@@ -16,9 +16,9 @@ from camtopod.learn import skipped as module
 from camtopod.learn.candidates import Candidates, Departures, find_candidates, number_pairs
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
-from camtopod.learn.passages import UNKNOWN_STAY_SECONDS
 from camtopod.learn.posterior import Posterior, fit_posterior
 from camtopod.learn.skipped import Through, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
 
 BINS = LagBins(-60.0, 120.0)
 CAMERA = np.array([0, 1, 1, 2, 2, 3], np.int64)

@@ -12,10 +12,9 @@ from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 from camtopod.learn.hazards import Outcomes
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.learner import Learner
-from camtopod.learn.scene import BLOCKS_ACROSS, block_of, blocks_of
+from camtopod.learn.positions import BLOCKS_ACROSS, POSITION_ONE, block_of, blocks_of
 from camtopod.learn.settings import Settings
 from camtopod.learn.surroundings import Surroundings
-from camtopod.learn.zones import POSITION_ONE
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Context, Event, Model, Prediction, Topology, Zone
 
 NAMES = ["a/1", "a/2", "b/1", "c/1"]

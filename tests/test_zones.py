@@ -16,9 +16,9 @@ from thesis import FIGURE_4_4_ZONES, figure_4_4
 from camtopod.learn import valley as valley_module
 from camtopod.learn.clutter import clutter_rate
 from camtopod.learn.evidence import gaussians, log_evidence
+from camtopod.learn.positions import POSITION_ONE
 from camtopod.learn.valley import valley
 from camtopod.learn.zones import (
-    POSITION_ONE,
     CellSums,
     ZoneMap,
     ZoneShape,

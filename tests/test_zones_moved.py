@@ -8,9 +8,10 @@ import pytest
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.moved import find_move
+from camtopod.learn.positions import POSITION_ONE
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS, Settings
 from camtopod.learn.window import Window
-from camtopod.learn.zones import POSITION_ONE, cell_sums, cells_of, find_zones
+from camtopod.learn.zones import cell_sums, cells_of, find_zones
 from camtopod.records import Event
 
 BEFORE = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3)]

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from camtopod.client.errors import zone_at, zones_of
 from camtopod.learn.hazards import Hazards
+from camtopod.learn.positions import block_of
 from camtopod.learn.predict import Predictor
-from camtopod.learn.scene import block_of
 from camtopod.learn.surroundings import Surroundings
 from camtopod.records import Event, Kind, Topology
 

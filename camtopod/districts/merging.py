@@ -17,11 +17,12 @@ from msgspec.structs import replace
 from camtopod.districts.parts import Part
 from camtopod.districts.places import Places
 from camtopod.districts.renaming import Names, renamed
-from camtopod.learn.assemble import DIGITS, by_clocks, short
+from camtopod.learn.assemble import by_clocks
 from camtopod.learn.chain import markov_chain
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX
 from camtopod.learn.relations import camera_pairs
+from camtopod.learn.rounding import DIGITS, short
 from camtopod.learn.settings import Settings
 from camtopod.learn.topology import ALARMS_KEPT_MAX, link_key
 from camtopod.records import (

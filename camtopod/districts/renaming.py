@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 
 from msgspec.structs import replace
 
-from camtopod.learn.assemble import short
+from camtopod.learn.rounding import short
 from camtopod.learn.topology import LinkKey, link_key
 from camtopod.records import Alarm, Context, EntryKernel, Histogram, Link, Model, Onward, Outcome, Topology
 

@@ -3,7 +3,7 @@
 In the order in which data flows:
 
 * `learner`: the whole; `settings`: its limits
-* `intake`: any order in, by time out; `window`: the events that count, as sums that can be undone
+* `intake`: any order in, by time out; `window`: the events that count, as sums that can be undone; `positions`
 * `daspec` and `clutter`, `partition`, `evidence`, `valley`: entry and exit zones; `mixture`: which cell is which zone;
   `zones`: all of it, with numbers that stay with their place; `moved`: a camera that was turned
 * `coarse`, `twoway`, `clocks`: whose clock is wrong, and by how much
@@ -13,8 +13,8 @@ In the order in which data flows:
   figures; `links`
 * `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
 * `change`, `silence`, `alarms`: what opened, closed, moved or fell silent; `scoring`: how good its own predictions were
-* `posterior`, `contexts`, `skipped`, `sampling`: where objects go, all weak evidence included; `model`: what of it a
-  version carries
-* `assemble`, `topology`: versions with digests and deltas
-* `hazards`, `surroundings`, `pace`, `recent`, `predict`: where to look next, and when
+* `posterior`, `prior`, `contexts`, `skipped`, `sampling`: where objects go, all weak evidence included; `doubt`: what
+  of that may be chance; `model`: what of it a version carries
+* `assemble`, `rounding`, `topology`: versions with digests and deltas
+* `hazards`, `surroundings`, `pace`, `recent`, `under_way`, `lag_odds`, `predict`: where to look next, and when
 """

@@ -1,6 +1,5 @@
-"""Learned figures -> the nouns of the contract: zones, links, pairs, chain and what prediction needs.
-
-Floats are rounded to six significant digits: no reader needs more, and the last bits differ between processors.
+"""Learned figures -> the nouns of the contract: zones, links, pairs, chain and what prediction needs. Figures are
+rounded (`rounding`).
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from camtopod.learn.clocks import Clocks
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable
 from camtopod.learn.relations import camera_pairs, relation_of
+from camtopod.learn.rounding import DIGITS, short
 from camtopod.learn.scene import Scene, ZoneRef
 from camtopod.learn.settings import Settings
 from camtopod.learn.topology import link_key
@@ -30,15 +30,9 @@ from camtopod.records import (
     Zone,
 )
 
-DIGITS = 6
 STAY_DECILES = np.linspace(0.0, 1.0, 11)
 HISTOGRAM_MASS_MIN = 1e-3
 """Bins at the ends of a histogram with less than this share of its mass are left off."""
-
-
-def short(value: float) -> float:
-    """Six significant digits; minus zero and nan become zero."""
-    return float(f"{value:.{DIGITS}g}") + 0.0 if value == value else 0.0
 
 
 def zone_id(cameras: list[str], zone: ZoneRef) -> str:

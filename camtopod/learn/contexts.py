@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures
 
@@ -37,8 +36,12 @@ class Level(NamedTuple):
     """(contexts, 2): zone of entry or camera before, and block."""
     departures: Floats
     """(contexts,) sure departures, f n."""
-    transitions: csr_array
-    """(contexts, zones) sure transitions, f N."""
+    first: Longs
+    """(contexts + 1,) rows of each context among the following."""
+    target: Longs
+    """(rows,) zones where departures of a context appear next, ascending ..."""
+    transitions: Floats
+    """... and how many surely do, f N."""
 
 
 class Contexts:
@@ -85,9 +88,9 @@ class Contexts:
             stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
             leave = told * stays / (n[number] - mine + BACK_OFF_DEPARTURES) + (1.0 - told) * leave
             context, at = np.nonzero(moved.reshape(len(keys), width))
-            reached = c.target[first[keys[context, 0]] + at]
-            transitions = csr_array((moved[moved != 0], (context, reached)), shape=(len(keys), self.zones))
-            levels.append(Level(keys[:, 0], keys[:, 1:], n.astype(float), transitions))
+            reached = c.target[first[keys[context, 0]] + at].astype(np.int64)
+            rows = np.searchsorted(context, np.arange(len(keys) + 1))
+            levels.append(Level(keys[:, 0], keys[:, 1:], n.astype(float), rows, reached, moved[moved != 0]))
         return levels, share, leave
 
     def _contexts(self, candidates: Candidates, responsibility: Floats) -> list[tuple[tuple[Longs, Longs], Floats]]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.joint import LEAVE_FLOOR, smooth
 from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins
-from camtopod.learn.passages import UNKNOWN_STAY_SECONDS
+from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
 from camtopod.records import Histogram, Link, Onward, Topology
 
 Floats = NDArray[np.float64]

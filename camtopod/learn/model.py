@@ -6,13 +6,14 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from camtopod.learn.assemble import STAY_DECILES, histogram, short, zone_id
+from camtopod.learn.assemble import STAY_DECILES, histogram, zone_id
 from camtopod.learn.change import Change
 from camtopod.learn.contexts import LEVELS
 from camtopod.learn.grouping import rows_of
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.lags import LagBins
 from camtopod.learn.posterior import Posterior
+from camtopod.learn.rounding import short
 from camtopod.learn.scene import Scene
 from camtopod.learn.slowness import Persistence, usual_stays
 from camtopod.learn.window import Window
@@ -135,12 +136,11 @@ def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Flo
     changed = {(int(c.source[k]), int(c.target[k])): float(now[k]) for k in np.flatnonzero(now != 1.0)}
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
-        table = level.transitions
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
             first, block = (int(part) for part in level.parts[k])
-            zone, row = int(level.zone[k]), slice(table.indptr[k], table.indptr[k + 1])
+            zone, row = int(level.zone[k]), slice(level.first[k], level.first[k + 1])
             departures, to = float(level.departures[k]), {}
-            for v, mass in zip(table.indices[row].tolist(), table.data[row].tolist(), strict=True):
+            for v, mass in zip(level.target[row].tolist(), level.transitions[row].tolist(), strict=True):
                 moved = mass * changed.get((zone, v), 1.0)
                 departures += moved - mass
                 if moved > CONTEXT_TRANSITIONS_MIN:

@@ -15,9 +15,6 @@ from camtopod.learn.links import TRANSITIONS_MIN, LinkTable, Transitions, join, 
 from camtopod.learn.rates import local_rates
 from camtopod.learn.scene import Scene
 
-UNKNOWN_STAY_SECONDS = 10.0
-"""A passage is taken to last this long where nothing is known of any."""
-
 
 def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:
     """Transitions through every camera's view; lags are the seconds a passage lasts."""

@@ -28,8 +28,8 @@ from camtopod.learn.hazards import Hazards, Outcomes
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lag_odds import paced, quantiles, unknown
 from camtopod.learn.pace import Paces
+from camtopod.learn.positions import block_of
 from camtopod.learn.recent import RECENT_MAX, Arrival, Recent
-from camtopod.learn.scene import block_of
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.surroundings import Surroundings
 from camtopod.learn.under_way import Passage, UnderWay

@@ -9,17 +9,16 @@ from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.intake import MICROSECONDS
+from camtopod.learn.positions import blocks_of
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import slowness
 from camtopod.learn.window import Window, cells_of
-from camtopod.learn.zones import POSITION_ONE, ZoneMap, ZoneShape
+from camtopod.learn.zones import ZoneMap, ZoneShape
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 NO_ZONE = -1
-BLOCKS_ACROSS = 6
-"""Rows and columns of the coarse grid that says where along an open border an object left."""
 
 
 class ZoneRef(NamedTuple):
@@ -72,20 +71,6 @@ def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], ND
         tables.append(table)
     size = len(tables[0]) if tables else 1
     return zones, np.stack(tables).astype(np.int32) if tables else np.zeros((0, size), np.int32)
-
-
-def blocks_of(px: NDArray[np.int32], py: NDArray[np.int32]) -> Ints:
-    """Block of the image (row * columns + column of a coarse grid) of fixed-point positions; -1 where there is none."""
-    row, column = (np.minimum(p.astype(np.int64) * BLOCKS_ACROSS // POSITION_ONE, BLOCKS_ACROSS - 1) for p in (py, px))
-    return np.where(px < 0, -1, row * BLOCKS_ACROSS + column).astype(np.int32)
-
-
-def block_of(x: float | None, y: float | None) -> int | None:
-    """The same of one position in fractions of the image; None where there is none."""
-    if x is None or y is None:
-        return None
-    row, column = (min(int(round(p * POSITION_ONE) * BLOCKS_ACROSS // POSITION_ONE), BLOCKS_ACROSS - 1) for p in (y, x))
-    return row * BLOCKS_ACROSS + column
 
 
 def see(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Scene:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from camtopod.learn.candidates import Candidates, Departures
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.missed import joined
-from camtopod.learn.passages import UNKNOWN_STAY_SECONDS
+from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 
 WAY_PASSAGES_MIN = 5
 """The median of a way counts from this many passages."""
+UNKNOWN_STAY_SECONDS = 10.0
+"""A passage is taken to last this long where nothing is known of any."""
 STAY_SECONDS_MIN = 0.2
 SLOWNESS_MAX = 1.5
 """Passages slower or faster than e to this are loiterers and fragments; they count as that slow."""

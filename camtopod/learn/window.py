@@ -16,8 +16,9 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.learn.grouping import rows_of
+from camtopod.learn.positions import POSITION_ONE
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
-from camtopod.learn.zones import POSITION_ONE, CellSums
+from camtopod.learn.zones import CellSums
 from camtopod.records import Event
 
 OPEN_PASSAGES_MAX = 100_000

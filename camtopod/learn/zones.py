@@ -20,6 +20,7 @@ from scipy.optimize import linear_sum_assignment
 from camtopod.learn.clutter import clutter_rates
 from camtopod.learn.mixture import classify_cells
 from camtopod.learn.partition import Cells, partition
+from camtopod.learn.positions import POSITION_ONE
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 
 Integers = NDArray[np.int64]
@@ -27,8 +28,6 @@ Floats = NDArray[np.float64]
 
 ANEW_EVENTS_MAX = 4000
 """With so many events zones are no longer learned from nothing."""
-POSITION_ONE = 1 << 12
-"""An image position of 1.0 in the fixed point of the sums."""
 CELLS = GRID_ROWS * GRID_COLUMNS
 MATCH_DISTANCE = 3.0
 """A zone is at an old zone's place when its centre is within this many standard deviations of it."""

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -39,8 +39,10 @@ from camtopod.serve.receiver import Receiver
 from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover, told_by
 from camtopod.serve.rivals import Rivals
 from camtopod.serve.share import Share, Whole
-from camtopod.serve.sharing import Sharing
 from camtopod.serve.storing import Version
+
+if TYPE_CHECKING:
+    from camtopod.serve.sharing import Sharing
 
 log = logging.getLogger(__name__)
 
@@ -283,6 +285,8 @@ class Daemon:
             self._on_version, storing.on_snapshot, self._receiver.on_deadline, self._new_epoch,
         )  # fmt: skip
         if isinstance(share, Share):
+            from camtopod.serve.sharing import Sharing  # brings what learning needs, which is not small
+
             self._sharing = Sharing(
                 self._config, share, directory, bus, self._learning, told_by(process), self._clock, self._use
             )

@@ -1,0 +1,25 @@
+"""Positions in the image: as integers, whose sums can be undone, and as blocks of a coarse grid."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+POSITION_ONE = 1 << 12
+"""A position of 1.0, the whole width or height of the image, as an integer."""
+BLOCKS_ACROSS = 6
+"""Rows and columns of the coarse grid that says where along an open border an object left."""
+
+
+def blocks_of(px: NDArray[np.int32], py: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Block of the image (row * columns + column of a coarse grid) of fixed-point positions; -1 where there is none."""
+    row, column = (np.minimum(p.astype(np.int64) * BLOCKS_ACROSS // POSITION_ONE, BLOCKS_ACROSS - 1) for p in (py, px))
+    return np.where(px < 0, -1, row * BLOCKS_ACROSS + column).astype(np.int32)
+
+
+def block_of(x: float | None, y: float | None) -> int | None:
+    """The same of one position in fractions of the image; None where there is none."""
+    if x is None or y is None:
+        return None
+    row, column = (min(int(round(p * POSITION_ONE) * BLOCKS_ACROSS // POSITION_ONE), BLOCKS_ACROSS - 1) for p in (y, x))
+    return row * BLOCKS_ACROSS + column
