@@ -11,8 +11,8 @@ from scipy.optimize import linear_sum_assignment
 
 from camtopod.client import Gate, UnknownPlace
 from camtopod.learn.learner import Learner
+from camtopod.learn.positions import block_of
 from camtopod.learn.predict import Predictor
-from camtopod.learn.scene import block_of
 from camtopod.learn.settings import Settings
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
