@@ -312,13 +312,15 @@ def q_values(p, tests):
     return np.array(result)
 
 
-def doubts(pair, responsibility, pairs, evidence, zones, spread_min, to_tell, chance, few, least):
+def doubts(pair, responsibility, pairs, evidence, left, spread_min, to_tell, chance, few, least, departures):
     """1 - P(something is linked) P(in character), pair by pair."""
     transitions, nats = [0.0] * pairs, [0.0] * pairs
     for p, r in zip(pair, responsibility, strict=True):
         transitions[p] += r
         nats[p] += -np.log(1 - r) - r
-    odds = sum(np.exp(e) for e in evidence) / zones**2
+    every = len(left) ** 2
+    unknown = sum(np.exp(-n / departures) for n in left) / len(left) * (every - len(evidence))
+    odds = (sum(np.exp(e) for e in evidence) + unknown) / every
     each = sorted((nats[p] / transitions[p], transitions[p]) for p in range(pairs) if transitions[p] > 0)
     reached = [(value, sum(n for _, n in each[: k + 1])) for k, (value, _) in enumerate(each)]
 

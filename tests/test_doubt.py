@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from camtopod.learn.doubt import (
     CHANCE_PRIOR,
     CHANCE_TRANSITIONS,
+    DEPARTURES_TO_TELL,
     NATS_TO_TELL,
     REAL_MIN,
     SPREAD_MIN,
@@ -30,14 +31,14 @@ ONCE = Settings(refit_share=1e9, refit_hours=1e9)
 
 @given(
     st.lists(st.tuples(st.integers(0, 5), st.floats(0.001, 0.999)), max_size=30),
-    st.lists(st.floats(-50, 20), min_size=1, max_size=6),
-    st.integers(1, 30),
+    st.lists(st.floats(-50, 20), max_size=6),
+    st.lists(st.integers(0, 40), min_size=3, max_size=9),
 )
-def test_by_loops(candidates: list[tuple[int, float]], evidence: list[float], zones: int) -> None:
+def test_by_loops(candidates: list[tuple[int, float]], evidence: list[float], left: list[int]) -> None:
     pair, responsibility = (np.array([c[k] for c in candidates]) for k in (0, 1))
-    found = doubts(pair.astype(np.int32), responsibility, 6, np.array(evidence), zones)
-    constants = SPREAD_MIN, NATS_TO_TELL, CHANCE_PRIOR, CHANCE_TRANSITIONS, REAL_MIN
-    slow = naive.doubts(pair, responsibility, 6, evidence, zones, *constants)
+    found = doubts(pair.astype(np.int32), responsibility, 6, np.array(evidence), np.array(left, float))
+    constants = SPREAD_MIN, NATS_TO_TELL, CHANCE_PRIOR, CHANCE_TRANSITIONS, REAL_MIN, DEPARTURES_TO_TELL
+    slow = naive.doubts(pair, responsibility, 6, evidence, left, *constants)
     assert found == pytest.approx(slow, abs=1e-9)
 
 
@@ -63,11 +64,13 @@ def test_a_few_transitions_tell_only_where_each_tells_much() -> None:
         assert (real[2] > 0.6) != tells
 
 
-def test_chance_alone_may_be_anything() -> None:
-    assert linked(np.zeros(0), 10) == 0.0
-    assert linked(np.array([np.log(100.0)]), 10) == pytest.approx(0.5)
-    assert linked(np.array([-20.0, 60.0]), 10) == pytest.approx(1.0)
-    assert doubts(np.zeros(0, np.int32), np.zeros(0), 2, np.array([60.0]), 2) == pytest.approx([0.0, 0.0])
+def test_whether_anything_is_linked_takes_evidence_or_departures_to_tell() -> None:
+    few, many = np.zeros(10), np.full(10, 500.0)
+    assert linked(np.zeros(0), few) == pytest.approx(0.5)
+    assert linked(np.zeros(0), many) < 1e-9
+    assert linked(np.array([np.log(100.0)]), many) == pytest.approx(0.5)
+    assert linked(np.array([-20.0, 60.0]), many) == pytest.approx(1.0)
+    assert doubts(np.zeros(0, np.int32), np.zeros(0), 2, np.array([60.0]), many[:2]) == pytest.approx([0.0, 0.0])
 
 
 # --- what comes of it ---
@@ -96,6 +99,13 @@ def test_who_always_comes_is_foretold_as_surely_as_is_published(seconds: float) 
     (link,) = topology.links
     assert link.probability > 0.9
     assert np.mean([p.next_[0].probability for p in predictions]) == pytest.approx(link.probability, abs=0.1)
+
+
+def test_before_anything_can_be_known_much_is_open() -> None:
+    """A few minutes after the start it is neither said that everybody leaves nor where to they go."""
+    events, _ = simulate(SimSettings(seed=100, objects_per_second=0.108, hours=0.2))
+    _, predictions = said(events[:120])
+    assert 0.5 < np.mean([prediction.leave for prediction in predictions]) < 0.9
 
 
 def test_where_nothing_is_linked_objects_are_foretold_to_leave() -> None:

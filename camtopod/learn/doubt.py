@@ -9,7 +9,7 @@ far as the site's pairs are alike and so many transitions would have been enough
 a pair's transit times are: where all are broad, that is usual.
 
 Where no pair of zones is beyond chance, what is usual says nothing. Whether anything is linked at all is asked of all
-pairs at once: the sum of their e-values over the pairs that there could be is one, too (see `crossfit`).
+pairs at once: the mean of the e-values of all the pairs that there could be is one, too (see `crossfit`).
 """
 
 from __future__ import annotations
@@ -32,20 +32,23 @@ CHANCE_PRIOR = 0.1
 """How likely a pair of many transitions is one that chance made, beside a way whose evidence is the usual; ..."""
 CHANCE_TRANSITIONS = 3.0
 """... one of so many is twice as likely, as chance makes few of each."""
+DEPARTURES_TO_TELL = 10.0
+"""Of so many departures of a zone two in three would do to see that nothing follows them anywhere."""
 REAL_MIN = 0.07
 """Share of the transitions that are real even where all speaks against it."""
 
 
-def doubts(pair: Ints, responsibility: Floats, pairs: int, evidence: Floats, zones: int) -> Floats:
+def doubts(pair: Ints, responsibility: Floats, pairs: int, evidence: Floats, left: Floats) -> Floats:
     """Share (P,) of the transitions of each of ``pairs`` pairs of zones that may as well be chance.
 
-    ``pair``, ``responsibility`` (M,): of the candidates; ``evidence``: in nats, of pairs of zones (`cross_evidence`).
-    Without a transition of its own a pair is as doubtful as it is whether anything is linked.
+    ``pair``, ``responsibility`` (M,): of the candidates; ``evidence``: in nats, of pairs of zones (`cross_evidence`);
+    ``left`` (zones,): departures. Without a transition of its own a pair is as doubtful as it is whether anything is
+    linked.
     """
     transitions: Floats = np.bincount(pair, responsibility, minlength=pairs).astype(float)
     each = unrelated(pair, responsibility, pairs) / np.maximum(transitions, 1e-300)
     real = np.where(transitions > 0, np.maximum(in_character(each, transitions), REAL_MIN), 1.0)
-    doubt: Floats = 1.0 - linked(evidence, zones) * real
+    doubt: Floats = 1.0 - linked(evidence, left) * real
     return doubt
 
 
@@ -69,8 +72,12 @@ def in_character(each: Floats, transitions: Floats) -> Floats:
     return probability
 
 
-def linked(evidence: Floats, zones: int) -> float:
-    """Probability that any of the zones are linked; as likely as not beforehand."""
-    if len(evidence) == 0:
-        return 0.0
-    return float(expit(logsumexp(evidence) - 2.0 * np.log(zones)))
+def linked(evidence: Floats, left: Floats) -> float:
+    """Probability that any of the zones are linked, as likely as not beforehand: by the evidence (nats) of those pairs
+    that have any, and by the ``left`` (zones,) departures.
+
+    The others' e-values are 0 where departures would have been enough to find something, and 1 where they were not.
+    """
+    every = float(len(left)) ** 2
+    unknown = float(np.exp(-left / DEPARTURES_TO_TELL).mean()) * (1.0 - len(evidence) / every)
+    return float(expit(np.logaddexp(logsumexp(evidence) - np.log(every), np.log(max(unknown, 1e-300)))))

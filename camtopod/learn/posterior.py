@@ -99,7 +99,8 @@ def fit_posterior(
     fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until, exposure)
     fitter.learn()
     fitter.sample()
-    doubt = doubts(fitter.candidates.pair, fitter.responsibility, fitter.pairs, evidence, zones)
+    left = np.bincount(departures.zone, minlength=zones).astype(float)
+    doubt = doubts(fitter.candidates.pair, fitter.responsibility, fitter.pairs, evidence, left)
     posterior = Posterior(
         fitter.result(), fitter.share, fitter.leave, doubt, fitter.entry_source, fitter.entry_target,
         fitter.entry_hazard, fitter.levels,
