@@ -73,7 +73,6 @@ class Complaints:
 @contextmanager
 def listening() -> Iterator[Complaints]:
     """Standard output is FFmpeg's while the block runs, so only for a process that has no data for it."""
-    unsaid = LEVEL_VARIABLE not in os.environ
     os.environ.setdefault(LEVEL_VARIABLE, LEVEL_WARNINGS)
     sys.stdout.flush()
     heard, written = os.pipe()
@@ -88,5 +87,3 @@ def listening() -> Iterator[Complaints]:
         os.dup2(before, _STANDARD_OUTPUT)
         os.close(before)
         os.close(heard)
-        if unsaid:  # other programs that are started from here print data there
-            os.environ.pop(LEVEL_VARIABLE, None)
