@@ -61,19 +61,15 @@ class Daemon:
     """
 
     def __init__(
-        self,
-        config: Config,
-        bus: Bus | None = None,
-        clock: clocks.Clock = clocks.wall,
+        self, config: Config, bus: Bus | None = None, clock: clocks.Clock = clocks.wall,
         shard: tuple[int, int] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._config, self._clock = config, clock
         self._share = Whole() if shard is None else Share(config.shards, shard)
         self._sharing: Sharing | None = None
         self._given_bus = bus
         self._bus: Bus | None = bus
-        self._stopping = threading.Event()
-        self._failed = threading.Event()
+        self._stopping, self._failed = threading.Event(), threading.Event()
         self._threads: list[threading.Thread] = []
         self._process: LearnerProcess | None = None
         self.started = False
