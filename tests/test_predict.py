@@ -42,6 +42,7 @@ from camtopod.records import (
 )
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import score_predictions
+from camtopod.sim.truth import Truth
 
 COV = [[0.001, 0.0], [0.0, 0.001]]
 STAY = [float(k) for k in range(11)]
@@ -432,14 +433,20 @@ def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
         sound(fast)
 
 
-def test_predictions_on_a_made_up_network() -> None:
-    """Learned from the first three quarters, asked about the rest; chance would be right for one camera in six."""
+def a_made_up_network() -> tuple[list[Event], Truth, int, Learner]:
+    """Events, truth, the number of the events that are learned from, and who has learned from them in one fit."""
     events, truth = simulate(SimSettings(cameras=6, hours=1.2, seed=2))
     cut = 3 * len(events) // 4
     learner = Learner(Settings(version_seconds=1e6))
     for event in events[:cut]:
         learner.receive(event)
     learner.flush()
+    return events, truth, cut, learner
+
+
+def test_predictions_on_a_made_up_network() -> None:
+    """Learned from the first three quarters, asked about the rest; chance would be right for one camera in six."""
+    events, truth, cut, learner = a_made_up_network()
     predictor, predictions = learner.predictor(), []
     for k, event in enumerate(events):
         if event.kind == "exit" and k < cut:

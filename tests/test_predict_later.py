@@ -9,17 +9,28 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
-from test_predict import ENTERED, EVENTS, EXIT, LINKS, OVERLAP, STAY, THERE, THREE, a_topology, chances, link, sound
+from test_predict import (
+    ENTERED,
+    EVENTS,
+    EXIT,
+    LINKS,
+    OVERLAP,
+    STAY,
+    THERE,
+    THREE,
+    a_made_up_network,
+    a_topology,
+    chances,
+    link,
+    sound,
+)
 
 from camtopod.learn import predict as module
 from camtopod.learn import recent
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
-from camtopod.learn.learner import Learner
 from camtopod.learn.predict import Predictor
-from camtopod.learn.settings import Settings
 from camtopod.records import Event, Histogram, Link, Onward, Outcome, Pace, Prediction, Topology, Way
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import PredictionScore, score_predictions
 
 AT_B = Event("b", "entry", 1008.0, 0.5, 0.5)
@@ -193,12 +204,7 @@ def test_every_later_prediction_is_sound(
 
 
 def test_on_a_made_up_network_more_is_known_later() -> None:
-    events, truth = simulate(SimSettings(cameras=6, hours=1.2, seed=2))
-    cut = 3 * len(events) // 4
-    learner = Learner(Settings(version_seconds=1e6))
-    for event in events[:cut]:
-        learner.receive(event)
-    learner.flush()
+    events, truth, cut, learner = a_made_up_network()
 
     def scored(seconds: float) -> PredictionScore:
         predictor, said, waiting = learner.predictor(), [], []
