@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
 from camtopod.learn.significance import unrelated
 
@@ -80,4 +80,4 @@ def linked(evidence: Floats, left: Floats) -> float:
     """
     every = float(len(left)) ** 2
     unknown = float(np.exp(-left / DEPARTURES_TO_TELL).mean()) * (1.0 - len(evidence) / every)
-    return float(expit(np.logaddexp(logsumexp(evidence) - np.log(every), np.log(max(unknown, 1e-300)))))
+    return float(expit(np.logaddexp(np.logaddexp.reduce(evidence) - np.log(every), np.log(max(unknown, 1e-300)))))
