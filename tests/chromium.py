@@ -76,11 +76,12 @@ class Browser:
             raise AssertionError(f"{error}; the page: {self.text('body')[:2000]}; {self.complaints()}") from None
 
     def press(self, *keys: str) -> None:
-        """Press keys, wherever the focus is."""
+        """Press keys, wherever the focus is: as a keyboard, which holds on to no element that a page may have replaced."""
+        from selenium.webdriver.common.action_chains import ActionChains
         from selenium.webdriver.common.keys import Keys
 
         for key in keys:
-            self._driver.switch_to.active_element.send_keys(getattr(Keys, key, key))
+            ActionChains(self._driver).send_keys(getattr(Keys, key, key)).perform()
 
     def size(self, width: int, height: int) -> None:
         """Of the window's inside, in pixels; narrow ones are phones."""

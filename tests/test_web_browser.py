@@ -346,7 +346,7 @@ def test_a_report_of_a_thousand_cameras_needs_no_server(
     browser.press("ENTER")
     browser.wait(lambda: browser.text(".panel h2") == "cam0420", "the camera found")
     assert browser.count(".node.faint") == 0, "who has found what was looked for sees the whole again"
-    assert browser.count(".labels .first") == 1
+    browser.wait(lambda: browser.count(".labels .first") == 1, "its name before others")
     assert browser.count(".scene .zone") > 0
     for link, condition in (
         (links[0], lambda: browser.count(".chart .count") > 3),

@@ -51,6 +51,7 @@ def show(browser: Browser, tmp_path: Path) -> Iterator[Shows]:
         browser.size(width, height)
         browser.open(path.as_uri())
         browser.wait(lambda: browser.count(".node") == len(topology.cameras), "the map")
+        browser.wait(lambda: browser.count(".labels .name") > 0, "it to be drawn")
 
     yield open_report
     assert browser.complaints()[before:] == []
@@ -134,11 +135,11 @@ def test_no_camera_is_under_what_lies_on_the_map(browser: Browser) -> None:
     with shown.serving():
         browser.size(1280, 800)
         opened(browser, shown)
-        browser.wait(lambda: browser.count(".node") == 1000, "the map")
+        browser.wait(lambda: browser.count(".node") == 1000 and browser.count(".labels .name") > 0, "the map")
         browser.run("document.querySelector('.predictions').hidden = false")
         covered = f"{BOXES} const over = boxes('.overlay'); const under = (one) => over.some((box) => upon(one, box));"
-        browser.wait(lambda: browser.run(f"{covered} return boxes('.node circle').filter(under).length") == 0, "room")
-        assert browser.run(f"{covered} return boxes('.labels text').filter(under).length") == 0
+        drawn = "boxes('.node circle, .labels text')"  # the names make room with the next frame
+        browser.wait(lambda: browser.run(f"{covered} return {drawn}.filter(under).length") == 0, "room")
         width = "const all = boxes('.node circle').map((one) => one.x); return Math.max(...all) - Math.min(...all)"
         assert browser.run(f"{BOXES} {width}") > 700, "and none is kept away further than need be"
 
