@@ -76,7 +76,7 @@ class Browser:
             raise AssertionError(f"{error}; the page: {self.text('body')[:2000]}; {self.complaints()}") from None
 
     def press(self, *keys: str) -> None:
-        """Press keys, wherever the focus is: as a keyboard, which holds on to no element that a page may have replaced."""
+        """Press keys, wherever the focus is, as a keyboard: it holds on to no element that a page may have replaced."""
         from selenium.webdriver.common.action_chains import ActionChains
         from selenium.webdriver.common.keys import Keys
 

@@ -22,6 +22,7 @@ class App {
   #shown = null; // the panel that is open
   #lost = null; // since when the server is not reached, or refuses this page
   #refused = ""; // why it does
+  #loading = null; // the first map; what is said of versions meanwhile is held against it
   #daemon = null; // what the server says of the daemon
   #place = "";
   #told = h("span", {});
@@ -71,7 +72,8 @@ class App {
           this.#askHealth();
         },
         // of a new connection: what was missed meanwhile is fetched
-        version: (version) => {
+        version: async (version) => {
+          await this.#loading;
           if (!this.#has(version)) this.load();
           else if (!this.#shown || this.#shown.failed) this.#again();
           this.#askHealth();
@@ -98,7 +100,8 @@ class App {
         this.#shown?.onTick?.();
       }, 1000);
     }
-    await this.load();
+    this.#loading = this.load();
+    await this.#loading;
     this.#tellLive();
     await this.route();
   }
@@ -127,7 +130,10 @@ class App {
   heardHealth(rows, at) {
     for (const row of rows) {
       const known = this.rows.get(row.id);
-      if (!known || known.at <= at) this.rows.set(row.id, { ...known, ...withValues(row), at });
+      if (known?.at > at) continue;
+      const fresh = { ...known, ...withValues(row), at };
+      if (known?.newest > fresh.newest) fresh.newest = known.newest; // an event comes here before the daemon counts it
+      this.rows.set(row.id, fresh);
     }
     this.network.health(new Set([...this.rows.values()].filter((row) => troubled(row.state)).map((row) => row.id)));
     this.#shown?.onHealth?.(this.rows);
@@ -145,7 +151,7 @@ class App {
   // Something has come from a camera.
   #heardFrom({ camera, t }) {
     const row = this.rows.get(camera);
-    if (row) row.newest = Math.max(row.newest ?? 0, t);
+    if (row) row.newest = Math.max(row.newest ?? 0, Math.min(t, this.now()));
   }
 
   // Show what the address names.
@@ -215,7 +221,8 @@ class App {
     return version === null ? this.map === null : this.map?.epoch === version[0] && this.map.version === version[1];
   }
 
-  #change(change) {
+  async #change(change) {
+    await this.#loading;
     if (!this.#has([change.epoch, change.since])) return this.load();
     const cameras = { ...this.map.cameras, ...change.cameras };
     const edges = { ...this.map.edges, ...change.edges };
