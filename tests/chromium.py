@@ -95,6 +95,17 @@ class Browser:
         feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
 
+    @contextmanager
+    def slow_to_fetch(self, milliseconds: int) -> Iterator[None]:
+        """What pages that are opened meanwhile fetch comes later; their live connection is as quick as ever."""
+        fetch = (
+            "const quick = window.fetch.bind(window); window.fetch = async (...asked) => "
+            f"{{ await new Promise((done) => setTimeout(done, {milliseconds})); return quick(...asked); }};"
+        )
+        script = self._driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": fetch})
+        yield
+        self._driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
+
     def complaints(self) -> list[str]:
         """Errors and warnings of the page so far: scripts, its policy, what could not be loaded."""
         self._complaints += [entry["message"] for entry in self._driver.get_log("browser") if entry["level"] != "INFO"]

@@ -58,14 +58,17 @@ def test_a_camera_that_is_learned_while_its_page_is_open_is_shown(browser: Brows
 
 
 def test_the_map_is_fetched_once_when_the_page_is_opened(browser: Browser) -> None:
+    def fetched() -> int:
+        return sum(url.endswith("/data/map") for url in browser.asked())
+
     shown = Shown(SITE)
-    with shown.serving():
-        before = sum(url.endswith("/data/map") for url in browser.asked())
+    with shown.serving(), browser.slow_to_fetch(500):
+        before = fetched()
         opened(browser, shown)
-        browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+        browser.wait(lambda: "version 1" in browser.text("#live"), "the map")
         shown.publish(newer(2))
         browser.wait(lambda: "version 2" in browser.text("#live"), "the change")
-        assert sum(url.endswith("/data/map") for url in browser.asked()) == before + 1
+        assert fetched() == before + 1
 
 
 def test_a_cameras_page_follows_the_versions_and_keeps_its_events(browser: Browser) -> None:
