@@ -246,6 +246,11 @@ def test_others_who_may_be_the_one_seen_lower_the_chance() -> None:
     assert chances(after([ENTERED, *unrelated, THERE]))["d/1"] == pytest.approx(alone, rel=1e-3)
 
 
+def test_an_event_that_comes_late_hides_nobody_who_was_heard_of_before_it() -> None:
+    late = Event("b", "entry", 980.0, 0.5, 0.5)  # from before the passage
+    assert chances(after([ENTERED, THERE, late]))["d/1"] > 0.9
+
+
 def test_a_silent_camera_is_not_where_they_appear() -> None:
     talk = [Event(camera, "entry", 900.0 + k, 0.5, 0.5) for k in range(30) for camera in "abd"]
     silent = after(talk, THREE)

@@ -309,11 +309,9 @@ class Predictor:
         found = np.flatnonzero(self._wanted[arrivals.zone[first : arrivals.stop]])[::-1] + first
         self._wanted[targets] = False
         if len(found):
-            too_old = np.flatnonzero(arrivals.t[first : arrivals.stop] < oldest - self._clocks_apart)
-            first += int(too_old[-1]) + 1 if len(too_old) else 0
             came = arrivals.t[found]
             later = self._ahead_of[arrivals.zone[found]] - self._ahead[self.zones[zone].camera]
-            found = found[(found >= first) & (came + later < t) & (came > since) & (came >= oldest)]
+            found = found[(came + later < t) & (came > since) & (came >= oldest)]
         return found
 
     def _causes(self, zone: int, t: float) -> dict[str, float]:
