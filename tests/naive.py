@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import scipy.signal
+import scipy.special
 
 # --- daspec, zones (weighted grid cells against points) ---
 
@@ -44,6 +45,48 @@ def bandwidth_of_points(points):
     radii.sort()
     q95 = next(r for i, r in enumerate(radii, 1) if i / len(points) >= 0.95 - 1e-9)
     return max(q95 / np.sqrt(5.991464547107979), 0.75)
+
+
+def clutter_rates(count, constants):
+    """`camtopod.learn.clutter.clutter_rates` cell by cell, always all the rounds."""
+    width, denser, denser_max, alike, rounds = constants
+    rows, columns = count.shape
+    mean = float(np.mean(count))
+    for _ in range(rounds):
+        below = float(np.mean([n for n in count.ravel() if n <= mean + 3 * np.sqrt(mean) + 1]))
+        if abs(below - mean) < 1e-6:
+            break
+        mean = below
+    rate = np.full(count.shape, denser_max * mean)
+    for _ in range(rounds):
+        kept = count <= denser * rate + 3 * np.sqrt(rate) + 1
+        around = rate.copy()
+        for r in range(rows):
+            for c in range(columns):
+                far = (np.arange(rows)[:, None] - r) ** 2 + (np.arange(columns) - c) ** 2
+                near = np.exp(-far / (2 * width**2)) * kept
+                around[r, c] = ((near * count).sum() + alike) / (near.sum() + alike / mean)
+        rate = np.minimum(rate, around)
+    return rate
+
+
+def dense_cells(count, rate, chance, contrast, widths):
+    """`camtopod.learn.clutter.dense_cells` cell by cell."""
+    rows, columns = count.shape
+    dense = np.zeros(count.shape)
+    for r in range(rows):
+        for c in range(columns):
+            chances = []
+            far = (np.arange(rows)[:, None] - r) ** 2 + (np.arange(columns) - c) ** 2
+            for width in widths:
+                near = np.exp(-far / (2 * width**2))
+                scale = near.sum() / (near**2).sum()
+                seen, expected = (near * count).sum() * scale, (near * rate).sum() * scale
+                chances.append(scipy.special.gammainc(max(seen, 1e-9), expected))
+            above = count[r, c] > max(rate[r, c] + 2 * np.sqrt(rate[r, c]), contrast * rate[r, c])
+            if above and min(chances) < chance:
+                dense[r, c] = max(count[r, c] - rate[r, c], 0.5)
+    return dense
 
 
 def valley(positions, low, high, steps):

@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from thesis import FIGURE_4_4_ZONES, figure_4_4
 
+from camtopod.learn import clutter as clutter_module
 from camtopod.learn import valley as valley_module
-from camtopod.learn.clutter import clutter_rate
+from camtopod.learn.clutter import clutter_rate, clutter_rates, dense_cells
 from camtopod.learn.evidence import gaussians, log_evidence
 from camtopod.learn.positions import POSITION_ONE
 from camtopod.learn.valley import valley
@@ -227,6 +228,27 @@ def test_zone_shapes_travel() -> None:
 def test_clutter_rate_ignores_the_zones() -> None:
     positions, _ = events(13, [(0.5, 0.5, 0.03, 5000)], 2000)
     assert clutter_rate(cell_sums(*positions.T).count) == pytest.approx(2000 / 720, rel=0.15)
+
+
+@pytest.mark.parametrize(("seed", "zones", "events_of_clutter"), [(1, 0, 300), (2, 3, 150), (3, 1, 4000), (4, 3, 0)])
+def test_clutter_and_what_stands_out_of_it_equal_their_slow_twins(
+    seed: int, zones: int, events_of_clutter: int
+) -> None:
+    positions, _ = events(seed, THREE[:zones], events_of_clutter)
+    count = cell_sums(*positions.T).count
+    rates = clutter_rates(count)
+    constants = (
+        clutter_module.WIDTH,
+        clutter_module.DENSER,
+        clutter_module.DENSER_MAX,
+        clutter_module.EVENTS_ALIKE,
+        clutter_module.ROUNDS,
+    )
+    assert rates == pytest.approx(naive.clutter_rates(count, constants), rel=1e-9)
+    for chance in (clutter_module.FLOOR_CHANCE, clutter_module.FOUND_CHANCE):
+        slow = naive.dense_cells(count, rates, chance, clutter_module.CONTRAST_MIN, clutter_module.FLOOR_WIDTHS)
+        assert dense_cells(count, rates, chance) == pytest.approx(slow, rel=1e-9)
+        assert zones == 0 or slow.any()
 
 
 @pytest.mark.parametrize("seed", range(4))

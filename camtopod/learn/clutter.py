@@ -7,6 +7,8 @@ over the image, but over wider stretches than a zone's.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainc
@@ -47,18 +49,19 @@ def _surroundings(width: float) -> tuple[Floats, Floats, Floats]:
     return rows, columns, area / np.outer((rows**2).sum(axis=0), (columns**2).sum(axis=0))
 
 
-_SURROUNDINGS = tuple(_surroundings(width) for width in FLOOR_WIDTHS)
+_ROWS, _COLUMNS, _SCALES = (np.array(parts) for parts in zip(*map(_surroundings, FLOOR_WIDTHS), strict=True))
 
 
 def clutter_rate(count: Counts) -> float:
     """Events of clutter per cell: the mean over the cells that are not significantly above it."""
-    n = count.ravel().astype(np.float64)
-    rate = float(n.mean())
+    n = np.sort(count, axis=None).astype(np.float64)
+    upto = np.cumsum(n)
+    rate = float(upto[-1]) / len(n)
     for _ in range(ROUNDS):
-        below = float(n[n <= rate + 3 * np.sqrt(rate) + 1].mean())
-        if abs(below - rate) < 1e-6:
-            break
-        rate = below
+        below = int(np.searchsorted(n, rate + 3 * math.sqrt(rate) + 1, side="right"))
+        before, rate = rate, float(upto[below - 1]) / below
+        if abs(rate - before) < 1e-6:
+            return max(before, 1e-6)
     return max(rate, 1e-6)
 
 
@@ -70,31 +73,36 @@ def clutter_rates(count: Counts) -> Floats:
     n = np.asarray(count, dtype=np.float64)
     mean = clutter_rate(count)
     rate = np.full(n.shape, DENSER_MAX * mean)
+    kept = np.zeros(n.shape, dtype=np.bool_)
     for _ in range(ROUNDS):
-        kept = n <= DENSER * rate + 3 * np.sqrt(rate) + 1
-        weight = _WIDE_ROWS @ kept @ _WIDE_COLUMNS
-        around = (_WIDE_ROWS @ (kept * n) @ _WIDE_COLUMNS + EVENTS_ALIKE) / (weight + EVENTS_ALIKE / mean)
-        rate = np.minimum(rate, around)
+        before, kept = kept, n <= DENSER * rate + 3 * np.sqrt(rate) + 1
+        if (kept == before).all():
+            break  # the same cells have the same mean
+        weight, around = _WIDE_ROWS @ np.array((kept, kept * n)) @ _WIDE_COLUMNS
+        rate = np.minimum(rate, (around + EVENTS_ALIKE) / (weight + EVENTS_ALIKE / mean))
     return rate
 
 
 def _chance(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
     """Probability that clutter fills a cell's surroundings like this, for the size of surroundings where it is least,
-    of the cells of the mask ``which``.
+    of the cells of the mask ``which``; 1 where it is not small.
 
     A kernel-weighted sum of Poisson counts is much like one count over (sum K)^2 / (sum K^2) cells.
     """
-    least = np.ones(int(which.sum()))
-    for rows, columns, scale in _SURROUNDINGS:
-        inside = np.maximum(rows @ count @ columns * scale, 1e-9)
-        least = np.minimum(least, gammainc(inside[which], (rows @ rate @ columns * scale)[which]))
-    return least
+    inside, expected = (_ROWS @ np.array((count, rate))[:, None] @ _COLUMNS * _SCALES)[:, :, which]
+    # Up to a standard deviation above what is expected it is a seventh and more, far from any chance asked for.
+    some = inside > expected + np.sqrt(expected)
+    chances = np.ones(inside.shape)
+    chances[some] = gammainc(np.maximum(inside[some], 1e-9), expected[some])
+    return np.asarray(chances.min(axis=0))
 
 
 def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
     """Counts above the clutter's ``rate``, 0 in cells whose surroundings clutter would fill like this with at least
     ``chance``."""
     keep = (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
+    if not keep.any():
+        return np.zeros(keep.shape)
     keep[keep] = _chance(count, rate, keep) < chance
     return np.where(keep, np.maximum(count - rate, 0.5), 0.0)
 

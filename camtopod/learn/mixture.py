@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 
 Floats = NDArray[np.float64]
+_LOG_TAU = float(np.log(2 * np.pi))
+_X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS
+_Y = ((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None]
 Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 
@@ -40,12 +43,24 @@ def log_density(x: Floats, y: Floats, component: Component) -> Floats:
 
     A zone may be narrower than a cell, so the cell's own spread, a twelfth of its squared sides, is added.
     """
+    return _log_density(x, y, *_figures(component))
+
+
+def _figures(component: Component) -> tuple[float, float, float, float, float]:
     (xx, xy), (_, yy) = component.cov
+    return component.x, component.y, xx, xy, yy
+
+
+def _log_density(x: Floats, y: Floats, *figures: float | Floats) -> Floats:
+    """`log_density` of one component's figures, or of arrays of them that broadcast with the positions."""
+    mean_x, mean_y, xx, xy, yy = figures
     xx, yy = xx + 1 / (12 * GRID_COLUMNS**2), yy + 1 / (12 * GRID_ROWS**2)
-    dx, dy = x - component.x, y - component.y
+    dx, dy = x - mean_x, y - mean_y
     determinant = xx * yy - xy * xy
-    squared = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant
-    density: Floats = -0.5 * squared - np.log(2 * np.pi) - 0.5 * np.log(determinant)
+    # Where x is of columns and y of rows alone, only the last line is of all cells.
+    of_x = (-0.5 * yy / determinant) * dx * dx - (_LOG_TAU + 0.5 * np.log(determinant))
+    of_y = (-0.5 * xx / determinant) * dy * dy
+    density: Floats = (xy / determinant * dx) * dy + of_x + of_y
     return density
 
 
@@ -55,8 +70,10 @@ def classify_cells(components: Sequence[Component], clutter: float | Floats) -> 
     ``clutter`` is the number of events outside all zones per event inside, times how dense it is in each cell in terms
     of an even spread. Shape (GRID_ROWS, GRID_COLUMNS).
     """
-    x = np.broadcast_to((np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS, (GRID_ROWS, GRID_COLUMNS))
-    y = np.broadcast_to(((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None], (GRID_ROWS, GRID_COLUMNS))
-    scores = [np.broadcast_to(np.log(np.maximum(clutter, 1e-3)), (GRID_ROWS, GRID_COLUMNS))]
-    scores += [np.log(component.weight) + log_density(x, y, component) for component in components]
-    return np.asarray(np.stack(scores).argmax(axis=0) - 1, dtype=np.int16)
+    scores = np.empty((len(components) + 1, GRID_ROWS, GRID_COLUMNS))
+    scores[0] = np.log(np.maximum(clutter, 1e-3))
+    if components:
+        figures = np.array([(*_figures(component), component.weight) for component in components])
+        *shape, weight = figures.T[:, :, None, None]
+        scores[1:] = np.log(weight) + _log_density(_X, _Y, *shape)
+    return np.asarray(scores.argmax(axis=0) - 1, dtype=np.int16)

@@ -19,13 +19,19 @@ DEPTH = 0.85
 significance."""
 _STEPS = 18
 """Grid points along the line."""
-_A, _B, _C = (index.ravel() for index in np.meshgrid(*[np.arange(_STEPS)] * 3, indexing="ij"))
-_TRIPLES = (_A < _B) & (_B < _C)
-_A, _B, _C = _A[_TRIPLES], _B[_TRIPLES], _C[_TRIPLES]
-_PAIR_AB, _PAIR_BC = _A * _STEPS + _B, _B * _STEPS + _C
-_BY_BC = np.lexsort((_A, _PAIR_BC))
-_STARTS_AB = np.flatnonzero(np.diff(_PAIR_AB, prepend=-1))
-_STARTS_BC = np.flatnonzero(np.diff(_PAIR_BC[_BY_BC], prepend=-1))
+_STEP = np.arange(_STEPS)
+_WIDTH = np.maximum(_STEP - _STEP[:, None], 1)
+_INNER = [(low, high) for low in range(1, _STEPS - 2) for high in range(low + 1, _STEPS - 1)]
+"""Stretches that may be a valley: there is something on either side. Below, each with each of its flanks to the left,
+then each with each to the right, by the flat index (from, to) of the valley, of the flank, and of both together."""
+_VALLEYS, _FLANKS, _WHOLES = np.array(
+    [
+        *[(b * _STEPS + c, a * _STEPS + b, a * _STEPS + c) for b, c in _INNER for a in range(b)],
+        *[(b * _STEPS + c, c * _STEPS + d, b * _STEPS + d) for b, c in _INNER for d in range(c + 1, _STEPS)],
+    ]
+).T.copy()
+_STARTS = np.flatnonzero(np.diff(_VALLEYS, prepend=-1))
+_ONE_SIDE = len(_INNER)
 
 
 def valley(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> float:
@@ -33,24 +39,14 @@ def valley(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> 
 
     ``n`` events each (m,) at ``position`` (m,) along the line with spread ``sd`` (m,).
     """
-    grid = np.linspace(low, high, _STEPS)
-    below = (n * ndtr((grid[:, None] - position) / sd)).sum(axis=1)
-    near, far = below[_B] - below[_A], below[_C] - below[_B]
-    width_near, width_far = _B - _A, _C - _B
-    left = np.full(_STEPS * _STEPS, 0.0)
-    right = np.full(_STEPS * _STEPS, 0.0)
-    # The flank is a..b and the valley b..c, and the other way round.
-    in_far, in_near = _log_ratios(far, width_far, near, width_near)
-    left[_PAIR_BC[_BY_BC][_STARTS_BC]] = np.maximum.reduceat(in_far[_BY_BC], _STARTS_BC)
-    right[_PAIR_AB[_STARTS_AB]] = np.maximum.reduceat(in_near, _STARTS_AB)
-    return float(np.minimum(left, right).max())
-
-
-def _log_ratios(a: Floats, width_a: NDArray[np.intp], b: Floats, width_b: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Two Poisson rates against one, for a valley in ``a`` and for one in ``b``; 0 where the valley is not clearly less
-    dense than its flank."""
-    a, b = np.maximum(a, 1e-9), np.maximum(b, 1e-9)
-    rate_a, rate_b = a / width_a, b / width_b
-    together = (a + b) / (width_a + width_b)
-    ratio: Floats = a * np.log(rate_a / together) + b * np.log(rate_b / together)
-    return np.where(rate_a < DEPTH * rate_b, ratio, 0.0), np.where(rate_b < DEPTH * rate_a, ratio, 0.0)
+    grid = low + (high - low) / (_STEPS - 1) * _STEP
+    below = ndtr((grid[:, None] - position) / sd) @ n
+    inside = np.maximum(below - below[:, None], 1e-9)
+    rate = inside / _WIDTH
+    own = (inside * np.log(rate)).ravel()
+    ratio = own[_VALLEYS] + own[_FLANKS] - own[_WHOLES]
+    rate = rate.ravel()
+    # One that is not clearly less dense than its flank is no valley.
+    ratio *= rate[_VALLEYS] < DEPTH * rate[_FLANKS]
+    best = np.maximum.reduceat(ratio, _STARTS)
+    return max(float(np.minimum(best[:_ONE_SIDE], best[_ONE_SIDE:]).max()), 0.0)

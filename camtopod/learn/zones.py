@@ -33,6 +33,7 @@ MATCH_DISTANCE = 3.0
 """A zone is at an old zone's place when its centre is within this many standard deviations of it."""
 PLACE_SD_MIN = 0.02
 """Image units: a zone narrower than this is as broad as this for matching."""
+_SCALE = np.array([1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2])[:, None]
 
 
 class CellSums(NamedTuple):
@@ -103,19 +104,19 @@ def find_zones(
     back when they return. ``held`` (rows, columns) is the map so far (`ZoneMap.cells`), changed only where the evidence
     is clear; None learns from nothing. Without events there are no zones.
     """
-    flat = np.stack([np.asarray(grid).ravel() for grid in sums], axis=1)
-    occupied = np.flatnonzero(flat[:, 0])
+    flat = np.array(sums).reshape(len(sums), CELLS)
+    occupied = np.flatnonzero(flat[0])
     if not len(occupied):
         return ZoneMap((), np.full((GRID_ROWS, GRID_COLUMNS), -1, dtype=np.int16), next_number)
-    scale = np.array([1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2])
+    filled = flat[:, occupied]
     so_far = None if held is None else held.ravel()[occupied].astype(np.intp)
     rates = clutter_rates(np.asarray(sums.count))
-    labels = partition(Cells.of(flat[occupied] / scale, occupied), np.asarray(sums.count), rates, so_far)
-    total = int(flat[occupied[labels >= 0], 0].sum())
-    found = [_shape(flat[occupied[labels == k]].sum(axis=0), total) for k in range(labels.max() + 1)]
-    zones, next_number = match_zones(previous, found, next_number)
-    clutter = (int(flat[:, 0].sum()) / total - 1.0) * rates / rates.mean()
-    return ZoneMap(zones, classify_cells(zones, clutter), next_number, int(flat[:, 0].sum()))
+    labels = partition(Cells.of((filled / _SCALE).T, occupied), np.asarray(sums.count), rates, so_far)
+    groups = (labels == np.arange(labels.max() + 1)[:, None]).astype(np.int64) @ filled.T
+    events, total = int(filled[0].sum()), int(groups[:, 0].sum())
+    zones, next_number = match_zones(previous, [_shape(group, total) for group in groups.tolist()], next_number)
+    clutter = (events / total - 1.0) * rates / rates.mean()
+    return ZoneMap(zones, classify_cells(zones, clutter), next_number, events)
 
 
 def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()) -> ZoneMap:
@@ -128,9 +129,9 @@ def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()
     return replace(find_zones(sums, known, old.next_number, old.cells), events=old.events)
 
 
-def _shape(sums: Integers, total: int) -> ZoneShape:
-    """Exact mean and covariance (of the events, divided by their number) of a zone's summed sums (6,)."""
-    n, sx, sy, sxx, sxy, syy = (int(value) for value in sums)
+def _shape(sums: list[int], total: int) -> ZoneShape:
+    """Exact mean and covariance (of the events, divided by their number) of a zone's six summed sums."""
+    n, sx, sy, sxx, sxy, syy = sums
     unit = (n * POSITION_ONE) ** 2
     xx, xy, yy = ((n * b - a) / unit for a, b in ((sx * sx, sxx), (sx * sy, sxy), (sy * sy, syy)))
     return ZoneShape(0, sx / n / POSITION_ONE, sy / n / POSITION_ONE, ((xx, xy), (xy, yy)), n / total)
