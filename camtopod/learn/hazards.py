@@ -121,6 +121,13 @@ class Hazards:
         """`rate_ahead` for several zones (n,)."""
         return np.array([self._ahead.get((camera, target), 0.0) for target in targets.tolist()])
 
+    def bin_of(self, lag: float) -> int:
+        """`LagBins.index` of one lag."""
+        bins = self.bins
+        if not bins.lag_min <= lag <= bins.lag_max:
+            return -1
+        return math.floor(math.asinh(lag / bins.scale) / bins.step) - bins.first
+
     def seen_before(self, zone: int) -> NDArray[np.intp]:
         """Zones of other cameras where objects may appear before they leave at this one."""
         return self._before[zone]
@@ -134,9 +141,7 @@ class Hazards:
         and is still in it appears at another zone.
         """
         row = self._entered.get(entry, {}).get(target) if entry is not None else None
-        if row is None or not 0.0 < elapsed <= self.bins.lag_max:
-            return 0.0
-        return row[math.floor(math.asinh(elapsed / self.bins.scale) / self.bins.step) - self.bins.first]
+        return 0.0 if row is None or elapsed <= 0.0 or (at := self.bin_of(elapsed)) < 0 else row[at]
 
     def kernels_to(self, target: int) -> set[int]:
         """Zones of entry for which `rate_entered` knows something of the target."""

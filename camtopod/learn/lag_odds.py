@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from itertools import accumulate
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+
+WINDOW = (0.1, 0.5, 0.9)
+"""The shares of the mass at whose lags a window begins, has its middle and ends."""
 
 
 def paced(lag: Floats, slower: float) -> Floats:
@@ -27,15 +33,27 @@ def unknown(edges: Floats, elapsed: float, remembered: float, later: Floats) -> 
 
 
 def quantiles(mass: Floats, edges: Floats) -> list[list[float]]:
-    """Lags (targets, 3) below which there are 10, 50 and 90 % of the mass (targets, bins) between ``edges``; in between
-    as `np.interp` has it.
+    """Lags (targets, 3) below which there are the shares `WINDOW` of the mass (targets, bins) between ``edges``; in
+    between as `np.interp` has it.
     """
     rows = np.arange(len(mass))[:, None]
     reached = np.zeros((len(mass), len(edges)))
     np.cumsum(mass, axis=1, out=reached[:, 1:])
-    wanted = np.array((0.1, 0.5, 0.9)) * reached[:, -1:]
+    wanted = np.array(WINDOW) * reached[:, -1:]
     k = np.minimum((reached[:, None, :] <= wanted[:, :, None]).sum(axis=2) - 1, len(edges) - 2)
     below = reached[rows, k]
     slope = (edges[k + 1] - edges[k]) / (reached[rows, k + 1] - below)
     lags: list[list[float]] = (slope * (wanted - below) + edges[k]).tolist()
+    return lags
+
+
+def window(mass: list[float], edges: list[float]) -> list[float]:
+    """`quantiles` of one target: for a few, this is faster."""
+    reached = [0.0, *accumulate(mass)]
+    lags = []
+    for share in WINDOW:
+        wanted = share * reached[-1]
+        k = min(bisect_right(reached, wanted) - 1, len(mass) - 1)
+        slope = (edges[k + 1] - edges[k]) / (reached[k + 1] - reached[k])
+        lags.append(slope * (wanted - reached[k]) + edges[k])
     return lags

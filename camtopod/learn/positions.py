@@ -21,5 +21,6 @@ def block_of(x: float | None, y: float | None) -> int | None:
     """The same of one position in fractions of the image; None where there is none."""
     if x is None or y is None:
         return None
-    row, column = (min(int(round(p * POSITION_ONE) * BLOCKS_ACROSS // POSITION_ONE), BLOCKS_ACROSS - 1) for p in (y, x))
-    return row * BLOCKS_ACROSS + column
+    row = round(y * POSITION_ONE) * BLOCKS_ACROSS // POSITION_ONE
+    column = round(x * POSITION_ONE) * BLOCKS_ACROSS // POSITION_ONE
+    return min(row, BLOCKS_ACROSS - 1) * BLOCKS_ACROSS + min(column, BLOCKS_ACROSS - 1)

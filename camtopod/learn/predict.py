@@ -24,16 +24,17 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from camtopod.learn.hazards import Hazards, Outcomes
+from camtopod.learn.hazards import Hazards
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lag_odds import paced, quantiles, unknown
 from camtopod.learn.pace import Paces
+from camtopod.learn.places import Places
 from camtopod.learn.positions import block_of
-from camtopod.learn.recent import RECENT_MAX, Arrival, Recent
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.ready import Ready, ReadyZones
+from camtopod.learn.recent import RECENT_MAX, Arrival, Recent, RecentArrivals
 from camtopod.learn.surroundings import Surroundings
 from camtopod.learn.under_way import Passage, UnderWay
-from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
+from camtopod.records import Event, NextCamera, Prediction, Topology
 
 Floats = NDArray[np.float64]
 
@@ -72,16 +73,13 @@ class Predictor:
         self._hazards = Hazards(topology)
         self._surroundings = Surroundings(topology)
         self._paces = Paces(topology)
-        self._of_camera: dict[str, list[int]] = {}
-        for k, zone in enumerate(self.zones):
-            self._of_camera.setdefault(zone.camera, []).append(k)
-        self._ahead = {camera.id: camera.clock_offset for camera in topology.cameras}
-        self._clocks_apart = max(self._ahead.values(), default=0.0) - min(self._ahead.values(), default=0.0)
-        self._corrected = topology.model is not None and topology.model.clocks_corrected
-        self._share = {known.camera: known.share for known in (topology.model.cameras if topology.model else [])}
+        self._ready = ReadyZones(topology, self._hazards, self._paces)
+        self._places = Places(self.zones)
+        self._of_camera = self._places.of_camera
+        self._ahead, self._clocks_apart = self._ready.ahead, self._ready.clocks_apart
         stay_max = {camera: self._hazards.longest_stay(zones) for camera, zones in self._of_camera.items()}
         self._under_way = UnderWay({camera: stay for camera, stay in stay_max.items() if stay})
-        self._arrivals, self._exits = Recent(), Recent()
+        self._arrivals, self._exits = RecentArrivals(), Recent()
         self._ahead_of = np.array([self._ahead.get(zone.camera, 0.0) for zone in self.zones])
         self._wanted = np.zeros(len(self.zones), np.bool_)  # all False between calls
         self._row_of = np.full(len(self.zones), -1, np.intp)  # all -1 between calls
@@ -154,13 +152,7 @@ class Predictor:
 
     def zone_of(self, event: Event) -> int | None:
         """Index of the zone the event most likely belongs to; None for a camera without zones."""
-        candidates = self._of_camera.get(event.camera)
-        if not candidates:
-            return None
-        if event.x is None or event.y is None:
-            return max(candidates, key=lambda k: self.zones[k].entries + self.zones[k].exits)
-        x, y = event.x, event.y
-        return max(candidates, key=lambda k: _log_density(self.zones[k], x, y))
+        return self._places.zone_of(event)
 
     def predict(self, event: Event, now: float | None = None) -> Prediction:
         """Next appearance of the object of an exit, by what is known at the exit.
@@ -194,43 +186,85 @@ class Predictor:
         and in a block of the image, if known.
         """
         _check(t, now)
-        here, outcomes = self.zones[zone], self._hazards.outcomes.get(zone)
-        if outcomes is None:
+        here, ready = self.zones[zone], self._ready.of(zone)
+        if ready is None:
             return Prediction(here.camera, here.id, t, track, self.topology.version, 1.0, [])
-        left, edges = t - self._ahead[here.camera], self._hazards.bins.edges
-        stay = None if passage is None else left - passage.t
-        entry, departures = None if passage is None else passage.entry, self._hazards.departures[zone]
+        left, outcomes, edges = t - self._ahead[here.camera], ready.outcomes, self._hazards.bins.edges
+        entry, previous, sure, stay = None, None, 0.0, None
+        if passage is not None:
+            entry, previous, sure, stay = passage.entry, passage.previous, passage.sure, left - passage.t
         pace = self._paces.of_passage(entry, zone, stay)
         observed = now is not None and self._has_left(zone, left)
-        mass = self._odds(zone, outcomes, left, passage, observed)
-        known = (None, None, 0.0) if passage is None else (passage.entry, passage.previous, passage.sure)
-        likelier, leave = self._surroundings.multipliers(zone, outcomes, block, *known)
+        if observed:
+            mass, changed = self._odds(zone, ready, left, passage, observed), None
+        else:
+            mass, changed = self._odds_at_exit(ready, left, passage)
+        likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, previous, sure)
         mass *= likelier[:, None]
-        odds = mass.sum(axis=1)
-        leave += float((outcomes.doubt * odds).sum())
+        odds = np.add.reduce(mass, axis=1)
+        leave += float(np.add.reduce(outcomes.doubt * odds))
         if now is not None and now > t:  # what may as well be chance was so at the exit: it is gone, seen or not
             slower, pace = 1.0 if pace is None else pace[0], None
-            mass = self._odds(zone, outcomes, left, passage, observed, now - t, slower) * likelier[:, None]
+            mass, changed = self._odds(zone, ready, left, passage, observed, now - t, slower), None
+            mass *= likelier[:, None]
             edges, odds, leave = paced(edges, slower), mass.sum(axis=1), max(leave, LEAVE_FLOOR)
-        odds *= 1.0 - outcomes.doubt
-        total = leave + float(odds.sum())
-        order = [int(k) for k in np.argsort(-odds, kind="stable") if odds[k] >= NEXT_PROBABILITY_MIN * total]
-        kept = leave + float(odds[order].sum())
-        following = []
-        chances, rests_on = (odds[order] / kept).tolist(), (outcomes.share[order] * departures).tolist()
-        usual = quantiles(mass[order], edges)
-        for k, chance, transitions, lags in zip(order, chances, rests_on, usual, strict=True):
-            target = self.zones[outcomes.targets[k]]
-            q10, q50, q90 = self._paces.at_pace(pace, transitions, *lags)
-            shift = 0.0 if self._corrected else self._ahead[target.camera] - self._ahead[here.camera]
-            times = round(q10 + shift, 3), round(q50 + shift, 3), round(q90 + shift, 3)
-            following.append(NextCamera(target.camera, target.id, chance, *times))
+        odds *= ready.sure
+        total = leave + float(np.add.reduce(odds))
+        ranked = (-odds).argsort(kind="stable")
+        falling = odds[ranked]
+        falling = falling[falling >= NEXT_PROBABILITY_MIN * total]
+        ranked, kept = ranked[: len(falling)], leave + float(np.add.reduce(falling))
+        chances, order = (falling / kept).tolist(), ranked.tolist()
+        if changed is None:
+            lags = quantiles(mass[ranked], edges)
+            windows = [ready.window(k, pace, usual) for k, usual in zip(order, lags, strict=True)]
+        else:
+            windows = ready.windows(order, pace, mass, changed)
+        following = [
+            NextCamera(ready.targets[k].camera, ready.targets[k].id, chance, *times)
+            for k, chance, times in zip(order, chances, windows, strict=True)
+        ]
         return Prediction(here.camera, here.id, t, track, self.topology.version, leave / kept, following)
+
+    def _odds_at_exit(self, ready: Ready, t: float, passage: Passage | None) -> tuple[Floats, set[int]]:
+        """`_odds` for an exit that has not been observed, by what is known then. And of which targets the odds of the
+        lags, beside each other, are not what they are without any passage or arrival.
+        """
+        outcomes, stay = ready.outcomes, None if passage is None else t - passage.t
+        mass = outcomes.hazard * ready.coming
+        if ready.exposed:
+            mass[ready.exposed] *= outcomes.exposure if stay is None else self._exposed(stay)
+        mass *= self._alive(ready)
+        changed = {*ready.exposed}
+        arrivals, hazards = self._arrivals, self._hazards
+        counts, since = arrivals.dropped + arrivals.first, -math.inf if passage is None else passage.t
+        oldest = max(t + hazards.bins.lag_min, since)
+        for k, target, later, earliest, ahead, kernels in ready.before:
+            heard = arrivals.of_zone.get(target)
+            entered = passage is not None and passage.entry in kernels
+            if heard is None or not (entered or heard[-1][0] >= t + earliest):
+                continue
+            reach = oldest if entered else max(oldest, t + earliest)
+            for came, number in reversed(heard):
+                if came < reach:
+                    break
+                at = hazards.bin_of(came - t) if since < came and came + later < t and number >= counts else -1
+                if at < 0:
+                    continue
+                here, rate = outcomes.hazard.item(k, at), arrivals.rate.item(number - arrivals.dropped)
+                here = here and here * ready.exposure(at, stay)
+                if passage is not None:
+                    from_view = hazards.rate_entered(passage.entry, target, came - since) if entered else 0.0
+                    here, rate = here + from_view, rate - (from_view + ahead)
+                if here:
+                    mass[k, at] += here / max(rate, RATE_MIN)
+                    changed.add(k)
+        return mass, changed
 
     def _odds(
         self,
         zone: int,
-        outcomes: Outcomes,
+        ready: Ready,
         t: float,
         passage: Passage | None,
         observed: bool,
@@ -242,24 +276,20 @@ class Predictor:
         ``observed``: the exit has been, so that arrivals have it among their causes. ``elapsed``: what is known so many
         seconds after it, of an object that takes ``slower`` times as long as usual; bins are at its pace then.
         """
-        bins, past, since = self._hazards.bins, self._hazards.past, -math.inf if passage is None else passage.t
+        bins, outcomes, since = self._hazards.bins, ready.outcomes, -math.inf if passage is None else passage.t
         camera = self.zones[zone].camera
-        if passage is None:
-            exposed = outcomes.exposure
-        else:
-            exposed = np.where(past, np.clip((bins.edges[1:] + (t - since)) / bins.widths, 0.0, 1.0), 1.0)
+        exposed = outcomes.exposure if passage is None else self._exposed(t - since)
         prior = outcomes.hazard * bins.widths * exposed
-        later = self._ahead_of[outcomes.targets] - self._ahead[camera]
         found = self._recent(t, since, zone)
         before = len(found)
         if elapsed:
             edges = paced(bins.edges, slower)
             came_since, remembered = self._since(t, elapsed, camera)
             found = np.concatenate((found, came_since))
-            prior *= unknown(edges, elapsed, remembered, later)
+            prior *= unknown(edges, elapsed, remembered, ready.later)
         else:
-            prior = np.where(bins.edges[1:] <= -later[:, None], 0.0, prior)
-        mass: Floats = prior * np.array([self._alive(k) for k in outcomes.targets])[:, None]
+            prior = np.where(bins.edges[1:] <= -ready.later[:, None], 0.0, prior)
+        mass: Floats = prior * self._alive(ready)
         there, came = self._arrivals.zone[found], self._arrivals.t[found]
         self._row_of[outcomes.targets] = np.arange(len(outcomes.targets))
         k, at = self._row_of[there], bins.index(paced(came - t, 1.0 / slower) if elapsed else came - t)
@@ -340,28 +370,19 @@ class Predictor:
         causes.update((camera, rate) for _, camera, rate in sorted(further))  # as they came: sums depend on the order
         return causes
 
-    def _alive(self, zone: int) -> float:
-        """Probability that the zone's camera still reports, from how many events of others it has let pass."""
-        camera = self.zones[zone].camera
-        silent = (self._events - self._last_event[camera]) * self._share.get(camera, 0.0)
-        return 1.0 / (1.0 + DEAD_PRIOR * math.exp(min(silent, SILENCE_NATS_MAX)))
+    def _exposed(self, stay: float) -> Floats:
+        """Share (bins,) of each bin of lags that a passage of ``stay`` seconds is exposed to."""
+        bins = self._hazards.bins
+        return np.where(self._hazards.past, np.clip((bins.edges[1:] + stay) / bins.widths, 0.0, 1.0), 1.0)
+
+    def _alive(self, ready: Ready) -> Floats:
+        """Probability (targets, 1) that each camera still reports, from how many events of others it has let pass."""
+        events, last_event, most, exp = self._events, self._last_event, SILENCE_NATS_MAX, math.exp
+        silences = [(events - last_event[camera]) * share for camera, share in ready.cameras]
+        alive = [1.0 / (1.0 + DEAD_PRIOR * exp(silent if silent < most else most)) for silent in silences]
+        return np.array(alive)[ready.camera_of]
 
 
 def _check(t: float, now: float | None) -> None:
     if now is not None and not t <= now < math.inf:
         raise ValueError(f"now is {now}: give the time of the exit, {t}, or a later one, in seconds")
-
-
-def _log_density(zone: Zone, x: float, y: float) -> float:
-    """Log of the zone's weighted normal density at a point (thesis 2.8) up to a constant; least without a shape.
-
-    A zone may be as narrow as a line, so the spread of a cell is added, as where zones are learned.
-    """
-    if zone.cov is None or zone.x is None or zone.y is None:
-        return -math.inf
-    (a, b), (_, d) = zone.cov
-    a, d = a + 1 / (12 * GRID_COLUMNS**2), d + 1 / (12 * GRID_ROWS**2)
-    dx, dy = x - zone.x, y - zone.y
-    det = a * d - b * b
-    distance = (d * dx * dx - 2 * b * dx * dy + a * dy * dy) / det
-    return math.log(max(zone.entries + zone.exits, 1)) - 0.5 * math.log(det) - 0.5 * distance

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import insort
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
@@ -64,3 +66,33 @@ class Recent:
         """Those that count, oldest first."""
         columns = (column[self.first : self.stop].tolist() for column in (self.t, self.zone, self.rate))
         return [Arrival(*one) for one in zip(*columns, strict=True)]
+
+
+class RecentArrivals(Recent):
+    """The newest arrivals, also by zone."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.dropped = 0
+        """So many are not in the columns any more."""
+        self.of_zone: dict[int, list[tuple[float, int]]] = {}
+        """Of each at a zone, by time, when it came and its number: its place in the columns and behind those that were
+        dropped. Those before `first` do not count.
+        """
+
+    def append(self, t: float, zone: int, rate: float = 0.0) -> None:
+        """The next one, as of `Recent`."""
+        full = self.stop == len(self.t)
+        super().append(t, zone, rate)
+        if full:
+            self._drop(RECENT_MAX)
+        came, newest = self.of_zone.setdefault(zone, []), (t, self.dropped + self.stop - 1)
+        if came and newest < came[-1]:
+            insort(came, newest)
+        else:
+            came.append(newest)
+
+    def _drop(self, number: int) -> None:
+        self.dropped += number
+        left = ((zone, [one for one in came if one[1] >= self.dropped]) for zone, came in self.of_zone.items())
+        self.of_zone = {zone: came for zone, came in left if came}

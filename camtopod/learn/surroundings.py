@@ -7,21 +7,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.contexts import BACK_OFF_DEPARTURES, multipliers
+from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 from camtopod.learn.hazards import Outcomes
 from camtopod.learn.joint import LEAVE_FLOOR
-from camtopod.records import Topology
+from camtopod.records import Context, Topology
 
 Floats = NDArray[np.float64]
 Key = tuple[int | None, int | None, str | None]
 
 
 class _Counts(NamedTuple):
-    departures: float
-    to: dict[int, float]
+    """What a context has counted, beside what it backs off to."""
 
-
-_NOTHING = _Counts(0.0, {})
+    below: float
+    moved: list[float]
+    """(targets,)"""
+    stays: float
 
 
 class Surroundings:
@@ -29,11 +30,11 @@ class Surroundings:
 
     def __init__(self, topology: Topology) -> None:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
-        self._of_zone: dict[int, dict[Key, _Counts]] = {}
+        self._names = [zone.id for zone in topology.zones]
+        self._of_zone: dict[int, dict[Key, Context | _Counts]] = {}
         for row in (topology.model and topology.model.contexts) or []:
             entry = index[row.entry] if row.entry is not None else None
-            to = {index[name]: count for name, count in row.to.items()}
-            self._of_zone.setdefault(index[row.zone], {})[entry, row.block, row.previous] = _Counts(row.departures, to)
+            self._of_zone.setdefault(index[row.zone], {})[entry, row.block, row.previous] = row
 
     def multipliers(
         self, zone: int, outcomes: Outcomes, block: int | None, entry: int | None, previous: str | None, sure: float
@@ -42,23 +43,36 @@ class Surroundings:
         probability of not being seen again. ``sure``: probability that ``previous`` is right.
         """
         known = self._of_zone.get(zone)
-        share, leave = outcomes.share, outcomes.leave
         if known is None:
-            return np.ones(len(share)), leave
-        steps: list[tuple[Key, float]] = []
+            return np.ones(len(outcomes.targets)), outcomes.leave
+        asked: list[Key] = []
         if entry is not None:
-            steps.append(((entry, None, None), 1.0))
+            asked.append((entry, None, None))
         if block is not None:
-            steps.append(((None, block, None), 1.0))
+            asked.append((None, block, None))
         if entry is not None and block is not None:
-            steps.append(((entry, block, None), 1.0))
+            asked.append((entry, block, None))
+        share, leave, few = outcomes.share.tolist(), outcomes.leave, BACK_OFF_DEPARTURES
+        for key in asked:
+            below, moved, stays = self._counted(known, key, outcomes.targets)
+            share = [(more + few * one) / below for more, one in zip(moved, share, strict=True)]
+            leave = (stays + few * leave) / below
         if previous is not None:
-            steps.append(((None, None, previous), min(sure, 1.0)))
-        for key, told in steps:
-            counts = known.get(key, _NOTHING)
-            below = counts.departures + BACK_OFF_DEPARTURES
-            moved = np.array([counts.to.get(target, 0.0) for target in outcomes.targets])
-            stays = max(counts.departures - sum(counts.to.values()), 0.0)
-            share = told * (moved + BACK_OFF_DEPARTURES * share) / below + (1.0 - told) * share
-            leave = told * (stays + BACK_OFF_DEPARTURES * leave) / below + (1.0 - told) * leave
-        return multipliers(outcomes.share, share), max(leave, LEAVE_FLOOR)
+            below, moved, stays = self._counted(known, (None, None, previous), outcomes.targets)
+            told = min(sure, 1.0)
+            rest = 1.0 - told
+            share = [told * (more + few * one) / below + rest * one for more, one in zip(moved, share, strict=True)]
+            leave = told * (stays + few * leave) / below + rest * leave
+        likelier = np.array(share) / np.maximum(outcomes.share, 1e-300)  # as `contexts.multipliers`
+        return np.minimum(np.maximum(likelier, 1.0 / MULTIPLIER_MAX), MULTIPLIER_MAX), max(leave, LEAVE_FLOOR)
+
+    def _counted(self, known: dict[Key, Context | _Counts], key: Key, targets: list[int]) -> _Counts:
+        """Of a context of a zone, on the zone's targets; worked out when it is first asked about."""
+        row = known.get(key)
+        if row is None:
+            return _Counts(BACK_OFF_DEPARTURES, [0.0] * len(targets), 0.0)
+        if isinstance(row, Context):
+            moved = [row.to.get(self._names[target], 0.0) for target in targets]
+            stays = max(row.departures - sum(row.to.values()), 0.0)
+            known[key] = row = _Counts(row.departures + BACK_OFF_DEPARTURES, moved, stays)
+        return row
