@@ -16,8 +16,9 @@ from thesis import FIGURE_4_4_ZONES, figure_4_4
 from camtopod.learn import clutter as clutter_module
 from camtopod.learn import valley as valley_module
 from camtopod.learn.clutter import clutter_rate, clutter_rates, dense_cells
-from camtopod.learn.evidence import gaussians, log_evidence
+from camtopod.learn.evidence import gaussians, log_evidence, log_share, log_zone, moments
 from camtopod.learn.positions import POSITION_ONE
+from camtopod.learn.separation import far
 from camtopod.learn.valley import valley
 from camtopod.learn.zones import (
     CellSums,
@@ -274,6 +275,38 @@ def test_evidence_prefers_one_zone_for_one_gaussian_and_two_for_two() -> None:
     mean, cov = gaussians(group(left))
     assert mean == pytest.approx(left.mean(axis=0))
     assert cov[[0, 2]] == pytest.approx(left.var(axis=0), rel=0.3)
+
+
+def test_a_zone_at_once_is_its_evidence_and_its_share() -> None:
+    rng = np.random.default_rng(0)
+    n = np.concatenate((np.arange(1.0, 60.0), 10.0 ** np.arange(2, 8)))
+    x, y = rng.random((2, len(n)))
+    xx, yy = rng.random((2, len(n))) * 0.02
+    groups = n * np.array((np.ones(len(n)), x, y, x * x + xx, x * y + 0.3 * np.sqrt(xx * yy), y * y + yy))
+    for weight in (1.0, 0.3, 0.01):
+        weighed = groups * weight
+        both = log_evidence(weighed) + log_share(weighed[0])
+        assert log_zone(weighed[0], moments(weighed)[1]) == pytest.approx(both, rel=1e-12, abs=1e-8)
+
+
+def test_far_apart_is_by_the_line_that_tells_best() -> None:
+    rng = np.random.default_rng(1)
+    n = rng.integers(1, 500, (2, 400)).astype(float)
+    mean, root = rng.random((2, 2, 400)), rng.standard_normal((2, 2, 2, 400)) * 0.05
+    xx, yy = (root[k, 0] ** 2 + root[k, 1] ** 2 for k in (0, 1))
+    scatter = n * np.array((xx, root[0, 0] * root[1, 0] + root[0, 1] * root[1, 1], yy))
+    expected = []
+    for k in range(n.shape[1]):
+        sums = [np.array((m, *(m * c), *(s + m * np.outer(c, c)[(0, 0, 1), (0, 1, 1)])))
+                for m, c, s in zip(n[:, k], mean[:, :, k].T, scatter[:, :, k].T, strict=True)]  # fmt: skip
+        (one, a), (other, b) = (gaussians(own) for own in sums)
+        a, b = (np.array(((own[0], own[1]), (own[1], own[2]))) for own in (a, b))
+        line = np.linalg.solve(a + b, other - one)
+        line /= np.hypot(*line)
+        sd = np.sqrt(line @ a @ line + 1e-6) + np.sqrt(line @ b @ line + 1e-6)
+        expected.append(line @ (other - one) > 3 * sd)
+    assert far(n, mean, scatter).tolist() == expected
+    assert 20 < sum(expected) < 380
 
 
 def test_open_borders_of_a_real_plaza_are_several_zones() -> None:

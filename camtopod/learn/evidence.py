@@ -1,7 +1,7 @@
 """Evidence of a group of events being one zone: the marginal likelihood of a Gaussian of unknown mean and
 covariance.
 
-A group is six sums (n, Sx, Sy, Sxx, Sxy, Syy) in image units, last axis of every array here; groups add up.
+A group is six sums (n, Sx, Sy, Sxx, Sxy, Syy) in image units, first axis of every array here; groups add up.
 The mean has a flat prior over the image (area 1), the covariance an inverse Wishart prior that expects a zone
 of `ZONE_SD`, weighing as much as one or two events. Clutter is uniform over the image, so its evidence is 1
 (log 0) whatever its size: the number compared against. A group of one event has exactly that, too: a single
@@ -25,28 +25,48 @@ SHARE_PRIOR = 1.0
 """Dirichlet prior of the zones' shares of the traffic."""
 
 
-def scatter(groups: Floats) -> tuple[Floats, Floats, Floats]:
-    """Sums of squared deviations from each group's mean: (xx, xy, yy)."""
-    n = np.maximum(groups[..., 0], 1e-12)
-    sx, sy = groups[..., 1], groups[..., 2]
-    return groups[..., 3] - sx * sx / n, groups[..., 4] - sx * sy / n, groups[..., 5] - sy * sy / n
+def moments(groups: Floats) -> tuple[Floats, Floats]:
+    """Mean (2, ...) of each group and its sums of squared deviations from it (3: xx, xy, yy, ...)."""
+    mean = groups[1:3] / np.maximum(groups[0], 1e-12)
+    (sx, sy), (x, y) = groups[1:3], mean
+    return mean, groups[3:] - np.array((sx * x, sx * y, sy * y))
 
 
 def gaussians(groups: Floats) -> tuple[Floats, Floats]:
-    """Mean (..., 2) and covariance (..., 3: xx, xy, yy) of each group, the prior weighed in."""
-    n = groups[..., 0]
-    xx, xy, yy = scatter(groups)
-    cov = np.stack([xx + _SCALE, xy, yy + _SCALE], axis=-1) / (n + _FREEDOM - 1)[..., None]
-    return groups[..., 1:3] / np.maximum(n, 1e-12)[..., None], cov
+    """Mean (2, ...) and covariance (3: xx, xy, yy, ...) of each group, the prior weighed in."""
+    mean, scatter = moments(groups)
+    return mean, covariance(groups[0], scatter)
+
+
+def covariance(n: Floats, scatter: Floats) -> Floats:
+    """That of `gaussians` from the number of events and the squared deviations (`moments`)."""
+    xx, xy, yy = scatter
+    cov: Floats = np.array((xx + _SCALE, xy, yy + _SCALE)) / (n + (_FREEDOM - 1))
+    return cov
 
 
 def log_evidence(groups: Floats) -> Floats:
     """Log marginal likelihood of each group as one zone, relative to clutter."""
-    n = np.maximum(groups[..., 0], 1.0)
-    xx, xy, yy = scatter(groups)
+    n = np.maximum(groups[0], 1.0)
+    xx, xy, yy = moments(groups)[1]
     half = 0.5 * (_FREEDOM + n - 1)
     determinant = (_SCALE + xx) * (_SCALE + yy) - xy * xy
     result: Floats = _log_gamma_2(half) + _CONSTANT - (n - 1) * np.log(np.pi) - np.log(n) - half * np.log(determinant)
+    return result
+
+
+def log_zone(n: Floats, scatter: Floats) -> Floats:
+    """`log_evidence` and `log_share` of groups together, by number of events and squared deviations (`moments`).
+
+    By the duplication formula all their gamma functions are powers of two times the same factorial, `_FREEDOM` and
+    `SHARE_PRIOR` being what they are.
+    """
+    factorial = gammaln(n + 1)
+    n = np.maximum(n, 1.0)
+    xx, xy, yy = scatter
+    determinant = (xx + _SCALE) * (yy + _SCALE) - xy * xy
+    result: Floats = factorial + np.maximum(factorial, 0.0) + np.log((n + 1) / n) - n * _LOG_TAU + _BOTH
+    result -= (0.5 * (_FREEDOM - 1) + 0.5 * n) * np.log(determinant)
     return result
 
 
@@ -61,7 +81,7 @@ def log_zones(zones: int, total: Floats) -> Floats:
     (`log_share`) and of the clutter (log of its factorial): a Dirichlet multinomial over unordered zones.
     """
     weight = SHARE_PRIOR * zones + 1
-    result: Floats = 2 * gammaln(zones + 1) + gammaln(weight) - gammaln(zones + 1) - gammaln(total + weight)
+    result: Floats = gammaln(zones + 1) + gammaln(weight) - gammaln(total + weight)
     return result
 
 
@@ -72,3 +92,5 @@ def _log_gamma_2(a: Floats) -> Floats:
 
 
 _CONSTANT = _FREEDOM * np.log(_SCALE) - _log_gamma_2(np.array(_FREEDOM / 2))
+_BOTH = _CONSTANT + np.log(np.pi**2 / 2)
+_LOG_TAU = float(np.log(2 * np.pi))

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from camtopod.learn.clutter import CONTRAST_MIN, FLOOR_CHANCE, FOUND_CHANCE, dense_cells, groups_of
-from camtopod.learn.evidence import gaussians, log_evidence, log_share, log_zones
+from camtopod.learn.evidence import covariance, gaussians, log_zone, log_zones, moments
+from camtopod.learn.separation import discriminant, far, sd_along
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.valley import valley
 
@@ -41,8 +42,6 @@ VALLEY_MIN = 3.5
 """Log likelihood ratio of a valley that two Gaussians' evidence needs beside it."""
 VALLEY_ALONE = 8.0
 """One that needs no other evidence (several doors in a row look like one Gaussian to any single cut)."""
-FAR = 3.0
-"""Two centres further apart than this many of their summed standard deviations need no valley."""
 UNLIKE = 2.0
 """So much log likelihood for each event of the smaller group shows two zones without a valley."""
 EXCESS_MIN = 11.0
@@ -55,34 +54,31 @@ HOLD_GAIN = 3.0
 """The same where evidence is compared with none: so much log likelihood for the change."""
 _ROUNDS_MAX = 6
 _GAIN_HOPELESS = -10.0
-_CENTRES = np.stack(
-    [
-        np.tile((np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS, GRID_ROWS),
-        np.repeat((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS, GRID_COLUMNS),
-    ]
-)
-_CELL_SPREAD = np.array([1 / GRID_COLUMNS**2, 0.0, 1 / GRID_ROWS**2]) / 12
+_X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS
+_Y = ((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None]
+_CELL_SPREAD = np.array([[1 / GRID_COLUMNS**2], [0.0], [1 / GRID_ROWS**2]]) / 12
 _ANGLES = np.arange(6) * np.pi / 6
-_DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+_DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 _CUTS_TRIED = 2
+_FIRST = np.arange(len(_ANGLES))[:, None]
 
 
 class Cells(NamedTuple):
-    """The m occupied cells: flat index, sums (m, 6) in image units (see `evidence`), mean (m, 2) and the
-    spread of the events within the cell (m, 3: xx, xy, yy)."""
+    """The m occupied cells: flat index, sums (6, m) in image units (see `evidence`), the same for each event, and the
+    spread of the events within the cell (3, m: xx, xy, yy)."""
 
     index: NDArray[np.intp]  # type: ignore[assignment]  # hides a method of tuple nobody needs
     sums: Floats
-    mean: Floats
+    average: Floats
     spread: Floats
 
     @classmethod
     def of(cls, sums: Floats, index: NDArray[np.intp]) -> Cells:
-        """Cells from their sums (m, 6) and flat indices (m,); no cell may be empty."""
-        n = sums[:, 0]
-        x, y = sums[:, 1] / n, sums[:, 2] / n
-        xx, yy = np.maximum(sums[:, 3] / n - x * x, 0), np.maximum(sums[:, 5] / n - y * y, 0)
-        return cls(index, sums, np.stack([x, y], 1), np.stack([xx, sums[:, 4] / n - x * y, yy], 1))
+        """Cells from their sums (6, m) and flat indices (m,); no cell may be empty."""
+        average = sums / sums[0]
+        _, x, y, xx, xy, yy = average
+        spread = np.array((np.maximum(xx - x * x, 0), xy - x * y, np.maximum(yy - y * y, 0)))
+        return cls(index, sums, average, spread)
 
 
 def partition(cells: Cells, count: NDArray[np.int64], rates: Floats, held: Labels | None = None) -> Labels:
@@ -113,29 +109,35 @@ class _Moves:
         self.rates = rates
         self.density = (rates / rates.mean()).ravel()  # of clutter, relative to a uniform one
         self.log_density = np.log(self.density[cells.index])
-        self.total = float(cells.sums[:, 0].sum())
+        self.grids = np.zeros((len(self.density), 2))  # clutter's density, and the events
+        self.grids[:, 0] = self.density
+        self.grids[cells.index, 1] = cells.sums[0]
+        self.weighed = cells.sums[0] * self.log_density
+        self.total = float(cells.sums[0].sum())
         self.valleys: dict[bytes, float] = {}
         self.uncut: set[bytes] = set()
         self.tried: set[bytes] = set()
         self._set(labels)
 
     def _set(self, labels: Labels) -> None:
-        inside = labels >= 0
-        present = np.bincount(labels[inside]) > 0
-        compact = (np.cumsum(present) - 1)[labels[inside]]
-        self.labels = np.full(len(labels), -1, dtype=np.intp)
-        self.labels[inside] = compact
-        self.zones = np.zeros((int(self.labels.max(initial=-1)) + 1, 6))
-        np.add.at(self.zones, compact, self.cells.sums[inside])
-        self.as_clutter = np.bincount(compact, (self.cells.sums[:, 0] * self.log_density)[inside], len(self.zones))
+        present = np.bincount(labels + 1, minlength=1) > 0
+        present[0] = False
+        numbers = np.cumsum(present) - 1
+        numbers[0] = -1
+        self.labels = numbers[labels + 1]
+        # Sums of positions in fixed point have no rounding, in whatever order they are added.
+        self.zones = (self.labels == np.arange(numbers[-1] + 1)[:, None]).astype(np.float64) @ self.cells.sums.T
+        self.mean, self.scatter = moments(self.zones.T)
+        self.cov = covariance(self.zones[:, 0], self.scatter)
+        self.as_clutter = np.bincount(self.labels + 1, self.weighed, len(self.zones) + 1)[1:]
         self.clutter = self.total - float(self.zones[:, 0].sum())
 
     def settle(self) -> Labels:
         for _ in range(_ROUNDS_MAX):
             self._merge()
             self._drop()
-            self._assign()
-            self._assign()
+            if self._assign():
+                self._assign()
             if not self._split() and not self._found():
                 return self.labels
         self._merge()
@@ -152,7 +154,7 @@ class _Moves:
         if len(self.zones) == 0 or not outside.any():
             return False
         count = np.zeros(GRID_ROWS * GRID_COLUMNS)
-        count[self.cells.index[outside]] = self.cells.sums[outside, 0]
+        count[self.cells.index[outside]] = self.cells.sums[0, outside]
         labels, known = self.labels, len(self.zones)
         dense = dense_cells(count.reshape(GRID_ROWS, GRID_COLUMNS), self.rates, FOUND_CHANCE)
         if not dense.any():
@@ -187,8 +189,11 @@ class _Moves:
         """Merge pairs that are not two zones, the likeliest first; a small one that is unlike its neighbour
         goes to the clutter instead where that costs less."""
         while len(self.zones) > 1:
-            a, b = np.triu_indices(len(self.zones), 1)
-            gain, clear = self._apart(self.zones[a], self.zones[b], -self.hold_gain)
+            zones = np.arange(len(self.zones))
+            a, b = np.nonzero(zones[:, None] < zones)
+            two = np.stack((a, b))
+            sides = self.zones[two, 0], self.mean[:, two], self.scatter[:, two]
+            gain, clear = self._apart(*sides, self.zones.T[:, two].sum(axis=1), slice(None), -self.hold_gain)
             wanted = np.where(gain > -self.hold_gain, VALLEY_MIN, VALLEY_ALONE) / self.hold
             for pair in gain.argsort(kind="stable"):
                 i, j = int(a[pair]), int(b[pair])
@@ -217,46 +222,54 @@ class _Moves:
         and something where it is hardly denser than the clutter around it."""
         n, count = self.zones[which, 0], len(self.zones)
         total = np.array(self.total)
-        prior = log_zones(count - 1, total) - log_zones(count, total) - log_share(n)
-        gain = prior + gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1)
-        gain += self.as_clutter[which] - log_evidence(self.zones[which])
+        gain = log_zones(count - 1, total) - log_zones(count, total) - log_zone(n, self.scatter[:, which])
+        gain += gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1) + self.as_clutter[which]
         inside, expected = self._inside(which)
-        doubt = EXCESS_MIN * hold - _log_surplus(inside, expected)
-        gain = np.where(gain > 0, np.minimum(gain, doubt), gain)
-        return np.asarray(np.maximum(gain, -_log_surplus(inside, CONTRAST_MIN * expected)))
+        surplus, contrast = _log_surplus(inside, np.array((expected, CONTRAST_MIN * expected)))
+        gain = np.where(gain > 0, np.minimum(gain, EXCESS_MIN * hold - surplus), gain)
+        return np.asarray(np.maximum(gain, -contrast))
 
     def _inside(self, which: Labels) -> tuple[Floats, Floats]:
         """Events within two standard deviations of each zone that are in no other one; those expected of clutter."""
-        mean, cov = gaussians(self.zones[which])
-        xx, xy, yy = (cov + _CELL_SPREAD).T[:, :, None]
-        dx, dy = _CENTRES[0] - mean[:, :1], _CENTRES[1] - mean[:, 1:]
-        inside = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy < 4 * (xx * yy - xy * xy)
-        inside[:, self.cells.index] &= (self.labels < 0) | (self.labels == which[:, None])
-        outside = self.density.sum() - self.density[self.cells.index[self.labels >= 0]].sum()
-        expected = np.maximum(inside @ self.density, self.density.min()) * (self.clutter + 1) / max(outside, 1.0)
-        n = np.maximum((inside[:, self.cells.index] * self.cells.sums[:, 0]).sum(axis=1), 1e-9)
-        return n, expected
+        xx, xy, yy = (self.cov[:, which] + _CELL_SPREAD)[:, :, None, None]
+        x, y = self.mean[:, which, None, None]
+        dx, dy = _X - x, _Y - y
+        square = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy
+        inside = (square < 4 * (xx * yy - xy * xy)).reshape(len(which), -1)
+        labels = np.full(len(self.density), -1)
+        labels[self.cells.index] = self.labels
+        free = labels < 0
+        inside &= free | (labels == which[:, None])
+        expected, n = (inside.astype(np.float64) @ self.grids).T
+        scale = (self.clutter + 1) / max(float(self.density @ free), 1.0)
+        return np.maximum(n, 1e-9), np.maximum(expected, self.density.min()) * scale
 
-    def _apart(self, a: Floats, b: Floats, least: float) -> tuple[Floats, NDArray[np.bool_]]:
-        """What the log posterior gains by two zones ``a`` and ``b`` (..., 6) instead of one, and whether that
-        alone shows two: where they are far apart, or where an event of the smaller one is very unlike the
-        other. Otherwise the gain is a coarsened one, and a valley is wanted.
+    def _apart(
+        self, n: Floats, mean: Floats, scatter: Floats, both: Floats, of: Labels | slice, least: float
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """What the log posterior gains by two zones instead of one, and whether that alone shows two: where they are
+        far apart, or where an event of the smaller one is very unlike the other. Otherwise the gain is a coarsened one,
+        and a valley is wanted.
+
+        The numbers of events of the two (2, ..., m) and their `moments`; ``both`` (6, wholes) are the sums of both
+        together, of which ``of`` says which is whose.
         """
-        n = a[..., 0] + b[..., 0]
-        weigh = 1 / (1 + n / PAIR_EVENTS)
-        (mean_a, cov_a), (mean_b, cov_b) = gaussians(a), gaussians(b)
-        line = _discriminant(cov_a + cov_b, mean_b - mean_a)
-        sd = _sd_along(cov_a, line) + _sd_along(cov_b, line)
-        far = ((mean_b - mean_a) * line).sum(axis=-1) > FAR * sd
-        weigh = np.where(far, 1.0, weigh)
-        a, b = a * weigh[..., None], b * weigh[..., None]
-        both, count = a + b, len(self.zones)
-        total = self.total * weigh
-        gain: Floats = log_evidence(a) + log_evidence(b) - log_evidence(both)
-        gain += log_share(a[..., 0]) + log_share(b[..., 0]) - log_share(both[..., 0])
-        gain += log_zones(count + 1, total) - log_zones(count, total)
-        unlike = gain > UNLIKE * np.minimum(a[..., 0], b[..., 0])
-        return gain, (gain > least) & (far | unlike)
+        well_apart = far(n, mean, scatter)
+        weigh = 1 / (1 + both[0] / PAIR_EVENTS)
+        weights = np.array((weigh, np.ones_like(weigh)))
+        wholes = self._one_zone(both[:, None] * weights, self.total * weights)[:, of]
+        weight, whole = weigh[of], wholes[0]
+        if well_apart.any():
+            weight, whole = np.where(well_apart, 1.0, weight), np.where(well_apart, wholes[1], whole)
+        first, second = log_zone(n * weight, scatter * weight)
+        gain = first + second - whole
+        unlike = gain > UNLIKE * np.minimum(*n) * weight
+        return gain, (gain > least) & (well_apart | unlike)
+
+    def _one_zone(self, groups: Floats, total: Floats) -> Floats:
+        """Log posterior of groups (6, ...) as one zone, but for what stays when they become two."""
+        count = len(self.zones)
+        return log_zone(groups[0], moments(groups)[1]) + log_zones(count, total) - log_zones(count + 1, total)
 
     def _valley_between(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
         """Log likelihood ratio of a valley between groups with sums ``a`` and ``b`` (6,), cells ``inside``."""
@@ -266,108 +279,111 @@ class _Moves:
         return self.valleys[key]
 
     def _valley(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
-        (mean_a, mean_b), cov = gaussians(np.stack([a, b]))
-        difference = mean_b - mean_a
-        line = _discriminant(cov[0] + cov[1], difference)
-        sd_a, sd_b = _sd_along(cov, line).tolist()
-        apart = float(line @ difference)
+        mean, cov = gaussians(np.stack((a, b), axis=1))
+        (x, to_x), (y, to_y) = mean.tolist()
+        to_x, to_y = to_x - x, to_y - y
+        line_x, line_y = line = discriminant(cov.sum(axis=1).tolist(), (to_x, to_y))
+        covs = cov.T.tolist()
+        sd_a, sd_b = (sd_along(own, line) for own in covs)
+        apart = line_x * to_x + line_y * to_y
         if apart == 0.0:
             return 0.0  # around one point there is nothing in between
         # Clutter in the tube between the two belongs to the valley.
-        mean = self.cells.mean
-        along = (mean - mean_a) @ line
-        aside = np.array([-line[1], line[0]])
-        centre = mean_a + np.clip(along / apart, 0, 1)[:, None] * difference
-        width = float(_sd_along(cov, aside).max())
-        tube = (self.labels < 0) & (along > 0) & (along < apart) & (np.abs((mean - centre) @ aside) < 2 * width)
-        chosen = inside | tube
-        n = self.cells.sums[chosen, 0] / (1 + (a[0] + b[0]) / PAIR_EVENTS)
-        sd = _sd_along(self.cells.spread[chosen], line)
+        dx, dy = self.cells.average[1] - x, self.cells.average[2] - y
+        along = line_x * dx + line_y * dy
+        aside = line_x * dy - line_y * dx - along * ((line_x * to_y - line_y * to_x) / apart)
+        width = max(sd_along(own, (-line_y, line_x)) for own in covs)
+        tube = (self.labels < 0) & (along > 0) & (along < apart) & (np.abs(aside) < 2 * width)
+        chosen = np.flatnonzero(inside | tube)
+        n = self.cells.sums[0, chosen] / (1 + (a[0] + b[0]) / PAIR_EVENTS)
+        sd = sd_along(self.cells.spread[:, chosen], line)
         return valley(n, along[chosen], sd, -2 * sd_a, apart + 2 * sd_b)
 
-    def _assign(self) -> None:
-        """Each cell to the Gaussian, or the clutter, that explains its events best on average."""
+    def _assign(self) -> bool:
+        """Each cell to the Gaussian, or the clutter, that explains its events best on average; whether any changed."""
         if not len(self.zones):
-            return
-        mean, cov = gaussians(self.zones)
-        xx, xy, yy = cov.T
+            return False
+        (x, y), (xx, xy, yy) = self.mean, self.cov
         determinant = xx * yy - xy * xy
-        dx, dy = (self.cells.mean[:, None, :] - mean).transpose(2, 0, 1)
-        inner = self.cells.spread[:, None, :]
-        squared = yy * (dx * dx + inner[..., 0]) - 2 * xy * (dx * dy + inner[..., 1]) + xx * (dy * dy + inner[..., 2])
-        score = (
-            np.log(self.zones[:, 0] + 1) - np.log(2 * np.pi) - 0.5 * np.log(determinant) - 0.5 * squared / determinant
-        )
-        best = score.argmax(axis=1)
-        explained = score[np.arange(len(best)), best] > np.log(self.clutter + 1) + self.log_density
-        labels = np.where(explained, best, -1)
-        if (labels != self.labels).any():
+        to_x, to_y = (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
+        share = np.log(self.zones[:, 0] + 1) - np.log(2 * np.pi) - 0.5 * (np.log(determinant) + to_x * x + to_y * y)
+        # The mean log density of a cell's events is linear in their mean sums.
+        score = np.array((share, to_x, to_y, -0.5 * yy / determinant, xy / determinant, -0.5 * xx / determinant)).T
+        score = score @ self.cells.average
+        explained = score.max(axis=0) > np.log(self.clutter + 1) + self.log_density
+        labels = np.where(explained, score.argmax(axis=0), -1)
+        changed = bool((labels != self.labels).any())
+        if changed:
             self._set(labels)
+        return changed
 
     def _split(self) -> bool:
         """Split every group that is two zones; whether any was."""
         labels = self.labels.copy()
         keys = [zone.tobytes() for zone in self.zones]
         looked = [k for k in range(len(keys)) if keys[k] not in self.uncut]
-        for k, part in zip(looked, self._cuts([np.flatnonzero(self.labels == k) for k in looked]), strict=True):
-            if part is None:
-                self.uncut.add(keys[k])
+        parts = self._cuts(looked)
+        for k in looked:
+            if k in parts:
+                labels[parts[k]] = labels.max() + 1
             else:
-                labels[part] = labels.max() + 1
+                self.uncut.add(keys[k])
         changed = bool((labels != self.labels).any())
         if changed:
             self._set(labels)
         return changed
 
-    def _cuts(self, groups: list[NDArray[np.intp]]) -> list[NDArray[np.intp] | None]:
-        """Of each group of cells those on one side of the best straight cut, None when no cut makes two zones."""
-        if not groups:
-            return []
-        orders = [(self.cells.mean[own] @ _DIRECTIONS).argsort(axis=0, kind="stable") for own in groups]
-        sums = [np.cumsum(self.cells.sums[own][order], axis=0) for own, order in zip(groups, orders, strict=True)]
-        left = np.concatenate([own[:-1] for own in sums])
-        right = np.concatenate([own[-1:] - own[:-1] for own in sums])
-        gain, clear = self._apart(left, right, self.hold_gain)
-        result, end = list[NDArray[np.intp] | None](), 0
-        for own, order in zip(groups, orders, strict=True):
-            cuts = slice(end, end + len(own) - 1)
-            result.append(self._best_cut(own, order, left[cuts], right[cuts], gain[cuts], clear[cuts]))
-            end = cuts.stop
+    def _cuts(self, which: list[int]) -> dict[int, NDArray[np.intp]]:
+        """Of each of these zones that a straight cut makes two zones the cells on one side of the best such cut."""
+        filled = np.bincount(self.labels + 1)[1:]
+        which = [k for k in which if filled[k] > 1]
+        if not which:
+            return {}
+        rank = np.full(len(self.zones) + 1, -1, dtype=np.int16)  # the last one for clutter
+        rank[which] = np.arange(len(which))
+        own = rank[self.labels]
+        cells = np.flatnonzero(own >= 0)
+        own = own[cells]
+        by_place = (_DIRECTIONS @ self.cells.average[1:3, cells]).argsort(axis=1, kind="stable")
+        by_zone = own[by_place].argsort(axis=1, kind="stable") + _FIRST * len(own)
+        order = cells[by_place.ravel()[by_zone]]
+        size = filled[which]
+        end = np.cumsum(size)
+        of = np.repeat(np.arange(len(which)), size - 1)
+        both = self.zones[which].T
+        sides = np.empty((6, 2, len(order), len(of)))
+        # Behind each cell but a zone's last one there is a cut.
+        upto = np.cumsum(self.cells.sums[:, order], axis=2)[:, :, np.arange(len(of)) + of]
+        np.subtract(upto, (np.cumsum(both, axis=1) - both)[:, None, of], out=sides[:, 0])
+        np.subtract(both[:, None, of], sides[:, 0], out=sides[:, 1])
+        gain, clear = self._apart(sides[0], *moments(sides), both, of, self.hold_gain)
+        best = np.maximum.reduceat(gain, end - size - np.arange(len(which)), axis=1).T
+        result = {}
+        for nth in np.flatnonzero(best.max(axis=1) > _GAIN_HOPELESS).tolist():
+            members = slice(end[nth] - size[nth], end[nth])
+            cuts = slice(end[nth] - size[nth] - nth, end[nth] - nth - 1)
+            part = self._best_cut(best[nth], order[:, members], sides[..., cuts], gain[:, cuts], clear[:, cuts])
+            if part is not None:
+                result[which[nth]] = part
         return result
 
     def _best_cut(
-        self, members: NDArray[np.intp], order: NDArray[np.intp], left: Floats, right: Floats, gain: Floats,
-        clear: NDArray[np.bool_],
-    ) -> NDArray[np.intp] | None:  # fmt: skip
-        """The cells of ``members`` beyond the best cut that shows two zones. ``order``, and what is on either side of
-        each cut: (cuts, directions)."""
-        if len(members) < 2:
-            return None
+        self, best: Floats, order: NDArray[np.intp], sides: Floats, gain: Floats, clear: NDArray[np.bool_]
+    ) -> NDArray[np.intp] | None:
+        """The cells beyond the best cut that shows two zones. ``best`` gains (directions,), ``order`` of the cells
+        (directions, cells); ``sides`` and what follows are of the cuts (..., directions, cuts)."""
         inside = np.zeros(len(self.labels), dtype=np.bool_)
-        inside[members] = True
-        for angle in gain.max(axis=0).argsort(kind="stable")[::-1][:_CUTS_TRIED]:
-            at = int(gain[:, angle].argmax())
-            if gain[at, angle] > _GAIN_HOPELESS:
-                wanted = (VALLEY_MIN if gain[at, angle] > self.hold_gain else VALLEY_ALONE) * self.hold
-                if clear[at, angle] or self._valley_between(left[at, angle], right[at, angle], inside) >= wanted:
-                    return np.asarray(members[order[at + 1 :, angle]])
+        inside[order[0]] = True
+        for angle in best.argsort(kind="stable")[::-1][:_CUTS_TRIED].tolist():
+            if best[angle] > _GAIN_HOPELESS:
+                at = int(gain[angle].argmax())
+                wanted = (VALLEY_MIN if best[angle] > self.hold_gain else VALLEY_ALONE) * self.hold
+                left, right = sides[:, :, angle, at].T
+                if clear[angle, at] or self._valley_between(left, right, inside) >= wanted:
+                    return order[angle, at + 1 :]
         return None
-
-
-def _discriminant(cov: Floats, difference: Floats) -> Floats:
-    """Unit vectors (..., 2) along which groups with this summed covariance (..., 3) are told apart best."""
-    x, y = difference[..., 0], difference[..., 1]
-    line = np.stack([cov[..., 2] * x - cov[..., 1] * y, cov[..., 0] * y - cov[..., 1] * x], axis=-1)
-    return np.asarray(line / (np.hypot(line[..., 0], line[..., 1]) + 1e-300)[..., None])
 
 
 def _log_surplus(n: Floats, expected: Floats) -> Floats:
     """Log likelihood ratio of ``n`` events where ``expected`` were (Poisson), negative where there are fewer."""
     return np.asarray((n * np.log(n / expected) - n + expected) * np.sign(n - expected))
-
-
-def _sd_along(cov: Floats, line: Floats) -> Floats:
-    """Standard deviation along a unit vector of covariances (..., 3); never zero."""
-    x, y = line[..., 0], line[..., 1]
-    variance = cov[..., 0] * x**2 + 2 * cov[..., 1] * x * y + cov[..., 2] * y**2
-    return np.asarray(np.sqrt(np.maximum(variance, 0) + 1e-6))

@@ -111,7 +111,7 @@ def find_zones(
     filled = flat[:, occupied]
     so_far = None if held is None else held.ravel()[occupied].astype(np.intp)
     rates = clutter_rates(np.asarray(sums.count))
-    labels = partition(Cells.of((filled / _SCALE).T, occupied), np.asarray(sums.count), rates, so_far)
+    labels = partition(Cells.of(filled / _SCALE, occupied), np.asarray(sums.count), rates, so_far)
     groups = (labels == np.arange(labels.max() + 1)[:, None]).astype(np.int64) @ filled.T
     events, total = int(filled[0].sum()), int(groups[:, 0].sum())
     zones, next_number = match_zones(previous, [_shape(group, total) for group in groups.tolist()], next_number)
