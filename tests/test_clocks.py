@@ -43,13 +43,13 @@ def some_events(seed: int, n: int, labels: int, span: float) -> tuple[np.ndarray
 def counted(seed: int, labels: int, bin_seconds: float) -> np.ndarray:
     source, target = (a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(labels), np.arange(labels)))
     left, came = some_events(seed, 150, labels, 7000.0), some_events(seed + 1, 170, labels, 7000.0)
-    return correlograms(left, came, labels, source, target, bin_seconds)
+    return correlograms(left, came, labels, bin_seconds).of(source, target)
 
 
 @pytest.mark.parametrize("bin_seconds", [1.0, 4.0])
 def test_lags_are_counted_one_by_one(bin_seconds: float) -> None:
     left, came = some_events(5, 60, 2, 3000.0), some_events(6, 50, 2, 3000.0)
-    found = correlograms(left, came, 2, np.array([0, 1]), np.array([1, 1]), bin_seconds)
+    found = correlograms(left, came, 2, bin_seconds).of(np.array([0, 1]), np.array([1, 1]))
     first = min(left[0][0], came[0][0])
     slow = np.zeros((2, 2 * LAGS + 1))
     for t, zone in zip(*left, strict=True):
@@ -61,10 +61,12 @@ def test_lags_are_counted_one_by_one(bin_seconds: float) -> None:
 
 
 @settings(max_examples=5, deadline=None)
-@given(st.integers(0, 10**6))
-def test_both_ways_of_counting_give_the_same(seed: int) -> None:
+@given(st.integers(0, 10**6), st.sampled_from([1, 7, 1000]))
+def test_all_ways_of_counting_give_the_same(seed: int, at_once: int) -> None:
     by_difference = counted(seed, 3, 1.0)
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(coarse, "DIFFERENCES_AT_ONCE", at_once)
+        assert (counted(seed, 3, 1.0) == by_difference).all()
         patch.setattr(coarse, "DIFFERENCES_MAX", 0)
         assert (counted(seed, 3, 1.0) == by_difference).all()
     assert by_difference.sum() > 0
@@ -74,7 +76,7 @@ def test_beyond_the_limit_the_newest_time_counts(monkeypatch: pytest.MonkeyPatch
     t = np.arange(0.0, 10 * coarse.BLOCK, 50.0)
     zone = np.zeros(len(t), np.int32)
     monkeypatch.setattr(coarse, "SPECTRA_MAX", 2)
-    found = correlograms((t, zone), (t, zone), 1, np.zeros(1, np.int32), np.zeros(1, np.int32), 1.0)
+    found = correlograms((t, zone), (t, zone), 1, 1.0).of(np.zeros(1, np.int32), np.zeros(1, np.int32))
     assert found[0, LAGS] == np.sum(t >= t[-1] - 2 * coarse.BLOCK)
 
 

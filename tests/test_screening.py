@@ -147,8 +147,10 @@ def test_of_too_many_the_likeliest_are_kept(monkeypatch: pytest.MonkeyPatch) -> 
 def test_parts_are_joined_by_arrival_and_the_likeliest_stay(seed: int, parts: int, most: int) -> None:
     rng = np.random.default_rng(seed)
     departures, arrivals = anything(seed, 20, 20)
-    cells = rng.permutation(400)[: 15 * parts].reshape(parts, 15).astype(np.int32)
-    made = [(cell // 20, cell % 20, rng.random(15), rng.random(15)) for cell in cells]
+    made = []
+    for part in range(parts):  # each has arrivals of its own, by arrival, then departure
+        arrival, departure = np.divmod(np.sort(rng.choice(20 * len(range(part, 20, parts)), 15, replace=False)), 20)
+        made.append((departure, part + parts * arrival, rng.random(15), rng.random(15)))
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(module, "LIKELY_MAX", most)
         limits.setattr(module, "LIKELY_PER_ARRIVAL", 0)

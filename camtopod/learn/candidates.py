@@ -65,8 +65,8 @@ class Arrivals(NamedTuple):
 class Candidates(NamedTuple):
     """Candidates (M,) in order of arrival: indices, pair of zones, lag in seconds; and the pairs' zones (P,)."""
 
-    departure: Ints
-    arrival: Ints
+    departure: NDArray[np.intp]
+    arrival: NDArray[np.intp]
     pair: Ints
     lag: Floats
     source: Ints
@@ -122,7 +122,7 @@ def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, z
     """All candidates."""
     departure, arrival, lag = possible(departures, arrivals, bins, np.arange(len(arrivals.t)))
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
-    return Candidates(departure.astype(np.int32), arrival.astype(np.int32), pair, lag, source, target)
+    return Candidates(departure, arrival, pair, lag, source, target)
 
 
 def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:

@@ -19,7 +19,7 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
 from camtopod.learn.candidates import Arrivals, Departures
-from camtopod.learn.coarse import correlograms, highest
+from camtopod.learn.coarse import ROWS_AT_ONCE, correlograms, highest
 from camtopod.learn.scene import Scene
 from camtopod.learn.twoway import two_ways
 
@@ -165,20 +165,14 @@ def differences(
     pairs = [(a, b) for a, b in pairs if len(zones_of[a]) and len(zones_of[b])]
     if 2 * sum(len(zones_of[a]) * len(zones_of[b]) for a, b in pairs) > ZONE_PAIRS_MAX:
         pairs = _promising(departures, arrivals, pairs, zones_of)
-    grids = [np.meshgrid(zones_of[a], zones_of[b], indexing="ij") for a, b in pairs]
-    forth = [(u.ravel(), v.ravel()) for u, v in grids]
-    if not forth:
+    if not pairs:
         return []
-    source, target = (np.concatenate([way[k] for way in forth]) for k in range(2))
-    counts = correlograms(
-        (departures.t, departures.zone), (arrivals.t, arrivals.zone), len(camera_of),
-        np.concatenate((source, target)), np.concatenate((target, source)), BIN_SECONDS,
-    )  # fmt: skip
-    found, at = [], 0
-    for (a, b), (u, v) in zip(pairs, forth, strict=True):
-        there, back = slice(at, at + len(u)), slice(len(source) + at, len(source) + at + len(u))
-        at += len(u)
-        for k, way in two_ways(counts[there], counts[back]):
+    left, came = (departures.t, departures.zone), (arrivals.t, arrivals.zone)
+    seen = correlograms(left, came, len(camera_of), BIN_SECONDS)
+    found = []
+    for a, b in pairs:
+        u, v = (ends.ravel().astype(np.int32) for ends in np.meshgrid(zones_of[a], zones_of[b], indexing="ij"))
+        for k, way in two_ways(seen.of(u, v), seen.of(v, u)):
             if way.spread > SPREAD_SHARE_MAX * max(abs(way.transit), SHORT_SECONDS / BIN_SECONDS):
                 continue
             # One walk from u to v then also shows as a way from v to u that ends before it begins.
@@ -193,12 +187,14 @@ def _promising(
     departures: Departures, arrivals: Arrivals, pairs: list[tuple[int, int]], zones_of: list[NDArray[np.intp]]
 ) -> list[tuple[int, int]]:
     """The pairs of cameras that have most in common both ways, up to the limit of pairs of zones."""
-    a, b = (np.array([pair[k] for pair in pairs]) for k in range(2))
-    counts = correlograms(
-        (departures.t, departures.camera), (arrivals.t, arrivals.camera), len(zones_of),
-        np.concatenate((a, b)), np.concatenate((b, a)), SCREENING_BIN_SECONDS,
-    )  # fmt: skip
-    peak = np.minimum(*np.split(highest(counts), 2))
+    a, b = (np.array([pair[k] for pair in pairs], np.int32) for k in range(2))
+    left, came = (departures.t, departures.camera), (arrivals.t, arrivals.camera)
+    seen = correlograms(left, came, len(zones_of), SCREENING_BIN_SECONDS)
+    peaks = []
+    for k in range(0, len(a), ROWS_AT_ONCE):
+        one, other = a[k : k + ROWS_AT_ONCE], b[k : k + ROWS_AT_ONCE]
+        peaks.append(np.minimum(highest(seen.of(one, other)), highest(seen.of(other, one))))
+    peak = np.concatenate(peaks)
     order = np.argsort(-peak, kind="stable")
     size = np.cumsum([2 * len(zones_of[a[k]]) * len(zones_of[b[k]]) for k in order])
     return [pairs[k] for k in np.sort(order[(size <= ZONE_PAIRS_MAX)])]

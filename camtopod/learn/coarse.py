@@ -14,7 +14,9 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
 Counts = NDArray[np.float32]
+Spectra = NDArray[np.complex64]
 
 LAGS = 1000
 """Lags are looked at up to this many bins either way."""
@@ -24,7 +26,9 @@ SPECTRA_MAX = 4096
 """At most this many blocks over all labels (32 MB a thousand); beyond, the newest stretch of time is looked at."""
 DIFFERENCES_MAX = 4_000_000
 """Up to this many differences are counted one by one."""
+DIFFERENCES_AT_ONCE = 500_000
 ROWS_AT_ONCE = 256
+"""Correlograms that are looked at together."""
 CHANCE_BINS = (301, 101)
 """Chance is the mean over this many bins around, taken twice: local, so that a common rhythm is part of it."""
 CHANCE_MIN = 0.02
@@ -39,11 +43,11 @@ NEAR_BINS = 100.0
 
 
 def correlograms(
-    left: tuple[Floats, Ints], came: tuple[Floats, Ints], labels: int, source: Ints, target: Ints, bin_seconds: float
-) -> Counts:
-    """Arrivals at ``target`` (P,) around departures from ``source`` (P,) by lag, (P, 2 LAGS + 1).
+    left: tuple[Floats, Ints], came: tuple[Floats, Ints], labels: int, bin_seconds: float
+) -> ByDifference | ByTransform:
+    """Everything that left and came, ready to be counted by lag, a few pairs at a time: all would be a lot of memory.
 
-    ``left``, ``came``: times (n,) ascending in seconds, and labels (zones or cameras) below ``labels``, not empty.
+    ``left``, ``came``: times (n,) ascending in seconds, and labels (zones or cameras) below ``labels``; not empty.
     """
     blocks = max(SPECTRA_MAX // labels, 1)
     last = max(left[0][-1], came[0][-1])
@@ -52,47 +56,72 @@ def correlograms(
     for t, label in (left, came):
         kept = slice(int(np.searchsorted(t, first)), None)
         bins.append(((t[kept] - first) / bin_seconds).astype(np.int64))
-        names.append(label[kept])
+        names.append(label[kept].astype(np.int64))
     low = np.searchsorted(bins[1], bins[0] - LAGS, side="left")
-    high = np.searchsorted(bins[1], bins[0] + LAGS, side="right")
-    if int((high - low).sum()) <= DIFFERENCES_MAX:
-        return _by_difference(bins, names, labels, source, target, low, high - low)
-    return _by_transform(bins, names, labels, source, target)
+    n = np.searchsorted(bins[1], bins[0] + LAGS, side="right") - low
+    if int(n.sum()) <= DIFFERENCES_MAX:
+        return ByDifference(bins, names, labels, low, n)
+    return ByTransform(bins, names, labels)
 
 
-def _by_difference(
-    bins: list[NDArray[np.int64]], names: list[Ints], labels: int, source: Ints, target: Ints,
-    low: NDArray[np.intp], n: NDArray[np.intp],
-) -> Counts:  # fmt: skip
-    row = np.full((labels, labels), -1, np.int32)
-    row[source, target] = np.arange(len(source), dtype=np.int32)
-    leaving = np.repeat(np.arange(len(n)), n)
-    coming = np.arange(len(leaving)) + np.repeat(low - (np.cumsum(n) - n), n)
-    pair = row[names[0][leaving], names[1][coming]].astype(np.int64)
-    lag = bins[1][coming] - bins[0][leaving] + LAGS
-    size = 2 * LAGS + 1
-    counts = np.bincount((pair * size + lag)[pair >= 0], minlength=len(source) * size)
-    return counts.reshape(len(source), size).astype(np.float32)
+class ByDifference:
+    """Counts difference by difference. ``low``, ``n``: the first arrival within the lags of each departure, and how
+    many there are.
+    """
+
+    def __init__(self, bins: list[Longs], names: list[Longs], labels: int, low: Longs, n: Longs) -> None:
+        self._labels, reached = labels, np.cumsum(n)
+        # Each difference as (source, target, lag) in one number.
+        self._cells = np.empty(int(n.sum()), np.int64)
+        for k in range(0, len(self._cells), DIFFERENCES_AT_ONCE):
+            few = slice(*np.searchsorted(reached, (k, k + DIFFERENCES_AT_ONCE), side="right"))
+            if few.start == few.stop:  # one departure that has more
+                continue
+            leaving = np.repeat(np.arange(few.start, few.stop), n[few])
+            begun = reached[few] - n[few]
+            coming = np.arange(len(leaving)) + np.repeat(low[few] - (begun - begun[0]), n[few])
+            pair = names[0].take(leaving) * labels + names[1].take(coming)
+            lag = bins[1].take(coming) - bins[0].take(leaving) + LAGS
+            self._cells[begun[0] : begun[0] + len(leaving)] = pair * (2 * LAGS + 1) + lag
+        self._cells.sort()
+
+    def of(self, source: Ints, target: Ints) -> Counts:
+        """Arrivals at ``target`` (P,) around departures from ``source`` (P,) by lag, (P, 2 LAGS + 1)."""
+        counts = np.zeros((len(source), 2 * LAGS + 1), np.float32)
+        first = (source.astype(np.int64) * self._labels + target) * counts.shape[1]
+        low, high = (np.searchsorted(self._cells, cell) for cell in (first, first + counts.shape[1]))
+        for k, row in enumerate(counts):
+            np.add.at(row, self._cells[low[k] : high[k]] - first[k], 1.0)
+        return counts
 
 
-def _by_transform(bins: list[NDArray[np.int64]], names: list[Ints], labels: int, source: Ints, target: Ints) -> Counts:
-    blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
-    leaving, coming = np.zeros((2, labels, blocks, 2 * BLOCK), np.float32)
-    block, at = np.divmod(bins[0], BLOCK)
-    np.add.at(leaving, (names[0], block, at + BLOCK // 2), 1.0)
-    for shift in (-1, 0, 1):
-        block = bins[1] // BLOCK + shift
-        at = bins[1] - block * BLOCK + BLOCK // 2
-        inside = (block >= 0) & (block < blocks) & (at >= 0) & (at < 2 * BLOCK)
-        np.add.at(coming, (names[1][inside], block[inside], at[inside]), 1.0)
-    leaving, coming = np.conj(scipy.fft.rfft(leaving)), scipy.fft.rfft(coming)
-    counts = np.empty((len(source), 2 * LAGS + 1), np.float32)
-    for k in range(0, len(source), ROWS_AT_ONCE):
-        rows = slice(k, k + ROWS_AT_ONCE)
-        product = np.einsum("pbf,pbf->pf", leaving[source[rows]], coming[target[rows]])
+class ByTransform:
+    """Counts by Fourier transform."""
+
+    def __init__(self, bins: list[Longs], names: list[Longs], labels: int) -> None:
+        blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
+        self._left = self._spectra(bins[0], names[0], (labels, blocks), (0,))
+        np.conj(self._left, out=self._left)
+        self._came = self._spectra(bins[1], names[1], (labels, blocks), (-1, 0, 1))
+
+    def of(self, source: Ints, target: Ints) -> Counts:
+        """As `ByDifference.of`."""
+        product = np.einsum("pbf,pbf->pf", self._left[source], self._came[target])
         lags = scipy.fft.irfft(product, 2 * BLOCK)
-        counts[rows] = np.rint(np.concatenate((lags[:, -LAGS:], lags[:, : LAGS + 1]), axis=1))
-    return counts
+        counts: Counts = np.rint(np.concatenate((lags[:, -LAGS:], lags[:, : LAGS + 1]), axis=1))
+        return counts
+
+    @staticmethod
+    def _spectra(bins: Longs, names: Longs, shape: tuple[int, int], shifts: tuple[int, ...]) -> Spectra:
+        """Of what is in each block, or up to so many blocks beside it: (labels, blocks, frequencies)."""
+        present = np.zeros((*shape, 2 * BLOCK), np.float32)
+        for shift in shifts:
+            block = bins // BLOCK + shift
+            at = bins - block * BLOCK + BLOCK // 2
+            inside = (block >= 0) & (block < shape[1]) & (at >= 0) & (at < 2 * BLOCK)
+            np.add.at(present, (names[inside], block[inside], at[inside]), 1.0)
+        spectra: Spectra = scipy.fft.rfft(present, overwrite_x=True)
+        return spectra
 
 
 def chance(counts: Counts) -> Counts:
@@ -118,10 +147,8 @@ def standing_out(counts: Counts, usual: Counts) -> Counts:
 
 def highest(counts: Counts) -> Floats:
     """How far the highest peak stands out of chance in each correlogram (P, lags), (P,): quick, and at one width."""
-    peaks = []
-    for k in range(0, len(counts), ROWS_AT_ONCE):
-        rows = counts[k : k + ROWS_AT_ONCE, LAGS - HIGHEST_LAGS : LAGS + HIGHEST_LAGS + 1]
-        usual = chance(rows)
-        above = uniform_filter1d(rows - usual, HIGHEST_WIDTH, axis=1, mode="constant") / np.sqrt(usual)
-        peaks.append(above.max(axis=1).astype(np.float64))
-    return np.concatenate(peaks) if peaks else np.zeros(0)
+    rows = counts[:, LAGS - HIGHEST_LAGS : LAGS + HIGHEST_LAGS + 1]
+    usual = chance(rows)
+    above = uniform_filter1d(rows - usual, HIGHEST_WIDTH, axis=1, mode="constant") / np.sqrt(usual)
+    peaks: Floats = above.max(axis=1).astype(np.float64)
+    return peaks

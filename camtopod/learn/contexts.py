@@ -78,12 +78,13 @@ class Contexts:
         for (number, keys), told in self._contexts(c, responsibility):
             mine = sure * told
             n = np.bincount(number, mine, minlength=len(keys))
-            cell = number[c.departure] * width + target
-            own = mine[c.departure] * responsibility
+            cell = (number * width).take(c.departure) + target
+            own = mine.take(c.departure) * responsibility
             moved = np.bincount(cell, own, minlength=len(keys) * width)
-            below = (n[number] - mine + BACK_OFF_DEPARTURES)[c.departure]
-            here = np.maximum(moved[cell] - own + BACK_OFF_DEPARTURES * share, 0.0) / below
-            share = told[c.departure] * here + (1.0 - told[c.departure]) * share
+            below = (n[number] - mine + BACK_OFF_DEPARTURES).take(c.departure)
+            here = np.maximum(moved.take(cell) - own + BACK_OFF_DEPARTURES * share, 0.0) / below
+            known = told.take(c.departure)
+            share = known * here + (1.0 - known) * share
             left = np.bincount(number, mine * gone, minlength=len(keys))
             stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
             leave = told * stays / (n[number] - mine + BACK_OFF_DEPARTURES) + (1.0 - told) * leave

@@ -6,6 +6,7 @@ Read off the posterior that the version carries; where it carries none, off its 
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from typing import NamedTuple
 
 import numpy as np
@@ -143,9 +144,9 @@ class Hazards:
         row = self._entered.get(entry, {}).get(target) if entry is not None else None
         return 0.0 if row is None or elapsed <= 0.0 or (at := self.bin_of(elapsed)) < 0 else row[at]
 
-    def kernels_to(self, target: int) -> set[int]:
+    def kernels_to(self, target: int) -> Set[int]:
         """Zones of entry for which `rate_entered` knows something of the target."""
-        return self._kernels_to.get(target, set())
+        return self._kernels_to.get(target, frozenset())
 
     def rate_ahead(self, camera: str, target: int) -> float:
         """Rate (1/s) at which an object in the view of a camera appears at a zone before it leaves the view."""

@@ -98,7 +98,10 @@ def fit_jointly(
 
 
 class JointFitter:
-    """The fit in progress: what does not change from one iteration to the next, and the messages between them."""
+    """The fit in progress: what does not change from one iteration to the next, and the messages between them.
+
+    Where all candidates are looked up, `take` does it in half the time that an index does.
+    """
 
     def __init__(
         self, departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins,
@@ -176,7 +179,7 @@ class JointFitter:
 
     def _slownesses(self) -> tuple[Floats, Floats]:
         """Slowness before and after of each candidate (M,)."""
-        return self.departures.slow[self.candidates.departure], self.arrivals.slow[self.candidates.arrival]
+        return self.departures.slow.take(self.candidates.departure), self.arrivals.slow.take(self.candidates.arrival)
 
     def prune(self, fit: Fit) -> Fit:
         """Follow only the pairs of zones that have any transitions left."""
@@ -209,9 +212,9 @@ class JointFitter:
         background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
         weight, leave = self._weights(hazard), self._leave(hazard)
         taken = weight * self._message
-        free = (leave + np.bincount(c.departure, taken, minlength=len(leave)))[c.departure] - taken
+        free = (leave + np.bincount(c.departure, taken, minlength=len(leave))).take(c.departure) - taken
         offer = weight / free
-        demand = (background + np.bincount(c.arrival, offer, minlength=len(background)))[c.arrival]
+        demand = (background + np.bincount(c.arrival, offer, minlength=len(background))).take(c.arrival)
         self._message = 1.0 / np.maximum(demand - offer, 1e-12)
         self._responsibility = offer / demand
         return self._responsibility
@@ -225,8 +228,8 @@ class JointFitter:
     def _weights(self, hazard: Floats) -> Floats:
         """Hazard (M,) of each candidate that the others make."""
         # Leave one out: left in, a lone arrival would be its own evidence and all clutter would find a departure.
-        others = np.maximum(1.0 - self._responsibility * self._own[self._cell], 0.0)
-        weight: Floats = hazard.ravel()[self._cell] * others * self._agreement
+        others = np.maximum(1.0 - self._responsibility * self._own.take(self._cell), 0.0)
+        weight: Floats = hazard.take(self._cell) * others * self._agreement
         return weight
 
     def _leave(self, hazard: Floats) -> Floats:
@@ -269,7 +272,7 @@ class JointFitter:
         """
         exposed = self.exposure[self.candidates.source] * self.bins.widths
         even = (hazard * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
-        flat: Floats = even[self.candidates.pair] / np.maximum(hazard.ravel()[self._cell], 1e-300)
+        flat: Floats = even[self.candidates.pair] / np.maximum(hazard.take(self._cell), 1e-300)
         return flat
 
 

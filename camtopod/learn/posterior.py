@@ -286,13 +286,13 @@ class PosteriorFitter(JointFitter):
     def _weights(self, hazard: Floats) -> Floats:
         """Hazard (M,) of each candidate that the others make."""
         weight = super()._weights(hazard)
-        own = self._responsibility[self._early] * self._entry_own[self._entry_cell]
-        entered = self.entry_hazard.ravel()[self._entry_cell] * np.maximum(1.0 - own, 0.0)
-        entered *= self._agreement[self._early]
-        skipped = self._skip_odds * self._skip_unit.ravel()[self._cell] * self._agreement
+        own = self._responsibility.take(self._early) * self._entry_own.take(self._entry_cell)
+        entered = self.entry_hazard.take(self._entry_cell) * np.maximum(1.0 - own, 0.0)
+        entered *= self._agreement.take(self._early)
+        skipped = self._skip_odds * self._skip_unit.take(self._cell) * self._agreement
         weight[self._early] += entered
         weight += skipped
-        self._entry_part = entered / np.maximum(weight[self._early], 1e-300)
+        self._entry_part = entered / np.maximum(weight.take(self._early), 1e-300)
         self._skip_part = skipped / np.maximum(weight, 1e-300)
         weight *= self._multiplier
         return weight

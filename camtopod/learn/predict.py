@@ -79,15 +79,14 @@ class Predictor:
         self._ahead, self._clocks_apart = self._ready.ahead, self._ready.clocks_apart
         stay_max = {camera: self._hazards.longest_stay(zones) for camera, zones in self._of_camera.items()}
         self._under_way = UnderWay({camera: stay for camera, stay in stay_max.items() if stay})
-        self._arrivals, self._exits = RecentArrivals(), Recent()
+        self._arrivals, self._exits = RecentArrivals(len(self.zones)), Recent()
         self._ahead_of = np.array([self._ahead.get(zone.camera, 0.0) for zone in self.zones])
         self._wanted = np.zeros(len(self.zones), np.bool_)  # all False between calls
         self._row_of = np.full(len(self.zones), -1, np.intp)  # all -1 between calls
-        self._names = list(self._of_camera)
-        number = {camera: k for k, camera in enumerate(self._names)}
-        self._camera_of = np.array([number[zone.camera] for zone in self.zones], np.int32)
+        self._names, self._camera_of = list(self._ready.cameras), self._ready.camera_of
         self._events = 0
-        self._last_event = dict.fromkeys(self._of_camera, 0)
+        self._last_event = np.zeros(len(self._names), np.int64)
+        """Of each camera, by the count of all events."""
 
     def follow(self, topology: Topology) -> Predictor:
         """A predictor over a newer version that remembers what this one has observed."""
@@ -107,12 +106,14 @@ class Predictor:
                 self._exits.append(t, moved[zone])
         self._under_way.take_over(older._under_way, moved)
         self._events = older._events
-        self._last_event = {camera: older._last_event.get(camera, older._events) for camera in self._of_camera}
+        last_event = dict(zip(older._names, older._last_event.tolist(), strict=True))
+        self._last_event[:] = [last_event.get(camera, older._events) for camera in self._names]
 
     def save(self) -> PredictorState:
         """Everything `load` needs, beside the topology, to go on from here."""
         under_way, exits = self._under_way.passages(), self._exits.save()
-        return PredictorState(self._arrivals.arrivals(), *exits, under_way, self._events, self._last_event)
+        last_event = dict(zip(self._names, self._last_event.tolist(), strict=True))
+        return PredictorState(self._arrivals.arrivals(), *exits, under_way, self._events, last_event)
 
     def load(self, state: PredictorState) -> None:
         """Go on from there, over the same topology."""
@@ -121,7 +122,8 @@ class Predictor:
         self._exits.load(state.exit_times, state.exit_zones)
         for camera, track, passage in state.under_way:
             self._under_way.begin(camera, track, passage)
-        self._events, self._last_event = state.events, state.last_event
+        self._events = state.events
+        self._last_event[:] = [state.last_event[camera] for camera in self._names]
 
     def observe(self, event: Event) -> None:
         """Take note of an event; they must come by time as far as that is possible."""
@@ -129,7 +131,7 @@ class Predictor:
         zone = self.zone_of(event)
         if zone is None:
             return
-        self._last_event[event.camera] = self._events
+        self._last_event[self._camera_of[zone]] = self._events
         t = event.t - self._ahead[event.camera]
         if event.kind == "entry":
             causes = self._causes(zone, t)
@@ -239,13 +241,10 @@ class Predictor:
         arrivals, hazards = self._arrivals, self._hazards
         counts, since = arrivals.dropped + arrivals.first, -math.inf if passage is None else passage.t
         oldest = max(t + hazards.bins.lag_min, since)
-        for k, target, later, earliest, ahead, kernels in ready.before:
-            heard = arrivals.of_zone.get(target)
+        for k, target, later, earliest, ahead, kernels in ready.before(t, since, arrivals.newest):
             entered = passage is not None and passage.entry in kernels
-            if heard is None or not (entered or heard[-1][0] >= t + earliest):
-                continue
             reach = oldest if entered else max(oldest, t + earliest)
-            for came, number in reversed(heard):
+            for came, number in reversed(arrivals.of_zone.get(target, ())):
                 if came < reach:
                     break
                 at = hazards.bin_of(came - t) if since < came and came + later < t and number >= counts else -1
@@ -377,10 +376,9 @@ class Predictor:
 
     def _alive(self, ready: Ready) -> Floats:
         """Probability (targets, 1) that each camera still reports, from how many events of others it has let pass."""
-        events, last_event, most, exp = self._events, self._last_event, SILENCE_NATS_MAX, math.exp
-        silences = [(events - last_event[camera]) * share for camera, share in ready.cameras]
-        alive = [1.0 / (1.0 + DEAD_PRIOR * exp(silent if silent < most else most)) for silent in silences]
-        return np.array(alive)[ready.camera_of]
+        silences = np.minimum((self._events - self._last_event[ready.cameras]) * ready.share, SILENCE_NATS_MAX)
+        exp = math.exp
+        return np.array([[1.0 / (1.0 + DEAD_PRIOR * exp(silence))] for silence in silences.tolist()])
 
 
 def _check(t: float, now: float | None) -> None:

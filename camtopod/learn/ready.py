@@ -6,6 +6,7 @@ It is worked out when a zone is first asked about, not for all zones of a new ve
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +38,7 @@ class Before(NamedTuple):
     """No arrival counts at lags below this, unless there is a kernel."""
     ahead: float
     """Rate (1/s) at which an object in the view appears there before it leaves."""
-    kernels: set[int]
+    kernels: Set[int]
     """Zones of entry from which objects are known to appear there."""
 
 
@@ -45,8 +46,8 @@ class Ready:
     """One zone; its outcomes are numbered as in `Outcomes`."""
 
     __slots__ = (
-        *("outcomes", "targets", "later", "sure", "cameras", "camera_of", "exposed", "before"),
-        *("_site", "_transitions", "_began", "_shift", "_windows"),
+        *("outcomes", "targets", "later", "sure", "cameras", "share", "exposed"),
+        *("_site", "_before", "_before_at", "_earliest", "_transitions", "_began", "_shift", "_windows"),
     )
 
     def __init__(self, site: ReadyZones, zone: int, outcomes: Outcomes) -> None:
@@ -56,11 +57,9 @@ class Ready:
         self.later = np.array([site.ahead.get(target.camera, 0.0) - site.ahead[here] for target in self.targets])
         """By how much their clocks are ahead, (targets,)."""
         self.sure: Floats = 1.0 - outcomes.doubt
-        number = {camera: k for k, camera in enumerate(dict.fromkeys(target.camera for target in self.targets))}
-        self.cameras = [site.share[camera] for camera in number]
-        """Those of the targets, each with its id and its share of all events."""
-        self.camera_of = np.array([[number[target.camera]] for target in self.targets], np.intp)
-        """The place of each target's among ``cameras``, (targets, 1)."""
+        self.cameras = site.camera_of[outcomes.targets]
+        """Those of the targets, (targets,), and the shares of all events that are theirs, (targets,)."""
+        self.share = site.share_of[outcomes.targets]
         began = np.searchsorted(bins.edges[1:], -self.later, "right")
         self._began = began if (began != began[0]).any() else int(began[0])
         past = int(site.hazards.past.sum())
@@ -70,7 +69,9 @@ class Ready:
         """Those that may have come about before the exit without being known: how likely, the length of the passage
         says.
         """
-        self.before = self._before(here)
+        self._before = self._find_before(here)
+        self._before_at = np.array([one.target for one in self._before], np.intp)
+        self._earliest = np.array([-math.inf if one.kernels else one.earliest for one in self._before])
         self._transitions: Floats = outcomes.share * site.hazards.departures[zone]
         self._shift: Floats = np.where(site.corrected, 0.0, self.later)
         self._windows: dict[float | None, tuple[Floats, Floats]] = {}
@@ -82,6 +83,13 @@ class Ready:
         """
         widths: Floats = self._site.coming[self._began]
         return widths
+
+    def before(self, t: float, since: float, newest: Floats) -> list[Before]:
+        """Those that an exit at ``t`` after a passage since ``since`` may have had, as far as there have been arrivals:
+        the newest in each zone came at ``newest`` (zones,).
+        """
+        came = newest[self._before_at] >= np.maximum(t + self._earliest, since)
+        return [self._before[n] for n in came.nonzero()[0].tolist()]
 
     def exposure(self, at: int, stay: float | None) -> float:
         """Share of one bin of lags that a passage of ``stay`` seconds, None if unknown, is exposed to."""
@@ -121,7 +129,7 @@ class Ready:
                 scaled[k] = [*self._site.paces.at_pace((1.0, wider), self._transitions.item(k), *lags)]
         return np.array(scaled), np.array(fixed)
 
-    def _before(self, here: str) -> list[Before]:
+    def _find_before(self, here: str) -> list[Before]:
         hazards, found = self._site.hazards, []
         by_then = hazards.bins.edges[:-1] <= self._site.clocks_apart  # by clocks as they are it may be later than that
         possible = (self.outcomes.hazard > 0.0) & by_then
@@ -144,8 +152,11 @@ class ReadyZones:
         self.corrected = topology.model is not None and topology.model.clocks_corrected
         self.ahead = {camera.id: camera.clock_offset for camera in topology.cameras}
         self.clocks_apart = max(self.ahead.values(), default=0.0) - min(self.ahead.values(), default=0.0)
+        self.cameras = {camera: k for k, camera in enumerate(dict.fromkeys(zone.camera for zone in topology.zones))}
+        """Numbers of those that have zones."""
+        self.camera_of = np.array([self.cameras[zone.camera] for zone in self.zones], np.int32)
         share = {known.camera: known.share for known in (topology.model.cameras if topology.model else [])}
-        self.share = {zone.camera: (zone.camera, share.get(zone.camera, 0.0)) for zone in topology.zones}
+        self.share_of = np.array([share.get(zone.camera, 0.0) for zone in self.zones])
         bins = hazards.bins
         self.edges: list[float] = bins.edges.tolist()
         self.coming = np.triu(np.broadcast_to(bins.widths, (bins.size + 1, bins.size)))

@@ -71,8 +71,10 @@ class Recent:
 class RecentArrivals(Recent):
     """The newest arrivals, also by zone."""
 
-    def __init__(self) -> None:
+    def __init__(self, zones: int) -> None:
         super().__init__()
+        self.newest = np.full(zones, -np.inf)
+        """When the newest came at each zone, (zones,)."""
         self.dropped = 0
         """So many are not in the columns any more."""
         self.of_zone: dict[int, list[tuple[float, int]]] = {}
@@ -86,11 +88,12 @@ class RecentArrivals(Recent):
         super().append(t, zone, rate)
         if full:
             self._drop(RECENT_MAX)
-        came, newest = self.of_zone.setdefault(zone, []), (t, self.dropped + self.stop - 1)
-        if came and newest < came[-1]:
-            insort(came, newest)
+        came, one = self.of_zone.setdefault(zone, []), (t, self.dropped + self.stop - 1)
+        if came and one < came[-1]:
+            insort(came, one)
         else:
-            came.append(newest)
+            came.append(one)
+            self.newest[zone] = t
 
     def _drop(self, number: int) -> None:
         self.dropped += number

@@ -24,7 +24,7 @@ been drawn may still happen.
 class Sources:
     """Draws of one source, or the outside, for each of ``n`` arrivals; ``arrival`` (M,) is that of each candidate."""
 
-    def __init__(self, arrival: Ints, n: int, seed: int) -> None:
+    def __init__(self, arrival: NDArray[np.intp], n: int, seed: int) -> None:
         self._order = np.argsort(arrival, kind="stable")
         self._start = np.searchsorted(arrival[self._order], np.arange(n + 1))
         self._random = np.random.default_rng(seed)

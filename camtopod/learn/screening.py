@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 Rows = NDArray[np.intp]
-Part = tuple[Ints, Ints, Floats, Floats]
+Part = tuple[Rows, Rows, Floats, Floats]
 
 PAIRS_FEW = 20_000
 """So few pairs of zones are all followed, unless their candidates are too many."""
@@ -150,10 +150,9 @@ def whole(
         parts.append((departure, coming[zone][at], number[departures.zone[departure]], lag))
     nothing = (np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0, np.int32), np.zeros(0))
     departure, arrival, pair, lag = (np.concatenate(columns) for columns in zip(nothing, *parts, strict=True))
-    order = np.lexsort((departure, arrival))
+    order = np.argsort(arrival, kind="stable")  # each part has arrivals of its own, by arrival and departure
     return candidates._replace(
-        departure=departure[order].astype(np.int32), arrival=arrival[order].astype(np.int32), pair=pair[order],
-        lag=lag[order],
+        departure=departure[order], arrival=arrival[order], pair=pair[order], lag=lag[order],
     )  # fmt: skip
 
 
@@ -223,19 +222,19 @@ def _likely(ends: Ends, zone: int, sources: Longs) -> Part:
         moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
         hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
     kept = share > LIKELY_MIN
-    return departure[kept].astype(np.int32), mine[at[kept]].astype(np.int32), lag[kept], share[kept]
+    return departure[kept], mine[at[kept]], lag[kept], share[kept]
 
 
 def _joined(parts: list[Part], departures: Departures, arrivals: Arrivals, zones: int) -> Candidates:
     """The likeliest candidates of all parts, by arrival."""
-    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0))
+    nothing = (np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), np.zeros(0))
     departure, arrival, lag, share = (np.concatenate(columns) for columns in zip(nothing, *parts, strict=True))
     most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
     if len(share) > most:
         least = np.partition(share, len(share) - most)[len(share) - most]
         likeliest = np.flatnonzero(share >= least)[:most]
         departure, arrival, lag = departure[likeliest], arrival[likeliest], lag[likeliest]
-    order = np.lexsort((departure, arrival))
+    order = np.argsort(arrival, kind="stable")  # each part has arrivals of its own, by arrival and departure
     departure, arrival, lag = departure[order], arrival[order], lag[order]
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag, source, target)
