@@ -31,6 +31,7 @@ _raw_list = msgspec.msgpack.Decoder(list[msgspec.Raw])
 _raw_map = msgspec.msgpack.Decoder(dict[str, msgspec.Raw])
 _to_json = msgspec.json.Encoder()
 _to_pack = msgspec.msgpack.Encoder()
+_UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _T = TypeVar("_T")
 
 
@@ -56,32 +57,31 @@ def event_from_pack(payload: bytes) -> Event:
 
 def event_from_bytes(raw: bytes) -> Event:
     """An event as MessagePack, or as JSON; raises `Rejected`."""
-    return event_from_json(raw) if raw[:1] and raw[0] in _JSON_STARTS else event_from_pack(raw)
+    return _event(_json_event if raw and raw[0] in _JSON_STARTS else _pack_event, raw)
 
 
 def _event(decoder: Any, raw: bytes) -> Event:
     if len(raw) > EVENT_BYTES_MAX:
         raise Rejected("too-long", f"more than {EVENT_BYTES_MAX} bytes")
-    event: Event = _decode(decoder, raw)
+    try:
+        event: Event = decoder.decode(raw)
+    except _UNREADABLE as error:
+        raise _rejection(error) from None
+    x, y, track = event.x, event.y, event.track
     if not T_MIN <= event.t < T_MAX:  # not-a-number is neither
         raise Rejected("bad-value", "t is not a time between 1970 and 3000 - at `$.t`")
-    if (event.x is None) != (event.y is None):
+    if (x is None) != (y is None):
         raise Rejected("half-position", "x and y go together: send both or neither")
-    for name in ("x", "y", "clock_sd"):
-        value = getattr(event, name)
-        if value is not None and not math.isfinite(value):
-            raise Rejected("bad-value", f"{name} is not a finite number - at `$.{name}`")
+    if not math.isfinite((x or 0.0) + (y or 0.0) + (event.clock_sd or 0.0)):
+        [name, *_] = [name for name in ("x", "y", "clock_sd") if not math.isfinite(getattr(event, name) or 0.0)]
+        raise Rejected("bad-value", f"{name} is not a finite number - at `$.{name}`")
     if (event.boot is None) != (event.seq is None):
         raise Rejected("half-sequence", "boot and seq go together: send both or neither")
-    if isinstance(event.track, int):
-        event = msgspec.structs.replace(event, track=str(event.track))
-    if event.track is not None and len(str(event.track)) > TRACK_CHARACTERS_MAX:  # JSON has whole numbers of any length
-        raise Rejected("bad-value", f"track is longer than {TRACK_CHARACTERS_MAX} characters - at `$.track`")
-    return _sharing_names(event)
-
-
-def _sharing_names(event: Event) -> Event:
-    """The same event; its names are one string for all events that wait or are held, a third of the memory of each."""
+    if isinstance(track, int):
+        if len(str(track)) > TRACK_CHARACTERS_MAX:  # JSON has whole numbers of any length
+            raise Rejected("bad-value", f"track is longer than {TRACK_CHARACTERS_MAX} characters - at `$.track`")
+        event = msgspec.structs.replace(event, track=str(track))
+    # names are one string for all events that wait or are held, which is a third of the memory of each
     force_setattr(event, "camera", sys.intern(event.camera))
     if event.boot is not None:
         force_setattr(event, "boot", sys.intern(event.boot))
@@ -91,14 +91,18 @@ def _sharing_names(event: Event) -> Event:
 def _decode(decoder: Any, raw: bytes) -> Any:
     try:
         return decoder.decode(raw)
-    except msgspec.ValidationError as error:
-        raise Rejected("bad-value", str(error)) from None
-    except UnicodeDecodeError:  # msgspec lets it through (msgspec#714)
-        raise Rejected("not-utf8", "text is not UTF-8") from None
-    except (msgspec.MsgspecError, ValueError) as error:
-        raise Rejected("malformed", str(error)) from None
-    except RecursionError:
-        raise Rejected("too-deep", "nested too deeply") from None
+    except _UNREADABLE as error:
+        raise _rejection(error) from None
+
+
+def _rejection(error: Exception) -> Rejected:
+    if isinstance(error, msgspec.ValidationError):
+        return Rejected("bad-value", str(error))
+    if isinstance(error, UnicodeDecodeError):  # msgspec lets it through (msgspec#714)
+        return Rejected("not-utf8", "text is not UTF-8")
+    if isinstance(error, RecursionError):
+        return Rejected("too-deep", "nested too deeply")
+    return Rejected("malformed", str(error))
 
 
 def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:

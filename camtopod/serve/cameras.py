@@ -74,6 +74,7 @@ class Cameras:
         self._waiting: set[str] = set()
         self._next_look = 0.0
         self._beside: float | None = None  # this machine's clock less the one that does not step
+        self._noticed = -math.inf  # when that was looked at last
         self._set_back = 0.0
         self._doubted: list[tuple[float, float]] = []  # when it was set forward, and by how much; oldest first
         self._restored = -math.inf  # when that was last undone
@@ -92,16 +93,17 @@ class Cameras:
             if now - self._cameras[silent].heard < IDLE_SECONDS or silent in self._waiting:
                 return False
             del self._cameras[silent]
-        self._place(name).heard = now
+        (self._cameras.get(name) or self._place(name)).heard = now
         return True
 
     def is_future(self, event: Event, wall: float, now: float, fresh: bool) -> bool:
         """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too far ahead to be
         believed.
         """
-        self._notice_step(wall - now, now)
+        if now != self._noticed or wall - now != self._beside:
+            self._notice_step(wall - now, now)
         if fresh:
-            camera = self._place(event.camera)
+            camera = self._cameras.get(event.camera) or self._place(event.camera)
             camera.lead, camera.lead_at = event.t - wall, now
         if now >= self._next_look:
             self._next_look = now + LOOK_SECONDS
@@ -110,7 +112,7 @@ class Cameras:
 
     def is_flood(self, event: Event) -> bool:
         """Whether its camera has had too many events in this second; counts it if not."""
-        seconds = self._place(event.camera).seconds
+        seconds = (self._cameras.get(event.camera) or self._place(event.camera)).seconds
         second = int(event.t)
         count = seconds.get(second, 0)
         if count >= self.limits.camera_events_per_second_max:
@@ -122,7 +124,7 @@ class Cameras:
 
     def full(self, name: str) -> bool:
         """Whether no more of this camera's events can wait for their time."""
-        return len(self._place(name).waiting) >= self.limits.held_events_max
+        return name in self._waiting and len(self._place(name).waiting) >= self.limits.held_events_max
 
     def in_time(self, ready: list[Received], wall: float, now: float) -> list[Received]:
         """Those whose time has come, of these and of what waits; in order for each camera."""
@@ -130,18 +132,18 @@ class Cameras:
         due = [received for name in sorted(self._waiting) for received in self._due(name, now)]
         wall += self.clock_behind
         for received in ready:
-            camera, event = self._place(received.entry.camera), received.event
+            name, event = received.entry.camera, received.event
             early = 0.0 if event is None else event.t - wall - EARLY_SECONDS_MAX
-            if early > 0.0 or camera.waiting:
-                camera.waiting.append((now + early, received))
-                self._waiting.add(received.entry.camera)
+            if early > 0.0 or name in self._waiting:
+                self._place(name).waiting.append((now + early, received))
+                self._waiting.add(name)
             else:
                 due.append(received)
         return due
 
     def note(self, event: Event) -> None:
         """It is about to be stored."""
-        camera = self._place(event.camera)
+        camera = self._cameras.get(event.camera) or self._place(event.camera)
         camera.newest = max(camera.newest, event.t) if camera.events else event.t
         camera.events += 1
 
@@ -202,7 +204,7 @@ class Cameras:
     def _notice_step(self, beside: float, now: float) -> None:
         """This machine's clock may have been set; ``beside``: it less the one that does not step, now."""
         step = beside - (beside if self._beside is None else self._beside)
-        self._beside = beside
+        self._beside, self._noticed = beside, now
         if step >= STEP_SECONDS_MIN:
             self._go_forward(step, now)
         elif step <= -STEP_SECONDS_MIN:

@@ -70,7 +70,8 @@ class Merge:
                 before = waiting[-1][0] if waiting else -math.inf
                 waiting.append((max(before, -math.inf if received.event is None else received.event.t), received))
             ready = self._merged(self._horizon(now), most)
-        self._released = max([self._released, *(one.event.t for one in ready if one.event is not None)])
+        newest = max((received.event.t for received in ready if received.event is not None), default=-math.inf)
+        self._released = max(self._released, newest)
         return ready
 
     @property

@@ -165,6 +165,9 @@ class Streams(Generic[T]):
             if not self._room_for(key):
                 return None
             stream = _Stream(None, {})
+        elif len(self._boots[key[0]]) == 1:  # as nearly always
+            self._streams[key] = stream
+            return stream
         self._add(key, stream)
         return stream
 
