@@ -267,6 +267,18 @@ def test_entries_are_forgotten_by_age_behind_both_snapshots(tmp_path: Path) -> N
         assert kept(again) == [62], "numbers are never given twice"
 
 
+@pytest.mark.parametrize("variables_max", [32_766, 999])
+def test_a_transaction_of_any_size_is_there_as_it_was_given(tmp_path: Path, variables_max: int) -> None:
+    """Rows are inserted many at a time; an older SQLite takes fewer variables."""
+    with closing(Journal(tmp_path)) as journal:
+        journal._db.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, variables_max)
+        given = [Entry("event", f"c{k % 130}", "b1", k, b"%d" % k) for k in range(2_345)]
+        for first, last in ((0, 1), (1, 10), (10, 19), (19, 1_234), (1_234, 2_345)):
+            journal.commit(given[first:last])
+        assert [one for _, one in journal.entries()] == given
+        assert journal.streams() == {(f"c{k % 130}", "b1"): k for k in range(2_345)}
+
+
 def test_the_file_stays_within_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(journals, "PRUNED_ROWS_MAX", 300)
     largest = 400_000

@@ -40,6 +40,7 @@ SELECT m.type, m.name, m.tbl_name, x.name, x.type, x."notnull", x.pk
 FROM sqlite_schema AS m LEFT JOIN pragma_table_xinfo(m.name) AS x ON m.type = 'table'
 WHERE m.name NOT LIKE 'sqlite_%' ORDER BY 2, 4
 """
+_encode = msgspec.msgpack.Encoder().encode
 
 
 class StateError(OSError):
@@ -79,7 +80,7 @@ class Lock:
 
 def crc(*columns: int | float | str | bytes | None) -> int:
     """The checksum of a row: over all of its other columns."""
-    return zlib.crc32(msgspec.msgpack.encode(columns))
+    return zlib.crc32(_encode(columns))
 
 
 class _Connection(sqlite3.Connection):

@@ -10,6 +10,7 @@ What is older than the retention and than both snapshots is forgotten.
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import math
 import sqlite3
@@ -42,10 +43,8 @@ CHUNK_ENTRIES = 1_000
 """Read at a time; a read that went on for long would keep the log from being folded in."""
 DAY_SECONDS = 86_400
 _COMPRESSION = 3
-_ROWS_AT_ONCE = 100
-"""Other threads get their turn after each statement, and it may be long before this one has its again."""
-_ADD_ONE = "INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
-_ADD_MANY = f"{_ADD_ONE}{', (?, ?, ?, ?, ?, ?, ?, ?)' * (_ROWS_AT_ONCE - 1)}"
+_ROWS_AT_ONCE = (1_000, 100, 10, 1)
+"""Other threads get their turn after each statement, and it may be long before this one has its again: so few."""
 
 EntryKind = Literal["event", "future", "refused", "advance"]
 """``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
@@ -296,18 +295,10 @@ class Journal:
 
     def _add_entries(self, entries: Sequence[Entry], stored: int) -> Iterable[tuple[str, str | None]]:
         """Returns the streams they belong to."""
-        rows = []
-        for number, entry in enumerate(entries, start=self._last + 1):
-            row = (number, stored, *entry)
-            rows.append((*row, crc(*row)))
-        whole = len(rows) - len(rows) % _ROWS_AT_ONCE
-        for start in range(0, whole, _ROWS_AT_ONCE):
-            self._db.execute(_ADD_MANY, [*chain.from_iterable(rows[start : start + _ROWS_AT_ONCE])])
-        self._db.executemany(_ADD_ONE, rows[whole:])
+        rows = [(number, stored, *entry) for number, entry in enumerate(entries, start=self._last + 1)]
+        self._insert("INSERT INTO entry", rows)
         newest = {(row[3], row[4]): (row[3], row[4], row[5], row[0]) for row in rows if row[4] is not None}
-        self._db.executemany(
-            "INSERT OR REPLACE INTO stream VALUES (?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in newest.values()]
-        )
+        self._insert("INSERT OR REPLACE INTO stream", [*newest.values()])
         for camera in {camera for camera, _ in newest.keys() - self._followed}:  # which now have another boot
             self._db.execute(
                 "DELETE FROM stream WHERE camera = ? AND boot NOT IN "
@@ -315,6 +306,15 @@ class Journal:
                 (camera, camera, BOOTS_KEPT_MAX),
             )
         return newest.keys()
+
+    def _insert(self, insert: str, rows: Sequence[tuple[Any, ...]]) -> None:
+        """Rows of equal length, each with its checksum."""
+        start, variables_max = 0, self._db.getlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER)
+        for size in _ROWS_AT_ONCE:
+            while len(rows) - start >= size and size * (len(rows[0]) + 1) <= variables_max:
+                some = [(*row, crc(*row)) for row in rows[start : start + size]]
+                self._db.execute(_values(insert, len(rows[0]) + 1, size), [*chain.from_iterable(some)])
+                start += size
 
     def _add_version(self, version: StoredVersion, stored: int) -> None:
         number = self._db.execute("SELECT COALESCE(MAX(id), 0) + 1 FROM version").fetchone()[0]
@@ -357,3 +357,10 @@ class Journal:
                 "(SELECT COALESCE(MAX(position), 0) FROM snapshot))"
             ).fetchone()[0]
         )
+
+
+@functools.cache
+def _values(insert: str, columns: int, rows: int) -> str:
+    """The statement that inserts so many rows of so many columns."""
+    row = f"({', '.join('?' * columns)})"
+    return f"{insert} VALUES {', '.join([row] * rows)}"
