@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import queue
 import random
 import sqlite3
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from camtopod.serve.journal import Entry, Journal, Snapshot
 from camtopod.serve.live import Live
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.puller import read_batch
-from camtopod.serve.receiver import Pulled, Receiver
+from camtopod.serve.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
 from camtopod.serve.share import everything
 from camtopod.serve.spool import SpoolBatch
 from camtopod.serve.storing import Version
@@ -82,6 +84,99 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 def events(first: int, last: int, camera: str = "lobby", boot: str = "b") -> list[Event]:
     return [Event(camera, "entry", T0 - 1000 + n, boot=boot, seq=n) for n in range(first, last + 1)]
+
+
+class Mouth:
+    """An ear that hears what a test says."""
+
+    def __init__(self, *said: list[Event]) -> None:
+        self._said, self._over = queue.SimpleQueue[list[Event] | None](), False
+        for events in said:
+            self.say(*events)
+
+    def say(self, *events: Event) -> None:
+        self._said.put([*events])
+
+    def take(self, wait: bool = True) -> list[tuple[str, bytes]] | None:
+        try:
+            events = None if self._over else self._said.get(block=wait)
+        except queue.Empty:
+            return []
+        self._over = events is None
+        return None if events is None else [(f"event/{event.camera}", to_pack(event)) for event in events]
+
+    def close(self) -> None:
+        self._said.put(None)
+
+
+# --- what is heard --------------------------------------------------------------------------------
+
+
+def test_what_is_heard_is_put_in_order_by_the_thread_that_hears_it(bench: Bench) -> None:
+    """To be handed to another would take it longer than to be predicted for."""
+    mouth, seen_by = Mouth(events(2, 2), events(1, 1)), set()
+    bench.receiver._see = lambda batch, _: (bench.seen.extend(batch), seen_by.add(threading.get_ident()))  # type: ignore[assignment]
+    bench.receiver.ear = mouth  # type: ignore[assignment]
+    mouth.close()
+    bench.receiver.listen()
+    assert [one.entry.seq for one in bench.seen] == [1, 2]
+    assert seen_by == {threading.get_ident()}
+
+
+def test_nothing_heard_is_forgotten_at_the_end(bench: Bench) -> None:
+    mouth = Mouth()
+    bench.receiver.ear = mouth  # type: ignore[assignment]
+    listening = threading.Thread(target=bench.receiver.listen)
+    listening.start()
+    mouth.say(*events(1, 3))
+    bench.stopping.set()
+    bench.work()
+    listening.join()
+    assert [one.entry.seq for one in bench.learned] == [1, 2, 3]
+
+
+def test_while_the_other_thread_puts_in_order_what_is_heard_waits_for_it(bench: Bench) -> None:
+    mouth = Mouth(events(1, 3))
+    bench.receiver.ear = mouth  # type: ignore[assignment]
+    mouth.close()
+    with bench.receiver._turn:
+        bench.receiver.listen()
+        assert (len(bench.receiver._inbox), bench.seen) == (3, [])
+    bench.round()
+    assert [one.entry.seq for one in bench.seen] == [1, 2, 3]
+
+
+def test_what_there_is_no_room_for_is_heard_all_the_same(tmp_path: Path) -> None:
+    """Else everything else on the bus would have to wait, too."""
+    bench = Bench(tmp_path, commit_events_max=100)
+    mouth = Mouth(events(1, 500))
+    bench.receiver.ear = mouth  # type: ignore[assignment]
+    mouth.close()
+    bench.receiver.listen()
+    assert (bench.receiver._ready.waiting, len(bench.receiver._inbox)) == (200, 300)
+    for _ in range(5):
+        bench.round()
+    assert [one.entry.seq for one in bench.learned] == [*range(1, 501)]
+    bench.journal.close()
+
+
+def test_predictions_end_when_so_much_comes_meanwhile_that_they_would_be_late(bench: Bench) -> None:
+    mouth, given = Mouth(events(1, 200)), []
+    bench.receiver.ear = mouth  # type: ignore[assignment]
+
+    def see(batch: list[Received], seconds: float) -> None:
+        if not given:
+            mouth.say(*events(201, 200 + BUSY_EVENTS + 1))
+            mouth.close()
+        given.append((len(batch), seconds > PREDICT_SECONDS_BUSY))
+        until = time.monotonic() + min(seconds, 2 * PREDICT_SECONDS_BUSY)
+        while time.monotonic() < until:
+            pass
+
+    bench.receiver._see = see
+    bench.receiver.listen()
+    assert given[0] == (20, True), "there is time for each"
+    assert given[1] == (180, False), "and none any more"
 
 
 # --- the end --------------------------------------------------------------------------------------

@@ -29,6 +29,8 @@ log = logging.getLogger(__name__)
 _PACK = "application/msgpack;schema=camtopod.{}.1"
 _JSON = "application/json"
 _OPEN_RETRY_SECONDS = 0.2
+_TAKEN_MAX = 10_000
+"""Messages an ear gives at a time."""
 _REPLIES_MAX = 4096
 """Answers to one query that are kept; the rest is dropped by closing the channel."""
 
@@ -46,6 +48,36 @@ class QueryError(Exception):
     """A question that cannot be answered; ``str()`` goes to the asker."""
 
 
+class Ear:
+    """What is published, for one thread that asks for it: where many messages come, far cheaper than a callback for
+    each, and what comes alone is there no later.
+    """
+
+    def __init__(self, subscriber: Any, above: str) -> None:
+        self._subscriber, self._messages, self._skipped = subscriber, subscriber.handler, len(above)
+        self._closing = threading.Lock()
+
+    def take(self, wait: bool = True) -> list[tuple[str, bytes]] | None:
+        """What has come, as (key below the site, payload); waits for it, or there may be nothing. None when it is
+        closed and everything has been taken.
+        """
+        messages, heard = self._messages, []
+        try:
+            sample = messages.recv() if wait else messages.try_recv()
+            while sample is not None:
+                if sample.kind == zenoh.SampleKind.PUT:
+                    heard.append((str(sample.key_expr)[self._skipped :], sample.payload.to_bytes()))
+                sample = messages.try_recv() if len(heard) < _TAKEN_MAX else None
+        except zenoh.ZError:  # closed
+            return heard or None
+        return heard
+
+    def close(self) -> None:
+        """Nothing more will come; may be called twice, and by several threads."""
+        with self._closing, contextlib.suppress(zenoh.ZError):
+            self._subscriber.undeclare()
+
+
 class Bus:
     """One session on the bus of one site.
 
@@ -61,6 +93,7 @@ class Bus:
         self._query_seconds, self._bytes_max = settings.query_seconds, settings.message_bytes_max
         self._too_large: set[str] = set()
         self._declared: list[Any] = []
+        self._ears: list[Ear] = []
         self._closed = threading.Event()
         self._doorkeeper: guard.Doorkeeper | None = None
 
@@ -100,6 +133,15 @@ class Bus:
                 subscriber.undeclare()
 
         return end
+
+    def listen(self, key: str, most: int) -> Ear:
+        """What is published on ``key`` (may hold ``*``). Where more than ``most`` messages wait to be taken, the whole
+        session waits, so they are to be taken whatever else there is to do.
+        """
+        subscriber = self._session.declare_subscriber(self._full(key), zenoh.handlers.FifoChannel(most))
+        ear = Ear(subscriber, self._full(""))
+        self._ears.append(ear)
+        return ear
 
     def answer(self, key: str, answer: Answer, schema: str) -> None:
         """Answer queries on ``key`` (may hold ``*``) in MessagePack, or JSON if format=application/json."""
@@ -200,6 +242,8 @@ class Bus:
         if self._closed.is_set():
             return
         self._closed.set()
+        for ear in self._ears:
+            ear.close()
         for declared in self._declared:
             with contextlib.suppress(zenoh.ZError):
                 declared.undeclare()

@@ -1,10 +1,10 @@
 """The daemon: events from the bus into the learner, topology, predictions, acks and status onto the bus.
 
-Theory of operation. Four threads besides the bus's own. *Receive* puts what came in in order and answers exits over the
-newest version. *Store* owns the journal: it commits what is in order, acknowledges it, and stores each version before
-it is published. *Learn* teaches the learner, which is in a process of its own, what is committed, in the journal's
-order. *Pull* asks the publishers' spools for what is missing. Every hand-over is a bounded queue; when one is full,
-events stay in the spools.
+Theory of operation. Five threads besides the bus's own. *Listen* puts what it hears in order and answers exits over the
+newest version; *receive* does so with what is left over, pulled or due. *Store* owns the journal: it commits what is in
+order, acknowledges it, and stores each version before it is published. *Learn* teaches the learner, which is in a
+process of its own, what is committed, in the journal's order. *Pull* asks the publishers' spools for what is missing.
+Every hand-over is a bounded queue; when one is full, events stay in the spools.
 """
 
 from __future__ import annotations
@@ -127,9 +127,9 @@ class Daemon:
             undo.pop_all()
         if self.topology is not None and self._share.first:
             self._bus.put("topology", self.topology, "topology")
-        health, limits = config.health, config.limits
-        stall = health.stall_seconds
+        health, limits, stall = config.health, config.limits, config.health.stall_seconds
         self._run("receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall)
+        self._run("listen", lambda mark: self._receiver.listen(), float("inf"))  # where it hangs, "receive" does
         self._run("store", lambda mark: self._receiver.store(self._stopping, mark.beat), stall)
         self._run("learn", lambda mark: self._learning.work(self._stopping, mark.beat), health.learn_seconds)
         self._run("pull", lambda mark: self._puller.work(self._stopping, mark), limits.pull_seconds + stall)
@@ -296,7 +296,7 @@ class Daemon:
         bus.answer("predict/*", self._live.answer, "prediction")
         bus.answer(self._share.status_key, lambda key, parameters: self.status(), "status")
         if self._sharing is None:
-            bus.subscribe("event/*", self._receiver.on_event)
+            self._receiver.ear = bus.listen("event/*", self._config.limits.inbox_events_max)
             bus.watch_alive("grabber", self._on_alive)
         else:
             self._sharing.serve(self._receiver.on_event, self._on_alive)

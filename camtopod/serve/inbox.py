@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import collections
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -42,24 +42,36 @@ class Inbox:
 
     def put(self, message: Message) -> None:
         """Let it wait for its turn, or drop it, or the newest of a longer queue."""
-        name = message.camera if self._known(message.camera) else STRANGERS
         with self._changed:
-            length = len(self._queues.get(name, ()))
-            room = length < self._camera_events_max
-            if room and self._waiting >= self._events_max:
-                longest = max(self._queues, key=lambda other: len(self._queues[other]))
-                room = len(self._queues[longest]) > length + 1
-                if room:
-                    self._queues[longest].pop()
-                    self._waiting -= 1
-                    self.dropped[longest] += 1
-            if not room:
-                self.dropped[name] += 1
-                return
-            self._queues.setdefault(name, collections.deque()).append((self._arrived, message))
-            self._arrived += 1
-            self._waiting += 1
+            self._put(message)
             self._changed.notify()
+
+    def put_all(self, messages: Sequence[Message]) -> None:
+        """The same of several, of which `wait` need not know."""
+        with self._changed:
+            for message in messages:
+                self._put(message)
+
+    def _put(self, message: Message) -> None:
+        name = message.camera if self._known(message.camera) else STRANGERS
+        queue = self._queues.get(name)
+        length = 0 if queue is None else len(queue)
+        room = length < self._camera_events_max
+        if room and self._waiting >= self._events_max:
+            longest = max(self._queues, key=lambda other: len(self._queues[other]))
+            room = len(self._queues[longest]) > length + 1
+            if room:
+                self._queues[longest].pop()
+                self._waiting -= 1
+                self.dropped[longest] += 1
+        if not room:
+            self.dropped[name] += 1
+            return
+        if queue is None:
+            queue = self._queues[name] = collections.deque()
+        queue.append((self._arrived, message))
+        self._arrived += 1
+        self._waiting += 1
 
     def poke(self) -> None:
         """Let `wait` return."""

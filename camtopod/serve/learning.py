@@ -163,7 +163,8 @@ class Learning:
                 self._process.check()
                 beat()
                 continue
-            stopping.wait(GATHER_SECONDS)
+            if len(batch) < LESSONS_MAX:
+                stopping.wait(GATHER_SECONDS)
             while len(batch) < LESSONS_MAX and not self._queue.empty():
                 batch += self._queue.get()
             for first in range(0, len(batch), LESSONS_MAX):

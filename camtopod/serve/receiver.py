@@ -1,25 +1,29 @@
 """From bytes on the bus to events in the journal, in order, once each; and the acks for them.
 
-The bus's threads only put bytes into the bounded inbox. One thread puts the streams in order and shows what is ready to
-the live predictions; another owns the journal: it commits what is ready, so many at a time as have come meanwhile, then
-hands it on to the learner, in the same order, and acknowledges it.
+What comes is put in order and shown to the live predictions by the thread that has heard it, so that it waits for no
+other; more than is dealt with at once waits in the bounded inbox, and what is due without a message is for another
+thread. Only one of the two is at it at a time. A third owns the journal: it commits what is ready, so many at a time as
+have come meanwhile, then hands it on to the learner, in the same order, and acknowledges it.
 """
 
 from __future__ import annotations
 
 import collections
 import logging
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.config import Limits
-from camtopod.records import CAMERA_CHARACTERS_MAX, Ack, Event
-from camtopod.serve.bus import Bus
+from camtopod.records import CAMERA_CHARACTERS_MAX, Event
+from camtopod.serve.acks import Acks
+from camtopod.serve.bus import Bus, Ear
 from camtopod.serve.cameras import Cameras, Received
 from camtopod.serve.clock import Clock, steady_beside
+from camtopod.serve.event_time import EventTime
 from camtopod.serve.handover import Handover
 from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.journal import Entry, Journal
@@ -42,8 +46,12 @@ _QUANTUM_EVENTS = 100
 """Events a camera stores in its turn."""
 PREDICT_SECONDS_MAX = 0.25
 """For the predictions of what is ready at a time; ..."""
-BUSY_EVENTS, PREDICT_SECONDS_BUSY = 1_000, 0.01
+BUSY_EVENTS, PREDICT_SECONDS_BUSY = 1_000, 0.002
 """... when so many wait in the inbox only so long, as predictions that are late help nobody and events come first."""
+_SHOWN_EVENTS = 20
+"""So often it is looked whether so many wait meanwhile."""
+_HUSH_SECONDS = 1.0
+"""For what is heard to be put into the inbox when nothing more comes."""
 BOOTS_MAX = 16
 """Incarnations of one camera's publisher that are followed; the one not heard for longest is forgotten."""
 
@@ -56,7 +64,8 @@ class Pulled(NamedTuple):
 
 
 class Receiver:
-    """Give it bytes with `on_event` and `on_pulled` (any thread), and run `work` and `store` in a thread each.
+    """Give it an ear for the events, or bytes with `on_event`, and with `on_pulled` (any thread); and run `work`,
+    `store` and, with an ear, `listen` in a thread each.
 
     ``see`` is shown what is about to be stored, once, in journal order, and may take so many seconds for it; ``learn``
     takes it when it is stored, and must not block; ``room()``: how many ``learn`` takes. ``publish``: called with each
@@ -87,23 +96,20 @@ class Receiver:
             _QUANTUM_EVENTS,
             known=lambda camera: camera in self.cameras or camera in self.with_spool,
         )
+        self.ear: Ear | None = None
+        self._heard_all = threading.Event()
+        self._turn = threading.Lock()  # of whoever puts in order
         self._answers: collections.deque[Pulled] = collections.deque()
         self.merge = Merge(limits.held_events_max)
-        self._stored = journal.streams()
+        stored = journal.streams()
+        self._acks = Acks(bus, stored, owns)
         self._ready = Handover()
-        self._dirty: set[tuple[str, str]] = set(self._stored)
-        self._ack_again: collections.deque[tuple[str, str]] = collections.deque()  # from `work` to `store`, ...
-        self._forgotten: collections.deque[tuple[str, str]] = collections.deque()  # ... and this
-        self._next_ack = 0.0
-        self._live: tuple[float, float, float] | None = None  # newest event time in step; wall and steady clock then
-        self.streams: Streams[Received] = Streams(
-            self._stored, limits.held_events_max, limits.streams_max, BOOTS_MAX, owns
-        )
-        for camera, _ in reversed(self._stored):  # those heard last first, should there be too many
+        self._event_time = EventTime()
+        self.streams: Streams[Received] = Streams(stored, limits.held_events_max, limits.streams_max, BOOTS_MAX, owns)
+        for camera, _ in reversed(stored):  # those heard last first, should there be too many
             self.cameras.admit(camera, self._steady())
         self.with_spool: set[str] = set()
         """Cameras whose publisher has been seen alive, so that it has a spool."""
-        self._deadline: float | None = None
         self.rejects = Rejects()
         self.counts = dict.fromkeys(("received", "stored", "duplicate", "future", "flood", "held_full", "refilled"), 0)
         self.gap = threading.Event()
@@ -112,8 +118,7 @@ class Receiver:
 
     def on_event(self, key: str, payload: bytes) -> None:
         """A publication on ``event/{camera}``. Never blocks: what does not fit is left to the spool."""
-        name = key.removeprefix("event/")[: CAMERA_CHARACTERS_MAX + 1]  # so much says that it is too long
-        self._inbox.put(Message(name, payload[: codec.EVENT_BYTES_MAX + 1]))
+        self._inbox.put(_message(key, payload))
 
     def on_pulled(self, pulled: Pulled) -> bool:
         """The answer of a spool; False if there is no room for it now."""
@@ -128,7 +133,7 @@ class Receiver:
 
     def on_deadline(self, deadline: float | None) -> None:
         """Event time at which the learner wants to be told that time went on."""
-        self._deadline = deadline
+        self._event_time.deadline = deadline
 
     def use(self, limits: Limits) -> None:
         """Obey other limits from now on, as far as they are not the sizes of what exists. Any thread."""
@@ -144,11 +149,40 @@ class Receiver:
         self._ready.begin()
         try:
             while not stopping.is_set():
-                self._round(self._take())
+                self._wait()
+                with self._turn:
+                    self._round(self._take())
                 beat()
-            self._round(self._take())
+            if self.ear is not None:
+                self.ear.close()
+                self._heard_all.wait(_HUSH_SECONDS)
+            with self._turn:
+                self._round(self._take())
         finally:
             self._ready.end()
+
+    def listen(self) -> None:
+        """Order what the ear hears until `work` ends that; what there is no room for now is left to `work`."""
+        if (ear := self.ear) is None:
+            return
+        try:
+            while (heard := ear.take()) is not None:
+                self._note_heard(heard)
+                while self._inbox and self._room() > 0 and self._turn.acquire(blocking=False):
+                    try:
+                        self._round(self._take(), ear)
+                    finally:
+                        self._turn.release()
+                    self._note_heard(ear.take(wait=False))
+                if self._inbox:
+                    self._inbox.poke()
+        finally:
+            ear.close()
+            self._heard_all.set()
+
+    def _note_heard(self, heard: Sequence[tuple[str, bytes]] | None) -> None:
+        if heard:
+            self._inbox.put_all([_message(key, payload) for key, payload in heard])
 
     def store(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Store what `work` has put in order until that has ended.
@@ -160,7 +194,7 @@ class Receiver:
         while stored and not self._ready.over:
             stored = self._store_waiting(stopping)
             beat()
-        self._ack(now=float("inf"))
+        self._acks.put(math.inf, 0.0, beat)
 
     def _store_waiting(self, stopping: threading.Event) -> bool:
         """One transaction; False if it could not be stored."""
@@ -168,12 +202,12 @@ class Receiver:
         ready = self._ready.take(limits.commit_events_max, _TICK_SECONDS, limits.commit_seconds)
         if not self._store(ready, stopping):
             return False
-        self._ack(time.monotonic())
+        self._acks.put(time.monotonic(), limits.ack_seconds, self._beat)
         self.storing.forget_old()
         return True
 
-    def _round(self, messages: list[Message | Pulled]) -> None:
-        """From messages to what is ready to be stored.
+    def _round(self, messages: list[Message | Pulled], ear: Ear | None = None) -> None:
+        """From messages to what is ready to be stored. ``ear``: to be emptied now and then while that takes long.
 
         Predictions do not wait for the disk: unlike an ack they promise nothing. Each event is shown for them once,
         when its turn has come, and no duplicate or refused one comes so far. After a crash before the commit it comes
@@ -189,29 +223,51 @@ class Receiver:
         ready += self.streams.give_up(time.monotonic(), self._limits.gap_seconds, self.with_spool)
         ready = self.merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), max(self._room(), 0))
         ready = self._without_floods(ready)
-        ready += self._time_went_on(now)
-        for one in ready:
-            if one.event is not None:
-                self._note(one.event, wall + self.cameras.clock_behind, now)
+        if (advanced := self._event_time.went_on(now, self._limits.settle_seconds)) is not None:
+            ready.append(Received(Entry("advance", "", None, None, repr(advanced).encode()), advance=advanced))
         if ready:
-            self._see(ready, PREDICT_SECONDS_BUSY if len(self._inbox) > BUSY_EVENTS else PREDICT_SECONDS_MAX)
+            events = [one.event for one in ready if one.event is not None]
+            for event in events:
+                self.cameras.note(event)
+            right = wall + self.cameras.clock_behind
+            self._event_time.note((event.t for event in events), right, now, self._limits.future_seconds_max)
+            self._show(ready, ear)
             self._ready.put(ready)
-        self._forgotten.extend(self.streams.forgotten())
+        self._acks.forget(self.streams.forgotten())
         if self.streams.gaps:
             self.gap.set()
+
+    def _show(self, ready: list[Received], ear: Ear | None) -> None:
+        """For predictions, as long as there is time."""
+        spent = 0.0
+        for first in range(0, len(ready), _SHOWN_EVENTS):
+            most, began = PREDICT_SECONDS_MAX, time.monotonic()
+            if len(self._inbox) > BUSY_EVENTS:
+                most = PREDICT_SECONDS_BUSY
+            if spent >= most:
+                self._see(ready[first:], 0.0)
+                return
+            self._see(ready[first : first + _SHOWN_EVENTS], most - spent)
+            spent += time.monotonic() - began
+            if ear is not None:
+                self._note_heard(ear.take(wait=False))
 
     def _room(self) -> int:
         """How many events may be put in order now: another transaction's worth while one is being stored."""
         return min(2 * self._limits.commit_events_max, self._learner_room()) - self._ready.waiting
 
-    def _take(self) -> list[Message | Pulled]:
-        """What came in, at most a transaction's worth and no more than the learner has room for."""
+    def _wait(self) -> None:
+        """Until there may be something to put in order, and room for it."""
         if self._room() <= 0:
             self._ready.wait_for_room(_TICK_SECONDS)
-            return []
-        if not self._answers:
+        elif not self._answers:
             self._inbox.wait(_TICK_SECONDS)
+
+    def _take(self) -> list[Message | Pulled]:
+        """What came in, at most a transaction's worth and no more than the learner has room for."""
         room = min(self._limits.commit_events_max, self._room())
+        if room <= 0:
+            return []
         messages: list[Message | Pulled] = []
         while self._answers and room > 0:
             answer = self._answers.popleft()
@@ -257,13 +313,13 @@ class Receiver:
         self.merge.answered(batch.camera, times, batch.more, time.monotonic())
         seqs = [seq for seq, _ in batch.events]
         self.streams.answered(key, pulled.asked_from, seqs, batch.more, knows=batch.first > 0)
-        if key in self._stored and batch.first <= self._stored[key] != batch.acked:
-            self._ack_again.append(key)  # it has what is stored here already: the ack got lost
+        if batch.first <= self._acks.stored.get(key, -1) != batch.acked:
+            self._acks.again(key)  # it has what is stored here already: the ack got lost
         return ready
 
     def _notice_loss(self, batch: SpoolBatch) -> None:
         """Say it when a publisher has been told that more is stored than is: it is being filled in again."""
-        stored = self._stored.get((batch.camera, batch.boot), -1)
+        stored = self._acks.stored.get((batch.camera, batch.boot), -1)
         missing = sum(stored < seq <= (batch.acked or 0) for seq, _ in batch.events)
         if missing and self._owns(batch.camera):
             if not self.counts["refilled"]:
@@ -318,56 +374,18 @@ class Receiver:
             kept.append(received)
         return kept
 
-    def _time_went_on(self, now: float) -> list[Received]:
-        """An advance, when events in step with the clock have stopped and the learner waits for time.
-
-        By the clock that does not step: when somebody sets this machine's clock, event time stays.
-        """
-        if self._live is None or self._deadline is None:
-            return []
-        newest, wall_then, then = self._live
-        quiet = now - then
-        advanced = wall_then + quiet - self._limits.settle_seconds
-        if advanced < self._deadline or advanced <= newest or quiet < self._limits.settle_seconds:
-            return []
-        self._live = (advanced, wall_then, then)
-        entry = Entry("advance", "", None, None, repr(advanced).encode())
-        return [Received(entry, advance=advanced)]
-
     def _store(self, ready: list[Received], stopping: threading.Event) -> bool:
         """Into the journal, then on to the learner; False if it could not be stored."""
         if not self.storing.store([received.entry for received in ready], stopping, self._beat):
             return False
-        for entry, event, _ in ready:
-            if entry.boot is not None and entry.seq is not None:
-                self._stored[entry.camera, entry.boot] = entry.seq
-                self._dirty.add((entry.camera, entry.boot))
-            self.counts["stored"] += event is not None
         if ready:
+            self._acks.note(ready)
+            self.counts["stored"] += sum(received.event is not None for received in ready)
             self._learn(ready)
         self._ready.done()
         return True
 
-    def _note(self, event: Event, wall: float, now: float) -> None:
-        """It is about to be stored."""
-        self.cameras.note(event)
-        if abs(event.t - wall) <= self._limits.future_seconds_max:
-            newest = event.t if self._live is None else max(event.t, self._live[0])
-            self._live = (newest, wall, now)
 
-    def _ack(self, now: float) -> None:
-        if now < self._next_ack:
-            return
-        self._next_ack = now + self._limits.ack_seconds
-        while self._ack_again:
-            key = self._ack_again.popleft()
-            if key in self._stored:
-                self._dirty.add(key)
-        for camera, boot in self._dirty:
-            if not self._owns(camera):
-                continue
-            self._bus.put(f"ack/{camera}", Ack(camera, boot, self._stored[camera, boot]), "ack")
-            self._beat()  # a put onto a dead link blocks for seconds
-        self._dirty.clear()
-        while self._forgotten:
-            self._stored.pop(self._forgotten.popleft(), None)
+def _message(key: str, payload: bytes) -> Message:
+    name = key.removeprefix("event/")[: CAMERA_CHARACTERS_MAX + 1]  # so much says that it is too long
+    return Message(name, payload[: codec.EVENT_BYTES_MAX + 1])

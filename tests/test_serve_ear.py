@@ -1,0 +1,60 @@
+"""What is published and asked for by one thread, instead of calling it back."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from serving import small_config, wait_for
+
+from camtopod.serve import bus as buses
+
+
+@pytest.fixture
+def bus(tmp_path: Path) -> Iterator[buses.Bus]:
+    with buses.meet(small_config(tmp_path)) as one:
+        yield one
+
+
+def taken(ear: buses.Ear) -> list[tuple[str, bytes]]:
+    """Everything until it is closed."""
+    heard = []
+    while (some := ear.take()) is not None:
+        heard += some
+    return heard
+
+
+def test_what_came_is_there_in_order_also_after_the_end(bus: buses.Bus) -> None:
+    ear = bus.listen("event/*", 5_000)
+    said = [(f"event/c{n % 7}", b"%d" % n) for n in range(3_000)]
+    for key, payload in said:
+        bus.put_raw(key, payload, "event")
+    bus.put_raw("status/c1", b"", "status")
+    ear.close()
+    assert taken(ear) == said
+    assert ear.take() is None
+    assert ear.take(wait=False) is None
+
+
+def test_without_waiting_there_may_be_nothing(bus: buses.Bus) -> None:
+    assert bus.listen("event/*", 10).take(wait=False) == []
+
+
+@pytest.mark.parametrize("closers", [1, 4])
+def test_who_waits_is_told_the_end(bus: buses.Bus, closers: int) -> None:
+    """By the bus that closes, or by several at the same time, as at the end of a daemon."""
+    ear, heard = bus.listen("event/*", 10), []
+    waiting = threading.Thread(target=lambda: heard.append(taken(ear)))
+    waiting.start()
+    if closers == 1:
+        bus.close()
+    else:
+        threads = [threading.Thread(target=ear.close) for _ in range(closers)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    wait_for(lambda: heard == [[]], "the end")
+    waiting.join()
