@@ -55,12 +55,13 @@ def test_arrivals_by_zone_are_those_of_the_columns(came: list[tuple[int, int]]) 
     """In whatever order they come, and however many have been dropped."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recent, "RECENT_MAX", 7)
-        arrivals = recent.RecentArrivals()
+        arrivals = recent.RecentArrivals(4)
         for n, (t, zone) in enumerate(came):
             arrivals.append(float(t), zone, float(n))
             counts = arrivals.dropped + arrivals.first
             for one, heard in arrivals.of_zone.items():
                 assert heard == sorted(heard)
+                assert arrivals.newest[one] >= heard[-1][0]
                 assert len(heard) <= 14
                 newest = [(float(s), k) for k, (s, v) in enumerate(came[: n + 1]) if v == one][-7:]
                 known = [(s, k) for s, k in heard if k >= counts]

@@ -378,7 +378,7 @@ class Predictor:
         """Probability (targets, 1) that each camera still reports, from how many events of others it has let pass."""
         silences = np.minimum((self._events - self._last_event[ready.cameras]) * ready.share, SILENCE_NATS_MAX)
         exp = math.exp
-        return np.array([[1.0 / (1.0 + DEAD_PRIOR * exp(silence))] for silence in silences.tolist()])
+        return np.array([1.0 / (1.0 + DEAD_PRIOR * exp(silence)) for silence in silences.tolist()])[:, None]
 
 
 def _check(t: float, now: float | None) -> None:

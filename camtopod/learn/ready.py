@@ -154,7 +154,7 @@ class ReadyZones:
         self.clocks_apart = max(self.ahead.values(), default=0.0) - min(self.ahead.values(), default=0.0)
         self.cameras = {camera: k for k, camera in enumerate(dict.fromkeys(zone.camera for zone in topology.zones))}
         """Numbers of those that have zones."""
-        self.camera_of = np.array([self.cameras[zone.camera] for zone in self.zones], np.int32)
+        self.camera_of = np.array([self.cameras[zone.camera] for zone in self.zones], np.intp)
         share = {known.camera: known.share for known in (topology.model.cameras if topology.model else [])}
         self.share_of = np.array([share.get(zone.camera, 0.0) for zone in self.zones])
         bins = hazards.bins
