@@ -18,8 +18,9 @@ from msgspec import Struct
 from camtopod.districts.dealing import Sharding
 from camtopod.learn.settings import Settings
 
-LESSONS_MAX = 1_000
-"""In one message: some hundred kilobytes, some hundredths of a second without a fit."""
+LESSONS_MAX = 4_000
+"""In one message: some hundred kilobytes, some hundredths of a second without a fit. Where the daemon's threads are
+busy each message costs it several turns of waiting for the interpreter, milliseconds each."""
 READ_BYTES_MAX = 1 << 20
 _LENGTH = struct.Struct("<Q")
 

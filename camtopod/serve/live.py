@@ -28,13 +28,15 @@ class Live:
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
         """Events about to be stored. Those for which there is no time any more are skipped, exits counted."""
-        until = time.monotonic() + seconds_max
-        for one in batch:
-            if one.event is not None and self._predictor is not None:
-                if time.monotonic() < until:
-                    self._step(one.event)
-                else:
-                    self.counts["predictions_skipped"] += one.event.kind == "exit" and self._owns(one.event.camera)
+        if self._predictor is None:
+            return
+        until, events = time.monotonic() + seconds_max, [one.event for one in batch if one.event is not None]
+        for number, event in enumerate(events):
+            if time.monotonic() >= until:
+                skipped = [late for late in events[number:] if late.kind == "exit" and self._owns(late.camera)]
+                self.counts["predictions_skipped"] += len(skipped)
+                return
+            self._step(event)
 
     def remember(self, events: Sequence[Event]) -> None:
         """Events of before the start, so that the first predictions know what was going on."""

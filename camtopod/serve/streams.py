@@ -165,7 +165,7 @@ class Streams(Generic[T]):
             if not self._room_for(key):
                 return None
             stream = _Stream(None, {})
-        elif len(self._boots[key[0]]) == 1:  # as nearly always
+        elif next(reversed(self._boots[key[0]])) == key[1]:  # as nearly always
             self._streams[key] = stream
             return stream
         self._add(key, stream)
