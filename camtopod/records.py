@@ -83,11 +83,14 @@ class Transit(Struct, frozen=True, omit_defaults=True):
     q50_sd: float | None = None
 
 
-class Histogram(Struct, frozen=True):
-    """Transit-time histogram: ``mass[k]`` is the expected number of transits in lag bin ``first + k``."""
+class Histogram(Struct, frozen=True, omit_defaults=True):
+    """Transit-time histogram: ``mass[k]`` times ``unit`` is the expected number of transits in lag bin ``first + k``.
+    The unit is 1 for links.
+    """
 
     first: int
-    mass: list[float]
+    mass: list[int | float]
+    unit: float = 1.0
 
 
 class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):

@@ -19,6 +19,7 @@ from camtopod.districts.places import Places
 from camtopod.districts.renaming import Names, renamed
 from camtopod.learn.assemble import by_clocks
 from camtopod.learn.chain import markov_chain
+from camtopod.learn.histograms import scaled
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX
 from camtopod.learn.relations import camera_pairs
@@ -29,7 +30,6 @@ from camtopod.records import (
     TOPOLOGY_SCHEMA,
     CameraModel,
     Context,
-    Histogram,
     Link,
     Model,
     Onward,
@@ -152,8 +152,7 @@ def _outcomes(zone: str, rows: Sequence[Onward]) -> Onward:
 
 
 def _scaled(outcome: Outcome, factor: float) -> Outcome:
-    mass = [float(f"{one * factor:.3g}") for one in outcome.hazard.mass]
-    return replace(outcome, share=short(outcome.share * factor), hazard=Histogram(outcome.hazard.first, mass))
+    return replace(outcome, share=short(outcome.share * factor), hazard=scaled(outcome.hazard, factor))
 
 
 def _contexts(known: Sequence[Topology]) -> list[Context]:

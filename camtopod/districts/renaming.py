@@ -7,17 +7,17 @@ where one is several of the owner's, what is expected of it is expected of each.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from msgspec.structs import replace
 
+from camtopod.learn.histograms import counts_added, steps_added
 from camtopod.learn.rounding import short
 from camtopod.learn.topology import LinkKey, link_key
 from camtopod.records import Alarm, Context, EntryKernel, Histogram, Link, Model, Onward, Outcome, Topology
 
 Names = dict[str, list[str]]
 """Owners' ids of each zone, the one at its place first; of what is not in it nothing can be said."""
-Weighed = Sequence[tuple[float, Histogram]]
 
 
 def renamed(part: Topology, names: Names) -> Topology:
@@ -54,7 +54,7 @@ def _one_link(source: str, links: list[Link], exits: dict[str, float], leaving: 
         strongest, from_=source,
         probability=short(sum(exits[link.from_] * link.probability for link in links) / max(leaving, 1.0)),
         transitions=short(sum(link.transitions for link in links)),
-        histogram=added(shapes) if shapes else None,
+        histogram=counts_added(shapes) if shapes else None,
     )  # fmt: skip
 
 
@@ -95,7 +95,7 @@ def _one_row(owner: str, rows: list[tuple[float, Onward]], leaving: float) -> On
 def _one_outcome(target: str, outcomes: list[tuple[float, Outcome]]) -> Outcome:
     share = sum(weight * outcome.share for weight, outcome in outcomes)
     doubt = sum(weight * outcome.share * outcome.doubt for weight, outcome in outcomes) / max(share, 1e-300)
-    hazard = added([(weight, outcome.hazard) for weight, outcome in outcomes])
+    hazard = steps_added([(weight, outcome.hazard) for weight, outcome in outcomes])
     return Outcome(target, short(share), hazard, short(doubt))
 
 
@@ -111,7 +111,7 @@ def _entered(
         for target in sorted({target for zone in zones for target in of_zone.get(zone, {})}):
             known = [(zone, of_zone[zone][target]) for zone in zones if target in of_zone.get(zone, {})]
             alone = known[0][1] if len(zones) == 1 else None
-            hazard = alone or added([(entries[zone] / total, hazard) for zone, hazard in known])
+            hazard = alone or steps_added([(entries[zone] / total, hazard) for zone, hazard in known])
             result.append(EntryKernel(owner, target, hazard))
     return result
 
@@ -139,13 +139,3 @@ def _contexts(rows: Iterable[Context], names: Names) -> list[Context]:
 def _alarm(alarm: Alarm, names: Names) -> Alarm:
     source, arrow, target = alarm.subject.partition("->")
     return replace(alarm, subject=f"{names.get(source, [source])[0]}->{target}") if arrow else alarm
-
-
-def added(histograms: Weighed) -> Histogram:
-    """The weighted sum of histograms."""
-    first = min(histogram.first for _, histogram in histograms)
-    mass = [0.0] * (max(histogram.first + len(histogram.mass) for _, histogram in histograms) - first)
-    for weight, histogram in histograms:
-        for k, one in enumerate(histogram.mass, start=histogram.first - first):
-            mass[k] += weight * one
-    return Histogram(first, [float(f"{one:.3g}") for one in mass])

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from camtopod.learn.chain import markov_chain
 from camtopod.learn.clocks import Clocks
+from camtopod.learn.histograms import counted
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable
 from camtopod.learn.relations import camera_pairs, relation_of
@@ -21,7 +21,6 @@ from camtopod.learn.window import Window
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
-    Histogram,
     Link,
     Model,
     Relation,
@@ -31,8 +30,6 @@ from camtopod.records import (
 )
 
 STAY_DECILES = np.linspace(0.0, 1.0, 11)
-HISTOGRAM_MASS_MIN = 1e-3
-"""Bins at the ends of a histogram with less than this share of its mass are left off."""
 
 
 def zone_id(cameras: list[str], zone: ZoneRef) -> str:
@@ -69,7 +66,7 @@ def link_records(
                 *(short(value) for value in (t.mode[k], t.mean[k], t.sd[k], *t.quantiles[k])),
                 *(short(value) for value in (t.mean_error[k], t.median_error[k])),
             ),
-            short(table.q[k]), short(table.variance[k]), histogram(table.counts[k], bins) if histograms else None,
+            short(table.q[k]), short(table.variance[k]), counted(table.counts[k], bins) if histograms else None,
         )
         for k in range(len(table.source))
     ]  # fmt: skip
@@ -89,14 +86,6 @@ def by_clocks(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> 
             link = replace(link, transit=replace(t, mode=mode, mean=mean, q10=q10, q50=q50, q90=q90))
         result.append(link)
     return result
-
-
-def histogram(counts: NDArray[np.float64], bins: LagBins) -> Histogram:
-    """Expected transitions per lag bin without the empty ends."""
-    full = np.flatnonzero(counts > HISTOGRAM_MASS_MIN * counts.sum())
-    if len(full) == 0:
-        return Histogram(0, [])
-    return Histogram(bins.first + int(full[0]), [float(f"{n:.3g}") for n in counts[full[0] : full[-1] + 1]])
 
 
 def assemble(

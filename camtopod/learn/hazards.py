@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.learn.histograms import on_bins
 from camtopod.learn.joint import LEAVE_FLOOR, smooth
 from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins
 from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
-from camtopod.records import Histogram, Link, Onward, Topology
+from camtopod.records import Link, Onward, Topology
 
 Floats = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ class Hazards:
             self.outcomes = self._from_posterior(model.onward, index)
         self._entered: dict[int, dict[int, list[float]]] = {}
         for kernel in (model and model.entered) or []:
-            hazard = _on_bins(kernel.hazard, self.bins) / self.bins.widths
+            hazard = on_bins(kernel.hazard, self.bins) / self.bins.widths
             self._entered.setdefault(index[kernel.zone], {})[index[kernel.to]] = hazard.tolist()
         every = list(self.outcomes.items())
         self._rows: Floats = np.concatenate(
@@ -160,7 +161,7 @@ class Hazards:
         outcomes = {}
         for row in rows:
             if row.next_:
-                hazard = np.stack([_on_bins(outcome.hazard, self.bins) for outcome in row.next_]) / self.bins.widths
+                hazard = np.stack([on_bins(outcome.hazard, self.bins) for outcome in row.next_]) / self.bins.widths
                 share = np.array([outcome.share for outcome in row.next_])
                 zone, targets = index[row.zone], [index[outcome.to] for outcome in row.next_]
                 doubt = np.array([outcome.doubt for outcome in row.next_])
@@ -247,17 +248,7 @@ def _lag_range(topology: Topology) -> tuple[float, float]:
 def _counts(link: Link, bins: LagBins) -> Floats:
     """The link's histogram on the bins, (bins,); one without is spread as its quantiles say."""
     if link.histogram is not None:
-        return _on_bins(link.histogram, bins)
+        return on_bins(link.histogram, bins)
     sd = max((link.transit.q90 - link.transit.q10) / (2 * NORMAL_Q90), 0.5)
     shape = np.exp(-0.5 * ((bins.centres - link.transit.q50) / sd) ** 2) * bins.widths
     return shape / max(float(shape.sum()), 1e-300) * link.transitions
-
-
-def _on_bins(histogram: Histogram, bins: LagBins) -> Floats:
-    """A histogram on all of the bins, (bins,)."""
-    counts = np.zeros(bins.size)
-    start = histogram.first - bins.first
-    for k, mass in enumerate(histogram.mass):
-        if 0 <= start + k < bins.size:
-            counts[start + k] += mass
-    return counts

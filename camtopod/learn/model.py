@@ -6,10 +6,11 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from camtopod.learn.assemble import STAY_DECILES, histogram, zone_id
+from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.change import Change
 from camtopod.learn.contexts import LEVELS
 from camtopod.learn.grouping import rows_of
+from camtopod.learn.histograms import in_steps
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.lags import LagBins
 from camtopod.learn.posterior import Posterior
@@ -109,9 +110,7 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
         pairs = likely[mine]
         pairs = pairs[np.argsort(-share[pairs], kind="stable")][:OUTCOMES_PER_ZONE_MAX]
         outcomes = [
-            Outcome(
-                ids[c.target[k]], short(float(share[k])), histogram(mass[k], bins), short(float(posterior.doubt[k]))
-            )
+            Outcome(ids[c.target[k]], short(float(share[k])), in_steps(mass[k], bins), short(float(posterior.doubt[k])))
             for k in pairs.tolist()
         ]
         rows.append(Onward(ids[zone], short(float(posterior.leave[zone])), outcomes))
@@ -127,7 +126,7 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
     for zone, mine in enumerate(rows_of(p.entry_source[likely], len(ids))):
         pairs = likely[mine]
         pairs = pairs[np.argsort(-total[pairs], kind="stable")][:ENTRY_KERNELS_PER_ZONE_MAX]
-        rows += [EntryKernel(ids[zone], ids[p.entry_target[k]], histogram(mass[k], bins)) for k in pairs.tolist()]
+        rows += [EntryKernel(ids[zone], ids[p.entry_target[k]], in_steps(mass[k], bins)) for k in pairs.tolist()]
     return sorted(rows, key=lambda row: (row.zone, row.to))
 
 

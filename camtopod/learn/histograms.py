@@ -1,0 +1,92 @@
+"""Histograms over lag bins as versions carry them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from camtopod.learn.lags import LagBins
+from camtopod.learn.rounding import short
+from camtopod.records import Histogram
+
+Floats = NDArray[np.float64]
+Weighed = tuple[float, Histogram]
+
+MASS_MIN = 1e-3
+"""Bins at the ends with less than this share of the mass are left off."""
+STEPS = 250
+"""Of the highest bin, where a histogram is in whole steps: a version has one for each pair of zones that may be linked,
+thousands of them. Whole numbers this small take a byte or two in a message and none of their own in Python.
+"""
+
+
+def counted(counts: Floats, bins: LagBins) -> Histogram:
+    """Expected transitions per lag bin (bins,)."""
+    first, last = _ends(counts)
+    if first == last:
+        return Histogram(0, [])
+    return Histogram(bins.first + first, _three_digits(counts[first:last]))
+
+
+def in_steps(mass: Floats, bins: LagBins) -> Histogram:
+    """Masses (bins,) in whole steps."""
+    first, last = _ends(mass)
+    return _stepped(bins.first + first, mass[first:last])
+
+
+def scaled(histogram: Histogram, factor: float) -> Histogram:
+    """A histogram times a factor."""
+    return replace(histogram, unit=short(histogram.unit * factor))
+
+
+def counts_added(histograms: Iterable[Weighed]) -> Histogram:
+    """The weighted sum of counts."""
+    first, counts = _sum(histograms)
+    return Histogram(first, _three_digits(counts))
+
+
+def steps_added(histograms: Iterable[Weighed]) -> Histogram:
+    """The weighted sum of histograms, in whole steps."""
+    return _stepped(*_sum(histograms))
+
+
+def on_bins(histogram: Histogram, bins: LagBins) -> Floats:
+    """Masses on all of the bins, (bins,); what lies beyond them is left out."""
+    result = np.zeros(bins.size)
+    start = histogram.first - bins.first
+    low, high = max(-start, 0), min(bins.size - start, len(histogram.mass))
+    if low < high:
+        result[start + low : start + high] = histogram.mass[low:high]
+        result *= histogram.unit
+    return result
+
+
+def _sum(histograms: Iterable[Weighed]) -> tuple[int, Floats]:
+    known = [(weight, one) for weight, one in histograms if one.mass]
+    if not known:
+        return 0, np.zeros(0)
+    first = min(one.first for _, one in known)
+    mass = np.zeros(max(one.first + len(one.mass) for _, one in known) - first)
+    for weight, one in known:
+        mass[one.first - first :][: len(one.mass)] += weight * one.unit * np.array(one.mass, np.float64)
+    return first, mass
+
+
+def _ends(mass: Floats) -> tuple[int, int]:
+    """First and last-but-one bin that counts."""
+    full = np.flatnonzero(mass > MASS_MIN * mass.sum())
+    return (int(full[0]), int(full[-1]) + 1) if len(full) else (0, 0)
+
+
+def _stepped(first: int, mass: Floats) -> Histogram:
+    unit = short(float(mass.max(initial=0.0)) / STEPS)
+    if unit == 0.0:
+        return Histogram(0, [])
+    return Histogram(first, np.rint(mass / unit).astype(np.int64).tolist(), unit)
+
+
+def _three_digits(counts: Floats) -> list[int | float]:
+    return [float(f"{n:.3g}") for n in counts]
