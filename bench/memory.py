@@ -3,8 +3,9 @@
     python -m bench memory [--cameras 100,1000,10000] [--events 70000] [--json FILE]
 
 The real `camtopod run` begins with nothing and is sent a made-up network's traffic, 0.1 events a second and camera, as
-fast as it takes it: more events than its window holds. Measured are the most it ever took (VmHWM) and what it has when
-all is learned, its child processes included; by default settings, but for the number of cameras.
+fast as it takes it; its window holds all of them (2,000 events a camera, at least 60,000: with more `--events` more).
+Measured are the most it ever took (VmHWM) and what it has when all is learned, its child processes included; by default
+settings, but for the number of cameras.
 """
 
 from __future__ import annotations
