@@ -165,8 +165,9 @@ def read_in_parts(kind: Any, raw: bytes | msgspec.Raw) -> Any:
     """The same from MessagePack for large nouns: decoded in one go, no other thread would get a turn meanwhile."""
     if len(raw) <= PART_BYTES:
         return _decode(msgspec.msgpack.Decoder(kind), raw)
-    if isinstance(kind, types.UnionType) and len(typing.get_args(kind)) == 2:  # it or None, which is not as large
-        (kind,) = (one for one in typing.get_args(kind) if one is not types.NoneType)
+    if isinstance(kind, types.UnionType):
+        large = [one for one in typing.get_args(kind) if one is not types.NoneType]  # None is not as large
+        kind = large[0] if len(large) == 1 else kind
     if typing.get_origin(kind) is list:
         (item,) = typing.get_args(kind)
         return [read_in_parts(item, part) for part in _decode(_raw_list, raw)]
