@@ -6,6 +6,7 @@ import argparse
 import faulthandler
 import logging
 import re
+import sys
 from typing import Any
 
 from camtopod.cli import exits
@@ -21,6 +22,10 @@ log = logging.getLogger(__name__)
 
 LEAVE_SECONDS = 8.0
 """After a signal, how long a part that blocks may hold up the end; systemd kills after TimeoutStopSec=10."""
+SWITCH_SECONDS = 0.0005
+"""How long a thread may keep the interpreter from another that wants it: an exit must not wait the usual 5 ms for what
+is being stored.
+"""
 _LOOK_SECONDS = 0.2
 
 
@@ -53,6 +58,7 @@ def _shard(text: str) -> tuple[int, int]:
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM or SIGINT."""
     memory.limit_arenas()
+    sys.setswitchinterval(SWITCH_SECONDS)
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
     with signals() as told, leaving(told.stop, LEAVE_SECONDS):
