@@ -124,7 +124,7 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """Events a transaction of the journal."""
     commit_seconds: float = 0.02
     """How long a transaction waits for more events, which their predictions do not; raise it on an SD card (0.05)."""
-    learn_events_max: Count = 200_000
+    learn_events_max: Count = 50_000
     """Stored and not yet learned; beyond it storing waits."""
     held_events_max: Count = 5_000
     """Events of one camera held back behind a gap; beyond it they are dropped and pulled later."""
