@@ -172,7 +172,7 @@ class Gate:
         if outcomes is None:
             return _Onward([], np.zeros((0, bins.size)), 1.0)
         likelier, leave = self._surroundings.multipliers(zone, outcomes, block, None, None, 0.0)
-        odds = outcomes.hazard * bins.widths * outcomes.exposure * likelier[:, None]
+        odds = outcomes.hazard * bins.widths * outcomes.exposure * np.array(likelier)[:, None]
         doubtful = outcomes.doubt[:, None] * odds
         leave += float(doubtful.sum())
         total = leave + float((odds - doubtful).sum())

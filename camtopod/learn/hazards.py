@@ -123,6 +123,11 @@ class Hazards:
         """`rate_ahead` for several zones (n,)."""
         return np.array([self._ahead.get((camera, target), 0.0) for target in targets.tolist()])
 
+    def exposed(self, stay: float) -> Floats:
+        """Share (bins,) of each bin of lags that a passage of ``stay`` seconds is exposed to."""
+        begun = np.clip((self.bins.edges[1:] + stay) / self.bins.widths, 0.0, 1.0)
+        return np.where(self.past, begun, 1.0)
+
     def bin_of(self, lag: float) -> int:
         """`LagBins.index` of one lag."""
         bins = self.bins

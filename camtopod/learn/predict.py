@@ -19,6 +19,7 @@ Events come with their cameras' own clocks; inside, times are right ones, as far
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -30,7 +31,7 @@ from camtopod.learn.lag_odds import paced, quantiles, unknown
 from camtopod.learn.pace import Paces
 from camtopod.learn.places import Places
 from camtopod.learn.positions import block_of
-from camtopod.learn.ready import Ready, ReadyZones
+from camtopod.learn.ready import AtExit, Ready, ReadyZones
 from camtopod.learn.recent import RECENT_MAX, Arrival, Recent, RecentArrivals
 from camtopod.learn.surroundings import Surroundings
 from camtopod.learn.under_way import Passage, UnderWay
@@ -79,13 +80,14 @@ class Predictor:
         self._ahead, self._clocks_apart = self._ready.ahead, self._ready.clocks_apart
         stay_max = {camera: self._hazards.longest_stay(zones) for camera, zones in self._of_camera.items()}
         self._under_way = UnderWay({camera: stay for camera, stay in stay_max.items() if stay})
-        self._arrivals, self._exits = RecentArrivals(len(self.zones)), Recent()
+        self._arrivals, self._exits = RecentArrivals(), Recent()
         self._ahead_of = np.array([self._ahead.get(zone.camera, 0.0) for zone in self.zones])
         self._wanted = np.zeros(len(self.zones), np.bool_)  # all False between calls
         self._row_of = np.full(len(self.zones), -1, np.intp)  # all -1 between calls
         self._names, self._camera_of = list(self._ready.cameras), self._ready.camera_of
+        self._number_of: list[int] = self._camera_of.tolist()
         self._events = 0
-        self._last_event = np.zeros(len(self._names), np.int64)
+        self._last_event = [0] * len(self._names)
         """Of each camera, by the count of all events."""
 
     def follow(self, topology: Topology) -> Predictor:
@@ -106,13 +108,13 @@ class Predictor:
                 self._exits.append(t, moved[zone])
         self._under_way.take_over(older._under_way, moved)
         self._events = older._events
-        last_event = dict(zip(older._names, older._last_event.tolist(), strict=True))
-        self._last_event[:] = [last_event.get(camera, older._events) for camera in self._names]
+        last_event = dict(zip(older._names, older._last_event, strict=True))
+        self._last_event = [last_event.get(camera, older._events) for camera in self._names]
 
     def save(self) -> PredictorState:
         """Everything `load` needs, beside the topology, to go on from here."""
         under_way, exits = self._under_way.passages(), self._exits.save()
-        last_event = dict(zip(self._names, self._last_event.tolist(), strict=True))
+        last_event = dict(zip(self._names, self._last_event, strict=True))
         return PredictorState(self._arrivals.arrivals(), *exits, under_way, self._events, last_event)
 
     def load(self, state: PredictorState) -> None:
@@ -123,7 +125,7 @@ class Predictor:
         for camera, track, passage in state.under_way:
             self._under_way.begin(camera, track, passage)
         self._events = state.events
-        self._last_event[:] = [state.last_event[camera] for camera in self._names]
+        self._last_event = [state.last_event[camera] for camera in self._names]
 
     def observe(self, event: Event) -> None:
         """Take note of an event; they must come by time as far as that is possible."""
@@ -131,7 +133,7 @@ class Predictor:
         zone = self.zone_of(event)
         if zone is None:
             return
-        self._last_event[self._camera_of[zone]] = self._events
+        self._last_event[self._number_of[zone]] = self._events
         t = event.t - self._ahead[event.camera]
         if event.kind == "entry":
             causes = self._causes(zone, t)
@@ -198,67 +200,64 @@ class Predictor:
         pace = self._paces.of_passage(entry, zone, stay)
         observed = now is not None and self._has_left(zone, left)
         if observed:
-            mass, changed = self._odds(zone, ready, left, passage, observed), None
+            mass, known = self._odds(zone, ready, left, passage, observed), None
+            odds: list[float] = mass.sum(axis=1).tolist()
         else:
-            mass, changed = self._odds_at_exit(ready, left, passage)
+            known = self._at_exit(ready, left, passage)
+            odds = known.odds
         likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, previous, sure)
-        mass *= likelier[:, None]
-        odds = np.add.reduce(mass, axis=1)
-        leave += float(np.add.reduce(outcomes.doubt * odds))
+        odds = [one * more for one, more in zip(odds, likelier, strict=True)]
+        leave += math.fsum(doubt * one for doubt, one in zip(ready.doubt, odds, strict=True))
         if now is not None and now > t:  # what may as well be chance was so at the exit: it is gone, seen or not
             slower, pace = 1.0 if pace is None else pace[0], None
-            mass, changed = self._odds(zone, ready, left, passage, observed, now - t, slower), None
-            mass *= likelier[:, None]
-            edges, odds, leave = paced(edges, slower), mass.sum(axis=1), max(leave, LEAVE_FLOOR)
-        odds *= ready.sure
-        total = leave + float(np.add.reduce(odds))
-        ranked = (-odds).argsort(kind="stable")
-        falling = odds[ranked]
-        falling = falling[falling >= NEXT_PROBABILITY_MIN * total]
-        ranked, kept = ranked[: len(falling)], leave + float(np.add.reduce(falling))
-        chances, order = (falling / kept).tolist(), ranked.tolist()
-        if changed is None:
-            lags = quantiles(mass[ranked], edges)
-            windows = [ready.window(k, pace, usual) for k, usual in zip(order, lags, strict=True)]
+            mass, known = self._odds(zone, ready, left, passage, observed, now - t, slower), None
+            edges, leave = paced(edges, slower), max(leave, LEAVE_FLOOR)
+            odds = [one * more for one, more in zip(mass.sum(axis=1).tolist(), likelier, strict=True)]
+        odds = [one * sure for one, sure in zip(odds, ready.sure, strict=True)]
+        least = NEXT_PROBABILITY_MIN * (leave + math.fsum(odds))
+        order = [k for k in sorted(range(len(odds)), key=odds.__getitem__, reverse=True) if odds[k] >= least]
+        kept = leave + math.fsum(odds[k] for k in order)
+        if known is None:
+            lags = quantiles(mass[order], edges)
+            windows: Sequence[Sequence[float]] = [
+                ready.window(k, pace, usual) for k, usual in zip(order, lags, strict=True)
+            ]
         else:
-            windows = ready.windows(order, pace, mass, changed)
+            windows = ready.windows(order, pace, known)
         following = [
-            NextCamera(ready.targets[k].camera, ready.targets[k].id, chance, *times)
-            for k, chance, times in zip(order, chances, windows, strict=True)
+            NextCamera(ready.targets[k].camera, ready.targets[k].id, odds[k] / kept, *times)
+            for k, times in zip(order, windows, strict=True)
         ]
         return Prediction(here.camera, here.id, t, track, self.topology.version, leave / kept, following)
 
-    def _odds_at_exit(self, ready: Ready, t: float, passage: Passage | None) -> tuple[Floats, set[int]]:
-        """`_odds` for an exit that has not been observed, by what is known then. And of which targets the odds of the
-        lags, beside each other, are not what they are without any passage or arrival.
-        """
-        outcomes, stay = ready.outcomes, None if passage is None else t - passage.t
-        mass = outcomes.hazard * ready.coming
-        if ready.exposed:
-            mass[ready.exposed] *= outcomes.exposure if stay is None else self._exposed(stay)
-        mass *= self._alive(ready)
-        changed = {*ready.exposed}
-        arrivals, hazards = self._arrivals, self._hazards
+    def _at_exit(self, ready: Ready, t: float, passage: Passage | None) -> AtExit:
+        """`_odds` for an exit that has not been observed, by what is known then."""
+        stay, alive = None if passage is None else t - passage.t, self._alive(ready)
+        odds = [one * there for one, there in zip(ready.odds(stay), alive, strict=True)]
+        arrivals, hazards, came_there = self._arrivals, self._hazards, dict[int, list[tuple[int, float]]]()
         counts, since = arrivals.dropped + arrivals.first, -math.inf if passage is None else passage.t
         oldest = max(t + hazards.bins.lag_min, since)
-        for k, target, later, earliest, ahead, kernels in ready.before(t, since, arrivals.newest):
+        for k, target, later, earliest, ahead, kernels, hazard in ready.before:
             entered = passage is not None and passage.entry in kernels
             reach = oldest if entered else max(oldest, t + earliest)
             for came, number in reversed(arrivals.of_zone.get(target, ())):
                 if came < reach:
                     break
-                at = hazards.bin_of(came - t) if since < came and came + later < t and number >= counts else -1
-                if at < 0:
+                if came <= since or came + later >= t or number < counts:
                     continue
-                here, rate = outcomes.hazard.item(k, at), arrivals.rate.item(number - arrivals.dropped)
-                here = here and here * ready.exposure(at, stay)
+                at = hazards.bin_of(came - t)
+                here = hazard.get(at, 0.0)
+                if at < 0 or not (here or entered):
+                    continue
+                here, rate = here and here * ready.exposure(at, stay), arrivals.rate.item(number - arrivals.dropped)
                 if passage is not None:
                     from_view = hazards.rate_entered(passage.entry, target, came - since) if entered else 0.0
                     here, rate = here + from_view, rate - (from_view + ahead)
                 if here:
-                    mass[k, at] += here / max(rate, RATE_MIN)
-                    changed.add(k)
-        return mass, changed
+                    more = here / max(rate, RATE_MIN)
+                    odds[k] += more
+                    came_there.setdefault(k, []).append((at, more))
+        return AtExit(odds, alive, came_there, stay)
 
     def _odds(
         self,
@@ -277,7 +276,7 @@ class Predictor:
         """
         bins, outcomes, since = self._hazards.bins, ready.outcomes, -math.inf if passage is None else passage.t
         camera = self.zones[zone].camera
-        exposed = outcomes.exposure if passage is None else self._exposed(t - since)
+        exposed = outcomes.exposure if passage is None else self._hazards.exposed(t - since)
         prior = outcomes.hazard * bins.widths * exposed
         found = self._recent(t, since, zone)
         before = len(found)
@@ -288,7 +287,7 @@ class Predictor:
             prior *= unknown(edges, elapsed, remembered, ready.later)
         else:
             prior = np.where(bins.edges[1:] <= -ready.later[:, None], 0.0, prior)
-        mass: Floats = prior * self._alive(ready)
+        mass: Floats = prior * np.array(self._alive(ready))[:, None]
         there, came = self._arrivals.zone[found], self._arrivals.t[found]
         self._row_of[outcomes.targets] = np.arange(len(outcomes.targets))
         k, at = self._row_of[there], bins.index(paced(came - t, 1.0 / slower) if elapsed else came - t)
@@ -369,16 +368,11 @@ class Predictor:
         causes.update((camera, rate) for _, camera, rate in sorted(further))  # as they came: sums depend on the order
         return causes
 
-    def _exposed(self, stay: float) -> Floats:
-        """Share (bins,) of each bin of lags that a passage of ``stay`` seconds is exposed to."""
-        bins = self._hazards.bins
-        return np.where(self._hazards.past, np.clip((bins.edges[1:] + stay) / bins.widths, 0.0, 1.0), 1.0)
-
-    def _alive(self, ready: Ready) -> Floats:
-        """Probability (targets, 1) that each camera still reports, from how many events of others it has let pass."""
-        silences = np.minimum((self._events - self._last_event[ready.cameras]) * ready.share, SILENCE_NATS_MAX)
-        exp = math.exp
-        return np.array([1.0 / (1.0 + DEAD_PRIOR * exp(silence)) for silence in silences.tolist()])[:, None]
+    def _alive(self, ready: Ready) -> list[float]:
+        """Probability (targets,) that each camera still reports, from how many events of others it has let pass."""
+        events, last_event, exp = self._events, self._last_event, math.exp
+        silences = [(events - last_event[k]) * share for k, share in zip(ready.cameras, ready.share, strict=True)]
+        return [1.0 / (1.0 + DEAD_PRIOR * exp(min(silence, SILENCE_NATS_MAX))) for silence in silences]
 
 
 def _check(t: float, now: float | None) -> None:

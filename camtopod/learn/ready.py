@@ -6,7 +6,8 @@ It is worked out when a zone is first asked about, not for all zones of a new ve
 from __future__ import annotations
 
 import math
-from collections.abc import Set
+from bisect import bisect_right
+from collections.abc import Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -40,14 +41,42 @@ class Before(NamedTuple):
     """Rate (1/s) at which an object in the view appears there before it leaves."""
     kernels: Set[int]
     """Zones of entry from which objects are known to appear there."""
+    hazard: dict[int, float]
+    """As of `Outcomes`, by bin, where there is any."""
+
+
+class _Exposed(NamedTuple):
+    """Odds of an outcome that may have come about before the exit without being known: how likely, the length of the
+    passage says.
+    """
+
+    past: list[float]
+    """(bins before the exit,)"""
+    later: float
+
+
+class AtExit(NamedTuple):
+    """What is known of the outcomes at an exit, beside each other."""
+
+    odds: list[float]
+    """(targets,)"""
+    alive: list[float]
+    """Probability (targets,) that each camera still reports."""
+    came: dict[int, list[tuple[int, float]]]
+    """Of outcomes that arrivals may have been: bins of their lags, and the odds of each beside what is still to come.
+    """
+    stay: float | None
+    """Seconds of the passage, if known."""
 
 
 class Ready:
-    """One zone; its outcomes are numbered as in `Outcomes`."""
+    """One zone; its outcomes are numbered as in `Outcomes`. They are few, and an exit comes when nothing of this has been
+    used for a while: then lists are quicker than arrays.
+    """
 
     __slots__ = (
-        *("outcomes", "targets", "later", "sure", "cameras", "share", "exposed"),
-        *("_site", "_before", "_before_at", "_earliest", "_transitions", "_began", "_shift", "_windows"),
+        *("outcomes", "targets", "later", "sure", "doubt", "cameras", "share", "before", "usual"),
+        *("_site", "_exposed", "_transitions", "_began", "_shift", "_windows"),
     )
 
     def __init__(self, site: ReadyZones, zone: int, outcomes: Outcomes) -> None:
@@ -56,25 +85,25 @@ class Ready:
         self.targets = [site.zones[k] for k in outcomes.targets]
         self.later = np.array([site.ahead.get(target.camera, 0.0) - site.ahead[here] for target in self.targets])
         """By how much their clocks are ahead, (targets,)."""
-        self.sure: Floats = 1.0 - outcomes.doubt
-        self.cameras = site.camera_of[outcomes.targets]
-        """Those of the targets, (targets,), and the shares of all events that are theirs, (targets,)."""
-        self.share = site.share_of[outcomes.targets]
+        self.doubt: list[float] = outcomes.doubt.tolist()
+        self.sure = [1.0 - doubt for doubt in self.doubt]
+        self.cameras: list[int] = site.camera_of[outcomes.targets].tolist()
+        """Those of the targets, and the shares of all events that are theirs."""
+        self.share: list[float] = site.share_of[outcomes.targets].tolist()
         began = np.searchsorted(bins.edges[1:], -self.later, "right")
         self._began = began if (began != began[0]).any() else int(began[0])
-        past = int(site.hazards.past.sum())
-        self.exposed = [
-            k for k, first in enumerate(began.tolist()) if first < past and outcomes.hazard[k, first:past].any()
-        ]
-        """Those that may have come about before the exit without being known: how likely, the length of the passage
-        says.
-        """
-        self._before = self._find_before(here)
-        self._before_at = np.array([one.target for one in self._before], np.intp)
-        self._earliest = np.array([-math.inf if one.kernels else one.earliest for one in self._before])
+        mass = outcomes.hazard * self.coming
+        past = len(site.past_edges) - 1
+        early = np.flatnonzero(mass[:, :past].any(axis=1)).tolist()
+        self._exposed = {k: _Exposed(mass[k, :past].tolist(), float(mass[k, past:].sum())) for k in early}
+        mass[early] *= outcomes.exposure
+        self.usual: list[float] = mass.sum(axis=1).tolist()
+        """Odds where nothing is known of the exit."""
+        self.before = self._find_before(here)
+        """Those that may have come about."""
         self._transitions: Floats = outcomes.share * site.hazards.departures[zone]
         self._shift: Floats = np.where(site.corrected, 0.0, self.later)
-        self._windows: dict[float | None, tuple[Floats, Floats]] = {}
+        self._windows: dict[float | None, list[list[float]]] = {}
 
     @property
     def coming(self) -> Floats:
@@ -84,12 +113,16 @@ class Ready:
         widths: Floats = self._site.coming[self._began]
         return widths
 
-    def before(self, t: float, since: float, newest: Floats) -> list[Before]:
-        """Those that an exit at ``t`` after a passage since ``since`` may have had, as far as there have been arrivals:
-        the newest in each zone came at ``newest`` (zones,).
-        """
-        came = newest[self._before_at] >= np.maximum(t + self._earliest, since)
-        return [self._before[n] for n in came.nonzero()[0].tolist()]
+    def odds(self, stay: float | None) -> list[float]:
+        """Odds at the exit after a passage of ``stay`` seconds, where nobody has come anywhere."""
+        if stay is None or not self._exposed:
+            return self.usual
+        odds, edges = self.usual.copy(), self._site.past_edges
+        at = bisect_right(edges, -stay) - 1  # the bin in which the passage began
+        share = (edges[at + 1] + stay) / (edges[at + 1] - edges[at]) if 0 <= at < len(edges) - 1 else 0.0
+        for k, mass in self._exposed.items():
+            odds[k] = mass.later + sum(mass.past[at + 1 :]) + (share and share * mass.past[at])
+        return odds
 
     def exposure(self, at: int, stay: float | None) -> float:
         """Share of one bin of lags that a passage of ``stay`` seconds, None if unknown, is exposed to."""
@@ -98,36 +131,52 @@ class Ready:
         low, high = self._site.edges[at], self._site.edges[at + 1]
         return 1.0 if high > 0 else min(max((high + stay) / (high - low), 0.0), 1.0)
 
-    def windows(self, numbers: list[int], pace: Pace, odds: Floats, changed: set[int]) -> list[list[float]]:
-        """Time windows at the exit of the outcomes ``numbers``; ``odds`` (targets, bins) of those that are ``changed``
-        are not the usual ones.
-        """
+    def windows(self, numbers: list[int], pace: Pace, known: AtExit) -> list[Sequence[float]]:
+        """Time windows at the exit of the outcomes ``numbers``."""
         factor, wider = pace or (1.0, None)
         if wider not in self._windows:
             self._windows[wider] = self._usual(wider)
-        scaled, fixed = self._windows[wider]
-        usual = (np.rint((scaled * factor + fixed) * 1000.0) / 1000.0).tolist()
-        return [
-            self.window(k, pace, window(odds[k].tolist(), self._site.edges)) if k in changed else usual[k]
-            for k in numbers
-        ]
+        usual, floor = self._windows[wider], math.floor
+        times: list[Sequence[float]] = []
+        for k in numbers:
+            if k in known.came or k in self._exposed:
+                times.append(self.window(k, pace, window(self._row(k, known), self._site.edges)))
+            else:
+                a, b, c, x, y, z = usual[k]
+                times.append((floor(a * factor + x) / 1e3, floor(b * factor + y) / 1e3, floor(c * factor + z) / 1e3))
+        return times
 
     def window(self, number: int, pace: Pace, lags: list[float]) -> list[float]:
         """That of one outcome from the `lag_odds.quantiles` of an object of usual pace."""
         shift, transitions = self._shift.item(number), self._transitions.item(number)
         return [round(lag + shift, 3) for lag in self._site.paces.at_pace(pace, transitions, *lags)]
 
-    def _usual(self, wider: float | None) -> tuple[Floats, Floats]:
-        """Windows of objects of usual pace: what scales with the pace and what does not, each (targets, 3)."""
+    def _usual(self, wider: float | None) -> list[list[float]]:
+        """Windows of objects of usual pace, (targets, 6): three times what scales with the pace and three times what
+        does not and one half, in milliseconds.
+        """
         mass = self.outcomes.hazard * self.coming
         some = np.flatnonzero(mass.sum(axis=1) > MASS_MIN)
-        scaled, fixed = [[0.0] * 3 for _ in mass], [[shift] * 3 for shift in self._shift.tolist()]
+        scaled, fixed = np.zeros((len(mass), 3)), np.repeat(self._shift[:, None], 3, axis=1)
         for k, lags in zip(some.tolist(), quantiles(mass[some], self._site.hazards.bins.edges), strict=True):
             if wider is None or lags[1] <= LAG_SECONDS_MIN:
-                fixed[k] = [lag + shift for lag, shift in zip(lags, fixed[k], strict=True)]
+                fixed[k] += lags
             else:
-                scaled[k] = [*self._site.paces.at_pace((1.0, wider), self._transitions.item(k), *lags)]
-        return np.array(scaled), np.array(fixed)
+                scaled[k] = self._site.paces.at_pace((1.0, wider), self._transitions.item(k), *lags)
+        milliseconds: list[list[float]] = np.hstack((scaled * 1000.0, fixed * 1000.0 + 0.5)).tolist()
+        return milliseconds
+
+    def _row(self, number: int, known: AtExit) -> list[float]:
+        """Odds (bins,) of one outcome."""
+        began = self._began if isinstance(self._began, int) else int(self._began[number])
+        row = self.outcomes.hazard[number] * self._site.coming[began]
+        if number in self._exposed:
+            row *= self.outcomes.exposure if known.stay is None else self._site.hazards.exposed(known.stay)
+        row *= known.alive[number]
+        for at, odds in known.came.get(number, ()):
+            row[at] += odds
+        masses: list[float] = row.tolist()
+        return masses
 
     def _find_before(self, here: str) -> list[Before]:
         hazards, found = self._site.hazards, []
@@ -139,7 +188,9 @@ class Ready:
             if (some[k] or kernels) and self.targets[k].camera != here:
                 earliest = self._site.edges[max(first[k] - 1, 0)] if some[k] else math.inf
                 ahead = hazards.rate_ahead(here, target)
-                found.append(Before(k, target, later or 0.0, earliest, ahead, kernels))
+                some_bins = possible[k].nonzero()[0]
+                hazard = dict(zip(some_bins.tolist(), self.outcomes.hazard[k, some_bins].tolist(), strict=True))
+                found.append(Before(k, target, later or 0.0, earliest, ahead, kernels, hazard))
         return found
 
 
@@ -159,6 +210,8 @@ class ReadyZones:
         self.share_of = np.array([share.get(zone.camera, 0.0) for zone in self.zones])
         bins = hazards.bins
         self.edges: list[float] = bins.edges.tolist()
+        self.past_edges = self.edges[: int(hazards.past.sum()) + 1]
+        """Those of the bins of lags before the exit."""
         self.coming = np.triu(np.broadcast_to(bins.widths, (bins.size + 1, bins.size)))
         """Widths of all bins but the first 0, 1, ..., (bins + 1, bins)."""
         self._ready: dict[int, Ready] = {}

@@ -71,10 +71,8 @@ class Recent:
 class RecentArrivals(Recent):
     """The newest arrivals, also by zone."""
 
-    def __init__(self, zones: int) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.newest = np.full(zones, -np.inf)
-        """When the newest came at each zone, (zones,)."""
         self.dropped = 0
         """So many are not in the columns any more."""
         self.of_zone: dict[int, list[tuple[float, int]]] = {}
@@ -93,7 +91,6 @@ class RecentArrivals(Recent):
             insort(came, one)
         else:
             came.append(one)
-            self.newest[zone] = t
 
     def _drop(self, number: int) -> None:
         self.dropped += number

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 from camtopod.learn.hazards import Outcomes
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.records import Context, Topology
 
-Floats = NDArray[np.float64]
 Key = tuple[int | None, int | None, str | None]
 
 
@@ -38,13 +34,13 @@ class Surroundings:
 
     def multipliers(
         self, zone: int, outcomes: Outcomes, block: int | None, entry: int | None, previous: str | None, sure: float
-    ) -> tuple[Floats, float]:
+    ) -> tuple[list[float], float]:
         """By how much each target (targets,) is likelier than for a departure of which nothing is known; and the
         probability of not being seen again. ``sure``: probability that ``previous`` is right.
         """
         known = self._of_zone.get(zone)
         if known is None:
-            return np.ones(len(outcomes.targets)), outcomes.leave
+            return [1.0] * len(outcomes.targets), outcomes.leave
         asked: list[Key] = []
         if entry is not None:
             asked.append((entry, None, None))
@@ -52,7 +48,8 @@ class Surroundings:
             asked.append((None, block, None))
         if entry is not None and block is not None:
             asked.append((entry, block, None))
-        share, leave, few = outcomes.share.tolist(), outcomes.leave, BACK_OFF_DEPARTURES
+        usual: list[float] = outcomes.share.tolist()
+        share, leave, few = usual, outcomes.leave, BACK_OFF_DEPARTURES
         for key in asked:
             below, moved, stays = self._counted(known, key, outcomes.targets)
             share = [(more + few * one) / below for more, one in zip(moved, share, strict=True)]
@@ -63,8 +60,11 @@ class Surroundings:
             rest = 1.0 - told
             share = [told * (more + few * one) / below + rest * one for more, one in zip(moved, share, strict=True)]
             leave = told * (stays + few * leave) / below + rest * leave
-        likelier = np.array(share) / np.maximum(outcomes.share, 1e-300)  # as `contexts.multipliers`
-        return np.minimum(np.maximum(likelier, 1.0 / MULTIPLIER_MAX), MULTIPLIER_MAX), max(leave, LEAVE_FLOOR)
+        likelier = [  # as `contexts.multipliers`
+            min(max(now / max(before, 1e-300), 1.0 / MULTIPLIER_MAX), MULTIPLIER_MAX)
+            for now, before in zip(share, usual, strict=True)
+        ]
+        return likelier, max(leave, LEAVE_FLOOR)
 
     def _counted(self, known: dict[Key, Context | _Counts], key: Key, targets: list[int]) -> _Counts:
         """Of a context of a zone, on the zone's targets; worked out when it is first asked about."""
