@@ -124,8 +124,8 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """Events a transaction of the journal."""
     commit_seconds: float = 0.02
     """How long a transaction waits for more events, which their predictions do not; raise it on an SD card (0.05)."""
-    learn_events_max: Count = 50_000
-    """Stored and not yet learned; beyond it storing waits."""
+    learn_events_max: Count = 2_000_000
+    """Stored and not yet learned, nearly all of them in the journal alone; beyond it storing waits."""
     held_events_max: Count = 5_000
     """Events of one camera held back behind a gap; beyond it they are dropped and pulled later."""
     streams_max: Count = 20_000

@@ -66,6 +66,36 @@ def test_how_much_is_taught_at_a_time_changes_nothing(
         assert one.published == uninterrupted()
 
 
+@pytest.mark.parametrize("queued", [0, 20, 45, 10**6])
+def test_what_is_more_than_is_kept_in_memory_is_learned_from_the_journal(
+    queued: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It comes while the learner is at it, now from the queue and now from the journal."""
+    monkeypatch.setattr(learning, "QUEUED_EVENTS_MAX", queued)
+    monkeypatch.setattr(learning, "LESSONS_MAX", 8)
+    monkeypatch.setattr(learning, "GATHER_SECONDS", 0.0)
+    waiting, stop, came = (
+        iter([EVENTS[first : first + 11] for first in range(0, len(EVENTS), 11)]),
+        threading.Event(),
+        [],
+    )
+    with contextlib.closing(Installation(tmp_path)) as one:
+
+        def beat() -> None:
+            """After each step, so that there is always something to come: twice as much as is learned in a step."""
+            if more := next(waiting, None):
+                one.learning.feed(one.store(more))
+                came.append(one.learning._behind)
+                assert one.learning._queued <= queued
+            elif not one.learning.waiting:
+                stop.set()
+
+        one.learning.work(stop, beat)
+        one.run()
+        assert one.published == uninterrupted()
+    assert set(came) == {queued < 10**6} if queued in (0, 10**6) else {True, False}
+
+
 def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(process: LearnerProcess) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(process.pid, number)

@@ -70,8 +70,8 @@ class AtExit(NamedTuple):
 
 
 class Ready:
-    """One zone; its outcomes are numbered as in `Outcomes`. They are few, and an exit comes when nothing of this has been
-    used for a while: then lists are quicker than arrays.
+    """One zone; its outcomes are numbered as in `Outcomes`. They are few, and an exit comes when nothing of this has
+    been used for a while: then lists are quicker than arrays.
     """
 
     __slots__ = (

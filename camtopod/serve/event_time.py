@@ -32,4 +32,5 @@ class EventTime:
         if advanced < self.deadline or advanced <= newest or quiet < settle_seconds:
             return None
         self._live = (advanced, wall_then, then)
+        self.deadline = None  # until the learner says more: it may be long before it comes to this
         return advanced

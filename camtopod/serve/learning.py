@@ -1,6 +1,7 @@
-"""What the learner is taught, in what order, and what becomes of it: first what the journal has beyond the snapshot,
-then what comes. The learning itself is done in a process of its own, so that a refit holds nothing up; order, ledger
-and failures are looked after here.
+"""What the learner is taught, in what order, and what becomes of it: what the journal has beyond the snapshot, then
+what comes, and again from the journal what has come meanwhile when that is more than is kept in memory. The learning
+itself is done in a process of its own, so that a refit holds nothing up; order, ledger and failures are looked after
+here.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ SAVE_SECONDS_MAX = 3.0
 """And the snapshot of the end."""
 GATHER_SECONDS = 0.02
 """What comes within this time is taught together: a message for each event would cost more than learning it."""
+QUEUED_EVENTS_MAX = 50_000
+"""Kept in memory for the learner, beside the journal, from which what is more is read again."""
 _TICK_SECONDS = 0.2
 _PROGRESS_ENTRIES = 200_000
 
@@ -71,12 +74,13 @@ class Learning:
         self._events_max, self._snapshot_events = events_max, snapshot_events
         self._on_version, self._on_snapshot, self._on_deadline = on_version, on_snapshot, on_deadline
         self._new_epoch = new_epoch
-        self._replay_until = len(journal)
+        self._replay_until = self._stored = len(journal)
         self._saved = self.position
         self._due = False
         self._busy = False  # whether the process owes an answer
         self._queue: queue.SimpleQueue[list[Lesson]] = queue.SimpleQueue()
-        self._waiting = 0
+        self._queued = 0
+        self._behind = True  # whether what comes behind the queue is to be read from the journal
         self._mutex = threading.Lock()
         self.damaged = 0
         """Damaged entries of the journal that were left out."""
@@ -89,19 +93,23 @@ class Learning:
         on_deadline(taught.deadline)
 
     def feed(self, batch: list[Received]) -> None:
-        """Learn these, in this order, soon. Any thread."""
+        """Learn these, which have just been stored, in this order, soon. Any thread."""
         with self._mutex:
-            self._waiting += len(batch)
+            self._stored += len(batch)
+            self._behind = self._behind or self._queued + len(batch) > QUEUED_EVENTS_MAX
+            if self._behind:
+                return
+            self._queued += len(batch)
         self._queue.put([one.entry.raw if one.event is not None else one.advance for one in batch])
 
     def room(self) -> int:
         """How many events may be fed at the moment."""
-        return self._events_max - self._waiting
+        return self._events_max - self.waiting
 
     @property
     def waiting(self) -> int:
         """Events stored and not learned yet."""
-        return self._waiting + self.replaying
+        return max(0, self._stored - self.position)
 
     @property
     def replaying(self) -> int:
@@ -111,8 +119,12 @@ class Learning:
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Teach until ``stopping``; what is not learned by then is in the journal. Raises `LearnerEnded`."""
         try:
-            self._catch_up(stopping, beat)
-            self._go_on(stopping, beat)
+            self._learn(Refresh(self.position), stopping, beat)
+            while not stopping.is_set():
+                if self._queued == 0 and self._behind:
+                    self._catch_up(stopping, beat)
+                else:
+                    self._go_on(stopping, beat)
         except LearnerEnded as ended:
             if stopping.is_set():
                 return
@@ -135,47 +147,50 @@ class Learning:
         return Snapshot(self.position, self.epoch, saved.state)
 
     def _catch_up(self, stopping: threading.Event, beat: Beat) -> None:
-        begun = self.position
-        self._learn(Refresh(begun), stopping, beat)
+        """What is stored by now, from the journal; nothing is queued meanwhile."""
+        begun, until, damaged = self.position, self._stored, self.damaged
         batch: list[Lesson] = []
-        for number, entry in self._journal.entries(after=begun, up_to=self._replay_until):
+        for number, entry in self._journal.entries(after=begun, up_to=until):
             if not batch:
                 self.position = number - 1
             self.damaged += entry is None
             batch.append(None if entry is None else _lesson(entry))
-            if len(batch) >= LESSONS_MAX or number == self._replay_until:
+            if len(batch) >= LESSONS_MAX or number == until:
                 self._learn(Teach(self.position, batch), stopping, beat)
+                self._tell(stopping, beat)
                 batch = []
             if stopping.is_set():
                 return
             if (number - begun) % _PROGRESS_ENTRIES == 0:
-                log.info("replayed %d of %d journal entries", number - begun, self._replay_until - begun)
-        self.position = max(self.position, self._replay_until)
-        if self.damaged:
+                log.info("replayed %d of %d journal entries", number - begun, until - begun)
+        self.position = max(self.position, until)
+        if self.damaged > damaged:
             log.error("%d damaged entries of the journal are left out; they are still in the file", self.damaged)
+        with self._mutex:
+            self._behind = self.position < self._stored
         self._tell(stopping, beat)
 
     def _go_on(self, stopping: threading.Event, beat: Beat) -> None:
-        while not stopping.is_set():
-            try:
-                batch = self._queue.get(timeout=_TICK_SECONDS)
-            except queue.Empty:
-                self._process.check()
-                beat()
-                continue
-            if len(batch) < LESSONS_MAX:
-                stopping.wait(GATHER_SECONDS)
-            while len(batch) < LESSONS_MAX and not self._queue.empty():
-                batch += self._queue.get()
-            for first in range(0, len(batch), LESSONS_MAX):
-                some = batch[first : first + LESSONS_MAX]
-                self._learn(Teach(self.position, some), stopping, beat)
-                with self._mutex:
-                    self._waiting -= len(some)
-                beat()
-                if stopping.is_set():
-                    return
-            self._tell(stopping, beat)
+        """What is queued, or wait for something."""
+        try:
+            batch = self._queue.get(timeout=_TICK_SECONDS)
+        except queue.Empty:
+            self._process.check()
+            beat()
+            return
+        if len(batch) < LESSONS_MAX:
+            stopping.wait(GATHER_SECONDS)
+        while len(batch) < LESSONS_MAX and not self._queue.empty():
+            batch += self._queue.get()
+        for first in range(0, len(batch), LESSONS_MAX):
+            some = batch[first : first + LESSONS_MAX]
+            self._learn(Teach(self.position, some), stopping, beat)
+            with self._mutex:
+                self._queued -= len(some)
+            beat()
+            if stopping.is_set():
+                return
+        self._tell(stopping, beat)
 
     def _learn(self, task: Refresh | Teach, stopping: threading.Event, beat: Beat) -> None:
         """What there is to learn into the learner, new versions out."""

@@ -1,0 +1,19 @@
+"""Event time that goes on although no event says so."""
+
+from __future__ import annotations
+
+from camtopod.serve.event_time import EventTime
+
+
+def test_time_follows_the_clock_when_the_learner_waits_for_it_and_is_told_once() -> None:
+    """Told again and again while it has other things to learn, it would find thousands of them in the journal."""
+    time = EventTime()
+    assert time.went_on(100.0, 10.0) is None
+    time.note([1000.0, 1004.0, 5000.0], 1005.0, 100.0, 60.0)
+    assert time.went_on(200.0, 10.0) is None, "nobody waits"
+    time.deadline = 1050.0
+    assert time.went_on(154.0, 10.0) is None
+    assert time.went_on(156.0, 10.0) == 1051.0
+    assert time.went_on(160.0, 10.0) is None, "it has not said yet what it waits for now"
+    time.deadline = 1052.0
+    assert time.went_on(161.0, 10.0) == 1056.0
