@@ -294,7 +294,7 @@ def joint_fit(departures, arrivals, pairs, hazard, bins, exposure, zones, outsid
 
 
 def pooled(counts, camera, exposure, came, steps):
-    """`Prior.pooled`: transitions per exposed departure of each pair of zones if only the cameras counted.
+    """Of `Expected.of`: transitions per exposed departure of each pair of zones if only the cameras counted.
 
     ``counts``: (u, v) -> (bins,); ``came``: arrivals by zone, at least 1.
     """
@@ -309,7 +309,7 @@ def pooled(counts, camera, exposure, came, steps):
 
 
 def returning(rates):
-    """`Prior.returning`: what each pair of zones would have if it were taken as the other way round is.
+    """Of `Expected.of`: what each pair of zones would have if it were taken as the other way round is.
 
     ``rates``: (u, v) -> (bins,) transitions per exposed departure.
     """

@@ -45,9 +45,10 @@ def test_it_equals_its_slow_twins(seed: int) -> None:
     number = dict(zip(named, counts.sum(axis=1).tolist(), strict=True))
     back = RETURNING * naive.two_way(number, TWO_WAY_TRANSITIONS)
     expected = [POOLING * np.array(pooled[pair]) + back * returning[pair] for pair in named]
-    transitions, departures = prior.transitions(counts, rates)
+    found = prior.expected(counts)
+    transitions = found.of(slice(0, len(named)), rates.__getitem__)
     assert transitions == pytest.approx(np.array(expected).reshape(-1, SHORT.size))
-    assert departures == pytest.approx(POOLING + back)
+    assert found.departures == pytest.approx(POOLING + back)
 
 
 def test_what_comes_back_tells_what_goes_there() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,10 +12,16 @@ from camtopod.learn.lags import LagBins, smoother
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+Indices = NDArray[np.signedinteger[Any]]
 
 PAIR_TABLE_MAX = 20_000_000
 """Largest dense table over pairs of zones, entries."""
 EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
+CANDIDATES_AT_ONCE = 1 << 15
+"""Worked on together where there may be millions: what is in between for so many stays in the processor's cache, and
+takes no memory to speak of."""
+ROWS_AT_ONCE = 1024
+"""The same of tables with a row for each pair of zones."""
 
 
 class Departures(NamedTuple):
@@ -65,8 +72,8 @@ class Arrivals(NamedTuple):
 class Candidates(NamedTuple):
     """Candidates (M,) in order of arrival: indices, pair of zones, lag in seconds; and the pairs' zones (P,)."""
 
-    departure: NDArray[np.intp]
-    arrival: NDArray[np.intp]
+    departure: Indices
+    arrival: Indices
     pair: Ints
     lag: Floats
     source: Ints
@@ -120,9 +127,40 @@ def possible(
 
 def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int) -> Candidates:
     """All candidates."""
-    departure, arrival, lag = possible(departures, arrivals, bins, np.arange(len(arrivals.t)))
+    low, high = in_reach(departures, arrivals, bins)
+    reached = np.concatenate(([0], np.cumsum(high - low)))
+    # Of what is not written to no memory is taken: there are fewer than are in reach.
+    departure, arrival, lag = (np.empty(reached[-1], kind) for kind in (np.int32, np.int32, float))
+    n = first = 0
+    while first < len(arrivals.t):
+        stop = int(np.searchsorted(reached, reached[first] + CANDIDATES_AT_ONCE, side="right")) - 1
+        mine = np.arange(first, first := max(stop, first + 1))
+        left, at, apart = possible(departures, arrivals, bins, mine)
+        here = slice(n, n := n + len(at))
+        departure[here], arrival[here], lag[here] = left, mine[at], apart
+    departure, arrival, lag = departure[:n], arrival[:n], lag[:n]
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag, source, target)
+
+
+def together(arrival: Indices) -> list[slice]:
+    """The candidates (M,) in order of ``arrival``, about `CANDIDATES_AT_ONCE` in each: all of an arrival together."""
+    parts, first = [], 0
+    while first < len(arrival):
+        last = arrival[min(first + CANDIDATES_AT_ONCE, len(arrival)) - 1]
+        stop = int(np.searchsorted(arrival, last, side="right"))
+        parts.append(slice(first, stop))
+        first = stop
+    return parts
+
+
+def rows_together(rows: int) -> Iterator[slice]:
+    """Of a table with so many rows, some at a time. A product of few rows is reckoned otherwise and would differ in
+    the last bit from one of all rows, so the last has the rest, too.
+    """
+    parts = max(rows // ROWS_AT_ONCE, 1)
+    for k in range(parts):
+        yield slice(k * ROWS_AT_ONCE, rows if k + 1 == parts else (k + 1) * ROWS_AT_ONCE)
 
 
 def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:
@@ -140,17 +178,34 @@ def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floa
     return result
 
 
+def first_hazards(
+    seen: Floats, rates: Floats, exposure: Floats, source: Ints, bins: LagBins, noise_sd: float, least: float
+) -> Floats:
+    """First hazards (P, bins), in the place of the ``seen`` (P, bins): their `excess`, at ``least`` that share of them.
+
+    ``rates`` (P,): of chance, 1/s; ``exposure`` (zones, bins), ``source`` (P,).
+    """
+    for rows in rows_together(len(seen)):
+        exposed = exposure[source[rows]] * bins.widths
+        chance = rates[rows, None] * exposed
+        above = np.maximum(excess(seen[rows], chance, bins, noise_sd), least * seen[rows])
+        np.divide(above, np.maximum(exposed, bins.widths), out=seen[rows])
+    return seen
+
+
 def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
     """Pairs of zones numbered as they occur, by source, then target: the number of each (M,), and their zones (P,)."""
-    key = left.astype(np.int64) * zones + came
-    if zones * zones > PAIR_TABLE_MAX:
-        present, number = np.unique(key, return_inverse=True)
-    else:
-        seen = np.zeros(zones * zones, bool)
-        seen[key] = True
-        present = np.flatnonzero(seen)
-        table = np.zeros(zones * zones, np.int32)
-        table[present] = np.arange(len(present), dtype=np.int32)
-        number = table[key]
     size = max(zones, 1)
-    return number.astype(np.int32), (present // size).astype(np.int32), (present % size).astype(np.int32)
+    if zones * zones > PAIR_TABLE_MAX:
+        present, number = np.unique(left.astype(np.int64) * zones + came, return_inverse=True)
+        return number.astype(np.int32), (present // size).astype(np.int32), (present % size).astype(np.int32)
+    parts = [slice(k, k + CANDIDATES_AT_ONCE) for k in range(0, len(left), CANDIDATES_AT_ONCE)]
+    table = np.zeros((zones, zones), np.int32)
+    for part in parts:
+        table[left[part], came[part]] = 1
+    source, target = np.nonzero(table)
+    table[source, target] = np.arange(len(source), dtype=np.int32)
+    pair = np.empty(len(left), np.int32)
+    for part in parts:
+        pair[part] = table[left[part], came[part]]
+    return pair, source.astype(np.int32), target.astype(np.int32)

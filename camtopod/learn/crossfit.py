@@ -85,7 +85,7 @@ class Parts:
         """A fit of what came in these parts, pairs numbered as in the fit."""
         left, came = np.isin(self._left, numbers), np.isin(self._came, numbers)
         c = self.fit.candidates
-        kept, arrival = np.flatnonzero(came[c.arrival]), np.cumsum(came) - 1
+        kept, arrival = np.flatnonzero(came[c.arrival]), (np.cumsum(came) - 1).astype(np.int32)
         candidates = Candidates(
             c.departure[kept], arrival[c.arrival[kept]], c.pair[kept], c.lag[kept], c.source, c.target
         )

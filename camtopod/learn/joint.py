@@ -18,16 +18,25 @@ others make (leave one out). The M step counts. Related: Marinakis and Dudek (20
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, Indices, first_hazards, rows_together, together
 from camtopod.learn.grouping import rows_of
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.rates import Chance
-from camtopod.learn.slowness import NO_PERSISTENCE, Persistence, adjusted_lag, agreement, combined, persistence
+from camtopod.learn.slowness import (
+    NO_PERSISTENCE,
+    SURE_RESPONSIBILITY,
+    Persistence,
+    adjusted_lag,
+    agreement,
+    combined,
+    persistence,
+)
 
 Floats = NDArray[np.float64]
 
@@ -85,8 +94,8 @@ def fit_jointly(
     too late what has opened.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
-    first = fitter.run(fitter.start())
-    hazard = fitter.run(fitter.use_slowness(first)).hazard
+    hazard = fitter.use_slowness(fitter.run(fitter.start()))
+    hazard = fitter.run(hazard).hazard
     fitter.sparsity = SPARSITY
     fit = fitter.prune(fitter.run(hazard))
     for _ in range(SPARSE_ROUNDS_MAX - 1):
@@ -94,13 +103,14 @@ def fit_jointly(
         fit = fitter.prune(fitter.run(fitter.use_slowness(fit)))
         if max(abs(now - then) for now, then in zip(fitter.persistence, before, strict=True)) < SETTLED:
             break
-    return fit
+    return fit._replace(flat=fitter.flatness(fit.hazard))
 
 
 class JointFitter:
     """The fit in progress: what does not change from one iteration to the next, and the messages between them.
 
-    Where all candidates are looked up, `take` does it in half the time that an index does.
+    There may be millions of candidates: only what is kept of each is there for all of them, what is in between for some
+    at a time (`together`). Where candidates are looked up, `take` does it in half the time that an index does.
     """
 
     def __init__(
@@ -111,6 +121,8 @@ class JointFitter:
         self.bins, self.zones = bins, zones
         self.candidates, self.departures, self.arrivals = candidates, departures, arrivals
         self.exposure = exposures(departures, bins, zones, until) if exposure is None else exposure
+        n = np.maximum(self.exposure.max(axis=1, keepdims=True), 1.0)
+        self._exposed_share = np.where(bins.edges[1:] > 0, 1.0, self.exposure / n)
         self.sparsity = 0.0
         self._camera = np.zeros(zones, np.int64)
         self._camera[departures.zone] = departures.camera
@@ -120,7 +132,8 @@ class JointFitter:
         self._per_zone = np.maximum(np.bincount(arrivals.zone, minlength=zones), 1.0)
         self._message = np.ones(len(candidates.lag))
         self._responsibility = np.zeros(len(candidates.lag))
-        self._own = np.zeros(self.pairs * bins.size)
+        self._own = np.zeros((self.pairs, bins.size))
+        self._agreement: Floats | None = None
         self.use(NO_PERSISTENCE)
 
     @property
@@ -132,13 +145,12 @@ class JointFitter:
         """First hazards (P, bins): what exceeds chance and ``noise_sd`` standard deviations of it in each pair's own
         histogram.
         """
-        if len(self.candidates.lag) == 0:
+        c = self.candidates
+        if len(c.lag) == 0:
             return np.zeros((self.pairs, self.bins.size))
-        seen = self._count(np.ones(len(self.candidates.lag)))
-        exposed = self.exposure[self.candidates.source] * self.bins.widths
-        chance = self._chance().of(self.candidates.source, self.candidates.target)[:, None] * exposed
-        above = np.maximum(excess(seen, chance, self.bins, noise_sd), START_FLOOR * seen)
-        return above / np.maximum(exposed, self.bins.widths)
+        seen = self._count(np.ones(part.stop - part.start) for part in self._parts)
+        rates = self._chance().of(c.source, c.target)
+        return first_hazards(seen, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR)
 
     def _chance(self) -> Chance:
         """What there would be if departures and arrivals had nothing to do with each other."""
@@ -146,40 +158,52 @@ class JointFitter:
         return Chance(left.t, left.zone, came.t, came.zone, self.zones)
 
     def run(self, hazard: Floats) -> Fit:
-        """One round of EM from the given hazards (P, bins)."""
+        """One round of EM from the given hazards (P, bins). What the next does to responsibilities it does to these."""
         for iteration in range(ITERATIONS):
             responsibility = self._expect(hazard)
-            counts = self._count(responsibility)
+            counts = self._counted(responsibility)
             self._look_outside()
             fresh = self._hazards(counts)
             stride = STRIDE if iteration < ITERATIONS - SETTLING_ITERATIONS else 1.0
-            ratio = np.minimum(fresh / np.maximum(hazard, 1e-300), STRIDE_RATIO_MAX)
-            hazard = fresh * ratio ** (stride - 1.0)
-        flat = self.flatness(hazard)
-        return Fit(hazard, counts, responsibility, flat, self.outside, self.candidates, self.persistence)
+            if stride != 1.0:
+                for rows in rows_together(self.pairs):
+                    ratio = np.minimum(fresh[rows] / np.maximum(hazard[rows], 1e-300), STRIDE_RATIO_MAX)
+                    fresh[rows] *= ratio ** (stride - 1.0)
+            hazard = fresh
+        return Fit(hazard, counts, responsibility, np.zeros(0), self.outside, self.candidates, self.persistence)
 
     def use_slowness(self, fit: Fit) -> Floats:
         """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins).
 
         What is sure is judged without looking at whether the slownesses agree, else agreement would breed itself.
         """
-        self._agreement = np.ones(len(self.candidates.lag))
+        c = self.candidates
+        self._agreement = None
+        self._responsibility = self._responsibility.copy()  # those of the fit are counted below
         plain = self._expect(fit.hazard)
-        left, came = self._slownesses()
-        self.use(persistence(left, came, self.candidates.lag, self.candidates.pair, plain))
-        return self._hazards(self._count(fit.responsibility))
+        sure = np.flatnonzero(plain > SURE_RESPONSIBILITY)
+        left, came = self._slownesses(sure)
+        self.use(persistence(left, came, c.lag[sure], c.pair[sure], plain[sure]))
+        return self._hazards(self._counted(fit.responsibility))
 
     def use(self, found: Persistence) -> None:
         """Adjust lags and weigh candidates by what speed tells."""
-        c, (left, came) = self.candidates, self._slownesses()
+        c = self.candidates
         self.persistence = found
-        lag = adjusted_lag(c.lag, combined(left, came), found.scaling, self.bins)
-        self._cell = c.pair.astype(np.int64) * self.bins.size + self.bins.index(lag)
-        self._agreement = agreement(left, came, found)
+        self._parts = together(c.arrival)
+        self._cell = np.empty(len(c.lag), np.int32)
+        self._agreement = np.empty(len(c.lag)) if found.correlation > 0 else None
+        for part in self._parts:
+            left, came = self._slownesses(part)
+            lag = adjusted_lag(c.lag[part], combined(left, came), found.scaling, self.bins)
+            self._cell[part] = c.pair[part] * self.bins.size + self.bins.index(lag)
+            if self._agreement is not None:
+                self._agreement[part] = agreement(left, came, found)
 
-    def _slownesses(self) -> tuple[Floats, Floats]:
-        """Slowness before and after of each candidate (M,)."""
-        return self.departures.slow.take(self.candidates.departure), self.arrivals.slow.take(self.candidates.arrival)
+    def _slownesses(self, some: slice | Indices) -> tuple[Floats, Floats]:
+        """Slowness before and after of some candidates."""
+        c = self.candidates
+        return self.departures.slow.take(c.departure[some]), self.arrivals.slow.take(c.arrival[some])
 
     def prune(self, fit: Fit) -> Fit:
         """Follow only the pairs of zones that have any transitions left."""
@@ -192,10 +216,10 @@ class JointFitter:
         )
         self._message, self._responsibility = self._message[kept], self._responsibility[kept]
         self.use(self.persistence)
-        self._own = self._own.reshape(-1, self.bins.size)[alive].ravel()
-        return Fit(
-            fit.hazard[alive], fit.counts[alive], fit.responsibility[kept], fit.flat[kept], fit.outside,
-            self.candidates, self.persistence,
+        self._own = self._own[alive]
+        return fit._replace(
+            hazard=fit.hazard[alive], counts=fit.counts[alive], responsibility=fit.responsibility[kept],
+            candidates=self.candidates,
         )  # fmt: skip
 
     def expect_afresh(self, hazard: Floats, sweeps: int) -> Floats:
@@ -207,71 +231,99 @@ class JointFitter:
         return self._responsibility
 
     def _expect(self, hazard: Floats) -> Floats:
-        """E step: responsibilities (M,)."""
-        c = self.candidates
+        """E step: responsibilities (M,), in the place of those before."""
+        c, result = self.candidates, self._responsibility
         background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
-        weight, leave = self._weights(hazard), self._leave(hazard)
-        taken = weight * self._message
-        free = (leave + np.bincount(c.departure, taken, minlength=len(leave))).take(c.departure) - taken
-        offer = weight / free
-        demand = (background + np.bincount(c.arrival, offer, minlength=len(background))).take(c.arrival)
-        self._message = 1.0 / np.maximum(demand - offer, 1e-12)
-        self._responsibility = offer / demand
-        return self._responsibility
+        taken = np.zeros(len(self.departures.t))
+        for part in self._parts:
+            result[part] = weight = self._weights(hazard, part)
+            np.add.at(taken, c.departure[part].astype(np.intp), weight * self._message[part])
+        taken += self._leave(hazard)
+        for part in self._parts:
+            weight, arrival = result[part], c.arrival[part].astype(np.intp)
+            first, last = arrival[0], arrival[-1] + 1
+            arrival -= first
+            offer = weight / (taken.take(c.departure[part]) - weight * self._message[part])
+            demand = (background[first:last] + np.bincount(arrival, offer, minlength=last - first)).take(arrival)
+            self._message[part] = 1.0 / np.maximum(demand - offer, 1e-12)
+            np.divide(offer, demand, out=weight)
+        return result
 
     def _look_outside(self) -> None:
         """What no departure explains comes from outside."""
-        explained = np.bincount(self.candidates.arrival, self._responsibility, minlength=len(self.arrivals.t))
+        explained = np.zeros(len(self.arrivals.t))
+        for part in self._parts:
+            np.add.at(explained, self.candidates.arrival[part].astype(np.intp), self._responsibility[part])
         per_zone = np.bincount(self.arrivals.zone, explained, minlength=self.zones)
         self.outside = np.clip(1.0 - per_zone / self._per_zone, OUTSIDE_FLOOR, 1.0)
 
-    def _weights(self, hazard: Floats) -> Floats:
-        """Hazard (M,) of each candidate that the others make."""
+    def _weights(self, hazard: Floats, part: slice) -> Floats:
+        """Hazard of each candidate of a part that the others make."""
+        cell = self._cell[part]
         # Leave one out: left in, a lone arrival would be its own evidence and all clutter would find a departure.
-        others = np.maximum(1.0 - self._responsibility * self._own.take(self._cell), 0.0)
-        weight: Floats = hazard.take(self._cell) * others * self._agreement
+        others = np.maximum(1.0 - self._responsibility[part] * self._own.take(cell), 0.0)
+        weight: Floats = hazard.take(cell) * others
+        if self._agreement is not None:
+            weight *= self._agreement[part]
         return weight
 
     def _leave(self, hazard: Floats) -> Floats:
         """Probability (n,) that the object of each departure is not seen again."""
-        again = np.bincount(self.candidates.source, self._appears(hazard).sum(axis=1), minlength=self.zones)
+        share = np.zeros(self.pairs)
+        for rows in rows_together(self.pairs):
+            share[rows] = self._appears(self._after_exit(hazard, rows), rows).sum(axis=1)
+        again = np.bincount(self.candidates.source, share, minlength=self.zones)
         left: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)[self.departures.zone]
         return left
 
-    def _count(self, responsibility: Floats) -> Floats:
+    def _after_exit(self, hazard: Floats, rows: slice) -> Floats:
+        """All hazard (rows, bins) that counts from the exit."""
+        return hazard[rows]
+
+    def _counted(self, responsibility: Floats) -> Floats:
         """Expected transitions (P, bins)."""
-        flat: Floats = np.bincount(self._cell, responsibility, minlength=self.pairs * self.bins.size).astype(float)
+        return self._count(responsibility[part] for part in self._parts)
+
+    def _count(self, shares: Iterable[Floats]) -> Floats:
+        """Candidates (P, bins), of each so much, part by part."""
+        flat = np.zeros(self.pairs * self.bins.size)
+        for part, share in zip(self._parts, shares, strict=True):
+            np.add.at(flat, self._cell[part].astype(np.intp), share)
         return flat.reshape(self.pairs, self.bins.size)
 
     def _hazards(self, counts: Floats) -> Floats:
         """M step: counts over exposure, smoothed, per second, (P, bins)."""
-        total = counts.sum(axis=1, keepdims=True)
-        kept = np.maximum(total - self.sparsity, 1e-3 * total) / np.maximum(total, 1e-300)
-        smoothed, stays = smooth(counts * kept)
-        self._own = np.repeat(stays, self.bins.size) / np.maximum(smoothed.ravel(), 1e-300)
-        exposed = np.maximum(self.exposure[self.candidates.source], 1.0)
-        beforehand, departures = self._beforehand(counts, smoothed / exposed)
-        return (smoothed + beforehand) / ((exposed + departures) * self.bins.widths)
+        kept = counts
+        if self.sparsity:
+            total = counts.sum(axis=1, keepdims=True)
+            kept = counts * (np.maximum(total - self.sparsity, 1e-3 * total) / np.maximum(total, 1e-300))
+        smoothed, stays = smooth(kept)
+        np.divide(stays[:, None], np.maximum(smoothed, 1e-300, out=self._own), out=self._own)
+        return self._per_second(counts, smoothed)
 
-    def _beforehand(self, counts: Floats, rates: Floats) -> tuple[Floats, float]:
-        """Transitions (P, bins) that pairs are expected to have before any is seen, and of how many departures;
-        ``rates`` (P, bins): transitions per exposed departure as seen.
-        """
-        return np.zeros(1), 0.0
+    def _per_second(self, counts: Floats, smoothed: Floats) -> Floats:
+        """Hazards (P, bins) of counts and smoothed counts; in the place of these."""
+        for rows in rows_together(self.pairs):
+            smoothed[rows] /= self._exposed(rows) * self.bins.widths
+        return smoothed
 
-    def _appears(self, hazard: Floats) -> Floats:
-        """Probability (P, bins) that an object leaving at the source appears next at the target in that lag bin."""
-        n = np.maximum(self.exposure.max(axis=1, keepdims=True), 1.0)
-        share = np.where(self.bins.edges[1:] > 0, 1.0, self.exposure / n)[self.candidates.source]
-        appears: Floats = hazard * self.bins.widths * share
+    def _exposed(self, rows: slice | Indices) -> Floats:
+        """Departures (rows, bins) of the pairs of zones, at least 1."""
+        return np.maximum(self.exposure[self.candidates.source[rows]], 1.0)
+
+    def _appears(self, hazard: Floats, rows: slice = slice(None)) -> Floats:
+        """Probability (rows, bins) that an object leaving at the source appears next at the target in that lag bin."""
+        appears: Floats = hazard * self.bins.widths * self._exposed_share[self.candidates.source[rows]]
         return appears
 
     def flatness(self, hazard: Floats) -> Floats:
         """Hazard without its dependence on the lag over the hazard, of each candidate (M,): as many transitions are
         expected of it.
         """
-        exposed = self.exposure[self.candidates.source] * self.bins.widths
-        even = (hazard * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
+        even = np.zeros(self.pairs)
+        for rows in rows_together(self.pairs):
+            exposed = self.exposure[self.candidates.source[rows]] * self.bins.widths
+            even[rows] = (hazard[rows] * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
         flat: Floats = even[self.candidates.pair] / np.maximum(hazard.take(self._cell), 1e-300)
         return flat
 
@@ -305,10 +357,11 @@ def smooth(counts: Floats) -> tuple[Floats, Floats]:
     stays = np.zeros(len(total))
     above = np.full(len(total), False)
     for least, sd_bins in SMOOTHING_SD_BINS:
-        rows = (total >= least) & ~above
-        above |= rows
-        if rows.any():
-            spread = smoother(size, sd_bins)
+        few = np.flatnonzero((total >= least) & ~above)
+        above[few] = True
+        spread = smoother(size, sd_bins)
+        for part in rows_together(len(few)):
+            rows = few[part]
             result[rows] = counts[rows] @ spread.T
             stays[rows] = spread[size // 2, size // 2]
     return result, stays

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, first_hazards, rows_together
 from camtopod.learn.contexts import Contexts, Level, multipliers
 from camtopod.learn.doubt import doubts
 from camtopod.learn.grouping import rows_of
@@ -123,9 +123,10 @@ class PosteriorFitter(JointFitter):
         self._left = np.bincount(departures.zone, minlength=zones).astype(float)
         self._leaving = np.zeros(0)  # (n,) of each departure, once contexts are known
         self._through = ways_through(departures, self.contexts.entry, self._camera)
-        self._skip_unit, self._skip_odds = np.zeros((self.pairs, bins.size)), SKIP_ODDS_FIRST
+        self._skip_unit: Floats | None = None  # large, so there is none before it is known; nor multipliers
+        self._multiplier: Floats | None = None
+        self._skip_odds, self._skip_sum = SKIP_ODDS_FIRST, np.zeros(self.pairs)
         self._skip_part, self._entry_part = np.zeros(len(candidates.lag)), np.zeros(0)
-        self._multiplier = np.ones(len(candidates.lag))
         self._find_early()
 
     @property
@@ -207,12 +208,11 @@ class PosteriorFitter(JointFitter):
         self._learn_contexts()
 
     def _with_faint(self, hazard: Floats) -> Floats:
-        source = self.candidates.source
-        return with_faint(hazard, np.maximum(self.exposure[source], 1.0), source, self.bins)
+        return with_faint(hazard, self._exposed(slice(None)), self.candidates.source, self.bins)
 
     def result(self) -> Fit:
         """All that leaves a view and appears in the next; ``hazard`` and ``counts`` are those counted from the exit."""
-        hazard = self.hazard + self._skip_odds * self._skip_unit
+        hazard = self._after_exit(self.hazard, slice(None))
         return Fit(
             hazard, self.counts, self._responsibility, self.flatness(hazard), self.outside, self.candidates,
             self.persistence,
@@ -247,11 +247,13 @@ class PosteriorFitter(JointFitter):
 
     def _as_fit(self, hazard: Floats) -> Fit:
         nothing = np.zeros(0)
-        return Fit(hazard, nothing, self._at_exit, nothing, self.outside, self.candidates, self.persistence)
+        at_exit = np.concatenate([nothing, *map(self._at_exit, self._parts)])
+        return Fit(hazard, nothing, at_exit, nothing, self.outside, self.candidates, self.persistence)
 
     def _iterate(self, hazard: Floats, iterations: int, contexts: bool) -> Floats:
         for iteration in range(iterations):
             self._expect(hazard)
+            del hazard  # as large as the new one
             hazard = self._learn_hazards()
             if contexts and iteration % 2 == 0:
                 self._learn_contexts()
@@ -260,46 +262,71 @@ class PosteriorFitter(JointFitter):
 
     def _learn_hazards(self) -> Floats:
         """M step: hazards (P, bins) counted from the exit without those of skipped views; and all other tables."""
-        other = self._skip_part.copy()
-        other[self._early] += self._entry_part
-        self._at_exit = self._responsibility * np.maximum(1.0 - other, 0.0)
         self._learn_entry()
         self._learn_odds()
         self._look_outside()
-        self.counts = self._count(self._at_exit)
+        self.counts = self._count(map(self._at_exit, self._parts))
         return self._hazards(self.counts)
 
-    def _beforehand(self, counts: Floats, rates: Floats) -> tuple[Floats, float]:
-        return self._prior.transitions(counts, rates)
+    def _at_exit(self, part: slice) -> Floats:
+        """Responsibilities of a part as far as lags count from the exit and no view is skipped."""
+        other = self._skip_part[part].copy()
+        early = self._early_in(part)
+        other[self._early[early] - part.start] += self._entry_part[early]
+        shares: Floats = self._responsibility[part] * np.maximum(1.0 - other, 0.0)
+        return shares
+
+    def _early_in(self, part: slice) -> slice:
+        """Which of the early candidates belong to a part of all."""
+        return slice(*np.searchsorted(self._early, (part.start, part.stop)).tolist())
+
+    def _per_second(self, counts: Floats, smoothed: Floats) -> Floats:
+        expected = self._prior.expected(counts)
+        hazard = np.empty_like(smoothed)
+        for rows in rows_together(self.pairs):
+            beforehand = expected.of(rows, lambda back: smoothed[back] / self._exposed(back))
+            per_second = (self._exposed(rows) + expected.departures) * self.bins.widths
+            np.divide(smoothed[rows] + beforehand, per_second, out=hazard[rows])
+        return hazard
 
     def _find_skips(self, hazard: Floats) -> None:
         """Hazards of skipped views, by the links and passages as they are known now."""
         self._skip_unit = skip_hazards(self._appears(hazard), self.candidates, self._through, self.bins, self.zones)
+        self._skip_sum = (self._skip_unit * self.bins.widths).sum(axis=1)
 
     def _learn_odds(self) -> None:
         """M step of the odds of a skipped view, which all views have in common."""
-        recorded = float((self._skip_unit * self.bins.widths).sum(axis=1) @ self._left[self.candidates.source])
+        recorded = float(self._skip_sum @ self._left[self.candidates.source])
         skipped = float(self._responsibility @ self._skip_part)
         odds = (skipped + SKIP_ODDS_FIRST * SKIP_ODDS_PASSAGES) / (recorded + SKIP_ODDS_PASSAGES)
         self._skip_odds = min(odds, SKIP_ODDS_MAX)
 
-    def _weights(self, hazard: Floats) -> Floats:
-        """Hazard (M,) of each candidate that the others make."""
-        weight = super()._weights(hazard)
-        own = self._responsibility.take(self._early) * self._entry_own.take(self._entry_cell)
-        entered = self.entry_hazard.take(self._entry_cell) * np.maximum(1.0 - own, 0.0)
-        entered *= self._agreement.take(self._early)
-        skipped = self._skip_odds * self._skip_unit.take(self._cell) * self._agreement
-        weight[self._early] += entered
-        weight += skipped
-        self._entry_part = entered / np.maximum(weight.take(self._early), 1e-300)
-        self._skip_part = skipped / np.maximum(weight, 1e-300)
-        weight *= self._multiplier
+    def _weights(self, hazard: Floats, part: slice) -> Floats:
+        """Hazard of each candidate of a part that the others make."""
+        weight = super()._weights(hazard, part)
+        here = self._early_in(part)
+        early, cell = self._early[here], self._entry_cell[here]
+        others = np.maximum(1.0 - self._responsibility.take(early) * self._entry_own[here], 0.0)
+        entered = self.entry_hazard.take(cell) * others
+        if self._agreement is not None:
+            entered *= self._agreement.take(early)
+        weight[early - part.start] += entered
+        if self._skip_unit is not None:
+            skipped = self._skip_odds * self._skip_unit.take(self._cell[part])
+            if self._agreement is not None:
+                skipped *= self._agreement[part]
+            weight += skipped
+            np.divide(skipped, np.maximum(weight, 1e-300), out=self._skip_part[part])
+        self._entry_part[here] = entered / np.maximum(weight.take(early - part.start), 1e-300)
+        if self._multiplier is not None:
+            weight *= self._multiplier[part]
         return weight
 
+    def _after_exit(self, hazard: Floats, rows: slice) -> Floats:
+        return hazard[rows] if self._skip_unit is None else hazard[rows] + self._skip_odds * self._skip_unit[rows]
+
     def _leave(self, hazard: Floats) -> Floats:
-        """Probability (n,) that the object of each departure is not seen again."""
-        return self._leaving if len(self._leaving) else super()._leave(hazard + self._skip_odds * self._skip_unit)
+        return self._leaving if len(self._leaving) else super()._leave(hazard)
 
     def _learn_contexts(self) -> None:
         """Shares and leaving by zone, then by context."""
@@ -328,7 +355,7 @@ class PosteriorFitter(JointFitter):
         self.entry_source = (present // max(self.zones, 1)).astype(np.int32)
         self.entry_target = (present % max(self.zones, 1)).astype(np.int32)
         self._entry_cell = number.astype(np.int64) * bins.size + at
-        self._entry_own = np.zeros(len(present) * bins.size)
+        self._entry_own = np.zeros(len(early))
         self._entry_part = np.zeros(len(early))
         tied = d.own >= 0
         self._entered = entry[tied]
@@ -344,15 +371,16 @@ class PosteriorFitter(JointFitter):
         if len(self._early) == 0:
             return np.zeros((len(self.entry_source), self.bins.size))
         seen = self._count_entry(np.ones(len(self._early)))
-        exposed = self._entry_exposure[self.entry_source] * self.bins.widths
         tied = d.own >= 0
         began, zone = d.since[tied], self._entered.astype(np.int32)
         order = np.argsort(began, kind="stable")
         rates = Chance(began[order], zone[order], a.t, a.zone, self.zones)
-        chance = rates.of(self.entry_source, self.entry_target)[:, None] * exposed
-        above = np.maximum(excess(seen, chance, self.bins, FIRST_NOISE_SD), START_FLOOR * seen)
-        first: Floats = above / np.maximum(exposed, self.bins.widths)
-        return first
+        exposure, source, chance = (
+            self._entry_exposure,
+            self.entry_source,
+            rates.of(self.entry_source, self.entry_target),
+        )
+        return first_hazards(seen, chance, exposure, source, self.bins, FIRST_NOISE_SD, START_FLOOR)
 
     def _count_entry(self, weight: Floats) -> Floats:
         size = len(self.entry_source) * self.bins.size
@@ -361,8 +389,11 @@ class PosteriorFitter(JointFitter):
 
     def _learn_entry(self) -> None:
         """M step of the entry kernels."""
-        r = self._responsibility[self._early] * self._entry_part
-        smoothed, stays = smooth(self._count_entry(r))
-        self._entry_own = np.repeat(stays, self.bins.size) / np.maximum(smoothed.ravel(), 1e-300)
-        exposed = np.maximum(self._entry_exposure[self.entry_source], 1.0)
-        self.entry_hazard = smoothed / (exposed * self.bins.widths)
+        del self.entry_hazard  # as large as the new one
+        smoothed, stays = smooth(self._count_entry(self._responsibility[self._early] * self._entry_part))
+        cell = self._entry_cell
+        self._entry_own = stays.take(cell // self.bins.size) / np.maximum(smoothed.take(cell), 1e-300)
+        for rows in rows_together(len(smoothed)):
+            exposed = np.maximum(self._entry_exposure[self.entry_source[rows]], 1.0)
+            smoothed[rows] /= exposed * self.bins.widths
+        self.entry_hazard = smoothed

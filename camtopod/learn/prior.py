@@ -9,6 +9,8 @@ learned from the site: where traffic goes one way only, nothing is made of what 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,36 +36,46 @@ class Prior:
     def __init__(self, candidates: Candidates, camera: NDArray[np.int64], exposure: Floats, came: Floats) -> None:
         cameras = int(camera.max(initial=0)) + 1
         source, target = camera[candidates.source], camera[candidates.target]
-        self._views, self._pair = numbered(source * cameras + target, cameras * cameras)
+        self._views, self.pair = numbered(source * cameras + target, cameras * cameras)
         self._exposed = np.maximum(summed(exposure, camera, cameras), 1.0)[self._views // cameras]
-        self._share = (came / np.bincount(camera, came)[camera])[candidates.target][:, None]
-        self._back = _leading_back(candidates, len(camera))
+        self.share = (came / np.bincount(camera, came)[camera])[candidates.target][:, None]
+        self.back = _leading_back(candidates, len(camera))
 
-    def transitions(self, counts: Floats, rates: Floats) -> tuple[Floats, float]:
-        """(P, bins), and of how many departures they are, from the ``counts`` (P, bins) seen and from their ``rates``:
-        per exposed departure, smoothed.
-        """
-        back = RETURNING * self.two_way(counts.sum(axis=1))
-        return POOLING * self.pooled(counts) + back * self.returning(rates), POOLING + back
+    def expected(self, counts: Floats) -> Expected:
+        """By the ``counts`` (P, bins) seen."""
+        return Expected(self, counts)
 
     def two_way(self, transitions: Floats) -> float:
         """Share of the ``transitions`` (P,) that as many come back from."""
-        returned = np.where(self._back < 0, 0.0, transitions[self._back])
+        returned = np.where(self.back < 0, 0.0, transitions[self.back])
         both = float(np.minimum(transitions, returned).sum())
         return (both + TWO_WAY_TRANSITIONS) / (float(transitions.sum()) + TWO_WAY_TRANSITIONS)
 
     def pooled(self, counts: Floats) -> Floats:
-        """Transitions per exposed departure (P, bins) if only the cameras counted, and in them the traffic of the
-        zones.
-        """
-        rates = smooth(summed(counts, self._pair, len(self._views)))[0] / self._exposed
-        lent: Floats = rates[self._pair] * self._share
-        return lent
+        """Transitions per exposed departure (views, bins) from camera to camera."""
+        rates: Floats = smooth(summed(counts, self.pair, len(self._views)))[0]
+        rates /= self._exposed
+        return rates
 
-    def returning(self, rates: Floats) -> Floats:
-        """Transitions per exposed departure (P, bins) if every way were taken in both directions alike."""
-        alike: Floats = np.where(self._back[:, None] < 0, 0.0, rates[self._back])
-        return alike
+
+class Expected:
+    """Transitions that pairs of zones are expected to have, and of how many ``departures``."""
+
+    def __init__(self, prior: Prior, counts: Floats) -> None:
+        self._prior, self._pooled = prior, prior.pooled(counts)
+        self._returning = RETURNING * prior.two_way(counts.sum(axis=1))
+        self.departures = POOLING + self._returning
+
+    def of(self, rows: slice, rates: Callable[[NDArray[np.int64]], Floats]) -> Floats:
+        """Of some pairs of zones (rows, bins): if only the cameras counted, and in them the traffic of the zones; and
+        if every way were taken in both directions alike. ``rates``: transitions per exposed departure of pairs (n,) as
+        seen, smoothed.
+        """
+        back = self._prior.back[rows]
+        alike = np.where(back[:, None] < 0, 0.0, rates(back))
+        lent = self._pooled[self._prior.pair[rows]] * self._prior.share[rows]
+        both: Floats = POOLING * lent + self._returning * alike
+        return both
 
 
 def _leading_back(candidates: Candidates, zones: int) -> NDArray[np.int64]:

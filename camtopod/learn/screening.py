@@ -14,6 +14,7 @@ looks go before the fit, each far cheaper than it:
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 Rows = NDArray[np.intp]
-Part = tuple[Rows, Rows, Floats, Floats]
+Part = tuple[Ints, Ints, Floats, Floats]
 
 PAIRS_FEW = 20_000
 """So few pairs of zones are all followed, unless their candidates are too many."""
@@ -111,13 +112,15 @@ class Screen:
         ends = _ends(departures, arrivals, bins, len(places), until)
         self._look(ends, places, learned, high - low)
         row_of = {place: zone for zone, place in enumerate(places.tolist())}
-        parts = []
-        for zone, place in enumerate(places.tolist()):
-            known = (row_of.get(source) for source in self.followed[place].sources.tolist())
-            sources = np.array(sorted(row for row in known if row is not None), np.int64)
-            if len(sources) and len(ends.coming[zone]):
-                parts.append(_likely(ends, zone, sources))
-        return _joined(parts, departures, arrivals, len(places))
+
+        def parts() -> Iterator[Part]:
+            for zone, place in enumerate(places.tolist()):
+                known = (row_of.get(source) for source in self.followed[place].sources.tolist())
+                sources = np.array(sorted(row for row in known if row is not None), np.int64)
+                if len(sources) and len(ends.coming[zone]):
+                    yield _likely(ends, zone, sources)
+
+        return _joined(parts(), departures, arrivals, len(places))
 
     def _look(self, ends: Ends, places: Longs, learned: int, reach: Rows) -> None:
         """Look at some zones again, over all pairs, and forget zones that are no more."""
@@ -152,7 +155,8 @@ def whole(
     departure, arrival, pair, lag = (np.concatenate(columns) for columns in zip(nothing, *parts, strict=True))
     order = np.argsort(arrival, kind="stable")  # each part has arrivals of its own, by arrival and departure
     return candidates._replace(
-        departure=departure[order], arrival=arrival[order], pair=pair[order], lag=lag[order],
+        departure=departure[order].astype(np.int32), arrival=arrival[order].astype(np.int32), pair=pair[order],
+        lag=lag[order],
     )  # fmt: skip
 
 
@@ -222,18 +226,21 @@ def _likely(ends: Ends, zone: int, sources: Longs) -> Part:
         moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
         hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
     kept = share > LIKELY_MIN
-    return departure[kept], mine[at[kept]], lag[kept], share[kept]
+    return departure[kept].astype(np.int32), mine[at[kept]].astype(np.int32), lag[kept], share[kept]
 
 
-def _joined(parts: list[Part], departures: Departures, arrivals: Arrivals, zones: int) -> Candidates:
+def _joined(parts: Iterator[Part], departures: Departures, arrivals: Arrivals, zones: int) -> Candidates:
     """The likeliest candidates of all parts, by arrival."""
-    nothing = (np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), np.zeros(0))
-    departure, arrival, lag, share = (np.concatenate(columns) for columns in zip(nothing, *parts, strict=True))
+    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0))
+    columns = [list(column) for column in zip(nothing, *parts, strict=True)]
+    # One at a time, as they are gone when they are joined.
+    share, lag, arrival, departure = (np.concatenate(columns.pop()) for _ in nothing)
     most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
     if len(share) > most:
         least = np.partition(share, len(share) - most)[len(share) - most]
         likeliest = np.flatnonzero(share >= least)[:most]
         departure, arrival, lag = departure[likeliest], arrival[likeliest], lag[likeliest]
+    del share
     order = np.argsort(arrival, kind="stable")  # each part has arrivals of its own, by arrival and departure
     departure, arrival, lag = departure[order], arrival[order], lag[order]
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
