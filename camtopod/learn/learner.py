@@ -38,7 +38,7 @@ from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
 from camtopod.learn.passages import visible_transitions, with_usual_stays
-from camtopod.learn.posterior import Posterior, fit_posterior
+from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Scene, see
 from camtopod.learn.scoring import Scorer
@@ -339,7 +339,10 @@ class Learner:
         ratio = cross_evidence(
             departures, arrivals, self._all_of(fit, departures, arrivals, zones), self.bins, zones, first, scene.last
         )
-        posterior = fit_posterior(*problem, ratio, screened=bool(self._screen.followed))
+        followed = followed_of(*problem)
+        del candidates, problem  # as much as the rest of a fit takes
+        screened = bool(self._screen.followed)
+        posterior = fit_followed(departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened)
         left, pace = leaving(departures, self.bins, zones, scene.last), pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), left, self.bins, zones, pace).with_evidence(ratio, zones * zones)
         likely = tabulate(transitions_of(posterior.fit), left, self.bins, zones)

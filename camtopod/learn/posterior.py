@@ -31,7 +31,7 @@ from camtopod.learn.lags import LagBins
 from camtopod.learn.prior import Prior
 from camtopod.learn.rates import Chance
 from camtopod.learn.sampling import Sources, with_faint
-from camtopod.learn.significance import RESPONSIBILITY_MAX
+from camtopod.learn.screening import not_overlapping
 from camtopod.learn.skipped import skip_hazards, skipped_beside, ways_through
 
 Floats = NDArray[np.float64]
@@ -43,8 +43,6 @@ FIRST_ROUNDS, FIRST_ITERATIONS = 3, 5
 """Without contexts; speed is looked at after each round."""
 SCOUT_ITERATIONS = 5
 """After so many it is asked which candidates are worth following."""
-OVERLAP_FALSE = 0.05
-"""Probability that any two of the cameras that do not overlap seem to."""
 NEGLIGIBLE = 1e-4
 """Candidates with a smaller responsibility after the first few iterations are left out of the others."""
 ITERATIONS = 8
@@ -91,12 +89,26 @@ def fit_posterior(
 
     Always from nothing: one that goes on from the last as events come in believes early mistakes ever more.
     """
+    followed = followed_of(departures, arrivals, candidates, bins, zones, until)
+    return fit_followed(departures, arrivals, followed, bins, zones, until, evidence, screened)
+
+
+def followed_of(
+    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float
+) -> Candidates:
+    """The candidates that `fit_followed` is to look at. Who has them need not keep all, which take more memory."""
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
     scout.look()
     scout.skip()
-    followed, exposure = scout.worth_following(), scout.exposure
-    del scout  # half of the memory of a fit
-    fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until, exposure)
+    return scout.worth_following()
+
+
+def fit_followed(
+    departures: Departures, arrivals: Arrivals, followed: Candidates, bins: LagBins, zones: int, until: float,
+    evidence: Floats, screened: bool = False,
+) -> Posterior:  # fmt: skip
+    """`fit_posterior` of the candidates of `followed_of`."""
+    fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until)
     fitter.learn()
     fitter.sample()
     left = np.bincount(departures.zone, minlength=zones).astype(float)
@@ -142,32 +154,12 @@ class PosteriorFitter(JointFitter):
     def worth_following(self) -> Candidates:
         """The candidates that are neither negligible nor impossible."""
         c = self.candidates
-        kept = np.flatnonzero((self._responsibility > NEGLIGIBLE) & ~self._impossible())
+        impossible = not_overlapping(c, self.departures, self.arrivals, self._responsibility, self.contexts.cameras)
+        kept = np.flatnonzero((self._responsibility > NEGLIGIBLE) & ~impossible)
         present, pair = np.unique(c.pair[kept], return_inverse=True)
         return Candidates(
             c.departure[kept], c.arrival[kept], pair.astype(np.int32), c.lag[kept], c.source[present], c.target[present]
         )
-
-    def _impossible(self) -> NDArray[np.bool_]:
-        """Candidates (M,) that appear before the exit in the view of a camera that shows no overlap with this one.
-
-        Whether two views overlap is asked of all their zones, both ways, at once: how much better do appearances ahead
-        of the exit predict arrivals than nothing does? By chance anywhere with a probability of `OVERLAP_FALSE`.
-        """
-        c, cameras = self.candidates, int(self._camera.max(initial=0)) + 1
-        ahead = np.flatnonzero(c.lag < 0)
-        left, came = self.departures.camera[c.departure[ahead]], self.arrivals.camera[c.arrival[ahead]]
-        views = np.minimum(left, came).astype(np.int64) * cameras + np.maximum(left, came)
-        present, pair = np.unique(views, return_inverse=True)
-        key, number = np.unique(c.arrival[ahead].astype(np.int64) * cameras + left, return_inverse=True)
-        share = np.minimum(np.bincount(number, self._responsibility[ahead], minlength=len(key)), RESPONSIBILITY_MAX)
-        of_key = np.zeros(len(key), np.int64)
-        of_key[number] = pair
-        nats = np.bincount(of_key, -np.log1p(-share) - share, minlength=len(present))
-        overlapping = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
-        result = np.zeros(len(c.lag), bool)
-        result[ahead] = ~overlapping[pair]
-        return result
 
     def skip(self) -> None:
         """See to it that what appears after a skipped view is worth following, too."""

@@ -36,6 +36,7 @@ from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import START_FLOOR, exposures, smooth
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.rates import Chance
+from camtopod.learn.significance import RESPONSIBILITY_MAX
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -61,6 +62,8 @@ ROUNDS = 2
 NOISE_SD = 0.5
 OUTSIDE_FIRST = 0.5
 """Share of the arrivals that come from outside, as the rounds begin."""
+OVERLAP_FALSE = 0.05
+"""Probability that any two of the cameras that do not overlap seem to."""
 LIKELY_MIN = 0.0005
 """Less likely candidates are left out ..."""
 LIKELY_MAX, LIKELY_PER_ARRIVAL = 3_000_000, 8
@@ -158,6 +161,30 @@ def whole(
         departure=departure[order].astype(np.int32), arrival=arrival[order].astype(np.int32), pair=pair[order],
         lag=lag[order],
     )  # fmt: skip
+
+
+def not_overlapping(
+    candidates: Candidates, departures: Departures, arrivals: Arrivals, responsibility: Floats, cameras: int
+) -> NDArray[np.bool_]:
+    """Candidates (M,) that appear before the exit in the view of a camera that shows no overlap with this one.
+
+    Whether two views overlap is asked of all their zones, both ways, at once: how much better do appearances ahead of
+    the exit predict arrivals than nothing does? By chance anywhere with a probability of `OVERLAP_FALSE`.
+    """
+    c = candidates
+    ahead = np.flatnonzero(c.lag < 0)
+    left, came = departures.camera[c.departure[ahead]], arrivals.camera[c.arrival[ahead]]
+    views = np.minimum(left, came).astype(np.int64) * cameras + np.maximum(left, came)
+    present, pair = np.unique(views, return_inverse=True)
+    key, number = np.unique(c.arrival[ahead].astype(np.int64) * cameras + left, return_inverse=True)
+    share = np.minimum(np.bincount(number, responsibility[ahead], minlength=len(key)), RESPONSIBILITY_MAX)
+    of_key = np.zeros(len(key), np.int64)
+    of_key[number] = pair
+    nats = np.bincount(of_key, -np.log1p(-share) - share, minlength=len(present))
+    overlapping = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
+    result = np.zeros(len(c.lag), bool)
+    result[ahead] = ~overlapping[pair]
+    return result
 
 
 def place(camera: int, number: int) -> int:
