@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -20,10 +21,25 @@ from test_recovery import EVENTS, SETTINGS, Installation, uninterrupted
 from camtopod import codec
 from camtopod.codec import to_pack
 from camtopod.districts.dealing import Sharding
+from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve import learning, recovery
-from camtopod.serve.learner_messages import Answer, Begin, Made, Portion, Question, Show, Shown, Taught, Teach
+from camtopod.serve import learner_messages, learning, memory, recovery
+from camtopod.serve.learner_messages import (
+    Answer,
+    Begin,
+    Board,
+    Made,
+    NewEpoch,
+    Portion,
+    Question,
+    Save,
+    Show,
+    Shown,
+    Taught,
+    Teach,
+)
 from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
+from camtopod.serve.learner_program import Pupil
 from camtopod.serve.share import Told
 
 FAULTY = "learners.faulty"
@@ -104,6 +120,20 @@ def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(process: Lea
 
 def test_the_signals_of_whoever_starts_it_stay_as_they_were(process: LearnerProcess) -> None:
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
+
+
+def test_what_a_snapshot_took_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As much as everything learned; at most once in a version."""
+    done: list[str] = []
+    monkeypatch.setattr(memory, "give_back", lambda: done.append("given back"))
+    monkeypatch.setattr(learner_messages, "send", lambda _, answer: done.append(type(answer).__name__))
+    monkeypatch.setattr(os, "nice", lambda _: 0)
+    asked: queue.SimpleQueue[Question] = queue.SimpleQueue()
+    for question in (Begin(SETTINGS, "s", "E", {}, False), Save(), NewEpoch("F")):
+        asked.put(question)
+    with contextlib.closing(Board()) as board, pytest.raises(ValueError, match="nobody has asked"):
+        Pupil(asked, -1, board, Learner).work()
+    assert done == ["Taught", "Saved", "given back"]
 
 
 def test_what_is_printed_there_is_no_answer(process: LearnerProcess, capfd: pytest.CaptureFixture[str]) -> None:

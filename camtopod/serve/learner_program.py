@@ -83,6 +83,7 @@ class Pupil:
                     self._tell(Shown(None if newest is None else codec.to_pack(newest), self._told(everything=True)))
                 case Save():
                     self._tell(Saved(self._save()))
+                    memory.give_back()  # all that was learned was there twice for a moment
                 case NewEpoch():
                     raise ValueError("nobody has asked for an epoch")
 
