@@ -1,11 +1,16 @@
-"""What was freed is given back."""
+"""What was freed is given back, and what is kept is not gone through again and again."""
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
+import weakref
+from collections.abc import Iterator
 
 import pytest
+
+from camtopod.serve import memory
 
 RESIDENT = """
 import os, threading, sys
@@ -68,3 +73,57 @@ def test_what_a_fit_took_in_any_thread_is_given_back() -> None:
     kept = measured(FIT)
     assert kept["limited"] < 2_000_000
     assert kept["as it is"] > 5_000_000, "the canary: the end of another arena than the first stays"
+
+
+class Circle:
+    """Refers to itself."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+@pytest.fixture
+def thawed() -> Iterator[None]:
+    yield
+    gc.unfreeze()
+
+
+@pytest.mark.usefixtures("thawed")
+def test_the_collector_does_not_go_through_what_is_kept() -> None:
+    began = []
+
+    def collecting(phase: str, info: dict[str, int]) -> None:
+        began.append((phase, info["generation"]))
+
+    with memory.kept():
+        gc.callbacks.append(collecting)
+        made = [[number] for number in range(100_000)]  # enough for each generation to be collected
+        gc.callbacks.remove(collecting)
+    assert began == []
+    assert gc.isenabled()
+    known = {id(one) for one in gc.get_objects()}
+    assert not known & {id(one) for one in made}
+
+
+@pytest.mark.usefixtures("thawed")
+def test_circles_among_what_was_kept_go_when_it_is_thorough() -> None:
+    with memory.kept():
+        circle = Circle()
+    gone = weakref.ref(circle)
+    del circle
+    gc.collect()
+    assert gone() is not None
+    with memory.kept(thorough=True):
+        pass
+    assert gone() is None
+
+
+@pytest.mark.usefixtures("thawed")
+def test_a_program_that_does_not_collect_goes_on_without() -> None:
+    gc.disable()
+    try:
+        with memory.kept():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()

@@ -47,6 +47,8 @@ GATHER_SECONDS = 0.02
 """What comes within this time is taught together: a message for each event would cost more than learning it."""
 QUEUED_EVENTS_MAX = 50_000
 """Kept in memory for the learner, beside the journal, from which what is more is read again."""
+THOROUGH_EVERY = 250
+"""Versions until it is looked for what would otherwise stay in memory for ever; it holds everything up for a moment."""
 _TICK_SECONDS = 0.2
 _PROGRESS_ENTRIES = 200_000
 
@@ -237,8 +239,9 @@ class Learning:
         """A new version."""
         self._due = True
         self.made += 1
-        topology = codec.read_in_parts(Topology, made.packed)
-        self._on_version(Version(topology, made.content, made.packed, made.delta, made.told))
+        with memory.kept(thorough=self.made % THOROUGH_EVERY == 0):
+            topology = codec.read_in_parts(Topology, made.packed)
+            self._on_version(Version(topology, made.content, made.packed, made.delta, made.told))
 
     def _begin_epoch(self, version: int) -> None:
         self.epoch = self._new_epoch()

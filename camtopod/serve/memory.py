@@ -1,12 +1,14 @@
-"""Memory given back. glibc has several arenas for threads, and of all but the first it does not return what is free
-at the end, even when asked: each that the learner's thread once came to would keep as much as a fit takes, so that the
-process seems to grow for weeks. Elsewhere than on glibc these do nothing.
+"""Memory that is kept, and memory given back. glibc has several arenas for threads, and of all but the first it does
+not return what is free at the end, even when asked: each that the learner's thread once came to would keep as much as a
+fit takes, so that the process seems to grow for weeks. Elsewhere than on glibc nothing is given back.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
+from collections.abc import Iterator
 
 ARENAS_MAX = 1
 """More would be faster only for many threads that allocate at the same time."""
@@ -21,11 +23,30 @@ def limit_arenas() -> None:
 
 
 def settle() -> None:
-    """What is there after the start stays, and the collector need not go through it again and again: that would hold
-    everything up for a tenth of a second.
+    """What is there now stays, and the collector need not go through it again and again: that would hold everything up
+    for a tenth of a second.
     """
+    gc.unfreeze()
     gc.collect()
     gc.freeze()
+
+
+@contextlib.contextmanager
+def kept(thorough: bool = False) -> Iterator[None]:
+    """What is made in the block, which is as large as all the rest, stays for long, too: it goes when nothing refers to
+    it any more. ``thorough``: now and then what refers to itself is looked for among all that was kept.
+    """
+    collecting = gc.isenabled()
+    gc.collect(1)
+    gc.disable()
+    try:
+        yield
+    finally:
+        if thorough:
+            settle()
+        gc.freeze()
+        if collecting:
+            gc.enable()
 
 
 def give_back() -> None:
