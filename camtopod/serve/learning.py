@@ -6,12 +6,14 @@ here.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import queue
 import signal
+import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from camtopod import codec
 from camtopod.records import Topology
@@ -49,6 +51,8 @@ QUEUED_EVENTS_MAX = 50_000
 """Kept in memory for the learner, beside the journal, from which what is more is read again."""
 THOROUGH_EVERY = 250
 """Versions until it is looked for what would otherwise stay in memory for ever; it holds everything up for a moment."""
+GIVE_WAY_SECONDS = 0.0001
+"""Whoever wants the interpreter while a version is made ready has it after this; a prediction wants it several times."""
 _TICK_SECONDS = 0.2
 _PROGRESS_ENTRIES = 200_000
 
@@ -239,7 +243,7 @@ class Learning:
         """A new version."""
         self._due = True
         self.made += 1
-        with memory.kept(thorough=self.made % THOROUGH_EVERY == 0):
+        with _giving_way(), memory.kept(thorough=self.made % THOROUGH_EVERY == 0):
             topology = codec.read_in_parts(Topology, made.packed)
             self._on_version(Version(topology, made.content, made.packed, made.delta, made.told))
 
@@ -250,6 +254,17 @@ class Learning:
             version, self.epoch,
         )  # fmt: skip
         self._process.send(NewEpoch(self.epoch))
+
+
+@contextlib.contextmanager
+def _giving_way() -> Iterator[None]:
+    """What takes a tenth of a second, in a thread beside which others have little to do, but that at once."""
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(min(usual, GIVE_WAY_SECONDS))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(usual)
 
 
 def _lesson(entry: Entry) -> Lesson:
