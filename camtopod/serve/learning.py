@@ -52,7 +52,7 @@ QUEUED_EVENTS_MAX = 50_000
 THOROUGH_EVERY = 250
 """Versions until it is looked for what would otherwise stay in memory for ever; it holds everything up for a moment."""
 GIVE_WAY_SECONDS = 0.0001
-"""Whoever wants the interpreter while a version is made ready has it after this; a prediction wants it several times."""
+"""Whoever wants the interpreter while a version is made ready has it after this; a prediction wants it often."""
 _TICK_SECONDS = 0.2
 _PROGRESS_ENTRIES = 200_000
 
