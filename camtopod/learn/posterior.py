@@ -125,9 +125,9 @@ class PosteriorFitter(JointFitter):
 
     def __init__(
         self, departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int,
-        until: float, exposure: Floats | None = None,
+        until: float,
     ) -> None:  # fmt: skip
-        super().__init__(departures, arrivals, candidates, bins, zones, until, exposure)
+        super().__init__(departures, arrivals, candidates, bins, zones, until)
         self._prior = Prior(candidates, self._camera, self.exposure, self._per_zone)
         self.hazard = self.counts = np.zeros((self.pairs, bins.size))
         self.share, self.leave, self.levels = np.zeros(self.pairs), np.ones(zones), list[Level]()
@@ -367,12 +367,8 @@ class PosteriorFitter(JointFitter):
         began, zone = d.since[tied], self._entered.astype(np.int32)
         order = np.argsort(began, kind="stable")
         rates = Chance(began[order], zone[order], a.t, a.zone, self.zones)
-        exposure, source, chance = (
-            self._entry_exposure,
-            self.entry_source,
-            rates.of(self.entry_source, self.entry_target),
-        )
-        return first_hazards(seen, chance, exposure, source, self.bins, FIRST_NOISE_SD, START_FLOOR)
+        source, chance = self.entry_source, rates.of(self.entry_source, self.entry_target)
+        return first_hazards(seen, chance, self._entry_exposure, source, self.bins, FIRST_NOISE_SD, START_FLOOR)
 
     def _count_entry(self, weight: Floats) -> Floats:
         size = len(self.entry_source) * self.bins.size
