@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections.abc import Generator
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded: the matrices are small, the cores are taken
@@ -19,6 +20,10 @@ DATA = "CAMTOPOD_TEST_DATA"
 
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")  # that a busy machine is slow says nothing about what is tested
+
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as of what a shell script runs in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # or every program a test starts would ignore it, too
 
 
 @pytest.fixture(autouse=True)
