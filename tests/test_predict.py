@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import sys
 
 import naive
 import numpy as np
@@ -298,6 +300,22 @@ def test_a_newer_version_remembers_what_has_been_seen() -> None:
     prediction = predictor.follow(gone).predict(EXIT)
     sound(prediction)
     assert list(chances(prediction)) == ["b/1"]
+
+
+def test_an_old_version_is_gone_without_a_collector() -> None:
+    topology = replace(THREE, zones=list(THREE.zones))
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        held = sys.getrefcount(topology.zones)
+        predictor = Predictor(topology)
+        assert predictor.predict(EXIT).next_
+        predictor = predictor.follow(THREE)
+        after = sys.getrefcount(topology.zones)
+    finally:
+        if collecting:
+            gc.enable()
+    assert after == held
 
 
 def test_a_camera_that_is_new_in_a_version_has_not_been_silent() -> None:

@@ -31,7 +31,7 @@ from camtopod.learn.lag_odds import paced, quantiles, unknown
 from camtopod.learn.pace import Paces
 from camtopod.learn.places import Places
 from camtopod.learn.positions import block_of
-from camtopod.learn.ready import AtExit, Ready, ReadyZones
+from camtopod.learn.ready import AtExit, Ready, ReadyZones, Site
 from camtopod.learn.recent import RECENT_MAX, Arrival, Recent, RecentArrivals
 from camtopod.learn.surroundings import Surroundings
 from camtopod.learn.under_way import Passage, UnderWay
@@ -74,17 +74,18 @@ class Predictor:
         self._hazards = Hazards(topology)
         self._surroundings = Surroundings(topology)
         self._paces = Paces(topology)
-        self._ready = ReadyZones(topology, self._hazards, self._paces)
+        site = Site(topology, self._hazards, self._paces)
+        self._ready = ReadyZones(site)
         self._places = Places(self.zones)
         self._of_camera = self._places.of_camera
-        self._ahead, self._clocks_apart = self._ready.ahead, self._ready.clocks_apart
+        self._ahead, self._clocks_apart = site.ahead, site.clocks_apart
         stay_max = {camera: self._hazards.longest_stay(zones) for camera, zones in self._of_camera.items()}
         self._under_way = UnderWay({camera: stay for camera, stay in stay_max.items() if stay})
         self._arrivals, self._exits = RecentArrivals(), Recent()
         self._ahead_of = np.array([self._ahead.get(zone.camera, 0.0) for zone in self.zones])
         self._wanted = np.zeros(len(self.zones), np.bool_)  # all False between calls
         self._row_of = np.full(len(self.zones), -1, np.intp)  # all -1 between calls
-        self._names, self._camera_of = list(self._ready.cameras), self._ready.camera_of
+        self._names, self._camera_of = list(site.cameras), site.camera_of
         self._number_of: list[int] = self._camera_of.tolist()
         self._events = 0
         self._last_event = [0] * len(self._names)

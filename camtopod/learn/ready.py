@@ -79,7 +79,7 @@ class Ready:
         *("_site", "_exposed", "_transitions", "_began", "_shift", "_windows"),
     )
 
-    def __init__(self, site: ReadyZones, zone: int, outcomes: Outcomes) -> None:
+    def __init__(self, site: Site, zone: int, outcomes: Outcomes) -> None:
         here, bins = site.zones[zone].camera, site.hazards.bins
         self._site, self.outcomes = site, outcomes
         self.targets = [site.zones[k] for k in outcomes.targets]
@@ -194,8 +194,8 @@ class Ready:
         return found
 
 
-class ReadyZones:
-    """All zones of a topology version from which anybody is known to go anywhere."""
+class Site:
+    """What the zones of a topology version have in common."""
 
     def __init__(self, topology: Topology, hazards: Hazards, paces: Paces) -> None:
         self.zones: list[Zone] = topology.zones
@@ -214,11 +214,20 @@ class ReadyZones:
         """Those of the bins of lags before the exit."""
         self.coming = np.triu(np.broadcast_to(bins.widths, (bins.size + 1, bins.size)))
         """Widths of all bins but the first 0, 1, ..., (bins + 1, bins)."""
+
+
+class ReadyZones:
+    """All zones of a topology version from which anybody is known to go anywhere. None of them refers to this, so that
+    all are gone with the version: whoever predicts may have the collector look for circles next to never.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self._site = site
         self._ready: dict[int, Ready] = {}
 
     def of(self, zone: int) -> Ready | None:
         """None where nobody is known to go anywhere."""
         ready = self._ready.get(zone)
-        if ready is None and (outcomes := self.hazards.outcomes.get(zone)) is not None:
-            ready = self._ready[zone] = Ready(self, zone, outcomes)
+        if ready is None and (outcomes := self._site.hazards.outcomes.get(zone)) is not None:
+            ready = self._ready[zone] = Ready(self._site, zone, outcomes)
         return ready
