@@ -177,14 +177,16 @@ class JointFitter:
 
         What is sure is judged without looking at whether the slownesses agree, else agreement would breed itself.
         """
-        c = self.candidates
+        c, responsibility, hazard = self.candidates, fit.responsibility, fit.hazard
+        del fit  # its tables are as large as the new ones
         self._agreement = None
         self._responsibility = self._responsibility.copy()  # those of the fit are counted below
-        plain = self._expect(fit.hazard)
+        plain = self._expect(hazard)
+        del hazard
         sure = np.flatnonzero(plain > SURE_RESPONSIBILITY)
         left, came = self._slownesses(sure)
         self.use(persistence(left, came, c.lag[sure], c.pair[sure], plain[sure]))
-        return self._hazards(self._counted(fit.responsibility))
+        return self._hazards(self._counted(responsibility))
 
     def use(self, found: Persistence) -> None:
         """Adjust lags and weigh candidates by what speed tells."""

@@ -115,7 +115,7 @@ def fit_followed(
     doubt = doubts(fitter.candidates.pair, fitter.responsibility, fitter.pairs, evidence, left)
     posterior = Posterior(
         fitter.result(), fitter.share, fitter.leave, doubt, fitter.entry_source, fitter.entry_target,
-        fitter.entry_hazard, fitter.levels,
+        fitter.entry_kernels()[0], fitter.levels,
     )  # fmt: skip
     return fitter.with_skips(posterior) if screened else posterior
 
@@ -129,7 +129,7 @@ class PosteriorFitter(JointFitter):
     ) -> None:  # fmt: skip
         super().__init__(departures, arrivals, candidates, bins, zones, until)
         self._prior = Prior(candidates, self._camera, self.exposure, self._per_zone)
-        self.hazard = self.counts = np.zeros((self.pairs, bins.size))
+        self.hazard = self.counts = np.zeros(0)
         self.share, self.leave, self.levels = np.zeros(self.pairs), np.ones(zones), list[Level]()
         self.contexts = Contexts(departures, arrivals, zones, int(self._camera.max(initial=0)) + 1)
         self._left = np.bincount(departures.zone, minlength=zones).astype(float)
@@ -148,8 +148,8 @@ class PosteriorFitter(JointFitter):
 
     def look(self) -> None:
         """A few iterations, to see which candidates are worth following."""
-        self.entry_hazard = self._start_entry()
-        self._iterate(self.start(FIRST_NOISE_SD), SCOUT_ITERATIONS, contexts=False)
+        self._entered_at, self.hazard = self._start_entry(), self.start(FIRST_NOISE_SD)
+        self._iterate(SCOUT_ITERATIONS, contexts=False)
 
     def worth_following(self) -> Candidates:
         """The candidates that are neither negligible nor impossible."""
@@ -163,17 +163,18 @@ class PosteriorFitter(JointFitter):
 
     def skip(self) -> None:
         """See to it that what appears after a skipped view is worth following, too."""
+        del self.counts  # nobody asks for them any more
         self._find_skips(self.hazard)
         self._expect(self.hazard)
 
     def learn(self) -> None:
         """The whole fit."""
-        self.entry_hazard, hazard = self._start_entry(), self.start(FIRST_NOISE_SD)
+        self._entered_at, self.hazard = self._start_entry(), self.start(FIRST_NOISE_SD)
         for _ in range(FIRST_ROUNDS):
-            hazard = self._iterate(hazard, FIRST_ITERATIONS, contexts=False)
-            hazard = self.use_slowness(self._as_fit(hazard))
-            self._find_skips(hazard)
-        self._iterate(hazard, ITERATIONS, contexts=True)
+            self._iterate(FIRST_ITERATIONS, contexts=False)
+            self.hazard = self.use_slowness(self._as_fit(self.hazard))
+            self._find_skips(self.hazard)
+        self._iterate(ITERATIONS, contexts=True)
 
     def sample(self) -> None:
         """Weigh what the fit says with what is believed on average over draws of who came from where."""
@@ -186,6 +187,7 @@ class PosteriorFitter(JointFitter):
             if (sweep + 1) % SKIPS_EVERY == 0:
                 self._find_skips(hazard)
             self._expect(hazard)
+            del hazard  # as large as the new one
             if sweep % 2 == 0:
                 self._learn_contexts()
             if sweep >= SETTLING_SWEEPS:
@@ -242,18 +244,16 @@ class PosteriorFitter(JointFitter):
         at_exit = np.concatenate([nothing, *map(self._at_exit, self._parts)])
         return Fit(hazard, nothing, at_exit, nothing, self.outside, self.candidates, self.persistence)
 
-    def _iterate(self, hazard: Floats, iterations: int, contexts: bool) -> Floats:
+    def _iterate(self, iterations: int, contexts: bool) -> None:
         for iteration in range(iterations):
-            self._expect(hazard)
-            del hazard  # as large as the new one
-            hazard = self._learn_hazards()
+            self._expect(self.hazard)
+            self.hazard = self._learn_hazards()
             if contexts and iteration % 2 == 0:
                 self._learn_contexts()
-        self.hazard = hazard
-        return hazard
 
     def _learn_hazards(self) -> Floats:
         """M step: hazards (P, bins) counted from the exit without those of skipped views; and all other tables."""
+        self.hazard = self.counts = np.zeros(0)  # they were as large as the new ones
         self._learn_entry()
         self._learn_odds()
         self._look_outside()
@@ -283,6 +283,7 @@ class PosteriorFitter(JointFitter):
 
     def _find_skips(self, hazard: Floats) -> None:
         """Hazards of skipped views, by the links and passages as they are known now."""
+        self._skip_unit = None  # as large as the new one
         self._skip_unit = skip_hazards(self._appears(hazard), self.candidates, self._through, self.bins, self.zones)
         self._skip_sum = (self._skip_unit * self.bins.widths).sum(axis=1)
 
@@ -297,9 +298,9 @@ class PosteriorFitter(JointFitter):
         """Hazard of each candidate of a part that the others make."""
         weight = super()._weights(hazard, part)
         here = self._early_in(part)
-        early, cell = self._early[here], self._entry_cell[here]
+        early = self._early[here]
         others = np.maximum(1.0 - self._responsibility.take(early) * self._entry_own[here], 0.0)
-        entered = self.entry_hazard.take(cell) * others
+        entered = self._entered_at[here] * others
         if self._agreement is not None:
             entered *= self._agreement.take(early)
         weight[early - part.start] += entered
@@ -358,30 +359,37 @@ class PosteriorFitter(JointFitter):
             self._entry_exposure[zone] = len(stays) - np.searchsorted(stays, bins.edges[:-1], side="left")
 
     def _start_entry(self) -> Floats:
-        """First entry kernels (Q, bins): what exceeds chance."""
+        """Hazards of the early candidates by the first entry kernels: what exceeds chance."""
         d, a = self.departures, self.arrivals
         if len(self._early) == 0:
-            return np.zeros((len(self.entry_source), self.bins.size))
+            return np.zeros(0)
         seen = self._count_entry(np.ones(len(self._early)))
         tied = d.own >= 0
         began, zone = d.since[tied], self._entered.astype(np.int32)
         order = np.argsort(began, kind="stable")
         rates = Chance(began[order], zone[order], a.t, a.zone, self.zones)
         source, chance = self.entry_source, rates.of(self.entry_source, self.entry_target)
-        return first_hazards(seen, chance, self._entry_exposure, source, self.bins, FIRST_NOISE_SD, START_FLOOR)
+        first = first_hazards(seen, chance, self._entry_exposure, source, self.bins, FIRST_NOISE_SD, START_FLOOR)
+        return first.take(self._entry_cell)
 
     def _count_entry(self, weight: Floats) -> Floats:
         size = len(self.entry_source) * self.bins.size
-        flat: Floats = np.bincount(self._entry_cell, weight, minlength=size).astype(float)
+        flat: Floats = np.bincount(self._entry_cell, weight, minlength=size).astype(float, copy=False)
         return flat.reshape(-1, self.bins.size)
 
     def _learn_entry(self) -> None:
-        """M step of the entry kernels."""
-        del self.entry_hazard  # as large as the new one
+        """M step of the entry kernels, of which only what the candidates need is kept: all would be a large table."""
+        hazard, self._entry_own = self.entry_kernels()
+        self._entered_at = hazard.take(self._entry_cell)
+
+    def entry_kernels(self) -> tuple[Floats, Floats]:
+        """Entry kernels (Q, bins) by the responsibilities as they are; and of the counts smoothed for them, by how much
+        those of each early candidate grow with its own.
+        """
         smoothed, stays = smooth(self._count_entry(self._responsibility[self._early] * self._entry_part))
         cell = self._entry_cell
-        self._entry_own = stays.take(cell // self.bins.size) / np.maximum(smoothed.take(cell), 1e-300)
+        own = stays.take(cell // self.bins.size) / np.maximum(smoothed.take(cell), 1e-300)
         for rows in rows_together(len(smoothed)):
             exposed = np.maximum(self._entry_exposure[self.entry_source[rows]], 1.0)
             smoothed[rows] /= exposed * self.bins.widths
-        self.entry_hazard = smoothed
+        return smoothed, own

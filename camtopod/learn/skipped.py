@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Candidates, Departures
+from camtopod.learn.candidates import Candidates, Departures, rows_together
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.missed import joined
 from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
@@ -139,7 +139,10 @@ def _along(
     cell = pair[:, None, None] * bins.size + at
     weight = np.broadcast_to((taken / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
     mass = np.bincount(cell[at >= 0], weight[at >= 0], minlength=len(pairs) * bins.size).reshape(-1, bins.size)
-    hazard: Floats = mass @ smoother(bins.size, SPREAD_SD_BINS).T / bins.widths
+    hazard: Floats = mass.astype(float, copy=False)
+    spread = smoother(bins.size, SPREAD_SD_BINS).T
+    for rows in rows_together(len(pairs)):
+        hazard[rows] = hazard[rows] @ spread / bins.widths
     return hazard
 
 
