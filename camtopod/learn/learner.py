@@ -10,6 +10,8 @@ within the lateness, nor on how fast or when the program ran.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -68,6 +70,10 @@ class Learner:
         self.settings = settings or Settings()
         self.site, self.epoch = site, epoch
         self.topology: Topology | None = None
+        self.fitted: Callable[[], None] = _nothing
+        """Called when all that a version says is known, but not said yet: what the fits took is free again, and what
+        they have found may take as much anew.
+        """
         self.bins = LagBins(-self.settings.overlap_max_seconds, self.settings.transit_max_seconds)
         self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
         self._intake = Intake(
@@ -236,6 +242,7 @@ class Learner:
             self._window.column("t") / MICROSECONDS, self._window.column("camera"), len(self._window.cameras)
         )
         posterior, between, likely, changes = self._between_views(scene, silences)
+        self.fitted()
         camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
         found = without_missed(between, through, significant(between, self.settings), camera_of, self.settings)
         published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
@@ -360,3 +367,7 @@ class Learner:
             return fit
         pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
         return fit._replace(candidates=whole(fit.candidates, pairs, departures, arrivals, self.bins, zones))
+
+
+def _nothing() -> None:
+    """Nothing is to be done."""

@@ -370,7 +370,8 @@ class PosteriorFitter(JointFitter):
         rates = Chance(began[order], zone[order], a.t, a.zone, self.zones)
         source, chance = self.entry_source, rates.of(self.entry_source, self.entry_target)
         first = first_hazards(seen, chance, self._entry_exposure, source, self.bins, FIRST_NOISE_SD, START_FLOOR)
-        return first.take(self._entry_cell)
+        here: Floats = first.take(self._entry_cell)
+        return here
 
     def _count_entry(self, weight: Floats) -> Floats:
         size = len(self.entry_source) * self.bins.size
