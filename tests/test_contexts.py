@@ -48,18 +48,20 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     departures, arrivals, found = anything(seed, n)
     rng = np.random.default_rng(seed)
     m = len(found.lag)
-    responsibility, share = rng.random(m) ** 3, rng.random(m)
+    responsibility, share = rng.random(m) ** 3, rng.random(len(found.source))
     gone, leave = rng.random((2, n))
-    fast = Contexts(departures, arrivals, 4, 3).learn(found, responsibility, share, gone, leave)
+    contexts = Contexts(departures, arrivals, 4, 3)
+    after, leaving = contexts.learn(found, responsibility, share, gone, leave)
+    levels = contexts.levels(found)
     slow = naive.contexts(
         departures, arrivals, list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True)),
-        responsibility, share, gone, leave,
+        responsibility, share[found.pair], gone, leave,
         module.BACK_OFF_DEPARTURES, module.PREVIOUS_RESPONSIBILITY_MIN,
     )  # fmt: skip
-    assert fast[1] == pytest.approx(slow[1])
-    assert fast[2] == pytest.approx(slow[2])
-    assert len(fast[0]) == len(LEVELS) == 4
-    for level, (n_of, moved_of) in zip(fast[0], slow[0], strict=True):
+    assert after == pytest.approx(slow[1])
+    assert leaving == pytest.approx(slow[2])
+    assert len(levels) == len(LEVELS) == 4
+    for level, (n_of, moved_of) in zip(levels, slow[0], strict=True):
         assert len(level.first) == len(level.zone) + 1
         assert len(level.transitions) == sum(count > 0 for count in moved_of.values()), "only what occurs is kept"
         for k in range(len(level.zone)):
@@ -89,12 +91,11 @@ def told(views: Views, true: dict[float, float]) -> tuple[list[Level], Candidate
     right = np.array([true.get(departures.t[d]) == arrivals.t[a] for d, a in zip(*found[:2], strict=True)], float)
     gone = 1.0 - np.minimum(np.bincount(found.departure, right, minlength=len(departures.t)), 1.0)
     left = np.maximum(np.bincount(departures.zone, minlength=zones), 1)
-    share = (np.bincount(found.pair, right) / left[found.source])[found.pair]
+    share = np.bincount(found.pair, right, minlength=len(found.source)) / left[found.source]
     leave = (np.bincount(departures.zone, gone, minlength=zones) / left)[departures.zone]
-    levels, after, _ = Contexts(departures, arrivals, zones, int(max(views.camera)) + 1).learn(
-        found, right, share, gone, leave
-    )
-    return levels, found, departures, after
+    contexts = Contexts(departures, arrivals, zones, int(max(views.camera)) + 1)
+    after, _ = contexts.learn(found, right, share, gone, leave)
+    return contexts.levels(found), found, departures, after
 
 
 @pytest.mark.parametrize("known", ["entry", "block"])

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, together
 
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
@@ -51,6 +51,8 @@ class Contexts:
         self.zones, self.cameras = zones, cameras
         self.departures, self.arrivals = departures, arrivals
         zone, block = departures.zone.astype(np.int64), departures.block.astype(np.int64)
+        self._zone = zone
+        self._first, self._tables = np.zeros(0, np.int64), list[_Table]()
         self.entry = np.where(departures.own >= 0, arrivals.zone[departures.own], -1).astype(np.int64)
         nothing = np.full(len(zone), -1)
         self._fixed = [
@@ -61,45 +63,59 @@ class Contexts:
 
     def learn(
         self, candidates: Candidates, responsibility: Floats, share: Floats, gone: Floats, leave: Floats
-    ) -> tuple[list[Level], Floats, Floats]:
-        """The levels, and of each candidate (M,) and each departure (n,): probability and leaving in its context.
+    ) -> tuple[Floats, Floats]:
+        """Of each candidate (M,) and each departure (n,): probability and leaving in its context.
 
-        ``share`` (M,), ``leave`` (n,): the same without context; ``gone`` (n,): probability of not having been seen
+        ``share`` (P,), ``leave`` (n,): the same without context; ``gone`` (n,): probability of not having been seen
         again. Each is judged by the others (leave one out).
         """
-        c, zone = candidates, self.departures.zone
-        sure = self._sureness(zone[c.departure], responsibility)[zone]
-        # Of each zone's pairs, which come by source, the first, the second, ...: the columns of the tables below.
-        first = np.searchsorted(c.source, np.arange(self.zones))
-        column = np.arange(len(c.source)) - first[c.source]
+        c = candidates
+        sure = self._sureness(c, responsibility)[self.departures.zone]
+        # Of each zone's pairs, which come by source, the first, the second, ...: the columns of the tables.
+        self._first = np.searchsorted(c.source, np.arange(self.zones))
+        column = np.arange(len(c.source)) - self._first[c.source]
         width = int(column.max(initial=0)) + 1
-        target = column[c.pair]
-        levels = []
+        self._tables = []
         for (number, keys), told in self._contexts(c, responsibility):
             mine = sure * told
-            n = np.bincount(number, mine, minlength=len(keys))
-            cell = (number * width).take(c.departure) + target
-            own = mine.take(c.departure) * responsibility
-            moved = np.bincount(cell, own, minlength=len(keys) * width)
-            below = (n[number] - mine + BACK_OFF_DEPARTURES).take(c.departure)
-            here = np.maximum(moved.take(cell) - own + BACK_OFF_DEPARTURES * share, 0.0) / below
-            known = told.take(c.departure)
-            share = known * here + (1.0 - known) * share
+            n = np.bincount(number, mine, minlength=len(keys)).astype(float)
+            below = n[number] - mine + BACK_OFF_DEPARTURES
             left = np.bincount(number, mine * gone, minlength=len(keys))
             stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
-            leave = told * stays / (n[number] - mine + BACK_OFF_DEPARTURES) + (1.0 - told) * leave
-            context, at = np.nonzero(moved.reshape(len(keys), width))
-            reached = c.target[first[keys[context, 0]] + at].astype(np.int64)
-            rows = np.searchsorted(context, np.arange(len(keys) + 1))
-            levels.append(Level(keys[:, 0], keys[:, 1:], n.astype(float), rows, reached, moved[moved != 0]))
-        return levels, share, leave
+            leave = told * stays / below + (1.0 - told) * leave
+            moved = np.zeros((len(keys), width))
+            self._tables.append(_Table(keys, n, number * width, told, mine, below, moved))
+        after = np.empty(len(c.lag))
+        parts = together(c.arrival)
+        for part in parts:
+            departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
+            for table in self._tables:
+                cell, own = table.of(departure, target, responsibility[part])
+                np.add.at(table.moved.ravel(), cell, own)
+        for part in parts:
+            departure, pair = c.departure[part].astype(np.intp), c.pair[part].astype(np.intp)
+            target, here = column.take(pair), share.take(pair)
+            for table in self._tables:
+                here = table.judged(departure, *table.of(departure, target, responsibility[part]), here)
+            after[part] = here
+        return after, leave
+
+    def levels(self, candidates: Candidates) -> list[Level]:
+        """The levels as they were learned last."""
+        levels = []
+        for table in self._tables:
+            context, at = np.nonzero(table.moved)
+            reached = candidates.target[self._first[table.keys[context, 0]] + at].astype(np.int64)
+            rows = np.searchsorted(context, np.arange(len(table.keys) + 1))
+            transitions = table.moved[context, at]
+            levels.append(Level(table.keys[:, 0], table.keys[:, 1:], table.departures, rows, reached, transitions))
+        return levels
 
     def _contexts(self, candidates: Candidates, responsibility: Floats) -> list[tuple[tuple[Longs, Longs], Floats]]:
         """(Context of each departure, keys of the contexts) and how sure the context is (n,), level by level."""
         told = [known.astype(float) for known in self._known]
         camera, sure = self._previous(candidates, responsibility)
-        zone = self.departures.zone.astype(np.int64)
-        present, number = np.unique(zone * self.cameras + np.maximum(camera, 0), return_inverse=True)
+        present, number = np.unique(self._zone * self.cameras + np.maximum(camera, 0), return_inverse=True)
         keys = np.column_stack((present // self.cameras, present % self.cameras, np.full(len(present), -1)))
         previous = (number.astype(np.int64), keys)
         return list(zip([*self._fixed, previous], [*told, sure], strict=True))
@@ -111,17 +127,62 @@ class Contexts:
         key = c.arrival[likely].astype(np.int64) * self.cameras + d.camera[c.departure[likely]]
         present, number = np.unique(key, return_inverse=True)
         mass = np.bincount(number, responsibility[likely], minlength=len(present))
-        order = np.argsort(mass, kind="stable")
-        arrival, camera = present[order] // self.cameras, present[order] % self.cameras
+        arrival, camera = np.divmod(present, self.cameras)
         best, sure = np.full(len(self.arrivals.t) + 1, -1), np.zeros(len(self.arrivals.t) + 1)
-        best[arrival], sure[arrival] = camera, mass[order]  # where there are several the last, the largest, stays
+        np.maximum.at(sure, arrival, mass)
+        most = np.flatnonzero(mass == sure.take(arrival))
+        best[arrival[most]] = camera[most]  # where there are several the last stays
         return best[d.own], np.minimum(sure[d.own], 1.0)
 
-    def _sureness(self, zone: NDArray[np.int32], responsibility: Floats) -> Floats:
+    def _sureness(self, candidates: Candidates, responsibility: Floats) -> Floats:
         """Share of the transitions from each zone (zones,) that is sure."""
-        squares = np.bincount(zone, responsibility**2, minlength=self.zones)
-        sure: Floats = squares / np.maximum(np.bincount(zone, responsibility, minlength=self.zones), 1e-300)
+        squares, all_of = np.zeros(self.zones), np.zeros(self.zones)
+        for part in together(candidates.arrival):
+            zone, r = self._zone.take(candidates.departure[part]), responsibility[part]
+            np.add.at(squares, zone, r * r)
+            np.add.at(all_of, zone, r)
+        sure: Floats = squares / np.maximum(all_of, 1e-300)
         return sure
+
+
+class _Table(NamedTuple):
+    """What is counted of the contexts of one level."""
+
+    keys: Longs
+    """(contexts, 3)"""
+    departures: Floats
+    """(contexts,) sure departures."""
+    row: Longs
+    """(n,) where the row of the context of each departure begins in ``moved``, were that one row ..."""
+    told: Floats
+    """... (n,), how sure that context is, ..."""
+    mine: Floats
+    """... (n,), how sure the departure itself is in it, ..."""
+    below: Floats
+    """... (n,), and the others with what is backed off to."""
+    moved: Floats
+    """(contexts, columns) sure transitions."""
+
+    def of(self, departure: NDArray[np.intp], target: Longs, responsibility: Floats) -> tuple[Longs, Floats]:
+        """Of some candidates (m,): the cell in ``moved`` and what the candidate itself adds there."""
+        cell = self.row.take(departure)
+        cell += target
+        own = self.mine.take(departure)
+        own *= responsibility
+        return cell, own
+
+    def judged(self, departure: NDArray[np.intp], cell: Longs, own: Floats, share: Floats) -> Floats:
+        """The probabilities of some candidates (m,) by the others of their context; ``share`` (m,) without it."""
+        here: Floats = self.moved.take(cell)
+        here -= own
+        here += BACK_OFF_DEPARTURES * share
+        np.maximum(here, 0.0, out=here)
+        here /= self.below.take(departure)
+        known = self.told.take(departure)
+        unsure = np.flatnonzero(known != 1.0)  # few as a rule
+        known = known[unsure]
+        here[unsure] = known * here[unsure] + (1.0 - known) * share[unsure]
+        return here
 
 
 def multipliers(before: Floats, after: Floats) -> Floats:

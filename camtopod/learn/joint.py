@@ -18,7 +18,7 @@ others make (leave one out). The M step counts. Related: Marinakis and Dudek (20
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -132,6 +132,7 @@ class JointFitter:
         self._per_zone = np.maximum(np.bincount(arrivals.zone, minlength=zones), 1.0)
         self._message = np.ones(len(candidates.lag))
         self._responsibility = np.zeros(len(candidates.lag))
+        self._drawn: Indices | None = None  # the only candidates with a responsibility, ascending, where there are few
         self._own = np.zeros((self.pairs, bins.size))
         self._agreement: Floats | None = None
         self.use(NO_PERSISTENCE)
@@ -251,20 +252,41 @@ class JointFitter:
             np.divide(offer, demand, out=weight)
         return result
 
+    def _believe(self, drawn: Indices) -> None:
+        """The candidates ``drawn`` (ascending) are transitions, and no others."""
+        self._responsibility[:] = 0.0
+        self._responsibility[drawn] = 1.0
+        self._drawn = drawn
+
+    @property
+    def _telling(self) -> Sequence[slice | Indices]:
+        """The candidates with a responsibility, part by part."""
+        return self._parts if self._drawn is None else [self._drawn]
+
+    def _added(self, index: Indices, size: int) -> Floats:
+        """Responsibilities (size,) added up by an ``index`` (M,)."""
+        total = np.zeros(size)
+        for part in self._telling:
+            np.add.at(total, index[part].astype(np.intp), self._responsibility[part])
+        return total
+
     def _look_outside(self) -> None:
         """What no departure explains comes from outside."""
-        explained = np.zeros(len(self.arrivals.t))
-        for part in self._parts:
-            np.add.at(explained, self.candidates.arrival[part].astype(np.intp), self._responsibility[part])
+        explained = self._added(self.candidates.arrival, len(self.arrivals.t))
         per_zone = np.bincount(self.arrivals.zone, explained, minlength=self.zones)
         self.outside = np.clip(1.0 - per_zone / self._per_zone, OUTSIDE_FLOOR, 1.0)
 
     def _weights(self, hazard: Floats, part: slice) -> Floats:
         """Hazard of each candidate of a part that the others make."""
-        cell = self._cell[part]
+        cell = self._cell[part].astype(np.intp)
+        weight: Floats = hazard.take(cell)
         # Leave one out: left in, a lone arrival would be its own evidence and all clutter would find a departure.
-        others = np.maximum(1.0 - self._responsibility[part] * self._own.take(cell), 0.0)
-        weight: Floats = hazard.take(cell) * others
+        if self._drawn is None:
+            weight *= np.maximum(1.0 - self._responsibility[part] * self._own.take(cell), 0.0)
+        else:
+            drawn = self._drawn[within(self._drawn, part)]
+            at = drawn - part.start
+            weight[at] *= np.maximum(1.0 - self._responsibility[drawn] * self._own.take(cell[at]), 0.0)
         if self._agreement is not None:
             weight *= self._agreement[part]
         return weight
@@ -289,7 +311,7 @@ class JointFitter:
     def _count(self, shares: Iterable[Floats]) -> Floats:
         """Candidates (P, bins), of each so much, part by part."""
         flat = np.zeros(self.pairs * self.bins.size)
-        for part, share in zip(self._parts, shares, strict=True):
+        for part, share in zip(self._telling, shares, strict=True):
             np.add.at(flat, self._cell[part].astype(np.intp), share)
         return flat.reshape(self.pairs, self.bins.size)
 
@@ -328,6 +350,11 @@ class JointFitter:
             even[rows] = (hazard[rows] * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
         flat: Floats = even[self.candidates.pair] / np.maximum(hazard.take(self._cell), 1e-300)
         return flat
+
+
+def within(some: Indices, part: slice) -> slice:
+    """Which of ``some`` (n,), ascending, belong to a part of all."""
+    return slice(*np.searchsorted(some, (part.start, part.stop)).tolist())
 
 
 def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:

@@ -22,11 +22,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, first_hazards, rows_together
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, Indices, first_hazards, rows_together
 from camtopod.learn.contexts import Contexts, Level, multipliers
 from camtopod.learn.doubt import doubts
 from camtopod.learn.grouping import rows_of
-from camtopod.learn.joint import LEAVE_FLOOR, START_FLOOR, Fit, JointFitter, smooth
+from camtopod.learn.joint import LEAVE_FLOOR, START_FLOOR, Fit, JointFitter, smooth, within
 from camtopod.learn.lags import LagBins
 from camtopod.learn.prior import Prior
 from camtopod.learn.rates import Chance
@@ -115,7 +115,7 @@ def fit_followed(
     doubt = doubts(fitter.candidates.pair, fitter.responsibility, fitter.pairs, evidence, left)
     posterior = Posterior(
         fitter.result(), fitter.share, fitter.leave, doubt, fitter.entry_source, fitter.entry_target,
-        fitter.entry_kernels()[0], fitter.levels,
+        fitter.entry_kernels()[0], fitter.contexts.levels(fitter.candidates),
     )  # fmt: skip
     return fitter.with_skips(posterior) if screened else posterior
 
@@ -130,7 +130,7 @@ class PosteriorFitter(JointFitter):
         super().__init__(departures, arrivals, candidates, bins, zones, until)
         self._prior = Prior(candidates, self._camera, self.exposure, self._per_zone)
         self.hazard = self.counts = np.zeros(0)
-        self.share, self.leave, self.levels = np.zeros(self.pairs), np.ones(zones), list[Level]()
+        self.share, self.leave = np.zeros(self.pairs), np.ones(zones)
         self.contexts = Contexts(departures, arrivals, zones, int(self._camera.max(initial=0)) + 1)
         self._left = np.bincount(departures.zone, minlength=zones).astype(float)
         self._leaving = np.zeros(0)  # (n,) of each departure, once contexts are known
@@ -139,6 +139,7 @@ class PosteriorFitter(JointFitter):
         self._multiplier: Floats | None = None
         self._skip_odds, self._skip_sum = SKIP_ODDS_FIRST, np.zeros(self.pairs)
         self._skip_part, self._entry_part = np.zeros(len(candidates.lag)), np.zeros(0)
+        self._skippable, self._skip_rate = np.zeros(0, np.intp), np.zeros(0)
         self._find_early()
 
     @property
@@ -181,18 +182,21 @@ class PosteriorFitter(JointFitter):
         fitted, early = self._responsibility, self._early
         sources = Sources(self.candidates.arrival, len(self.arrivals.t), SAMPLING_SEED)
         believed, skipped, entered = np.zeros(len(fitted)), np.zeros(len(fitted)), np.zeros(len(early))
+        self._responsibility = fitted.copy()
         for sweep in range(SWEEPS):
-            self._responsibility = sources.draw(self._responsibility)
+            self._believe(sources.draw(self._responsibility))
             hazard = self._with_faint(self._learn_hazards())
             if (sweep + 1) % SKIPS_EVERY == 0:
                 self._find_skips(hazard)
             self._expect(hazard)
             del hazard  # as large as the new one
+            self._drawn = None
             if sweep % 2 == 0:
                 self._learn_contexts()
             if sweep >= SETTLING_SWEEPS:
                 believed += self._responsibility
-                skipped += self._responsibility * self._skip_part
+                some = self._skippable
+                skipped[some] += self._responsibility[some] * self._skip_part[some]
                 entered += self._responsibility[early] * self._entry_part
         self._skip_part = skipped / np.maximum(believed, 1e-300)
         self._entry_part = entered / np.maximum(believed[early], 1e-300)
@@ -257,20 +261,20 @@ class PosteriorFitter(JointFitter):
         self._learn_entry()
         self._learn_odds()
         self._look_outside()
-        self.counts = self._count(map(self._at_exit, self._parts))
+        self.counts = self._count(map(self._at_exit, self._telling))
         return self._hazards(self.counts)
 
-    def _at_exit(self, part: slice) -> Floats:
+    def _at_exit(self, part: slice | Indices) -> Floats:
         """Responsibilities of a part as far as lags count from the exit and no view is skipped."""
         other = self._skip_part[part].copy()
-        early = self._early_in(part)
-        other[self._early[early] - part.start] += self._entry_part[early]
+        if isinstance(part, slice):
+            here = within(self._early, part)
+            other[self._early[here] - part.start] += self._entry_part[here]
+        else:
+            drawn = np.flatnonzero(self._responsibility[self._early])
+            other[np.searchsorted(part, self._early[drawn])] += self._entry_part[drawn]
         shares: Floats = self._responsibility[part] * np.maximum(1.0 - other, 0.0)
         return shares
-
-    def _early_in(self, part: slice) -> slice:
-        """Which of the early candidates belong to a part of all."""
-        return slice(*np.searchsorted(self._early, (part.start, part.stop)).tolist())
 
     def _per_second(self, counts: Floats, smoothed: Floats) -> Floats:
         expected = self._prior.expected(counts)
@@ -286,6 +290,10 @@ class PosteriorFitter(JointFitter):
         self._skip_unit = None  # as large as the new one
         self._skip_unit = skip_hazards(self._appears(hazard), self.candidates, self._through, self.bins, self.zones)
         self._skip_sum = (self._skip_unit * self.bins.widths).sum(axis=1)
+        parts = [part.start + np.flatnonzero(self._skip_unit.take(self._cell[part])) for part in self._parts]
+        self._skippable = np.concatenate([np.zeros(0, np.intp), *parts])
+        self._skip_rate = self._skip_unit.take(self._cell[self._skippable])
+        self._skip_part[:] = 0.0
 
     def _learn_odds(self) -> None:
         """M step of the odds of a skipped view, which all views have in common."""
@@ -297,7 +305,7 @@ class PosteriorFitter(JointFitter):
     def _weights(self, hazard: Floats, part: slice) -> Floats:
         """Hazard of each candidate of a part that the others make."""
         weight = super()._weights(hazard, part)
-        here = self._early_in(part)
+        here = within(self._early, part)
         early = self._early[here]
         others = np.maximum(1.0 - self._responsibility.take(early) * self._entry_own[here], 0.0)
         entered = self._entered_at[here] * others
@@ -305,11 +313,13 @@ class PosteriorFitter(JointFitter):
             entered *= self._agreement.take(early)
         weight[early - part.start] += entered
         if self._skip_unit is not None:
-            skipped = self._skip_odds * self._skip_unit.take(self._cell[part])
+            by = within(self._skippable, part)
+            some = self._skippable[by]
+            skipped = self._skip_odds * self._skip_rate[by]
             if self._agreement is not None:
-                skipped *= self._agreement[part]
-            weight += skipped
-            np.divide(skipped, np.maximum(weight, 1e-300), out=self._skip_part[part])
+                skipped *= self._agreement.take(some)
+            weight[some - part.start] += skipped
+            self._skip_part[some] = skipped / np.maximum(weight.take(some - part.start), 1e-300)
         self._entry_part[here] = entered / np.maximum(weight.take(early - part.start), 1e-300)
         if self._multiplier is not None:
             weight *= self._multiplier[part]
@@ -325,12 +335,13 @@ class PosteriorFitter(JointFitter):
         """Shares and leaving by zone, then by context."""
         c, zone, r = self.candidates, self.departures.zone, self._responsibility
         below = np.maximum(self._left, 1e-9)
-        self.share = np.bincount(c.pair, r, minlength=self.pairs) / below[c.source]
-        gone = 1.0 - np.minimum(np.bincount(c.departure, r, minlength=len(zone)), 1.0)
+        self.share = self._added(c.pair, self.pairs) / below[c.source]
+        gone = 1.0 - np.minimum(self._added(c.departure, len(zone)), 1.0)
         self.leave = np.maximum(np.bincount(zone, gone, minlength=self.zones) / below, LEAVE_FLOOR)
-        before = self.share[c.pair]
-        self.levels, share, leaving = self.contexts.learn(c, r, before, gone, self.leave[zone])
-        self._multiplier = multipliers(before, share)
+        multiplier, leaving = self.contexts.learn(c, r, self.share, gone, self.leave[zone])
+        for part in self._parts:
+            multiplier[part] = multipliers(self.share.take(c.pair[part]), multiplier[part])
+        self._multiplier = multiplier
         self._leaving = np.maximum(leaving, LEAVE_FLOOR)
 
     def _find_early(self) -> None:

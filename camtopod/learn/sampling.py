@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.learn.candidates import Indices
 from camtopod.learn.lags import LagBins
 
 Floats = NDArray[np.float64]
@@ -22,20 +23,21 @@ been drawn may still happen.
 
 
 class Sources:
-    """Draws of one source, or the outside, for each of ``n`` arrivals; ``arrival`` (M,) is that of each candidate."""
+    """Draws of one source, or the outside, for each of ``n`` arrivals; ``arrival`` (M,) is that of each candidate,
+    ascending.
+    """
 
-    def __init__(self, arrival: NDArray[np.intp], n: int, seed: int) -> None:
-        self._order = np.argsort(arrival, kind="stable")
-        self._start = np.searchsorted(arrival[self._order], np.arange(n + 1))
+    def __init__(self, arrival: Indices, n: int, seed: int) -> None:
+        self._start = np.searchsorted(arrival, np.arange(n + 1))
+        self._reached = np.zeros(len(arrival) + 1)
         self._random = np.random.default_rng(seed)
 
-    def draw(self, responsibility: Floats) -> Floats:
-        """1 for each candidate (M,) that is drawn, else 0, with these probabilities."""
-        reached = np.cumsum(responsibility[self._order])
-        before = np.concatenate(([0.0], reached))[self._start[:-1]]
+    def draw(self, responsibility: Floats) -> Indices:
+        """The candidates that are drawn, ascending, of all (M,) with these probabilities."""
+        reached = np.cumsum(responsibility, out=self._reached[1:])
+        before = self._reached[self._start[:-1]]
         at = np.searchsorted(reached, before + self._random.random(len(before)))
-        drawn = np.zeros(len(responsibility))
-        drawn[self._order[at[at < self._start[1:]]]] = 1.0
+        drawn: Indices = at[at < self._start[1:]]
         return drawn
 
 
