@@ -500,7 +500,7 @@ def likeliest_before(departures, arrivals, pairs, responsibility, least):
 
 
 def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, back_off, least):
-    """`camtopod.learn.contexts.Contexts.learn`: every candidate and departure is judged by all the others, one by one.
+    """`camtopod.learn.contexts.Contexts`: every candidate and departure is judged by all the others, one by one.
 
     Returns for each level (departures by context, transitions by context and target); the shares; the leaving.
     """

@@ -51,8 +51,8 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     responsibility, share = rng.random(m) ** 3, rng.random(len(found.source))
     gone, leave = rng.random((2, n))
     contexts = Contexts(departures, arrivals, 4, 3)
-    after, leaving = contexts.learn(found, responsibility, share, gone, leave)
-    levels = contexts.levels(found)
+    counted, leaving = contexts.count(found, responsibility, gone, leave)
+    after, levels = contexts.judged(found, responsibility, share, counted), contexts.named(found, counted)
     slow = naive.contexts(
         departures, arrivals, list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True)),
         responsibility, share[found.pair], gone, leave,
@@ -94,8 +94,8 @@ def told(views: Views, true: dict[float, float]) -> tuple[list[Level], Candidate
     share = np.bincount(found.pair, right, minlength=len(found.source)) / left[found.source]
     leave = (np.bincount(departures.zone, gone, minlength=zones) / left)[departures.zone]
     contexts = Contexts(departures, arrivals, zones, int(max(views.camera)) + 1)
-    after, _ = contexts.learn(found, right, share, gone, leave)
-    return contexts.levels(found), found, departures, after
+    counted, _ = contexts.count(found, right, gone, leave)
+    return contexts.named(found, counted), found, departures, contexts.judged(found, right, share, counted)
 
 
 @pytest.mark.parametrize("known", ["entry", "block"])

@@ -44,108 +44,7 @@ class Level(NamedTuple):
     """... and how many surely do, f N."""
 
 
-class Contexts:
-    """The contexts of all departures of a fit and what the responsibilities say of them."""
-
-    def __init__(self, departures: Departures, arrivals: Arrivals, zones: int, cameras: int) -> None:
-        self.zones, self.cameras = zones, cameras
-        self.departures, self.arrivals = departures, arrivals
-        zone, block = departures.zone.astype(np.int64), departures.block.astype(np.int64)
-        self._zone = zone
-        self._first, self._tables = np.zeros(0, np.int64), list[_Table]()
-        self.entry = np.where(departures.own >= 0, arrivals.zone[departures.own], -1).astype(np.int64)
-        nothing = np.full(len(zone), -1)
-        self._fixed = [
-            _numbered(zone, first, second)
-            for first, second in ((self.entry, nothing), (nothing, block), (self.entry, block))
-        ]
-        self._known = [self.entry >= 0, block >= 0, (self.entry >= 0) & (block >= 0)]
-
-    def learn(
-        self, candidates: Candidates, responsibility: Floats, share: Floats, gone: Floats, leave: Floats
-    ) -> tuple[Floats, Floats]:
-        """Of each candidate (M,) and each departure (n,): probability and leaving in its context.
-
-        ``share`` (P,), ``leave`` (n,): the same without context; ``gone`` (n,): probability of not having been seen
-        again. Each is judged by the others (leave one out).
-        """
-        c = candidates
-        sure = self._sureness(c, responsibility)[self.departures.zone]
-        # Of each zone's pairs, which come by source, the first, the second, ...: the columns of the tables.
-        self._first = np.searchsorted(c.source, np.arange(self.zones))
-        column = np.arange(len(c.source)) - self._first[c.source]
-        width = int(column.max(initial=0)) + 1
-        self._tables = []
-        for (number, keys), told in self._contexts(c, responsibility):
-            mine = sure * told
-            n = np.bincount(number, mine, minlength=len(keys)).astype(float)
-            below = n[number] - mine + BACK_OFF_DEPARTURES
-            left = np.bincount(number, mine * gone, minlength=len(keys))
-            stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
-            leave = told * stays / below + (1.0 - told) * leave
-            moved = np.zeros((len(keys), width))
-            self._tables.append(_Table(keys, n, number * width, told, mine, below, moved))
-        after = np.empty(len(c.lag))
-        parts = together(c.arrival)
-        for part in parts:
-            departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
-            for table in self._tables:
-                cell, own = table.of(departure, target, responsibility[part])
-                np.add.at(table.moved.ravel(), cell, own)
-        for part in parts:
-            departure, pair = c.departure[part].astype(np.intp), c.pair[part].astype(np.intp)
-            target, here = column.take(pair), share.take(pair)
-            for table in self._tables:
-                here = table.judged(departure, *table.of(departure, target, responsibility[part]), here)
-            after[part] = here
-        return after, leave
-
-    def levels(self, candidates: Candidates) -> list[Level]:
-        """The levels as they were learned last."""
-        levels = []
-        for table in self._tables:
-            context, at = np.nonzero(table.moved)
-            reached = candidates.target[self._first[table.keys[context, 0]] + at].astype(np.int64)
-            rows = np.searchsorted(context, np.arange(len(table.keys) + 1))
-            transitions = table.moved[context, at]
-            levels.append(Level(table.keys[:, 0], table.keys[:, 1:], table.departures, rows, reached, transitions))
-        return levels
-
-    def _contexts(self, candidates: Candidates, responsibility: Floats) -> list[tuple[tuple[Longs, Longs], Floats]]:
-        """(Context of each departure, keys of the contexts) and how sure the context is (n,), level by level."""
-        told = [known.astype(float) for known in self._known]
-        camera, sure = self._previous(candidates, responsibility)
-        present, number = np.unique(self._zone * self.cameras + np.maximum(camera, 0), return_inverse=True)
-        keys = np.column_stack((present // self.cameras, present % self.cameras, np.full(len(present), -1)))
-        previous = (number.astype(np.int64), keys)
-        return list(zip([*self._fixed, previous], [*told, sure], strict=True))
-
-    def _previous(self, candidates: Candidates, responsibility: Floats) -> tuple[Longs, Floats]:
-        """Camera each object most probably came from (n,), -1: unknown, and the probability of that."""
-        c, d = candidates, self.departures
-        likely = np.flatnonzero(responsibility > PREVIOUS_RESPONSIBILITY_MIN)
-        key = c.arrival[likely].astype(np.int64) * self.cameras + d.camera[c.departure[likely]]
-        present, number = np.unique(key, return_inverse=True)
-        mass = np.bincount(number, responsibility[likely], minlength=len(present))
-        arrival, camera = np.divmod(present, self.cameras)
-        best, sure = np.full(len(self.arrivals.t) + 1, -1), np.zeros(len(self.arrivals.t) + 1)
-        np.maximum.at(sure, arrival, mass)
-        most = np.flatnonzero(mass == sure.take(arrival))
-        best[arrival[most]] = camera[most]  # where there are several the last stays
-        return best[d.own], np.minimum(sure[d.own], 1.0)
-
-    def _sureness(self, candidates: Candidates, responsibility: Floats) -> Floats:
-        """Share of the transitions from each zone (zones,) that is sure."""
-        squares, all_of = np.zeros(self.zones), np.zeros(self.zones)
-        for part in together(candidates.arrival):
-            zone, r = self._zone.take(candidates.departure[part]), responsibility[part]
-            np.add.at(squares, zone, r * r)
-            np.add.at(all_of, zone, r)
-        sure: Floats = squares / np.maximum(all_of, 1e-300)
-        return sure
-
-
-class _Table(NamedTuple):
+class Counted(NamedTuple):
     """What is counted of the contexts of one level."""
 
     keys: Longs
@@ -183,6 +82,114 @@ class _Table(NamedTuple):
         known = known[unsure]
         here[unsure] = known * here[unsure] + (1.0 - known) * share[unsure]
         return here
+
+
+class Contexts:
+    """The contexts of all departures of a fit and what the responsibilities say of them."""
+
+    def __init__(self, departures: Departures, arrivals: Arrivals, zones: int, cameras: int) -> None:
+        self.zones, self.cameras = zones, cameras
+        self.departures, self.arrivals = departures, arrivals
+        zone, block = departures.zone.astype(np.int64), departures.block.astype(np.int64)
+        self._zone = zone
+        self.entry = np.where(departures.own >= 0, arrivals.zone[departures.own], -1).astype(np.int64)
+        nothing = np.full(len(zone), -1)
+        self._fixed = [
+            _numbered(zone, first, second)
+            for first, second in ((self.entry, nothing), (nothing, block), (self.entry, block))
+        ]
+        self._known = [self.entry >= 0, block >= 0, (self.entry >= 0) & (block >= 0)]
+
+    def count(
+        self, candidates: Candidates, responsibility: Floats, gone: Floats, leave: Floats
+    ) -> tuple[list[Counted], Floats]:
+        """What is counted level by level, and the probability of each departure (n,) to leave in its context.
+
+        ``leave`` (n,): the same without context; ``gone`` (n,): probability of not having been seen again. Each is
+        judged by the others (leave one out).
+        """
+        c = candidates
+        sure = self._sureness(c, responsibility)[self._zone]
+        column, width = self._columns(c)
+        levels = []
+        for (number, keys), told in self._contexts(c, responsibility):
+            mine = sure * told
+            n = np.bincount(number, mine, minlength=len(keys)).astype(float)
+            below = n[number] - mine + BACK_OFF_DEPARTURES
+            left = np.bincount(number, mine * gone, minlength=len(keys))
+            stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
+            leave = told * stays / below + (1.0 - told) * leave
+            levels.append(Counted(keys, n, number * width, told, mine, below, np.zeros((len(keys), width))))
+        for part in together(c.arrival):
+            departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
+            for level in levels:
+                cell, own = level.of(departure, target, responsibility[part])
+                np.add.at(level.moved.ravel(), cell, own)
+        return levels, leave
+
+    def judged(self, candidates: Candidates, responsibility: Floats, share: Floats, levels: list[Counted]) -> Floats:
+        """Probability of each candidate (M,) in its context, judged by the others; ``share`` (P,): without context."""
+        c, column = candidates, self._columns(candidates)[0]
+        after = np.empty(len(c.lag))
+        for part in together(c.arrival):
+            departure, pair = c.departure[part].astype(np.intp), c.pair[part].astype(np.intp)
+            target, here = column.take(pair), share.take(pair)
+            for level in levels:
+                here = level.judged(departure, *level.of(departure, target, responsibility[part]), here)
+            after[part] = here
+        return after
+
+    def named(self, candidates: Candidates, levels: list[Counted]) -> list[Level]:
+        """The levels as they are published."""
+        first, result = np.searchsorted(candidates.source, np.arange(self.zones)), []
+        for level in levels:
+            context, at = np.nonzero(level.moved)
+            reached = candidates.target[first[level.keys[context, 0]] + at].astype(np.int64)
+            rows = np.searchsorted(context, np.arange(len(level.keys) + 1))
+            transitions = level.moved[context, at]
+            result.append(Level(level.keys[:, 0], level.keys[:, 1:], level.departures, rows, reached, transitions))
+        return result
+
+    def _columns(self, candidates: Candidates) -> tuple[Longs, int]:
+        """Of each zone's pairs, which come by source, the first, the second, ... (P,): the columns of the tables of
+        transitions; and how many there are.
+        """
+        source = candidates.source
+        column = np.arange(len(source)) - np.searchsorted(source, np.arange(self.zones))[source]
+        return column, int(column.max(initial=0)) + 1
+
+    def _contexts(self, candidates: Candidates, responsibility: Floats) -> list[tuple[tuple[Longs, Longs], Floats]]:
+        """(Context of each departure, keys of the contexts) and how sure the context is (n,), level by level."""
+        told = [known.astype(float) for known in self._known]
+        camera, sure = self._previous(candidates, responsibility)
+        present, number = np.unique(self._zone * self.cameras + np.maximum(camera, 0), return_inverse=True)
+        keys = np.column_stack((present // self.cameras, present % self.cameras, np.full(len(present), -1)))
+        previous = (number.astype(np.int64), keys)
+        return list(zip([*self._fixed, previous], [*told, sure], strict=True))
+
+    def _previous(self, candidates: Candidates, responsibility: Floats) -> tuple[Longs, Floats]:
+        """Camera each object most probably came from (n,), -1: unknown, and the probability of that."""
+        c, d = candidates, self.departures
+        likely = np.flatnonzero(responsibility > PREVIOUS_RESPONSIBILITY_MIN)
+        key = c.arrival[likely].astype(np.int64) * self.cameras + d.camera[c.departure[likely]]
+        present, number = np.unique(key, return_inverse=True)
+        mass = np.bincount(number, responsibility[likely], minlength=len(present))
+        arrival, camera = np.divmod(present, self.cameras)
+        best, sure = np.full(len(self.arrivals.t) + 1, -1), np.zeros(len(self.arrivals.t) + 1)
+        np.maximum.at(sure, arrival, mass)
+        most = np.flatnonzero(mass == sure.take(arrival))
+        best[arrival[most]] = camera[most]  # where there are several the last stays
+        return best[d.own], np.minimum(sure[d.own], 1.0)
+
+    def _sureness(self, candidates: Candidates, responsibility: Floats) -> Floats:
+        """Share of the transitions from each zone (zones,) that is sure."""
+        squares, all_of = np.zeros(self.zones), np.zeros(self.zones)
+        for part in together(candidates.arrival):
+            zone, r = self._zone.take(candidates.departure[part]), responsibility[part]
+            np.add.at(squares, zone, r * r)
+            np.add.at(all_of, zone, r)
+        sure: Floats = squares / np.maximum(all_of, 1e-300)
+        return sure
 
 
 def multipliers(before: Floats, after: Floats) -> Floats:

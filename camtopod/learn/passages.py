@@ -7,13 +7,18 @@ by the same fit as departures and arrivals of different ones.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Departures, find_candidates, newest
+from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import TRANSITIONS_MIN, LinkTable, Transitions, join, transitions_of
 from camtopod.learn.rates import local_rates
 from camtopod.learn.scene import Scene
+
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
 
 
 def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:
@@ -25,6 +30,15 @@ def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Tra
     parts = [Transitions(p.source[tracked], p.target[tracked], (p.left - p.entered)[tracked], np.ones(n), np.zeros(n))]
     parts.extend(_joined(scene, int(camera), bins, candidates_max) for camera in np.flatnonzero(~scene.tracked))
     return join(parts)
+
+
+def in_view(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
+    """Passages by zone of ``entry`` (n,) that last until a lag bin begins, counted from the entry: (zones, bins)."""
+    result = np.zeros((zones, bins.size))
+    for zone, mine in enumerate(rows_of(entry, zones)):
+        stays = np.sort(stay[mine])
+        result[zone] = len(stays) - np.searchsorted(stays, bins.edges[:-1], side="left")
+    return result
 
 
 def with_usual_stays(departures: Departures, through: LinkTable) -> Departures:

@@ -23,16 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, Indices, first_hazards, rows_together
-from camtopod.learn.contexts import Contexts, Level, multipliers
+from camtopod.learn.contexts import Contexts, Counted, Level, multipliers
 from camtopod.learn.doubt import doubts
-from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import LEAVE_FLOOR, START_FLOOR, Fit, JointFitter, smooth, within
 from camtopod.learn.lags import LagBins
+from camtopod.learn.passages import in_view
 from camtopod.learn.prior import Prior
 from camtopod.learn.rates import Chance
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.screening import not_overlapping
-from camtopod.learn.skipped import skip_hazards, skipped_beside, ways_through
+from camtopod.learn.skipped import occurring, skip_hazards, skipped_beside, ways_through
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -111,11 +111,12 @@ def fit_followed(
     fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until)
     fitter.learn()
     fitter.sample()
+    levels = fitter.levels()
     left = np.bincount(departures.zone, minlength=zones).astype(float)
     doubt = doubts(fitter.candidates.pair, fitter.responsibility, fitter.pairs, evidence, left)
     posterior = Posterior(
         fitter.result(), fitter.share, fitter.leave, doubt, fitter.entry_source, fitter.entry_target,
-        fitter.entry_kernels()[0], fitter.contexts.levels(fitter.candidates),
+        fitter.entry_kernels()[0], levels,
     )  # fmt: skip
     return fitter.with_skips(posterior) if screened else posterior
 
@@ -139,7 +140,7 @@ class PosteriorFitter(JointFitter):
         self._multiplier: Floats | None = None
         self._skip_odds, self._skip_sum = SKIP_ODDS_FIRST, np.zeros(self.pairs)
         self._skip_part, self._entry_part = np.zeros(len(candidates.lag)), np.zeros(0)
-        self._skippable, self._skip_rate = np.zeros(0, np.intp), np.zeros(0)
+        self._skippable = np.zeros(0, np.int32)  # the candidates that may have skipped a view
         self._find_early()
 
     @property
@@ -203,7 +204,10 @@ class PosteriorFitter(JointFitter):
         on_average = believed / (SWEEPS - SETTLING_SWEEPS)
         self._responsibility = SAMPLES_SHARE * on_average + (1.0 - SAMPLES_SHARE) * fitted
         self.hazard = self._with_faint(self._learn_hazards())
-        self._learn_contexts()
+
+    def levels(self) -> list[Level]:
+        """What is known of contexts, and the shares beside them, in the end."""
+        return self.contexts.named(self.candidates, self._count_contexts())
 
     def _with_faint(self, hazard: Floats) -> Floats:
         return with_faint(hazard, self._exposed(slice(None)), self.candidates.source, self.bins)
@@ -290,9 +294,7 @@ class PosteriorFitter(JointFitter):
         self._skip_unit = None  # as large as the new one
         self._skip_unit = skip_hazards(self._appears(hazard), self.candidates, self._through, self.bins, self.zones)
         self._skip_sum = (self._skip_unit * self.bins.widths).sum(axis=1)
-        parts = [part.start + np.flatnonzero(self._skip_unit.take(self._cell[part])) for part in self._parts]
-        self._skippable = np.concatenate([np.zeros(0, np.intp), *parts])
-        self._skip_rate = self._skip_unit.take(self._cell[self._skippable])
+        self._skippable = occurring(self._skip_unit, self._cell, self._parts)
         self._skip_part[:] = 0.0
 
     def _learn_odds(self) -> None:
@@ -313,9 +315,8 @@ class PosteriorFitter(JointFitter):
             entered *= self._agreement.take(early)
         weight[early - part.start] += entered
         if self._skip_unit is not None:
-            by = within(self._skippable, part)
-            some = self._skippable[by]
-            skipped = self._skip_odds * self._skip_rate[by]
+            some = self._skippable[within(self._skippable, part)].astype(np.intp)
+            skipped = self._skip_odds * self._skip_unit.take(self._cell[some])
             if self._agreement is not None:
                 skipped *= self._agreement.take(some)
             weight[some - part.start] += skipped
@@ -332,17 +333,23 @@ class PosteriorFitter(JointFitter):
         return self._leaving if len(self._leaving) else super()._leave(hazard)
 
     def _learn_contexts(self) -> None:
+        """What contexts make of the shares."""
+        c, counted = self.candidates, self._count_contexts()
+        multiplier = self.contexts.judged(c, self._responsibility, self.share, counted)
+        for part in self._parts:
+            multiplier[part] = multipliers(self.share.take(c.pair[part]), multiplier[part])
+        self._multiplier = multiplier
+
+    def _count_contexts(self) -> list[Counted]:
         """Shares and leaving by zone, then by context."""
-        c, zone, r = self.candidates, self.departures.zone, self._responsibility
+        c, zone = self.candidates, self.departures.zone
         below = np.maximum(self._left, 1e-9)
         self.share = self._added(c.pair, self.pairs) / below[c.source]
         gone = 1.0 - np.minimum(self._added(c.departure, len(zone)), 1.0)
         self.leave = np.maximum(np.bincount(zone, gone, minlength=self.zones) / below, LEAVE_FLOOR)
-        multiplier, leaving = self.contexts.learn(c, r, self.share, gone, self.leave[zone])
-        for part in self._parts:
-            multiplier[part] = multipliers(self.share.take(c.pair[part]), multiplier[part])
-        self._multiplier = multiplier
+        counted, leaving = self.contexts.count(c, self._responsibility, gone, self.leave[zone])
         self._leaving = np.maximum(leaving, LEAVE_FLOOR)
+        return counted
 
     def _find_early(self) -> None:
         """The candidates that appear before the exit of a passage whose entry is known, and their place in the tables
@@ -359,15 +366,10 @@ class PosteriorFitter(JointFitter):
         self.entry_source = (present // max(self.zones, 1)).astype(np.int32)
         self.entry_target = (present % max(self.zones, 1)).astype(np.int32)
         self._entry_cell = number.astype(np.int64) * bins.size + at
-        self._entry_own = np.zeros(len(early))
-        self._entry_part = np.zeros(len(early))
+        self._entry_own, self._entry_part = np.zeros((2, len(early)))
         tied = d.own >= 0
         self._entered = entry[tied]
-        stay = d.t[tied] - d.since[tied]
-        self._entry_exposure = np.zeros((self.zones, bins.size))
-        for zone, mine in enumerate(rows_of(self._entered, self.zones)):
-            stays = np.sort(stay[mine])
-            self._entry_exposure[zone] = len(stays) - np.searchsorted(stays, bins.edges[:-1], side="left")
+        self._entry_exposure = in_view(d.t[tied] - d.since[tied], self._entered, bins, self.zones)
 
     def _start_entry(self) -> Floats:
         """Hazards of the early candidates by the first entry kernels: what exceeds chance."""

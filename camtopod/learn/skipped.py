@@ -10,6 +10,7 @@ but the links and the passages say how likely and how late each of them is, and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -97,6 +98,15 @@ def skip_hazards(appears: Floats, candidates: Candidates, through: Through, bins
     """
     known = candidates.source.astype(np.int64) * zones + candidates.target  # ascending
     return _along(appears, candidates, through, bins, zones, known)
+
+
+def occurring(hazard: Floats, cell: Ints, parts: Sequence[slice]) -> Ints:
+    """The candidates, ascending, that have any of a ``hazard`` (P, bins), which are few; ``cell`` (M,) of each."""
+    some = [np.zeros(0, np.int32)]
+    for part in parts:
+        some.append(np.flatnonzero(hazard.take(cell[part])).astype(np.int32))
+        some[-1] += part.start
+    return np.concatenate(some)
 
 
 def skipped_beside(
