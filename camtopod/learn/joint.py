@@ -197,8 +197,10 @@ class JointFitter:
         self._cell = np.empty(len(c.lag), np.int32)
         self._agreement = np.empty(len(c.lag)) if found.correlation > 0 else None
         for part in self._parts:
-            left, came = self._slownesses(part)
-            lag = adjusted_lag(c.lag[part], combined(left, came), found.scaling, self.bins)
+            lag = c.lag[part]
+            if found != NO_PERSISTENCE:
+                left, came = self._slownesses(part)
+                lag = adjusted_lag(lag, combined(left, came), found.scaling, self.bins)
             self._cell[part] = c.pair[part] * self.bins.size + self.bins.index(lag)
             if self._agreement is not None:
                 self._agreement[part] = agreement(left, came, found)
@@ -247,7 +249,9 @@ class JointFitter:
             first, last = arrival[0], arrival[-1] + 1
             arrival -= first
             offer = weight / (taken.take(c.departure[part]) - weight * self._message[part])
-            demand = (background[first:last] + np.bincount(arrival, offer, minlength=last - first)).take(arrival)
+            offered = np.zeros(last - first)
+            np.add.at(offered, arrival, offer)
+            demand = (background[first:last] + offered).take(arrival)
             self._message[part] = 1.0 / np.maximum(demand - offer, 1e-12)
             np.divide(offer, demand, out=weight)
         return result

@@ -56,7 +56,7 @@ LOOKS_PER_EVENT = 400
 """Candidates counted in looks over all pairs for each event of the window, in each fit ..."""
 LOOKS_MIN = 20_000_000
 """... and at least so many, which is a second's work."""
-COUNTED_AT_ONCE = 2_000_000
+COUNTED_AT_ONCE = 1 << 17
 ROUNDS = 2
 """Rounds within one zone of arrival."""
 NOISE_SD = 0.5

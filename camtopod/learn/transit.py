@@ -67,8 +67,8 @@ def transit_figures(
     """
     pairs = len(density)
     total: Floats = np.bincount(pair, weight, minlength=pairs).astype(float)
-    quantiles = weighted_quantiles(pair, lag, weight, pairs)
-    median, error, spread = _median(pair, lag, weight, total)
+    quantiles, quartiles = np.hsplit(weighted_quantiles(pair, lag, weight, pairs, QUANTILES + QUARTILES), 2)
+    median, error, spread = _median(quartiles, total)
     near = np.abs(lag - median[pair]) <= FAR_SD * spread[pair]
     with np.errstate(invalid="ignore", divide="ignore"):
         ahead = np.bincount(pair, weight * (lag < 0), minlength=pairs) / total
@@ -84,16 +84,17 @@ def transit_figures(
             usual = np.isfinite(slow)
             known = np.bincount(pair[usual], weight[usual], minlength=pairs).astype(float)
             at_usual = lag[usual] * np.exp(-slow[usual])
-            other, other_error, _ = _median(pair[usual], at_usual, weight[usual], known)
+            at_quartiles = weighted_quantiles(pair[usual], at_usual, weight[usual], pairs, QUARTILES)
+            other, other_error, _ = _median(at_quartiles, known)
             other_error = np.hypot(other_error, np.hypot(slow_error, PACE_ERROR) * other)
             both, error = _weighed(median, error, other, other_error)
-            quantiles += (both - median)[:, None]
+            quantiles = quantiles + (both - median)[:, None]
     return TransitFigures(total, peak(density, bins), mean, sd, quantiles, ahead, error, mean_error)
 
 
-def _median(pair: NDArray[np.int32], lag: Floats, weight: Floats, total: Floats) -> tuple[Floats, Floats, Floats]:
+def _median(quartiles: Floats, total: Floats) -> tuple[Floats, Floats, Floats]:
     """Median, its standard error and the spread (as an sd) of the lags of each pair, (P,) each."""
-    low, middle, high = weighted_quantiles(pair, lag, weight, len(total), QUARTILES).T
+    low, middle, high = quartiles.T
     spread = np.maximum((high - low) / NORMAL_QUARTILES, SPREAD_MIN_SECONDS)
     return middle, MEDIAN_ERROR * spread / np.sqrt(total), spread
 
