@@ -1,8 +1,11 @@
 """Made things for tests: a topology that is exactly the truth; passages through views."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Departures
+from camtopod.learn.candidates import Arrivals, Candidates, Departures
+from camtopod.learn.lags import LagBins
+from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.rates import local_rates
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Link, Topology, Zone
 from camtopod.sim.truth import Truth
@@ -68,3 +71,12 @@ class Views:
             Departures(t[left], leave[left], self.camera[leave[left]], since[left], unknown, place[left], block[left]),
             Arrivals(since[came], entry[came], self.camera[entry[came]], rate, unknown),
         )
+
+
+def fit_posterior(
+    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
+    evidence: NDArray[np.float64], screened: bool = False,
+) -> Posterior:  # fmt: skip
+    """The posterior of these candidates, both steps in one."""
+    followed = followed_of(departures, arrivals, candidates, bins, zones, until)
+    return fit_followed(departures, arrivals, followed, bins, zones, until, evidence, screened)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made import LINKED, Views
+from made import LINKED, Views, fit_posterior
 
 from camtopod.learn.candidates import find_candidates
 from camtopod.learn.change import Change
 from camtopod.learn.hazards import Hazards
 from camtopod.learn.lags import LagBins
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX, model_of
-from camtopod.learn.posterior import Posterior, fit_posterior
+from camtopod.learn.posterior import Posterior
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Passages, Scene, ZoneRef
 from camtopod.learn.window import Window

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import LINKED, Views
+from made import LINKED, Views, fit_posterior
 
 from camtopod.learn import candidates as module
 from camtopod.learn.candidates import ROWS_AT_ONCE, find_candidates, rows_together, together
 from camtopod.learn.joint import JointFitter
 from camtopod.learn.lags import LagBins
-from camtopod.learn.posterior import fit_posterior
 from camtopod.learn.slowness import Persistence
 
 BINS = LagBins(-20.0, 60.0)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import LINKED, Views
+from made import LINKED, Views, fit_posterior
 
 from camtopod.learn import posterior as module
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, find_candidates
 from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins
-from camtopod.learn.posterior import Posterior, PosteriorFitter, fit_posterior
+from camtopod.learn.posterior import Posterior, PosteriorFitter
 
 BINS = LagBins(-120.0, 120.0)
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import LINKED, Views
+from made import LINKED, Views, fit_posterior
 
 from camtopod.learn import joint
 from camtopod.learn.candidates import find_candidates
 from camtopod.learn.lags import LagBins
-from camtopod.learn.posterior import PosteriorFitter, fit_posterior
+from camtopod.learn.posterior import PosteriorFitter
 from camtopod.learn.prior import POOLING, RETURNING, TWO_WAY_TRANSITIONS, Prior
 
 SHORT = LagBins(-3.0, 8.0)

@@ -8,7 +8,7 @@ import pytest
 from foretold import foretold
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import LINKED, Views
+from made import LINKED, Views, fit_posterior
 
 from bench.regimes import REGIMES
 from camtopod.learn import posterior
@@ -16,7 +16,7 @@ from camtopod.learn import skipped as module
 from camtopod.learn.candidates import Candidates, Departures, find_candidates, number_pairs
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
-from camtopod.learn.posterior import Posterior, fit_posterior
+from camtopod.learn.posterior import Posterior
 from camtopod.learn.skipped import Through, skip_hazards, skipped_beside, ways_through
 from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
 

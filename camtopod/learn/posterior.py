@@ -80,19 +80,6 @@ class Posterior(NamedTuple):
     levels: list[Level]
 
 
-def fit_posterior(
-    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
-    evidence: Floats, screened: bool = False,
-) -> Posterior:  # fmt: skip
-    """The posterior of all that left and came up to ``until`` (seconds). ``evidence``: that zones are linked, in nats
-    (`cross_evidence`); ``screened``: candidates may be missing.
-
-    Always from nothing: one that goes on from the last as events come in believes early mistakes ever more.
-    """
-    followed = followed_of(departures, arrivals, candidates, bins, zones, until)
-    return fit_followed(departures, arrivals, followed, bins, zones, until, evidence, screened)
-
-
 def followed_of(
     departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float
 ) -> Candidates:
@@ -107,7 +94,11 @@ def fit_followed(
     departures: Departures, arrivals: Arrivals, followed: Candidates, bins: LagBins, zones: int, until: float,
     evidence: Floats, screened: bool = False,
 ) -> Posterior:  # fmt: skip
-    """`fit_posterior` of the candidates of `followed_of`."""
+    """The posterior of all that left and came up to ``until`` (seconds), from the candidates of `followed_of`.
+    ``evidence``: that zones are linked, in nats (`cross_evidence`); ``screened``: candidates may be missing.
+
+    Always from nothing: one that goes on from the last as events come in believes early mistakes ever more.
+    """
     fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until)
     fitter.learn()
     fitter.sample()
