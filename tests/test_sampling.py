@@ -69,7 +69,7 @@ def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.Mo
         fitter._believe(drawn)
         fitter._drawn = drawn if few else None
         hazard = fitter._learn_hazards()
-        found.append((hazard, fitter.entry_hazard, fitter.outside, fitter.counts, fitter._expect(hazard)))
+        found.append((hazard, fitter._entered_at, fitter.outside, fitter.counts, fitter._expect(hazard)))
     for drawn_only, all_of_them in zip(*found, strict=True):
         assert drawn_only.any()
         assert drawn_only.tobytes() == all_of_them.tobytes()
