@@ -134,16 +134,16 @@ def test_versions_of_a_recording() -> None:
         assert (version.site, version.epoch) == ("hq", "01J")
 
 
-def test_of_every_version_it_is_told_when_its_fits_are_over() -> None:
+def test_there_is_a_break_between_the_steps_of_every_version() -> None:
     learner = Learner(AT_THE_END)
     before: list[int] = []
-    learner.fitted = lambda: before.append(0 if learner.topology is None else learner.topology.version)
+    learner.between_steps = lambda: before.append(0 if learner.topology is None else learner.topology.version)
     for event in walk(50):
         learner.receive(event)
     learner.flush()
     learner.begin_epoch("1")
     learner.refresh()
-    assert before == [0, 0]
+    assert before == [0, 0, 0, 0]
     assert learner.topology is not None
     assert learner.topology.epoch == "1"
 

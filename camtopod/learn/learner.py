@@ -70,9 +70,9 @@ class Learner:
         self.settings = settings or Settings()
         self.site, self.epoch = site, epoch
         self.topology: Topology | None = None
-        self.fitted: Callable[[], None] = _nothing
-        """Called when all that a version says is known, but not said yet: what the fits took is free again, and what
-        they have found may take as much anew.
+        self.between_steps: Callable[[], None] = _nothing
+        """Called twice for each version, when the candidates are found and when all is fitted: what that took is free
+        again, and the next step may take as much anew.
         """
         self.bins = LagBins(-self.settings.overlap_max_seconds, self.settings.transit_max_seconds)
         self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
@@ -242,7 +242,7 @@ class Learner:
             self._window.column("t") / MICROSECONDS, self._window.column("camera"), len(self._window.cameras)
         )
         posterior, between, likely, changes = self._between_views(scene, silences)
-        self.fitted()
+        self.between_steps()
         camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
         found = without_missed(between, through, significant(between, self.settings), camera_of, self.settings)
         published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
@@ -341,6 +341,7 @@ class Learner:
         candidates = self._screen.find(
             departures, arrivals, self.bins, places, scene.last, self._learned, self.settings.candidates_max
         )
+        self.between_steps()
         problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
         fit = fit_jointly(*problem)
         ratio = cross_evidence(

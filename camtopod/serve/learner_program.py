@@ -106,7 +106,7 @@ class Pupil:
     def _begin(self, given: Begin) -> None:
         if given.portion is None:
             self._learner = self._kind(given.settings, given.site, given.epoch)
-            self._learner.fitted = memory.give_back
+            self._learner.between_steps = memory.give_back
         else:
             sharding, shard = given.portion.sharding, given.portion.shard
             self._learner = ShardLearner(given.settings, sharding, shard, given.site, given.epoch)
