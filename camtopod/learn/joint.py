@@ -121,7 +121,8 @@ class JointFitter:
         self.bins, self.zones = bins, zones
         self.candidates, self.departures, self.arrivals = candidates, departures, arrivals
         self.exposure = exposures(departures, bins, zones, until) if exposure is None else exposure
-        n = np.maximum(self.exposure.max(axis=1, keepdims=True), 1.0)
+        self._some_exposed = np.maximum(self.exposure, 1.0)
+        n = self._some_exposed.max(axis=1, keepdims=True)
         self._exposed_share = np.where(bins.edges[1:] > 0, 1.0, self.exposure / n)
         self.sparsity = 0.0
         self._camera = np.zeros(zones, np.int64)
@@ -337,7 +338,7 @@ class JointFitter:
 
     def _exposed(self, rows: slice | Indices) -> Floats:
         """Departures (rows, bins) of the pairs of zones, at least 1."""
-        return np.maximum(self.exposure[self.candidates.source[rows]], 1.0)
+        return self._some_exposed.take(self.candidates.source[rows], axis=0)
 
     def _appears(self, hazard: Floats, rows: slice = slice(None)) -> Floats:
         """Probability (rows, bins) that an object leaving at the source appears next at the target in that lag bin."""
