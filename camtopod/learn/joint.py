@@ -90,8 +90,7 @@ def fit_jointly(
     """The joint fit of everything that left and came up to ``until`` (seconds), for what is linked: with a sparse prior
     and without what has next to nothing.
 
-    Always from nothing: one that goes on from the last as events come in believes early mistakes ever more, and sees
-    too late what has opened.
+    Always from nothing: going on from the last one believes early mistakes ever more and sees too late what has opened.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
     hazard = fitter.use_slowness(fitter.run(fitter.start()))
