@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,7 @@ from msgspec.structs import replace
 from test_predict import any_topology
 
 from camtopod.learn import recent
-from camtopod.learn.lag_odds import quantiles, window
+from camtopod.learn.lag_odds import quantiles, quantiles_beside
 from camtopod.learn.predict import Predictor
 from camtopod.records import Event
 
@@ -36,19 +38,32 @@ def test_at_the_exit_odds_and_windows_are_those_of_the_longer_way(seed: int) -> 
         known = predictor._at_exit(ready, left, passage)
         mass = predictor._odds(zone, ready, left, passage, observed=False)
         assert known.odds == pytest.approx(mass.sum(axis=1).tolist(), rel=1e-9)
-        assert [ready._row(k, known) for k in range(len(mass))] == [pytest.approx(row) for row in mass.tolist()]
         some = np.flatnonzero(mass.sum(axis=1) > 1e-9).tolist()
         pace = predictor._paces.of_passage(passage and passage.entry, zone, passage and left - passage.t)
         lags = quantiles(mass[some], predictor._hazards.bins.edges)
+        assert [ready._lags(k, known) for k in some] == [pytest.approx(one, abs=1e-6) for one in lags]
+        assert [ready._lags(k, known) for k in some] == [pytest.approx(one, abs=1e-6) for one in lags], "asked again"
         slowly = [ready.window(k, pace, usual) for k, usual in zip(some, lags, strict=True)]
         assert ready.windows(some, pace, known) == [pytest.approx(one, abs=0.0011) for one in slowly]
 
 
-@given(st.lists(st.lists(st.floats(0, 1), min_size=5, max_size=5), min_size=1, max_size=5))
-def test_the_window_of_one_target_is_that_among_many(masses: list[list[float]]) -> None:
-    masses = [mass for mass in masses if sum(mass) > 0.01]
-    edges = np.array([-2.0, -0.5, 0.0, 1.0, 3.0, 7.0])
-    assert [window(mass, edges.tolist()) for mass in masses] == quantiles(np.array(masses).reshape(-1, 5), edges)
+@given(
+    st.lists(st.floats(0.01, 1), min_size=5, max_size=5),
+    st.floats(1e-6, 1),
+    st.dictionaries(st.integers(0, 4), st.floats(0, 9)),
+    st.integers(0, 3),
+)
+def test_the_window_of_one_target_is_that_among_many(
+    still: list[float], share: float, came: dict[int, float], none_before: int
+) -> None:
+    """Of which some share is still to come, or nothing before some bin, and whatever came."""
+    still = [0.0] * none_before + still[none_before:]
+    mass = share * np.array(still)
+    for at, more in came.items():
+        mass[at] += more
+    edges = [-2.0, -0.5, 0.0, 1.0, 3.0, 7.0]
+    found = quantiles_beside([0.0, *accumulate(still)], share, sorted(came.items()), edges)
+    assert found == pytest.approx(quantiles(mass[None], np.array(edges))[0], abs=1e-6)
 
 
 @settings(max_examples=60)

@@ -5,7 +5,7 @@ Read off the posterior that the version carries; where it carries none, off its 
 
 from __future__ import annotations
 
-import math
+from bisect import bisect_right
 from collections.abc import Set
 from typing import NamedTuple
 
@@ -70,13 +70,16 @@ class Hazards:
             hazard = on_bins(kernel.hazard, self.bins) / self.bins.widths
             self._entered.setdefault(index[kernel.zone], {})[index[kernel.to]] = hazard.tolist()
         every = list(self.outcomes.items())
-        self._rows: Floats = np.concatenate(
-            [np.zeros((1, self.bins.size)), *(outcomes.hazard for _, outcomes in every)]
-        )
-        self._first_row = dict(zip(self.outcomes, np.cumsum([1, *(len(o.targets) for _, o in every)]), strict=False))
-        self.outcomes = {  # the same hazards, kept once
-            zone: o._replace(hazard=self._rows[self._first_row[zone] :][: len(o.targets)]) for zone, o in every
-        }
+        first_rows = np.cumsum([1, *(len(o.targets) for _, o in every)]).tolist()
+        self._first_row: dict[int, int] = dict(zip(self.outcomes, first_rows, strict=False))
+        self._rows: Floats = np.zeros((first_rows[-1], self.bins.size + 1))  # the last column is for lags without a bin
+        for zone, o in every:  # the same hazards, kept once
+            hazard = self._rows[self._first_row[zone] :][: len(o.targets), :-1]
+            hazard[:] = o.hazard
+            self.outcomes[zone] = o._replace(hazard=hazard)
+        self._edges = self.bins.edges.copy()
+        self._edges[[0, -1]] = self.bins.lag_min, np.nextafter(self.bins.lag_max, np.inf)
+        self._edge_list: list[float] = self._edges.tolist()
         into: dict[int, list[tuple[int, int]]] = {}
         pairs = [(zone, target) for zone, outcomes in every for target in outcomes.targets]
         for row, (zone, target) in enumerate(pairs, start=1):
@@ -95,11 +98,10 @@ class Hazards:
             return sources[:0], lag[:0]
         zones, rows = self._into[target]
         self._row[zones] = rows
-        row = self._row[sources]
+        row = self._row.take(sources)
         self._row[zones] = 0
-        some = np.flatnonzero(row)
-        at = self.bins.index(lag[some])
-        return sources[some], np.where(at >= 0, self._rows[row[some], at], 0.0)
+        [some] = row.nonzero()
+        return sources.take(some), self._at(row.take(some), lag.take(some))
 
     def rates_from(self, source: int, targets: NDArray[np.int32], lag: Floats) -> Floats:
         """Hazards (n,) in 1/s from one zone to several (n,) at lags (n,) in seconds."""
@@ -107,10 +109,18 @@ class Hazards:
             return np.zeros(len(lag))
         all_targets, first = self.outcomes[source].targets, self._first_row[source]
         self._row[all_targets] = np.arange(first, first + len(all_targets))
-        row = self._row[targets]
+        row = self._row.take(targets)
         self._row[all_targets] = 0
-        at = self.bins.index(lag)
-        return np.where(at >= 0, self._rows[row, at], 0.0)
+        return self._at(row, lag)
+
+    def _at(self, row: NDArray[np.int32], lag: Floats) -> Floats:
+        """Hazards (n,) of rows (n,) at lags (n,) in seconds. What is before the first bin is counted as -1, behind the
+        last as one more: both are in the last column, of this row or the one before.
+        """
+        at = self._edges.searchsorted(lag, "right")
+        at += row * np.intp(self._rows.shape[1])
+        at -= 1
+        return self._rows.take(at)
 
     def rates_entered(self, entry: int, targets: NDArray[np.int32], elapsed: Floats) -> Floats:
         """`rate_entered` for several zones (n,) and times (n,)."""
@@ -130,10 +140,15 @@ class Hazards:
 
     def bin_of(self, lag: float) -> int:
         """`LagBins.index` of one lag."""
-        bins = self.bins
-        if not bins.lag_min <= lag <= bins.lag_max:
-            return -1
-        return math.floor(math.asinh(lag / bins.scale) / bins.step) - bins.first
+        at = bisect_right(self._edge_list, lag) - 1
+        return at if at < self.bins.size else -1
+
+    def before(self, hazard: Floats, later: float | Floats) -> NDArray[np.bool_]:
+        """In which bins (..., bins) objects of these hazards may have appeared by the time they leave, where the clock
+        is ``later`` seconds ahead of the one where they do.
+        """
+        possible: NDArray[np.bool_] = (hazard > 0.0) & (self.bins.edges[:-1] < -later)
+        return possible
 
     def seen_before(self, zone: int) -> NDArray[np.intp]:
         """Zones of other cameras where objects may appear before they leave at this one."""
@@ -200,9 +215,8 @@ class Hazards:
 
     def _index_before(self, topology: Topology) -> None:
         """For `seen_before` and `cameras_ahead`."""
-        clocks = [camera.clock_offset for camera in topology.cameras]
-        apart = max(clocks, default=0.0) - min(clocks, default=0.0)
-        before = self.bins.edges[:-1] <= apart  # by clocks as they are, an arrival may be later than a departure
+        clock = {camera.id: camera.clock_offset for camera in topology.cameras}
+        clocks = np.array([clock.get(zone.camera, 0.0) for zone in topology.zones])
         ahead: dict[str, set[int]] = {}
         for (camera, target), rate in self._ahead.items():
             if rate:
@@ -221,8 +235,9 @@ class Hazards:
         for k, zone in enumerate(topology.zones):
             found = set(ahead.get(zone.camera, ()))
             if k in self.outcomes:
-                outcomes = self.outcomes[k]
-                found.update(outcomes.targets[at] for at in np.flatnonzero(outcomes.hazard[:, before].any(axis=1)))
+                out = self.outcomes[k]
+                possible = np.any(self.before(out.hazard, (clocks[out.targets] - clocks[k])[:, None]), axis=1)
+                found.update(target for target, some in zip(out.targets, possible.tolist(), strict=True) if some)
             others = [target for target in sorted(found) if topology.zones[target].camera != zone.camera]
             self._before.append(np.array(others, np.intp))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from itertools import accumulate
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +47,27 @@ def quantiles(mass: Floats, edges: Floats) -> list[list[float]]:
     return lags
 
 
-def window(mass: list[float], edges: list[float]) -> list[float]:
-    """`quantiles` of one target: for a few, this is faster."""
-    reached = [0.0, *accumulate(mass)]
+def quantiles_beside(
+    coming: Sequence[float], share: float, came: Sequence[tuple[int, float]], edges: Sequence[float]
+) -> list[float]:
+    """`quantiles` of one target, of whose mass there is ``coming`` (bins + 1,) below each edge, ``share`` times, and
+    what ``came`` beside that: (bin, mass), by bin.
+    """
+    last = len(coming) - 2
+    total = share * coming[last + 1] + sum(mass for _, mass in came)
     lags = []
-    for share in WINDOW:
-        wanted = share * reached[-1]
-        k = min(bisect_right(reached, wanted) - 1, len(mass) - 1)
-        slope = (edges[k + 1] - edges[k]) / (reached[k + 1] - reached[k])
-        lags.append(slope * (wanted - reached[k]) + edges[k])
+    for part in WINDOW:
+        wanted, low, high, beside, here = part * total, 0, last, 0.0, 0.0
+        for at, mass in came:
+            if share * coming[at] + beside > wanted:  # below this bin
+                high = at - 1
+                break
+            if share * coming[at + 1] + beside + mass > wanted:  # in it
+                low, high, here = at, at, mass
+                break
+            low, beside = at + 1, beside + mass
+        k = min(max(bisect_right(coming, (wanted - beside) / share) - 1, low), high)
+        gap = share * (coming[k + 1] - coming[k]) + here
+        within = (wanted - (share * coming[k] + beside)) / gap if gap > 0.0 else 0.0  # nothing there: by rounding
+        lags.append(edges[k] + min(max(within, 0.0), 1.0) * (edges[k + 1] - edges[k]))
     return lags

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import mul
 
 import numpy as np
 from msgspec import Struct
@@ -141,19 +142,15 @@ class Predictor:
             rate = self._hazards.arrival_rate[zone] + sum(causes.values())
             self._arrivals.append(t, zone, rate)
             if event.track is not None:
-                previous = max(causes, key=lambda camera: causes[camera], default=None)
+                previous = max(causes, key=causes.__getitem__, default=None)
                 sure = causes[previous] / rate if previous is not None else 0.0
                 passage = Passage(t, event.camera, zone, previous, sure)
                 self._under_way.begin(event.camera, str(event.track), passage)
                 self._under_way.forget_stale(t)
             return
         left = None if event.track is None else self._under_way.end(event.camera, str(event.track), event.t)
-        since = left.t if left else -math.inf
         self._exits.append(t, zone)
-        found = self._recent(t, since, zone)
-        there = self._arrivals.zone[found]
-        more = self._hazards.rates_from(zone, there, self._arrivals.t[found] - t)
-        self._arrivals.rate[found] += more - self._hazards.rates_ahead(event.camera, there) if left else more
+        self._share_causes(zone, t, left)
 
     def zone_of(self, event: Event) -> int | None:
         """Index of the zone the event most likely belongs to; None for a camera without zones."""
@@ -207,14 +204,14 @@ class Predictor:
             known = self._at_exit(ready, left, passage)
             odds = known.odds
         likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, previous, sure)
-        odds = [one * more for one, more in zip(odds, likelier, strict=True)]
-        leave += math.fsum(doubt * one for doubt, one in zip(ready.doubt, odds, strict=True))
+        odds = list(map(mul, odds, likelier))
+        leave += math.fsum(map(mul, ready.doubt, odds))
         if now is not None and now > t:  # what may as well be chance was so at the exit: it is gone, seen or not
             slower, pace = 1.0 if pace is None else pace[0], None
             mass, known = self._odds(zone, ready, left, passage, observed, now - t, slower), None
             edges, leave = paced(edges, slower), max(leave, LEAVE_FLOOR)
-            odds = [one * more for one, more in zip(mass.sum(axis=1).tolist(), likelier, strict=True)]
-        odds = [one * sure for one, sure in zip(odds, ready.sure, strict=True)]
+            odds = list(map(mul, mass.sum(axis=1).tolist(), likelier))
+        odds = list(map(mul, odds, ready.sure))
         least = NEXT_PROBABILITY_MIN * (leave + math.fsum(odds))
         order = [k for k in sorted(range(len(odds)), key=odds.__getitem__, reverse=True) if odds[k] >= least]
         kept = leave + math.fsum(odds[k] for k in order)
@@ -234,8 +231,8 @@ class Predictor:
     def _at_exit(self, ready: Ready, t: float, passage: Passage | None) -> AtExit:
         """`_odds` for an exit that has not been observed, by what is known then."""
         stay, alive = None if passage is None else t - passage.t, self._alive(ready)
-        odds = [one * there for one, there in zip(ready.odds(stay), alive, strict=True)]
-        arrivals, hazards, came_there = self._arrivals, self._hazards, dict[int, list[tuple[int, float]]]()
+        odds = list(map(mul, ready.odds(stay), alive))
+        arrivals, hazards, came_there = self._arrivals, self._hazards, dict[int, dict[int, float]]()
         counts, since = arrivals.dropped + arrivals.first, -math.inf if passage is None else passage.t
         oldest = max(t + hazards.bins.lag_min, since)
         for k, target, later, earliest, ahead, kernels, hazard in ready.before:
@@ -257,7 +254,8 @@ class Predictor:
                 if here:
                     more = here / max(rate, RATE_MIN)
                     odds[k] += more
-                    came_there.setdefault(k, []).append((at, more))
+                    there = came_there.setdefault(k, {})
+                    there[at] = there.get(at, 0.0) + more
         return AtExit(odds, alive, came_there, stay)
 
     def _odds(
@@ -343,6 +341,20 @@ class Predictor:
             found = found[(came + later < t) & (came > since) & (came >= oldest)]
         return found
 
+    def _share_causes(self, zone: int, t: float, passage: Passage | None) -> None:
+        """Whoever has left is among the causes of what has come since elsewhere, but no longer as one in the view."""
+        arrivals, bin_of = self._arrivals, self._hazards.bin_of
+        counts, since = arrivals.dropped + arrivals.first, -math.inf if passage is None else passage.t
+        oldest = max(t + self._hazards.bins.lag_min, since)
+        for _, target, later, earliest, ahead, _, hazard in self._ready.before(zone):
+            in_view = 0.0 if passage is None else ahead
+            reach = oldest if in_view else max(oldest, t + earliest)
+            for came, number in reversed(arrivals.of_zone.get(target, ())):
+                if came < reach:
+                    break
+                if came > since and came + later < t and number >= counts:
+                    arrivals.rate[number - arrivals.dropped] += hazard.get(bin_of(came - t), 0.0) - in_view
+
     def _causes(self, zone: int, t: float) -> dict[str, float]:
         """Rate (1/s) at which those who have left each camera and those still in its view could cause an arrival now.
 
@@ -350,8 +362,10 @@ class Predictor:
         """
         left, zones = self._exits.after(t - self._hazards.bins.lag_max - self._clocks_apart)
         sources, rates = self._hazards.rates(zones, zone, t - left)
-        total = np.bincount(self._camera_of[sources], rates, minlength=len(self._names))
-        causes = {self._names[k]: float(total[k]) for k in np.flatnonzero(total)}
+        total = np.bincount(self._camera_of.take(sources), rates)
+        [some] = total.nonzero()
+        names = map(self._names.__getitem__, some.tolist())
+        causes: dict[str, float] = dict(zip(names, total.take(some).tolist(), strict=True))
         here, kernels, further = self.zones[zone].camera, self._hazards.kernels_to(zone), []
         for camera in self._hazards.cameras_ahead(zone):
             if camera == here:
@@ -371,9 +385,11 @@ class Predictor:
 
     def _alive(self, ready: Ready) -> list[float]:
         """Probability (targets,) that each camera still reports, from how many events of others it has let pass."""
-        events, last_event, exp = self._events, self._last_event, math.exp
-        silences = [(events - last_event[k]) * share for k, share in zip(ready.cameras, ready.share, strict=True)]
-        return [1.0 / (1.0 + DEAD_PRIOR * exp(min(silence, SILENCE_NATS_MAX))) for silence in silences]
+        events, last_event, exp, most = self._events, self._last_event, math.exp, SILENCE_NATS_MAX
+        return [
+            1.0 / (1.0 + DEAD_PRIOR * exp(nats if (nats := (events - last_event[k]) * share) < most else most))
+            for k, share in zip(ready.cameras, ready.share, strict=True)
+        ]
 
 
 def _check(t: float, now: float | None) -> None:

@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Sequence, Set
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.hazards import Hazards, Outcomes
-from camtopod.learn.lag_odds import quantiles, window
+from camtopod.learn.lag_odds import quantiles, quantiles_beside
 from camtopod.learn.pace import Paces
 from camtopod.learn.slowness import LAG_SECONDS_MIN
 from camtopod.records import Topology, Zone
@@ -28,10 +29,10 @@ MASS_MIN = 1e-200
 
 
 class Before(NamedTuple):
-    """An outcome that may have come about before the exit: at another camera, whose views overlap."""
+    """A zone at which whoever leaves may have appeared before the exit: of another camera, whose views overlap."""
 
     number: int
-    """Of the outcome."""
+    """Of the outcome; -1: none, only those who leave the view elsewhere appear there."""
     target: int
     later: float
     """By how much its clock is ahead."""
@@ -62,7 +63,7 @@ class AtExit(NamedTuple):
     """(targets,)"""
     alive: list[float]
     """Probability (targets,) that each camera still reports."""
-    came: dict[int, list[tuple[int, float]]]
+    came: dict[int, dict[int, float]]
     """Of outcomes that arrivals may have been: bins of their lags, and the odds of each beside what is still to come.
     """
     stay: float | None
@@ -76,10 +77,10 @@ class Ready:
 
     __slots__ = (
         *("outcomes", "targets", "later", "sure", "doubt", "cameras", "share", "before", "usual"),
-        *("_site", "_exposed", "_transitions", "_began", "_shift", "_windows"),
+        *("_site", "_exposed", "_transitions", "_began", "_shift", "_windows", "_coming"),
     )
 
-    def __init__(self, site: Site, zone: int, outcomes: Outcomes) -> None:
+    def __init__(self, site: Site, zone: int, outcomes: Outcomes, before: list[Before]) -> None:
         here, bins = site.zones[zone].camera, site.hazards.bins
         self._site, self.outcomes = site, outcomes
         self.targets = [site.zones[k] for k in outcomes.targets]
@@ -99,11 +100,13 @@ class Ready:
         mass[early] *= outcomes.exposure
         self.usual: list[float] = mass.sum(axis=1).tolist()
         """Odds where nothing is known of the exit."""
-        self.before = self._find_before(here)
+        self.before = [one for one in before if one.number >= 0 and (one.hazard or one.kernels)]
         """Those that may have come about."""
         self._transitions: Floats = outcomes.share * site.hazards.departures[zone]
         self._shift: Floats = np.where(site.corrected, 0.0, self.later)
         self._windows: dict[float | None, list[list[float]]] = {}
+        self._coming: dict[int, list[float]] = {}
+        """Of outcomes that were asked for: odds below each edge of what is still to come, after a usual passage."""
 
     @property
     def coming(self) -> Floats:
@@ -140,7 +143,7 @@ class Ready:
         times: list[Sequence[float]] = []
         for k in numbers:
             if k in known.came or k in self._exposed:
-                times.append(self.window(k, pace, window(self._row(k, known), self._site.edges)))
+                times.append(self.window(k, pace, self._lags(k, known)))
             else:
                 a, b, c, x, y, z = usual[k]
                 times.append((floor(a * factor + x) / 1e3, floor(b * factor + y) / 1e3, floor(c * factor + z) / 1e3))
@@ -166,32 +169,19 @@ class Ready:
         milliseconds: list[list[float]] = np.hstack((scaled * 1000.0, fixed * 1000.0 + 0.5)).tolist()
         return milliseconds
 
-    def _row(self, number: int, known: AtExit) -> list[float]:
-        """Odds (bins,) of one outcome."""
-        began = self._began if isinstance(self._began, int) else int(self._began[number])
-        row = self.outcomes.hazard[number] * self._site.coming[began]
-        if number in self._exposed:
-            row *= self.outcomes.exposure if known.stay is None else self._site.hazards.exposed(known.stay)
-        row *= known.alive[number]
-        for at, odds in known.came.get(number, ()):
-            row[at] += odds
-        masses: list[float] = row.tolist()
-        return masses
-
-    def _find_before(self, here: str) -> list[Before]:
-        hazards, found = self._site.hazards, []
-        by_then = hazards.bins.edges[:-1] <= self._site.clocks_apart  # by clocks as they are it may be later than that
-        possible = (self.outcomes.hazard > 0.0) & by_then
-        some, first = np.any(possible, axis=1).tolist(), np.argmax(possible, axis=1).tolist()
-        for k, (target, later) in enumerate(zip(self.outcomes.targets, self.later.tolist(), strict=True)):
-            kernels = hazards.kernels_to(target)
-            if (some[k] or kernels) and self.targets[k].camera != here:
-                earliest = self._site.edges[max(first[k] - 1, 0)] if some[k] else math.inf
-                ahead = hazards.rate_ahead(here, target)
-                some_bins = possible[k].nonzero()[0]
-                hazard = dict(zip(some_bins.tolist(), self.outcomes.hazard[k, some_bins].tolist(), strict=True))
-                found.append(Before(k, target, later or 0.0, earliest, ahead, kernels, hazard))
-        return found
+    def _lags(self, number: int, known: AtExit) -> list[float]:
+        """The `lag_odds.quantiles` of one outcome."""
+        came, stay = sorted(known.came.get(number, {}).items()), known.stay if number in self._exposed else None
+        coming = self._coming.get(number)
+        if coming is None or stay is not None:
+            began = self._began if isinstance(self._began, int) else int(self._began[number])
+            mass = self.outcomes.hazard[number] * self._site.coming[began]
+            if number in self._exposed:
+                mass *= self.outcomes.exposure if stay is None else self._site.hazards.exposed(stay)
+            coming = [0.0, *accumulate(mass.tolist())]
+        if stay is None:
+            self._coming[number] = coming
+        return quantiles_beside(coming, known.alive[number], came, self._site.edges)
 
 
 class Site:
@@ -215,6 +205,22 @@ class Site:
         self.coming = np.triu(np.broadcast_to(bins.widths, (bins.size + 1, bins.size)))
         """Widths of all bins but the first 0, 1, ..., (bins + 1, bins)."""
 
+    def before(self, zone: int) -> list[Before]:
+        """Where whoever leaves there may have appeared before."""
+        hazards, here, found = self.hazards, self.zones[zone].camera, []
+        outcomes = hazards.outcomes.get(zone)
+        number = {} if outcomes is None else {target: k for k, target in enumerate(outcomes.targets)}
+        for target in hazards.seen_before(zone).tolist():
+            there = self.zones[target].camera
+            later, k, hazard = self.ahead.get(there, 0.0) - self.ahead[here], number.get(target, -1), {}
+            if outcomes is not None and k >= 0:
+                [some] = hazards.before(outcomes.hazard[k], later).nonzero()
+                hazard = dict(zip(some.tolist(), outcomes.hazard[k, some].tolist(), strict=True))
+            earliest = self.edges[max(min(hazard) - 1, 0)] if hazard else math.inf
+            kernels, ahead = hazards.kernels_to(target), hazards.rate_ahead(here, target)
+            found.append(Before(k, target, later or 0.0, earliest, ahead, kernels, hazard))
+        return found
+
 
 class ReadyZones:
     """All zones of a topology version from which anybody is known to go anywhere. None of them refers to this, so that
@@ -224,10 +230,18 @@ class ReadyZones:
     def __init__(self, site: Site) -> None:
         self._site = site
         self._ready: dict[int, Ready] = {}
+        self._before: dict[int, list[Before]] = {}
 
     def of(self, zone: int) -> Ready | None:
         """None where nobody is known to go anywhere."""
         ready = self._ready.get(zone)
         if ready is None and (outcomes := self._site.hazards.outcomes.get(zone)) is not None:
-            ready = self._ready[zone] = Ready(self._site, zone, outcomes)
+            ready = self._ready[zone] = Ready(self._site, zone, outcomes, self.before(zone))
         return ready
+
+    def before(self, zone: int) -> list[Before]:
+        """As of `Site`."""
+        before = self._before.get(zone)
+        if before is None:
+            before = self._before[zone] = self._site.before(zone)
+        return before

@@ -59,7 +59,7 @@ class Recent:
 
     def after(self, t: float) -> tuple[Floats, NDArray[np.int32]]:
         """Times and zones (n,) of those later than ``t``, as far as events come by time."""
-        first = max(int(np.searchsorted(self.t[: self.stop], t)), self.first)
+        first = max(int(self.t[: self.stop].searchsorted(t)), self.first)
         return self.t[first : self.stop], self.zone[first : self.stop]
 
     def arrivals(self) -> list[Arrival]:

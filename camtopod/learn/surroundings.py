@@ -60,8 +60,9 @@ class Surroundings:
             rest = 1.0 - told
             share = [told * (more + few * one) / below + rest * one for more, one in zip(moved, share, strict=True)]
             leave = told * (stays + few * leave) / below + rest * leave
-        likelier = [  # as `contexts.multipliers`
-            min(max(now / max(before, 1e-300), 1.0 / MULTIPLIER_MAX), MULTIPLIER_MAX)
+        most, least = MULTIPLIER_MAX, 1.0 / MULTIPLIER_MAX
+        likelier = [  # as `contexts.multipliers`; `min` and `max` would take most of the time
+            least if (more := now / (before or 1e-300)) < least else more if more < most else most
             for now, before in zip(share, usual, strict=True)
         ]
         return likelier, max(leave, LEAVE_FLOOR)
