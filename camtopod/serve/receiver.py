@@ -167,6 +167,12 @@ class Receiver:
             return
         try:
             while (heard := ear.take()) is not None:
+                if len(heard) == 1 and not self._inbox and self._room() > 0 and self._turn.acquire(blocking=False):
+                    try:  # as nearly always: what comes alone has nobody to wait for
+                        self._round([_message(*heard[0])], ear)
+                    finally:
+                        self._turn.release()
+                    heard = ear.take(wait=False)
                 self._note_heard(heard)
                 while self._inbox and self._room() > 0 and self._turn.acquire(blocking=False):
                     try:
@@ -226,13 +232,13 @@ class Receiver:
         if (advanced := self._event_time.went_on(now, self._limits.settle_seconds)) is not None:
             ready.append(Received(Entry("advance", "", None, None, repr(advanced).encode()), advance=advanced))
         if ready:
+            self._show(ready, ear)  # before anything else
+            self._ready.put(ready)
             events = [one.event for one in ready if one.event is not None]
             for event in events:
                 self.cameras.note(event)
             right = wall + self.cameras.clock_behind
             self._event_time.note((event.t for event in events), right, now, self._limits.future_seconds_max)
-            self._show(ready, ear)
-            self._ready.put(ready)
         self._acks.forget(self.streams.forgotten())
         if self.streams.gaps:
             self.gap.set()
