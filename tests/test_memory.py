@@ -10,7 +10,11 @@ from collections.abc import Iterator
 
 import pytest
 
+from camtopod.records import Event
 from camtopod.serve import memory
+from camtopod.serve.cameras import Received
+from camtopod.serve.inbox import Message
+from camtopod.serve.journal import Entry
 
 RESIDENT = """
 import os, threading, sys
@@ -127,3 +131,29 @@ def test_a_program_that_does_not_collect_goes_on_without() -> None:
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+def test_the_collector_does_not_go_through_events_on_their_way() -> None:
+    """In a flood that would take longer than to decode them."""
+    event, entry = Event("a", "exit", 1.0), Entry("event", "a", None, None, b"raw")
+    assert not any(gc.is_tracked(one) for one in (event, entry, Received(entry, event), Message("a", b"raw")))
+
+
+def test_the_collector_looks_seldom(threshold: None) -> None:
+    passes: list[str] = []
+    gc.callbacks.append(lambda phase, info: passes.append(phase))
+    memory.collect_rarely()
+    kept = [[k] for k in range(memory.YOUNG_MAX // 2)]
+    assert not passes
+    kept += [[k] for k in range(memory.YOUNG_MAX)]
+    assert passes == ["start", "stop"], "it looks, though"
+
+
+@pytest.fixture
+def threshold() -> Iterator[None]:
+    """As it was, and so are those who are told."""
+    before, told = gc.get_threshold(), gc.callbacks.copy()
+    gc.collect()
+    yield
+    gc.set_threshold(*before)
+    gc.callbacks[:] = told

@@ -334,11 +334,11 @@ def test_learning_goes_on_after_a_jump_forward_and_a_replay_learns_the_same(tmp_
 
 def test_a_camera_has_so_many_events_a_second_and_no_more() -> None:
     cameras = admitted("a", "b", camera_events_per_second_max=3)
-    assert [cameras.is_flood(at("a", T0 + 0.1 * n)) for n in range(5)] == [False] * 3 + [True] * 2
-    assert not cameras.is_flood(at("b", T0))
-    assert not cameras.is_flood(at("a", T0 + 1))
+    assert [cameras.note(at("a", T0 + 0.1 * n)) for n in range(5)] == [True] * 3 + [False] * 2
+    assert cameras.note(at("b", T0))
+    assert cameras.note(at("a", T0 + 1))
     for second in range(FLOOD_SECONDS_KEPT + 10):
-        cameras.is_flood(at("a", T0 + second))
+        cameras.note(at("a", T0 + second))
     assert len(cameras._cameras["a"].seconds) == FLOOD_SECONDS_KEPT
 
 

@@ -58,6 +58,7 @@ def _shard(text: str) -> tuple[int, int]:
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM or SIGINT."""
     memory.limit_arenas()
+    memory.collect_rarely()
     sys.setswitchinterval(SWITCH_SECONDS)
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT

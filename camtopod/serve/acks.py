@@ -30,7 +30,7 @@ class Acks:
         """These are stored."""
         further = {
             (entry.camera, entry.boot): entry.seq
-            for entry, *_ in ready
+            for entry in (received.entry for received in ready)
             if entry.boot is not None and entry.seq is not None
         }
         self.stored.update(further)

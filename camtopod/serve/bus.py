@@ -61,12 +61,12 @@ class Ear:
         """What has come, as (key below the site, payload); waits for it, or there may be nothing. None when it is
         closed and everything has been taken.
         """
-        messages, heard = self._messages, []
+        messages, skipped, put, heard = self._messages, self._skipped, zenoh.SampleKind.PUT, []
         try:
             sample = messages.recv() if wait else messages.try_recv()
             while sample is not None:
-                if sample.kind == zenoh.SampleKind.PUT:
-                    heard.append((str(sample.key_expr)[self._skipped :], sample.payload.to_bytes()))
+                if sample.kind == put:
+                    heard.append((str(sample.key_expr)[skipped:], sample.payload.to_bytes()))
                 sample = messages.try_recv() if len(heard) < _TAKEN_MAX else None
         except zenoh.ZError:  # closed
             return heard or None

@@ -15,7 +15,7 @@ import collections
 import logging
 import math
 import statistics
-from typing import Any, NamedTuple
+from typing import Any
 
 from msgspec import Struct, field
 
@@ -43,7 +43,7 @@ IDLE_SECONDS = 3600.0
 """When there are too many cameras, one silent for longer gives its place to another."""
 
 
-class Received(NamedTuple):
+class Received(Struct, frozen=True, gc=False):
     """On its way into the journal: an event (none if it is not to be learned) or an advance of event time."""
 
     entry: Entry
@@ -110,17 +110,21 @@ class Cameras:
             self._look(now)
         return event.t - wall > self.clock_behind + self.limits.future_seconds_max
 
-    def is_flood(self, event: Event) -> bool:
-        """Whether its camera has had too many events in this second; counts it if not."""
-        seconds = (self._cameras.get(event.camera) or self._place(event.camera)).seconds
-        second = int(event.t)
+    def note(self, event: Event) -> bool:
+        """It is about to be stored; False if its camera has had too many events in this second, for it to count too."""
+        camera = self._cameras.get(event.camera) or self._place(event.camera)
+        t, seconds = event.t, camera.seconds
+        second = int(t)
         count = seconds.get(second, 0)
         if count >= self.limits.camera_events_per_second_max:
-            return True
+            return False
         seconds[second] = count + 1
         if len(seconds) > FLOOD_SECONDS_KEPT:
             del seconds[next(iter(seconds))]
-        return False
+        if t > camera.newest or not camera.events:
+            camera.newest = t
+        camera.events += 1
+        return True
 
     def full(self, name: str) -> bool:
         """Whether no more of this camera's events can wait for their time."""
@@ -140,12 +144,6 @@ class Cameras:
             else:
                 due.append(received)
         return due
-
-    def note(self, event: Event) -> None:
-        """It is about to be stored."""
-        camera = self._cameras.get(event.camera) or self._place(event.camera)
-        camera.newest = max(camera.newest, event.t) if camera.events else event.t
-        camera.events += 1
 
     @property
     def waiting(self) -> int:

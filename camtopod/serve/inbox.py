@@ -10,13 +10,14 @@ import collections
 import threading
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from typing import NamedTuple
+
+from msgspec import Struct
 
 STRANGERS = ""
 """The queue of cameras that are not known; no camera is called so."""
 
 
-class Message(NamedTuple):
+class Message(Struct, frozen=True, gc=False):
     """A publication on ``event/{camera}``."""
 
     camera: str
@@ -53,8 +54,10 @@ class Inbox:
                 self._put(message)
 
     def _put(self, message: Message) -> None:
-        name = message.camera if self._known(message.camera) else STRANGERS
+        name = message.camera
         queue = self._queues.get(name)
+        if queue is None and not self._known(name):
+            name, queue = STRANGERS, self._queues.get(STRANGERS)
         length = 0 if queue is None else len(queue)
         room = length < self._camera_events_max
         if room and self._waiting >= self._events_max:

@@ -22,6 +22,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from msgspec import Struct
+
 from camtopod.config import KeepSettings
 from camtopod.serve import database
 from camtopod.serve.database import crc
@@ -51,7 +53,7 @@ EntryKind = Literal["event", "future", "refused", "advance"]
 ``advance``: event time went on without an event; ``raw`` is the time as decimal text."""
 
 
-class Entry(NamedTuple):
+class Entry(Struct, frozen=True, gc=False):
     """One row: what happened next."""
 
     kind: EntryKind
@@ -295,7 +297,10 @@ class Journal:
 
     def _add_entries(self, entries: Sequence[Entry], stored: int) -> Iterable[tuple[str, str | None]]:
         """Returns the streams they belong to."""
-        rows = [(number, stored, *entry) for number, entry in enumerate(entries, start=self._last + 1)]
+        rows = [
+            (number, stored, one.kind, one.camera, one.boot, one.seq, one.raw)
+            for number, one in enumerate(entries, start=self._last + 1)
+        ]
         self._insert("INSERT INTO entry", rows)
         newest = {(row[3], row[4]): (row[3], row[4], row[5], row[0]) for row in rows if row[4] is not None}
         self._insert("INSERT OR REPLACE INTO stream", [*newest.values()])

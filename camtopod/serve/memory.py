@@ -13,6 +13,11 @@ from collections.abc import Iterator
 ARENAS_MAX = 1
 """More would be faster only for many threads that allocate at the same time."""
 _M_ARENA_MAX = -8
+YOUNG_MAX = 20_000
+"""Objects made and not yet gone before the collector looks for circles among them. Most are events on their way, which
+are in no circle and are gone soon: with the usual 700 it goes through each of them, which takes longer than to decode
+it.
+"""
 
 
 def limit_arenas() -> None:
@@ -20,6 +25,12 @@ def limit_arenas() -> None:
     library = ctypes.CDLL(None)
     if hasattr(library, "mallopt"):
         library.mallopt(_M_ARENA_MAX, ARENAS_MAX)
+
+
+def collect_rarely() -> None:
+    """The collector looks less often than usual."""
+    _, *older = gc.get_threshold()
+    gc.set_threshold(YOUNG_MAX, *older)
 
 
 def settle() -> None:

@@ -234,11 +234,9 @@ class Receiver:
         if ready:
             self._show(ready, ear)  # before anything else
             self._ready.put(ready)
-            events = [one.event for one in ready if one.event is not None]
-            for event in events:
-                self.cameras.note(event)
+            times = [one.event.t for one in ready if one.event is not None]
             right = wall + self.cameras.clock_behind
-            self._event_time.note((event.t for event in events), right, now, self._limits.future_seconds_max)
+            self._event_time.note(times, right, now, self._limits.future_seconds_max)
         self._acks.forget(self.streams.forgotten())
         if self.streams.gaps:
             self.gap.set()
@@ -283,7 +281,7 @@ class Receiver:
 
     def _published(self, message: Message, wall: float, now: float) -> list[Received]:
         self.counts["received"] += 1
-        camera, raw = message
+        camera, raw = message.camera, message.raw
         try:
             event = codec.event_from_bytes(raw)
         except codec.Rejected as error:
@@ -350,7 +348,8 @@ class Receiver:
 
     def _order(self, received: Received) -> list[Received]:
         """What is ready now; what has no count is at once."""
-        _, camera, boot, seq, raw = received.entry
+        entry = received.entry
+        camera, boot, seq = entry.camera, entry.boot, entry.seq
         if self.cameras.full(camera) or self.merge.full(camera):
             self.counts["held_full"] += 1
             return []
@@ -362,21 +361,21 @@ class Receiver:
         elif verdict == "dropped":
             self.counts["held_full"] += 1
         elif verdict == "refused":
-            self.rejects.add("too-many-streams", f"event/{camera}", "limits.streams_max is reached", raw)
+            self.rejects.add("too-many-streams", f"event/{camera}", "limits.streams_max is reached", entry.raw)
         elif verdict == "jump":
-            self.rejects.add("seq-jump", f"event/{camera}", f"seq {seq} is too far ahead", raw)
+            self.rejects.add("seq-jump", f"event/{camera}", f"seq {seq} is too far ahead", entry.raw)
         return ready
 
     def _without_floods(self, ready: list[Received]) -> list[Received]:
         """What a camera sends beyond what a view can show is not learned; of it only the count is stored."""
         kept = []
         for received in ready:
-            if received.event is not None and self.cameras.is_flood(received.event):
+            if received.event is not None and not self.cameras.note(received.event):
                 self.counts["flood"] += 1
                 entry = received.entry
                 if entry.seq is None:
                     continue
-                received = Received(entry._replace(kind="refused", raw=b""))
+                received = Received(Entry("refused", entry.camera, entry.boot, entry.seq, b""))
             kept.append(received)
         return kept
 
