@@ -6,7 +6,7 @@ import math
 import sys
 import types
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import msgspec
@@ -161,8 +161,15 @@ def _zones_of(model: Model) -> Iterator[tuple[str, str]]:
         yield f"model.pace.ways[{k}].exit", way.exit
 
 
-def read_in_parts(kind: Any, raw: bytes | msgspec.Raw) -> Any:
-    """The same from MessagePack for large nouns: decoded in one go, no other thread would get a turn meanwhile."""
+def _no_pause() -> None:
+    """At once."""
+
+
+def read_in_parts(kind: Any, raw: bytes | msgspec.Raw, pause: Callable[[], None] = _no_pause) -> Any:
+    """The same from MessagePack for large nouns: decoded in one go, no other thread would get a turn meanwhile.
+    ``pause`` is called before each part.
+    """
+    pause()
     if len(raw) <= PART_BYTES:
         return _decode(msgspec.msgpack.Decoder(kind), raw)
     if isinstance(kind, types.UnionType):
@@ -170,14 +177,18 @@ def read_in_parts(kind: Any, raw: bytes | msgspec.Raw) -> Any:
         kind = large[0] if len(large) == 1 else kind
     if typing.get_origin(kind) is list:
         (item,) = typing.get_args(kind)
-        return [read_in_parts(item, part) for part in _decode(_raw_list, raw)]
+        decoder, items = msgspec.msgpack.Decoder(item), []
+        for part in _decode(_raw_list, raw):
+            pause()
+            items.append(_decode(decoder, part) if len(part) <= PART_BYTES else read_in_parts(item, part, pause))
+        return items
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         parts = _decode(_raw_map, raw)
         fields = msgspec.structs.fields(kind)
         if missing := [field.encode_name for field in fields if field.required and field.encode_name not in parts]:
             raise Rejected("bad-value", f"{kind.__name__} without {missing[0]}")
         known = [field for field in fields if field.encode_name in parts]
-        return kind(**{field.name: read_in_parts(field.type, parts[field.encode_name]) for field in known})
+        return kind(**{field.name: read_in_parts(field.type, parts[field.encode_name], pause) for field in known})
     return _decode(msgspec.msgpack.Decoder(kind), raw)
 
 
