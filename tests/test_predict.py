@@ -22,6 +22,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.predict import NEXT_PROBABILITY_MIN, Predictor
 from camtopod.learn.settings import Settings
 from camtopod.learn.slowness import SLOWNESS_MAX, STAY_SECONDS_MIN
+from camtopod.learn.succession import take_over_arrivals, take_over_exits
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
@@ -300,6 +301,32 @@ def test_a_newer_version_remembers_what_has_been_seen() -> None:
     prediction = predictor.follow(gone).predict(EXIT)
     sound(prediction)
     assert list(chances(prediction)) == ["b/1"]
+
+
+@pytest.mark.parametrize("left", [0, 1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 30, 2000, 4001])
+def test_what_a_newer_version_remembers_is_as_if_it_had_come_again(left: int, count: int) -> None:
+    rng = np.random.default_rng(count)
+    before, expected = recent.RecentArrivals(), recent.RecentArrivals()
+    exits, exits_expected = recent.Recent(), recent.Recent()
+    for t in np.round(np.arange(count) / 10 + rng.normal(size=count), 1).tolist():  # not quite by time, some at once
+        before.append(t, int(rng.integers(5)), float(rng.random()))
+        exits.append(t, int(rng.integers(5)))
+    moved = dict(zip(range(5 - left, 5), rng.permutation(7).tolist(), strict=False))
+    for arrival in before.arrivals():
+        if arrival.zone in moved:
+            expected.append(arrival.t, moved[arrival.zone], arrival.rate)
+    for t, zone in zip(*(column.tolist() for column in exits.after(-math.inf)), strict=True):
+        if zone in moved:
+            exits_expected.append(t, moved[zone])
+    arrivals, exits_now = recent.RecentArrivals(), recent.Recent()
+    take_over_arrivals(arrivals, before, moved)
+    take_over_exits(exits_now, exits, moved)
+    for one, wanted in ((arrivals, expected), (exits_now, exits_expected)):
+        assert {name: np.asarray(value).tolist() for name, value in vars(one).items() if name != "of_zone"} == {
+            name: np.asarray(value).tolist() for name, value in vars(wanted).items() if name != "of_zone"
+        }
+    assert arrivals.of_zone == expected.of_zone
 
 
 def test_an_old_version_is_gone_without_a_collector() -> None:

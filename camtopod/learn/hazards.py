@@ -6,8 +6,8 @@ Read off the posterior that the version carries; where it carries none, off its 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Set
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Set
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
 from camtopod.records import Link, Onward, Topology
 
 Floats = NDArray[np.float64]
+Pause = Callable[[], None]
+_T = TypeVar("_T")
 
 EXPOSURE_MIN = 0.02
 NORMAL_Q90 = 1.2816
@@ -40,10 +42,21 @@ class Outcomes(NamedTuple):
     """(targets,) share of those seen there that may as well be chance."""
 
 
-class Hazards:
-    """Hazards by zone index (the order of ``topology.zones``)."""
+def no_pause() -> None:
+    """At once."""
 
-    def __init__(self, topology: Topology) -> None:
+
+def unhurried(items: Iterable[_T], pause: Pause) -> Iterator[_T]:
+    """The same, with ``pause`` called before each."""
+    for one in items:
+        pause()
+        yield one
+
+
+class Hazards:
+    """Hazards by zone index (the order of ``topology.zones``). ``pause`` is called often while they are made."""
+
+    def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
         model = topology.model
         if model is None:
             self.bins = LagBins(*_lag_range(topology), LAG_SCALE_SECONDS, LAG_STEP)
@@ -64,16 +77,16 @@ class Hazards:
         if model is None or model.onward is None:
             self.outcomes = self._from_links([*topology.links, *(topology.weak_links or [])], index)
         else:
-            self.outcomes = self._from_posterior(model.onward, index)
+            self.outcomes = self._from_posterior(unhurried(model.onward, pause), index)
         self._entered: dict[int, dict[int, list[float]]] = {}
-        for kernel in (model and model.entered) or []:
+        for kernel in unhurried((model and model.entered) or [], pause):
             hazard = on_bins(kernel.hazard, self.bins) / self.bins.widths
             self._entered.setdefault(index[kernel.zone], {})[index[kernel.to]] = hazard.tolist()
         every = list(self.outcomes.items())
         first_rows = np.cumsum([1, *(len(o.targets) for _, o in every)]).tolist()
         self._first_row: dict[int, int] = dict(zip(self.outcomes, first_rows, strict=False))
         self._rows: Floats = np.zeros((first_rows[-1], self.bins.size + 1))  # the last column is for lags without a bin
-        for zone, o in every:  # the same hazards, kept once
+        for zone, o in unhurried(every, pause):  # the same hazards, kept once
             hazard = self._rows[self._first_row[zone] :][: len(o.targets), :-1]
             hazard[:] = o.hazard
             self.outcomes[zone] = o._replace(hazard=hazard)
@@ -82,13 +95,13 @@ class Hazards:
         self._edge_list: list[float] = self._edges.tolist()
         into: dict[int, list[tuple[int, int]]] = {}
         pairs = [(zone, target) for zone, outcomes in every for target in outcomes.targets]
-        for row, (zone, target) in enumerate(pairs, start=1):
+        for row, (zone, target) in enumerate(unhurried(pairs, pause), start=1):
             into.setdefault(target, []).append((zone, row))
-        self._into = {target: np.array(rows, np.int32).T for target, rows in into.items()}
+        self._into = {target: np.array(rows, np.int32).T for target, rows in unhurried(into.items(), pause)}
         """By target, its sources and their rows (2, sources); row 0, all zeros, is of the others."""
         self._row = np.zeros(len(index), np.int32)  # all 0 between calls
-        self._ahead = self._mean_rates_ahead(topology)
-        self._index_before(topology)
+        self._ahead = self._mean_rates_ahead(topology, pause)
+        self._index_before(topology, pause)
 
     def rates(self, sources: NDArray[np.int32], target: int, lag: Floats) -> tuple[NDArray[np.int32], Floats]:
         """Hazards in 1/s from several zones (n,) to one at lags (n,) in seconds: those (m,) of the zones from which
@@ -177,7 +190,7 @@ class Hazards:
         """Longest passage known that left at one of the zones, seconds."""
         return max((self.stay[zone][-1] for zone in zones if self.stay[zone]), default=None)
 
-    def _from_posterior(self, rows: list[Onward], index: dict[str, int]) -> dict[int, Outcomes]:
+    def _from_posterior(self, rows: Iterable[Onward], index: dict[str, int]) -> dict[int, Outcomes]:
         outcomes = {}
         for row in rows:
             if row.next_:
@@ -213,7 +226,7 @@ class Hazards:
         begun = 1.0 - np.interp(-self.bins.centres, stay, np.linspace(0.0, 1.0, len(stay)))
         return np.where(self.past, np.clip(begun, EXPOSURE_MIN, 1.0), 1.0)
 
-    def _index_before(self, topology: Topology) -> None:
+    def _index_before(self, topology: Topology, pause: Pause) -> None:
         """For `seen_before` and `cameras_ahead`."""
         clock = {camera.id: camera.clock_offset for camera in topology.cameras}
         clocks = np.array([clock.get(zone.camera, 0.0) for zone in topology.zones])
@@ -232,7 +245,7 @@ class Hazards:
             for target in sorted(reached):
                 self._cameras_ahead.setdefault(target, []).append(camera)
         self._before: list[NDArray[np.intp]] = []
-        for k, zone in enumerate(topology.zones):
+        for k, zone in enumerate(unhurried(topology.zones, pause)):
             found = set(ahead.get(zone.camera, ()))
             if k in self.outcomes:
                 out = self.outcomes[k]
@@ -241,13 +254,13 @@ class Hazards:
             others = [target for target in sorted(found) if topology.zones[target].camera != zone.camera]
             self._before.append(np.array(others, np.intp))
 
-    def _mean_rates_ahead(self, topology: Topology) -> dict[tuple[str, int], float]:
+    def _mean_rates_ahead(self, topology: Topology, pause: Pause) -> dict[tuple[str, int], float]:
         """Expected appearances before leaving over the time in view, weighed by where objects leave, by camera."""
         exits: dict[str, int] = {}
         for zone in topology.zones:
             exits[zone.camera] = exits.get(zone.camera, 0) + zone.exits
         rates: dict[tuple[str, int], float] = {}
-        for k, outcomes in self.outcomes.items():
+        for k, outcomes in unhurried(self.outcomes.items(), pause):
             zone = topology.zones[k]
             stay = self.stay[k][len(self.stay[k]) // 2] if self.stay[k] else UNKNOWN_STAY_SECONDS
             share = zone.exits / max(exits[zone.camera], 1) / max(stay, 1.0)

@@ -26,7 +26,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from camtopod.learn.hazards import Hazards
+from camtopod.learn.hazards import Hazards, Pause, no_pause, unhurried
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lag_odds import paced, quantiles, unknown
 from camtopod.learn.pace import Paces
@@ -34,6 +34,7 @@ from camtopod.learn.places import Places
 from camtopod.learn.positions import block_of
 from camtopod.learn.ready import AtExit, Ready, ReadyZones, Site
 from camtopod.learn.recent import RECENT_MAX, Arrival, Recent, RecentArrivals
+from camtopod.learn.succession import renumbered, take_over_arrivals, take_over_exits
 from camtopod.learn.surroundings import Surroundings
 from camtopod.learn.under_way import Passage, UnderWay
 from camtopod.records import Event, NextCamera, Prediction, Topology
@@ -66,14 +67,14 @@ class Predictor:
     """Prediction over one topology version. `observe` keeps it abreast of events; `predict` answers for an exit.
 
     An exit is to be predicted before it is observed, else it competes with itself; not so where `predict` is told when
-    it is asked.
+    it is asked. ``pause`` is called often while it is made.
     """
 
-    def __init__(self, topology: Topology) -> None:
+    def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
         self.topology = topology
         self.zones = topology.zones
-        self._hazards = Hazards(topology)
-        self._surroundings = Surroundings(topology)
+        self._hazards = Hazards(topology, pause)
+        self._surroundings = Surroundings(topology, pause)
         self._paces = Paces(topology)
         site = Site(topology, self._hazards, self._paces)
         self._ready = ReadyZones(site)
@@ -92,6 +93,11 @@ class Predictor:
         self._last_event = [0] * len(self._names)
         """Of each camera, by the count of all events."""
 
+    def make_ready(self, pause: Pause = no_pause) -> None:
+        """Work out for each zone what would else be worked out at its first exit."""
+        for zone in unhurried(range(len(self.zones)), pause):
+            self.predict_from(zone, self.topology.as_of)
+
     def follow(self, topology: Topology) -> Predictor:
         """A predictor over a newer version that remembers what this one has observed."""
         newer = Predictor(topology)
@@ -100,14 +106,9 @@ class Predictor:
 
     def take_over(self, older: Predictor) -> None:
         """Remember what one over an older version has observed; this one must be new."""
-        index = {zone.id: k for k, zone in enumerate(self.zones)}
-        moved = {k: index[zone.id] for k, zone in enumerate(older.zones) if zone.id in index}
-        for arrival in older._arrivals.arrivals():
-            if arrival.zone in moved:
-                self._arrivals.append(arrival.t, moved[arrival.zone], arrival.rate)
-        for t, zone in zip(*(column.tolist() for column in older._exits.after(-math.inf)), strict=True):
-            if zone in moved:
-                self._exits.append(t, moved[zone])
+        moved = renumbered(older.zones, self.zones)
+        take_over_arrivals(self._arrivals, older._arrivals, moved)
+        take_over_exits(self._exits, older._exits, moved)
         self._under_way.take_over(older._under_way, moved)
         self._events = older._events
         last_event = dict(zip(older._names, older._last_event, strict=True))

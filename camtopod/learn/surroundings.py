@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
-from camtopod.learn.hazards import Outcomes
+from camtopod.learn.hazards import Outcomes, Pause, no_pause, unhurried
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.records import Context, Topology
 
@@ -24,11 +24,11 @@ class _Counts(NamedTuple):
 class Surroundings:
     """Contexts by zone index (the order of ``topology.zones``), each by (zone of entry, block, camera before)."""
 
-    def __init__(self, topology: Topology) -> None:
+    def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
         self._names = [zone.id for zone in topology.zones]
         self._of_zone: dict[int, dict[Key, Context | _Counts]] = {}
-        for row in (topology.model and topology.model.contexts) or []:
+        for row in unhurried((topology.model and topology.model.contexts) or [], pause):
             entry = index[row.entry] if row.entry is not None else None
             self._of_zone.setdefault(index[row.zone], {})[entry, row.block, row.previous] = row
 

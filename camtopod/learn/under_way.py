@@ -82,12 +82,17 @@ class UnderWay:
         return [(camera, track, passage) for (camera, track), passage in self._passages.items()]
 
     def take_over(self, older: UnderWay, moved: dict[int, int]) -> None:
-        """Remember what another has; ``moved``: its zones' numbers here, those that are gone left out."""
-        for camera, track, passage in older.passages():
-            if passage.entry in moved:
-                self.begin(camera, track, _moved(passage, moved))
-        for key, (t, ended) in older._ended.items():
-            self._ended[key] = t, None if ended is None or ended.entry not in moved else _moved(ended, moved)
+        """Remember what another has and nothing else; ``moved``: its zones' numbers here, without those gone."""
+        self._passages = {
+            key: _moved(passage, moved) for key, passage in older._passages.items() if passage.entry in moved
+        }
+        self._begun, self._in_view = len(self._passages), {}
+        for place, ((camera, track), passage) in enumerate(self._passages.items(), start=1):
+            self._in_view.setdefault(camera, {})[track] = place, passage
+        self._ended = {
+            key: (t, None if ended is None or ended.entry not in moved else _moved(ended, moved))
+            for key, (t, ended) in older._ended.items()
+        }
 
     def _leaves(self, camera: str, track: str) -> Passage | None:
         passage = self._passages.pop((camera, track), None)
@@ -100,4 +105,6 @@ class UnderWay:
 
 
 def _moved(passage: Passage, moved: dict[int, int]) -> Passage:
-    return msgspec.structs.replace(passage, entry=moved[passage.entry])
+    """Passages are never changed, so most are the same one."""
+    entry = moved[passage.entry]
+    return passage if entry == passage.entry else msgspec.structs.replace(passage, entry=entry)
