@@ -56,7 +56,7 @@ class Installation:
         self.started_at = recovered.position
         self.learning = Learning(
             recovered, self.process, self.journal, 10**6, snapshot_events,
-            self._versions.append, self._snapshot.append, lambda _: None, self.new_epoch,
+            lambda version, _: self._versions.append(version), self._snapshot.append, lambda _: None, self.new_epoch,
         )  # fmt: skip
 
     def new_epoch(self) -> str:

@@ -265,7 +265,7 @@ class Daemon:
 
     def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess, directory: Path) -> None:
         limits, share = self._config.limits, self._share
-        self._live = Live(self._publish_prediction, share.owns)
+        self._live = Live(self._publish_prediction, share.owns, self._stopping.wait)
         if isinstance(share, Whole):
             self.topology = newest_topology(self._journal, process)
             if self.topology is not None:
@@ -337,26 +337,26 @@ class Daemon:
             raise QueryError(f"version {wanted} of epoch {epoch} cannot be read: {error}") from None
         raise QueryError(f"version {wanted} of epoch {epoch} is not kept")
 
-    def _on_version(self, version: Version) -> None:
+    def _on_version(self, version: Version, hurried: bool = False) -> None:
         """A version that was learned."""
         if self._sharing is None:
-            self._live.prepare(version.topology)
+            self._live.prepare(version.topology, hurried)
         self._receiver.storing.on_version(version)
 
     def _publish(self, version: Version) -> None:
         """A version that is stored: everybody may know it, or the other shards."""
-        if self._sharing is None:
-            self._announce(version)
-        else:
-            self._sharing.publish(version)
+        tell = self._announce if self._sharing is None else self._sharing.publish
+        tell(version)
 
     def _use(self, newest: Version | Topology) -> None:
         """The whole site's topology, of a shard."""
+        self._live.prepare(newest.topology if isinstance(newest, Version) else newest)
         if isinstance(newest, Version):
             self._announce(newest)
         else:
             self.topology = newest
             self._live.use(newest)
+            self._live.forget_older()
 
     def _announce(self, version: Version) -> None:
         self._live.use(version.topology)
@@ -372,6 +372,7 @@ class Daemon:
             version.topology.version, len(version.topology.cameras),
             len(version.topology.zones), len(version.topology.links),
         )  # fmt: skip
+        self._live.forget_older()
 
     def _publish_prediction(self, prediction: Prediction) -> None:
         self.bus.put(f"prediction/{prediction.camera}", prediction, "prediction")

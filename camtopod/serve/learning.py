@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from camtopod import codec
+from camtopod.learn.hazards import no_pause
 from camtopod.records import Topology
 from camtopod.serve import memory
 from camtopod.serve.cameras import Received
@@ -35,6 +36,7 @@ from camtopod.serve.learner_messages import (
     Teach,
 )
 from camtopod.serve.learner_process import LearnerEnded, LearnerProcess
+from camtopod.serve.leisure import Leisure
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.recovery import Recovered, note_failure
 from camtopod.serve.storing import Version
@@ -59,8 +61,8 @@ _PROGRESS_ENTRIES = 200_000
 
 class Learning:
     """Teaches the learner of ``process``, for which it is the only one to ask. Its thread gives each new version to
-    ``on_version``, snapshots to ``on_snapshot`` (each after the versions it has in it), and the deadline to
-    ``on_deadline``; ``new_epoch`` begins and stores an epoch.
+    ``on_version``, and whether that is hurried; snapshots to ``on_snapshot`` (each after the versions it has in it),
+    and the deadline to ``on_deadline``; ``new_epoch`` begins and stores an epoch.
     """
 
     def __init__(
@@ -70,7 +72,7 @@ class Learning:
         journal: Journal,
         events_max: int,
         snapshot_events: int,
-        on_version: Callable[[Version], None],
+        on_version: Callable[[Version, bool], None],
         on_snapshot: Callable[[Snapshot], None],
         on_deadline: Callable[[float | None], None],
         new_epoch: Callable[[], str],
@@ -225,7 +227,7 @@ class Learning:
         while True:
             answer = self._process.receive(_TICK_SECONDS)
             if isinstance(answer, Made):
-                self._take(answer)
+                self._take(answer, stopping)
             elif isinstance(answer, Otherwise):
                 self._begin_epoch(answer.version)
             elif answer is not None:
@@ -239,13 +241,15 @@ class Learning:
                 if time.monotonic() - told_at > FINISH_SECONDS:
                     self._process.kill()
 
-    def _take(self, made: Made) -> None:
-        """A new version."""
+    def _take(self, made: Made, stopping: threading.Event) -> None:
+        """A new version. It may take its time, unless the journal is replayed and one comes after the other."""
         self._due = True
         self.made += 1
+        hurried = self.replaying > 0
+        pause = no_pause if hurried else Leisure(stopping.wait)
         with _giving_way(), memory.kept(thorough=self.made % THOROUGH_EVERY == 0):
-            topology = codec.read_in_parts(Topology, made.packed)
-            self._on_version(Version(topology, made.content, made.packed, made.delta, made.told))
+            topology = codec.read_in_parts(Topology, made.packed, pause)
+            self._on_version(Version(topology, made.content, made.packed, made.delta, made.told), hurried)
 
     def _begin_epoch(self, version: int) -> None:
         self.epoch = self._new_epoch()

@@ -7,23 +7,29 @@ import time
 from collections.abc import Callable, Sequence
 
 from camtopod import codec
+from camtopod.learn.hazards import Pause, no_pause
 from camtopod.learn.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
 from camtopod.serve.cameras import Received
+from camtopod.serve.leisure import Leisure, let_go
 from camtopod.serve.share import everything
 
 
 class Live:
     """Show it events in the order they are stored. Asked from any thread. ``owns``: the cameras whose exits it is for
-    this daemon to answer.
+    this daemon to answer. ``rest``: as of `Leisure`.
     """
 
-    def __init__(self, publish: Callable[[Prediction], None], owns: Callable[[str], bool] = everything) -> None:
-        self._publish, self._owns = publish, owns
+    def __init__(
+        self, publish: Callable[[Prediction], None], owns: Callable[[str], bool] = everything,
+        rest: Callable[[float], object] = time.sleep,
+    ) -> None:  # fmt: skip
+        self._publish, self._owns, self._rest = publish, owns, rest
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
         self._prepared: Predictor | None = None
+        self._older: list[object] = []
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
@@ -44,19 +50,32 @@ class Live:
             for event in events:
                 self._predictor.observe(event)
 
-    def prepare(self, topology: Topology) -> None:
-        """A version that is about to be used: what takes long is done, and predictions go on meanwhile. One thread."""
-        self._prepared = Predictor(topology)
+    def prepare(self, topology: Topology, hurried: bool = False) -> None:
+        """A version that is about to be used: what takes long is done, and predictions go on meanwhile; none of them is
+        held up unless it is ``hurried``. One thread.
+        """
+        pause: Pause = no_pause if hurried or self._predictor is None else Leisure(self._rest)
+        prepared = Predictor(topology, pause)
+        prepared.make_ready(pause)
+        self._prepared = prepared
 
     def use(self, topology: Topology) -> None:
-        """Predict from this version on, remembering what was observed."""
+        """Predict from this version on, remembering what was observed; then call `forget_older`."""
         newer = self._prepared
         if newer is None or newer.topology is not topology:
             newer = Predictor(topology)
+        self._prepared = None
         with self._mutex:
-            if self._predictor is not None:
-                newer.take_over(self._predictor)
+            older = self._predictor
+            if older is not None:
+                newer.take_over(older)
             self._predictor = newer
+        if older is not None:
+            self._older += [older, older.topology]
+
+    def forget_older(self) -> None:
+        """Let go of what was used before, bit by bit. In the thread of `use`."""
+        let_go(self._older, Leisure(self._rest))
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction | None:
         """To ``predict/{camera}``: for an exit at x, y at t, or from a zone, by what is known then or at ``now``;
