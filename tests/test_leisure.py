@@ -53,7 +53,7 @@ def test_there_is_a_pause_after_a_little_work_and_longer_than_it() -> None:
     assert rests == pytest.approx([PAUSE_TIMES * 1.2 * WORK_SECONDS, PAUSE_SECONDS_MAX])
 
 
-@pytest.mark.parametrize("make", [Predictor, lambda topology, pause: Predictor(topology).make_ready(pause)])
+@pytest.mark.parametrize("make", [Predictor, lambda topology, pause: Predictor(topology).make_ready(bool, pause)])
 def test_making_a_predictor_gives_way_at_every_zone(make: Callable[[Topology, Calls], object]) -> None:
     topology, pause = learned(), Calls()
     make(topology, pause)
@@ -72,7 +72,7 @@ def test_a_predictor_made_ready_predicts_the_same() -> None:
     for ready in (False, True):
         predictor = Predictor(topology)
         if ready:
-            predictor.make_ready()
+            predictor.make_ready(bool)
         made.append([predicted(predictor, event) for event in EVENTS])
     assert made[0] == made[1]
 

@@ -19,7 +19,7 @@ Events come with their cameras' own clocks; inside, times are right ones, as far
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import mul
 
 import numpy as np
@@ -93,10 +93,11 @@ class Predictor:
         self._last_event = [0] * len(self._names)
         """Of each camera, by the count of all events."""
 
-    def make_ready(self, pause: Pause = no_pause) -> None:
-        """Work out for each zone what would else be worked out at its first exit."""
-        for zone in unhurried(range(len(self.zones)), pause):
-            self.predict_from(zone, self.topology.as_of)
+    def make_ready(self, wanted: Callable[[str], bool], pause: Pause = no_pause) -> None:
+        """Work out for each zone of the cameras ``wanted`` what would else be worked out at its first exit."""
+        for k, zone in enumerate(unhurried(self.zones, pause)):
+            if wanted(zone.camera):
+                self.predict_from(k, self.topology.as_of)
 
     def follow(self, topology: Topology) -> Predictor:
         """A predictor over a newer version that remembers what this one has observed."""

@@ -56,7 +56,7 @@ class Live:
         """
         pause: Pause = no_pause if hurried or self._predictor is None else Leisure(self._rest)
         prepared = Predictor(topology, pause)
-        prepared.make_ready(pause)
+        prepared.make_ready(self._owns, pause)
         self._prepared = prepared
 
     def use(self, topology: Topology) -> None:
