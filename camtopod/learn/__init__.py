@@ -16,6 +16,6 @@ In the order in which data flows:
 * `posterior`, `prior`, `contexts`, `skipped`, `sampling`: where objects go, all weak evidence included; `doubt`: what
   of that may be chance; `model`: what of it a version carries
 * `assemble`, `rounding`, `topology`: versions with digests and deltas
-* `hazards`, `places`, `surroundings`, `pace`, `recent`, `under_way`, `lag_odds`, `ready`, `predict`: where to look
-  next, and when
+* `hazards`, `places`, `surroundings`, `pace`, `recent`, `under_way`, `succession`, `lag_odds`, `ready`, `predict`:
+  where to look next, and when
 """

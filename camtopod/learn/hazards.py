@@ -6,8 +6,8 @@ Read off the posterior that the version carries; where it carries none, off its 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Set
-from typing import NamedTuple, TypeVar
+from collections.abc import Iterable, Set
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from camtopod.learn.histograms import on_bins
 from camtopod.learn.joint import LEAVE_FLOOR, smooth
 from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins
+from camtopod.learn.pauses import Pause, no_pause, unhurried
 from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
 from camtopod.records import Link, Onward, Topology
 
 Floats = NDArray[np.float64]
-Pause = Callable[[], None]
-_T = TypeVar("_T")
 
 EXPOSURE_MIN = 0.02
 NORMAL_Q90 = 1.2816
@@ -40,17 +39,6 @@ class Outcomes(NamedTuple):
     """(bins,) share of the departures here that are exposed."""
     doubt: Floats
     """(targets,) share of those seen there that may as well be chance."""
-
-
-def no_pause() -> None:
-    """At once."""
-
-
-def unhurried(items: Iterable[_T], pause: Pause) -> Iterator[_T]:
-    """The same, with ``pause`` called before each."""
-    for one in items:
-        pause()
-        yield one
 
 
 class Hazards:

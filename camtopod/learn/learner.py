@@ -10,8 +10,6 @@ within the lateness, nor on how fast or when the program ran.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from msgspec.structs import replace
 
@@ -40,6 +38,7 @@ from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
 from camtopod.learn.passages import visible_transitions, with_usual_stays
+from camtopod.learn.pauses import Pause, no_pause
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Scene, see
@@ -70,7 +69,7 @@ class Learner:
         self.settings = settings or Settings()
         self.site, self.epoch = site, epoch
         self.topology: Topology | None = None
-        self.between_steps: Callable[[], None] = _nothing
+        self.between_steps: Pause = no_pause
         """Called twice for each version, when the candidates are found and when all is fitted: what that took is free
         again, and the next step may take as much anew.
         """
@@ -368,7 +367,3 @@ class Learner:
             return fit
         pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
         return fit._replace(candidates=whole(fit.candidates, pairs, departures, arrivals, self.bins, zones))
-
-
-def _nothing() -> None:
-    """Nothing is to be done."""

@@ -26,10 +26,11 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from camtopod.learn.hazards import Hazards, Pause, no_pause, unhurried
+from camtopod.learn.hazards import Hazards
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lag_odds import paced, quantiles, unknown
 from camtopod.learn.pace import Paces
+from camtopod.learn.pauses import Pause, no_pause, unhurried
 from camtopod.learn.places import Places
 from camtopod.learn.positions import block_of
 from camtopod.learn.ready import AtExit, Ready, ReadyZones, Site

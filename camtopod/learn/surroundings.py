@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
-from camtopod.learn.hazards import Outcomes, Pause, no_pause, unhurried
+from camtopod.learn.hazards import Outcomes
 from camtopod.learn.joint import LEAVE_FLOOR
+from camtopod.learn.pauses import Pause, no_pause, unhurried
 from camtopod.records import Context, Topology
 
 Key = tuple[int | None, int | None, str | None]

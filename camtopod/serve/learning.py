@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from camtopod import codec
-from camtopod.learn.hazards import no_pause
+from camtopod.learn.pauses import no_pause
 from camtopod.records import Topology
 from camtopod.serve import memory
 from camtopod.serve.cameras import Received

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from camtopod import codec
-from camtopod.learn.hazards import Pause, no_pause
+from camtopod.learn.pauses import Pause, no_pause
 from camtopod.learn.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus import QueryError
