@@ -10,6 +10,7 @@ from camtopod import codec
 from camtopod.learn.pauses import Pause, no_pause
 from camtopod.learn.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
+from camtopod.serve import memory
 from camtopod.serve.bus import QueryError
 from camtopod.serve.cameras import Received
 from camtopod.serve.leisure import Leisure, let_go
@@ -76,6 +77,7 @@ class Live:
     def forget_older(self) -> None:
         """Let go of what was used before, bit by bit. In the thread of `use`."""
         let_go(self._older, Leisure(self._rest))
+        memory.give_back()
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction | None:
         """To ``predict/{camera}``: for an exit at x, y at t, or from a zone, by what is known then or at ``now``;
