@@ -43,7 +43,7 @@ def let_go(wholes: list[object], pause: Callable[[], None]) -> None:
         parts: list[object] = []
         while wholes:
             one = wholes.pop()
-            if deep < 2 or isinstance(one, list | dict):
+            if deep < PARTS_DEEP - 1 or isinstance(one, list | dict):
                 parts += [part for part in gc.get_referents(one) if gc.is_tracked(part)]
             del one
             pause()
