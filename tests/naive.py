@@ -236,7 +236,7 @@ def smoothing_kernel(size, sd_bins):
 
 
 def smoothed(row, steps):
-    """`camtopod.learn.joint.smooth` of one row: (counts, share that stays in its bin)."""
+    """`camtopod.learn.smoothing.smooth` of one row: (counts, share that stays in its bin)."""
     sd_bins = next(sd for least, sd in steps if sum(row) >= least)
     kernel = smoothing_kernel(len(row), sd_bins)
     spread = np.zeros(len(row))

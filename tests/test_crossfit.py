@@ -7,7 +7,8 @@ import pytest
 
 from camtopod.learn.candidates import Arrivals, Departures, find_candidates
 from camtopod.learn.crossfit import BETS, PARTS, Parts, cross_evidence
-from camtopod.learn.joint import exposures, fit_jointly
+from camtopod.learn.exposure import exposures
+from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins
 
 BINS = LagBins(-60.0, 90.0)

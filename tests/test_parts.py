@@ -61,7 +61,7 @@ def test_no_part_of_a_fit_differs() -> None:
             fitter = JointFitter(departures, arrivals, found, BINS, 3, 3_200.0)
             fitter.use(Persistence(0.5, 0.6, 1.0))
             fit = fitter.run(fitter.start())
-            joint = (*found, fit.hazard, fit.counts, fit.responsibility, fit.outside, fitter.flatness(fit.hazard))
+            joint = (*found, fit.hazard, fit.counts, fitter.responsibility, fitter.outside, fitter.flatness(fit.hazard))
             posterior = fit_posterior(departures, arrivals, found, BINS, 3, 3_200.0, LINKED)
             results.append((*joint, *posterior.fit[:5], *posterior[1:-1]))
     whole, parts = results

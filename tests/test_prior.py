@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
-from camtopod.learn import joint
 from camtopod.learn.candidates import find_candidates
 from camtopod.learn.lags import LagBins
 from camtopod.learn.posterior import PosteriorFitter
 from camtopod.learn.prior import POOLING, RETURNING, TWO_WAY_TRANSITIONS, Prior
+from camtopod.learn.smoothing import SMOOTHING_SD_BINS
 
 SHORT = LagBins(-3.0, 8.0)
 
@@ -39,7 +39,7 @@ def test_it_equals_its_slow_twins(seed: int) -> None:
     named = list(zip(fitter.candidates.source.tolist(), fitter.candidates.target.tolist(), strict=True))
     counts, rates = np.random.default_rng(seed).random((2, len(named), SHORT.size))
     pooled = naive.pooled(
-        dict(zip(named, counts, strict=True)), camera, fitter.exposure, came, joint.SMOOTHING_SD_BINS
+        dict(zip(named, counts, strict=True)), camera, fitter.exposure, came, SMOOTHING_SD_BINS
     )  # fmt: skip
     returning = naive.returning(dict(zip(named, rates, strict=True)))
     number = dict(zip(named, counts.sum(axis=1).tolist(), strict=True))
@@ -70,7 +70,8 @@ def test_what_comes_back_tells_what_goes_there() -> None:
             candidates = find_candidates(departures, arrivals, bins, 2)
             found = fit_posterior(departures, arrivals, candidates, bins, 2, 40_060.0, LINKED)
             c = found.fit.candidates
-            shares.append(float(found.fit.counts[(c.source == 0) & (c.target == 1)].sum()))
+            there = (c.source[c.pair] == 0) & (c.target[c.pair] == 1)
+            shares.append(float(found.fit.responsibility[there].sum()))
         return float(np.mean(shares))
 
     assert believed(back=300) > believed(back=0) + 2.0

@@ -18,12 +18,13 @@ from camtopod.learn.candidates import (
     find_candidates,
     possible,
 )
-from camtopod.learn.joint import SMOOTHING_SD_BINS, START_FLOOR
+from camtopod.learn.joint import START_FLOOR
 from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.rates import local_rates
 from camtopod.learn.screening import Screen, _ends, _joined, _likely, place, standing_out, whole
 from camtopod.learn.settings import Settings
+from camtopod.learn.smoothing import SMOOTHING_SD_BINS
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import Score, score
 
@@ -194,7 +195,8 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
     )  # fmt: skip
     rows = zip(zip(departure.tolist(), arrival.tolist(), strict=True), share.tolist(), strict=True)
     assert dict(rows) == pytest.approx(slow, rel=1e-6)
-    assert lag.tolist() == [arrivals.t[a] - departures.t[d] for d, a in zip(departure, arrival, strict=True)]
+    exact = [arrivals.t[a] - departures.t[d] for d, a in zip(departure, arrival, strict=True)]
+    assert lag.tolist() == np.array(exact, np.float32).tolist()
 
 
 # --- looks over all pairs ---

@@ -122,7 +122,6 @@ def test_ways_that_screening_left_out_are_foretold_beside_the_others() -> None:
         assert (before[old] == after[new]).all()
     beside = [row for pair, row in rows[1].items() if pair not in rows[0]]
     assert {(0, 3), (2, 5)} <= {pairs_of(found)[row] for row in beside}
-    assert not found.fit.counts[beside].any()
     assert not found.doubt[beside].any()
     assert found.share[beside] == pytest.approx((found.fit.hazard[beside] * BINS.widths).sum(axis=1))
     (at,) = [row for row in beside if pairs_of(found)[row] == (0, 3)]
@@ -147,7 +146,7 @@ def pairs_of(found: Posterior) -> list[tuple[int, int]]:
 
 def columns_of(found: Posterior) -> list[np.ndarray]:
     """All that has a row for each pair."""
-    return [found.share, found.doubt, found.fit.hazard, found.fit.counts]
+    return [found.share, found.doubt, found.fit.hazard]
 
 
 # --- its slow twins ---

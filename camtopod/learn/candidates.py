@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from camtopod.learn.lags import LagBins, smoother
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+"""What is kept of each candidate, of which there may be millions: half the memory. Reckoned is in double precision."""
 Ints = NDArray[np.int32]
 Indices = NDArray[np.signedinteger[Any]]
 
@@ -75,9 +77,19 @@ class Candidates(NamedTuple):
     departure: Indices
     arrival: Indices
     pair: Ints
-    lag: Floats
+    lag: Singles
     source: Ints
     target: Ints
+
+    def take(self, kept: NDArray[np.bool_]) -> Candidates:
+        """The candidates ``kept``, and of the pairs those that have any."""
+        rows = np.flatnonzero(kept)
+        present = np.bincount(self.pair[rows], minlength=len(self.source)) > 0
+        number = np.cumsum(present, dtype=np.int32) - 1
+        return Candidates(
+            self.departure[rows], self.arrival[rows], number[self.pair[rows]], self.lag[rows], self.source[present],
+            self.target[present],
+        )  # fmt: skip
 
 
 def newest(
@@ -130,7 +142,7 @@ def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, z
     low, high = in_reach(departures, arrivals, bins)
     reached = np.concatenate(([0], np.cumsum(high - low)))
     # Of what is not written to no memory is taken: there are fewer than are in reach.
-    departure, arrival, lag = (np.empty(reached[-1], kind) for kind in (np.int32, np.int32, float))
+    departure, arrival, lag = (np.empty(reached[-1], kind) for kind in (np.int32, np.int32, np.float32))
     n = first = 0
     while first < len(arrivals.t):
         stop = int(np.searchsorted(reached, reached[first] + CANDIDATES_AT_ONCE, side="right")) - 1

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, together
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, Singles, together
 
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
@@ -62,7 +62,7 @@ class Counted(NamedTuple):
     moved: Floats
     """(contexts, columns) sure transitions."""
 
-    def of(self, departure: NDArray[np.intp], target: Longs, responsibility: Floats) -> tuple[Longs, Floats]:
+    def of(self, departure: NDArray[np.intp], target: Longs, responsibility: Singles) -> tuple[Longs, Floats]:
         """Of some candidates (m,): the cell in ``moved`` and what the candidate itself adds there."""
         cell = self.row.take(departure)
         cell += target
@@ -101,7 +101,7 @@ class Contexts:
         self._known = [self.entry >= 0, block >= 0, (self.entry >= 0) & (block >= 0)]
 
     def count(
-        self, candidates: Candidates, responsibility: Floats, gone: Floats, leave: Floats
+        self, candidates: Candidates, responsibility: Singles, gone: Floats, leave: Floats
     ) -> tuple[list[Counted], Floats]:
         """What is counted level by level, and the probability of each departure (n,) to leave in its context.
 
@@ -127,10 +127,10 @@ class Contexts:
                 np.add.at(level.moved.ravel(), cell, own)
         return levels, leave
 
-    def judged(self, candidates: Candidates, responsibility: Floats, share: Floats, levels: list[Counted]) -> Floats:
+    def judged(self, candidates: Candidates, responsibility: Singles, share: Floats, levels: list[Counted]) -> Singles:
         """Probability of each candidate (M,) in its context, judged by the others; ``share`` (P,): without context."""
         c, column = candidates, self._columns(candidates)[0]
-        after = np.empty(len(c.lag))
+        after = np.empty(len(c.lag), np.float32)
         for part in together(c.arrival):
             departure, pair = c.departure[part].astype(np.intp), c.pair[part].astype(np.intp)
             target, here = column.take(pair), share.take(pair)
@@ -158,7 +158,7 @@ class Contexts:
         column = np.arange(len(source)) - np.searchsorted(source, np.arange(self.zones))[source]
         return column, int(column.max(initial=0)) + 1
 
-    def _contexts(self, candidates: Candidates, responsibility: Floats) -> list[tuple[tuple[Longs, Longs], Floats]]:
+    def _contexts(self, candidates: Candidates, responsibility: Singles) -> list[tuple[tuple[Longs, Longs], Floats]]:
         """(Context of each departure, keys of the contexts) and how sure the context is (n,), level by level."""
         told = [known.astype(float) for known in self._known]
         camera, sure = self._previous(candidates, responsibility)
@@ -167,7 +167,7 @@ class Contexts:
         previous = (number.astype(np.int64), keys)
         return list(zip([*self._fixed, previous], [*told, sure], strict=True))
 
-    def _previous(self, candidates: Candidates, responsibility: Floats) -> tuple[Longs, Floats]:
+    def _previous(self, candidates: Candidates, responsibility: Singles) -> tuple[Longs, Floats]:
         """Camera each object most probably came from (n,), -1: unknown, and the probability of that."""
         c, d = candidates, self.departures
         likely = np.flatnonzero(responsibility > PREVIOUS_RESPONSIBILITY_MIN)
@@ -181,11 +181,11 @@ class Contexts:
         best[arrival[most]] = camera[most]  # where there are several the last stays
         return best[d.own], np.minimum(sure[d.own], 1.0)
 
-    def _sureness(self, candidates: Candidates, responsibility: Floats) -> Floats:
+    def _sureness(self, candidates: Candidates, responsibility: Singles) -> Floats:
         """Share of the transitions from each zone (zones,) that is sure."""
         squares, all_of = np.zeros(self.zones), np.zeros(self.zones)
         for part in together(candidates.arrival):
-            zone, r = self._zone.take(candidates.departure[part]), responsibility[part]
+            zone, r = self._zone.take(candidates.departure[part]), responsibility[part].astype(float)
             np.add.at(squares, zone, r * r)
             np.add.at(all_of, zone, r)
         sure: Floats = squares / np.maximum(all_of, 1e-300)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, Singles
 from camtopod.learn.joint import Fit, JointFitter
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import Chance
@@ -38,7 +38,7 @@ BET_SPARSITY = 0.5
 SWEEPS = 3
 ROUNDS = 1
 """Rounds of each fit before the last."""
-RESPONSIBILITY_MAX = 1.0 - 1e-9
+RESPONSIBILITY_MAX = 1.0 - 1e-7
 FLAT_MAX = 1e6
 
 
@@ -131,7 +131,7 @@ class PartFitter(JointFitter):
         return Chance(left.t[self.near], left.zone[self.near], came.t, came.zone, self.zones)
 
 
-def _fitted(fitter: JointFitter) -> Floats:
+def _fitted(fitter: JointFitter) -> Singles:
     """Hazards (P, bins) from one part of the time alone and from nothing; the sparse prior comes in at the end."""
     fitter.sparsity = 0.0
     hazard = fitter.start()
@@ -141,7 +141,7 @@ def _fitted(fitter: JointFitter) -> Floats:
     return fitter.run(hazard).hazard
 
 
-def _evidence(fitter: JointFitter, hazard: Floats, outside: Floats) -> tuple[Floats, Floats]:
+def _evidence(fitter: JointFitter, hazard: Singles, outside: Floats) -> tuple[Floats, Floats]:
     """Log likelihood ratios (P,) of each pair against no link and against a link without a transit time."""
     fitter.outside = outside
     share = np.minimum(fitter.expect_afresh(hazard, SWEEPS), RESPONSIBILITY_MAX)

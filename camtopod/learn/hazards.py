@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.histograms import on_bins
-from camtopod.learn.joint import LEAVE_FLOOR, smooth
+from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins
 from camtopod.learn.pauses import Pause, no_pause, unhurried
 from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
+from camtopod.learn.smoothing import smooth
 from camtopod.records import Link, Onward, Topology
 
 Floats = NDArray[np.float64]

@@ -24,9 +24,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, Indices, first_hazards, rows_together, together
-from camtopod.learn.grouping import rows_of
-from camtopod.learn.lags import LagBins, smoother
+from camtopod.learn.candidates import (
+    Arrivals,
+    Candidates,
+    Departures,
+    Indices,
+    Singles,
+    first_hazards,
+    rows_together,
+    together,
+)
+from camtopod.learn.exposure import exposures
+from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import Chance
 from camtopod.learn.slowness import (
     NO_PERSISTENCE,
@@ -37,6 +46,7 @@ from camtopod.learn.slowness import (
     combined,
     persistence,
 )
+from camtopod.learn.smoothing import smooth
 
 Floats = NDArray[np.float64]
 
@@ -62,14 +72,14 @@ transition off each. Left out, thousands of pairs share the arrivals that come f
 """
 FOLLOWED_TRANSITIONS_MIN = 0.05
 """A pair of zones with fewer expected transitions is not followed in later rounds."""
-SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
-"""(at least this many expected transitions, smooth by this many bins)."""
+NOTHING = 1e-30
+"""Fewer transitions than this are none, in single precision, too."""
 
 
 class Fit(NamedTuple):
     """Result of the joint fit."""
 
-    hazard: Floats
+    hazard: Singles
     """(P, bins) per second and exposed departure, smoothed."""
     counts: Floats
     """(P, bins) expected transitions."""
@@ -84,6 +94,15 @@ class Fit(NamedTuple):
     persistence: Persistence
 
 
+class Tables(NamedTuple):
+    """What a round of EM comes to."""
+
+    hazard: Singles
+    """(P, bins) per second and exposed departure, smoothed."""
+    counts: Floats
+    """(P, bins) expected transitions."""
+
+
 def fit_jointly(
     departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float
 ) -> Fit:
@@ -93,16 +112,16 @@ def fit_jointly(
     Always from nothing: going on from the last one believes early mistakes ever more and sees too late what has opened.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
-    hazard = fitter.use_slowness(fitter.run(fitter.start()))
-    hazard = fitter.run(hazard).hazard
+    hazard = fitter.run(fitter.use_slowness(fitter.run(fitter.start()))).hazard
     fitter.sparsity = SPARSITY
-    fit = fitter.prune(fitter.run(hazard))
+    tables = fitter.prune(fitter.run(hazard))
+    del hazard
     for _ in range(SPARSE_ROUNDS_MAX - 1):
         before = fitter.persistence
-        fit = fitter.prune(fitter.run(fitter.use_slowness(fit)))
+        tables = fitter.prune(fitter.run(fitter.use_slowness(tables)))
         if max(abs(now - then) for now, then in zip(fitter.persistence, before, strict=True)) < SETTLED:
             break
-    return fit._replace(flat=fitter.flatness(fit.hazard))
+    return fitter.found(tables, fitter.flatness(tables.hazard))
 
 
 class JointFitter:
@@ -130,11 +149,12 @@ class JointFitter:
         self.persistence = NO_PERSISTENCE
         self.outside = np.full(zones, 0.5)
         self._per_zone = np.maximum(np.bincount(arrivals.zone, minlength=zones), 1.0)
-        self._message = np.ones(len(candidates.lag))
-        self._responsibility = np.zeros(len(candidates.lag))
+        self._message = np.ones(len(candidates.lag), np.float32)
+        self.responsibility: Singles = np.zeros(len(candidates.lag), np.float32)
+        """(M,) probability that the candidate is one object."""
         self._drawn: Indices | None = None  # the only candidates with a responsibility, ascending, where there are few
-        self._own = np.zeros((self.pairs, bins.size))
-        self._agreement: Floats | None = None
+        self._own = np.zeros((self.pairs, bins.size), np.float32)
+        self._agreement: Singles | None = None
         self.use(NO_PERSISTENCE)
 
     @property
@@ -142,52 +162,56 @@ class JointFitter:
         """Number of pairs of zones followed, P."""
         return len(self.candidates.source)
 
-    def start(self, noise_sd: float = START_NOISE_SD) -> Floats:
+    def start(self, noise_sd: float = START_NOISE_SD) -> Singles:
         """First hazards (P, bins): what exceeds chance and ``noise_sd`` standard deviations of it in each pair's own
         histogram.
         """
         c = self.candidates
         if len(c.lag) == 0:
-            return np.zeros((self.pairs, self.bins.size))
+            return np.zeros((self.pairs, self.bins.size), np.float32)
         seen = self._count(np.ones(part.stop - part.start) for part in self._parts)
         rates = self._chance().of(c.source, c.target)
-        return first_hazards(seen, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR)
+        first = first_hazards(seen, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR)
+        return first.astype(np.float32)
 
     def _chance(self) -> Chance:
         """What there would be if departures and arrivals had nothing to do with each other."""
         left, came = self.departures, self.arrivals
         return Chance(left.t, left.zone, came.t, came.zone, self.zones)
 
-    def run(self, hazard: Floats) -> Fit:
-        """One round of EM from the given hazards (P, bins). What the next does to responsibilities it does to these."""
+    def run(self, hazard: Singles) -> Tables:
+        """One round of EM from the given hazards (P, bins)."""
         for iteration in range(ITERATIONS):
-            responsibility = self._expect(hazard)
-            counts = self._counted(responsibility)
+            self._expect(hazard)
+            counts = self._counted(self.responsibility)
             self._look_outside()
             fresh = self._hazards(counts)
             stride = STRIDE if iteration < ITERATIONS - SETTLING_ITERATIONS else 1.0
             if stride != 1.0:
                 for rows in rows_together(self.pairs):
-                    ratio = np.minimum(fresh[rows] / np.maximum(hazard[rows], 1e-300), STRIDE_RATIO_MAX)
+                    ratio = np.minimum(fresh[rows] / np.maximum(hazard[rows], NOTHING), STRIDE_RATIO_MAX)
                     fresh[rows] *= ratio ** (stride - 1.0)
             hazard = fresh
-        return Fit(hazard, counts, responsibility, np.zeros(0), self.outside, self.candidates, self.persistence)
+        return Tables(hazard, counts)
 
-    def use_slowness(self, fit: Fit) -> Floats:
+    def use_slowness(self, tables: Tables) -> Singles:
         """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins).
 
         What is sure is judged without looking at whether the slownesses agree, else agreement would breed itself.
         """
-        c, responsibility, hazard = self.candidates, fit.responsibility, fit.hazard
-        del fit  # its tables are as large as the new ones
+        c, hazard, before = self.candidates, tables.hazard, self._to_count()
+        del tables  # they are as large as the new ones
         self._agreement = None
-        self._responsibility = self._responsibility.copy()  # those of the fit are counted below
-        plain = self._expect(hazard)
+        self._expect(hazard)
         del hazard
-        sure = np.flatnonzero(plain > SURE_RESPONSIBILITY)
-        left, came = self._slownesses(sure)
-        self.use(persistence(left, came, c.lag[sure], c.pair[sure], plain[sure]))
-        return self._hazards(self._counted(responsibility))
+        sure = np.flatnonzero(self.responsibility > SURE_RESPONSIBILITY)
+        (left, came), each = self._slownesses(sure), self.responsibility[sure].astype(float)
+        self.use(persistence(left, came, c.lag[sure].astype(float), c.pair[sure], each))
+        return self._hazards(self._counted(before))
+
+    def _to_count(self) -> Singles:
+        """A copy of the responsibilities (M,), as far as they count for the hazards."""
+        return self.responsibility.copy()
 
     def use(self, found: Persistence) -> None:
         """Adjust lags and weigh candidates by what speed tells."""
@@ -195,9 +219,9 @@ class JointFitter:
         self.persistence = found
         self._parts = together(c.arrival)
         self._cell = np.empty(len(c.lag), np.int32)
-        self._agreement = np.empty(len(c.lag)) if found.correlation > 0 else None
+        self._agreement = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
         for part in self._parts:
-            lag = c.lag[part]
+            lag = np.clip(c.lag[part].astype(float), self.bins.lag_min, self.bins.lag_max)
             if found != NO_PERSISTENCE:
                 left, came = self._slownesses(part)
                 lag = adjusted_lag(lag, combined(left, came), found.scaling, self.bins)
@@ -210,42 +234,46 @@ class JointFitter:
         c = self.candidates
         return self.departures.slow.take(c.departure[some]), self.arrivals.slow.take(c.arrival[some])
 
-    def prune(self, fit: Fit) -> Fit:
+    def prune(self, tables: Tables) -> Tables:
         """Follow only the pairs of zones that have any transitions left."""
         c = self.candidates
-        alive = fit.counts.sum(axis=1) > FOLLOWED_TRANSITIONS_MIN
+        alive = tables.counts.sum(axis=1) > FOLLOWED_TRANSITIONS_MIN
         kept = np.flatnonzero(alive[c.pair])
         number = np.cumsum(alive, dtype=np.int32) - 1
         self.candidates = Candidates(
             c.departure[kept], c.arrival[kept], number[c.pair[kept]], c.lag[kept], c.source[alive], c.target[alive]
         )
-        self._message, self._responsibility = self._message[kept], self._responsibility[kept]
+        self._message, self.responsibility = self._message[kept], self.responsibility[kept]
         self.use(self.persistence)
         self._own = self._own[alive]
-        return fit._replace(
-            hazard=fit.hazard[alive], counts=fit.counts[alive], responsibility=fit.responsibility[kept],
-            candidates=self.candidates,
+        return Tables(tables.hazard[alive], tables.counts[alive])
+
+    def found(self, tables: Tables, flat: Floats) -> Fit:
+        """The fit as it is known from outside."""
+        return Fit(
+            tables.hazard, tables.counts, self.responsibility.astype(float), flat, self.outside, self.candidates,
+            self.persistence,
         )  # fmt: skip
 
-    def expect_afresh(self, hazard: Floats, sweeps: int) -> Floats:
+    def expect_afresh(self, hazard: Singles, sweeps: int) -> Floats:
         """Responsibilities (M,) under hazards (P, bins) learned elsewhere: nothing left out, nothing known before."""
-        self._message = np.ones(len(self.candidates.lag))
+        self._message[:] = 1.0
         for _ in range(sweeps):
-            self._responsibility = np.zeros(len(self.candidates.lag))
+            self.responsibility[:] = 0.0
             self._expect(hazard)
-        return self._responsibility
+        return self.responsibility.astype(float)
 
-    def _expect(self, hazard: Floats) -> Floats:
-        """E step: responsibilities (M,), in the place of those before."""
-        c, result = self.candidates, self._responsibility
+    def _expect(self, hazard: Singles) -> None:
+        """E step: responsibilities in the place of those before."""
+        c, result = self.candidates, self.responsibility
         background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
         taken = np.zeros(len(self.departures.t))
         for part in self._parts:
-            result[part] = weight = self._weights(hazard, part)
-            np.add.at(taken, c.departure[part].astype(np.intp), weight * self._message[part])
+            result[part] = self._weights(hazard, part)
+            np.add.at(taken, c.departure[part].astype(np.intp), result[part].astype(float) * self._message[part])
         taken += self._leave(hazard)
         for part in self._parts:
-            weight, arrival = result[part], c.arrival[part].astype(np.intp)
+            weight, arrival = result[part].astype(float), c.arrival[part].astype(np.intp)
             first, last = arrival[0], arrival[-1] + 1
             arrival -= first
             offer = weight / (taken.take(c.departure[part]) - weight * self._message[part])
@@ -253,13 +281,12 @@ class JointFitter:
             np.add.at(offered, arrival, offer)
             demand = (background[first:last] + offered).take(arrival)
             self._message[part] = 1.0 / np.maximum(demand - offer, 1e-12)
-            np.divide(offer, demand, out=weight)
-        return result
+            np.divide(offer, demand, out=result[part])
 
     def _believe(self, drawn: Indices) -> None:
         """The candidates ``drawn`` (ascending) are transitions, and no others."""
-        self._responsibility[:] = 0.0
-        self._responsibility[drawn] = 1.0
+        self.responsibility[:] = 0.0
+        self.responsibility[drawn] = 1.0
         self._drawn = drawn
 
     @property
@@ -271,7 +298,7 @@ class JointFitter:
         """Responsibilities (size,) added up by an ``index`` (M,)."""
         total = np.zeros(size)
         for part in self._telling:
-            np.add.at(total, index[part].astype(np.intp), self._responsibility[part])
+            np.add.at(total, index[part].astype(np.intp), self.responsibility[part].astype(float))
         return total
 
     def _look_outside(self) -> None:
@@ -280,22 +307,22 @@ class JointFitter:
         per_zone = np.bincount(self.arrivals.zone, explained, minlength=self.zones)
         self.outside = np.clip(1.0 - per_zone / self._per_zone, OUTSIDE_FLOOR, 1.0)
 
-    def _weights(self, hazard: Floats, part: slice) -> Floats:
+    def _weights(self, hazard: Singles, part: slice) -> Floats:
         """Hazard of each candidate of a part that the others make."""
         cell = self._cell[part].astype(np.intp)
-        weight: Floats = hazard.take(cell)
+        weight = hazard.take(cell).astype(float)
         # Leave one out: left in, a lone arrival would be its own evidence and all clutter would find a departure.
         if self._drawn is None:
-            weight *= np.maximum(1.0 - self._responsibility[part] * self._own.take(cell), 0.0)
+            weight *= np.maximum(1.0 - self.responsibility[part] * self._own.take(cell), 0.0)
         else:
             drawn = self._drawn[within(self._drawn, part)]
             at = drawn - part.start
-            weight[at] *= np.maximum(1.0 - self._responsibility[drawn] * self._own.take(cell[at]), 0.0)
+            weight[at] *= np.maximum(1.0 - self.responsibility[drawn] * self._own.take(cell[at]), 0.0)
         if self._agreement is not None:
             weight *= self._agreement[part]
         return weight
 
-    def _leave(self, hazard: Floats) -> Floats:
+    def _leave(self, hazard: Singles) -> Floats:
         """Probability (n,) that the object of each departure is not seen again."""
         share = np.zeros(self.pairs)
         for rows in rows_together(self.pairs):
@@ -304,32 +331,34 @@ class JointFitter:
         left: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)[self.departures.zone]
         return left
 
-    def _after_exit(self, hazard: Floats, rows: slice) -> Floats:
+    def _after_exit(self, hazard: Singles, rows: slice) -> Singles:
         """All hazard (rows, bins) that counts from the exit."""
         return hazard[rows]
 
-    def _counted(self, responsibility: Floats) -> Floats:
+    def _counted(self, responsibility: Singles) -> Floats:
         """Expected transitions (P, bins)."""
         return self._count(responsibility[part] for part in self._parts)
 
-    def _count(self, shares: Iterable[Floats]) -> Floats:
+    def _count(self, shares: Iterable[Singles | Floats]) -> Floats:
         """Candidates (P, bins), of each so much, part by part."""
         flat = np.zeros(self.pairs * self.bins.size)
         for part, share in zip(self._telling, shares, strict=True):
-            np.add.at(flat, self._cell[part].astype(np.intp), share)
+            np.add.at(flat, self._cell[part].astype(np.intp), share.astype(float, copy=False))
         return flat.reshape(self.pairs, self.bins.size)
 
-    def _hazards(self, counts: Floats) -> Floats:
+    def _hazards(self, counts: Floats) -> Singles:
         """M step: counts over exposure, smoothed, per second, (P, bins)."""
-        kept = counts
-        if self.sparsity:
-            total = counts.sum(axis=1, keepdims=True)
-            kept = counts * (np.maximum(total - self.sparsity, 1e-3 * total) / np.maximum(total, 1e-300))
-        smoothed, stays = smooth(kept)
-        np.divide(stays[:, None], np.maximum(smoothed, 1e-300, out=self._own), out=self._own)
+        total = counts.sum(axis=1)
+        kept = np.maximum(total - self.sparsity, 1e-3 * total) if self.sparsity else total
+        share = (kept / np.maximum(total, 1e-300))[:, None]
+        smoothed = np.empty(counts.shape, np.float32)
+        for rows in rows_together(self.pairs):
+            some, stays = smooth(counts[rows], kept[rows])
+            smoothed[rows] = some = some * share[rows]
+            self._own[rows] = stays[:, None] / np.maximum(some, NOTHING)
         return self._per_second(counts, smoothed)
 
-    def _per_second(self, counts: Floats, smoothed: Floats) -> Floats:
+    def _per_second(self, counts: Floats, smoothed: Singles) -> Singles:
         """Hazards (P, bins) of counts and smoothed counts; in the place of these."""
         for rows in rows_together(self.pairs):
             smoothed[rows] /= self._exposed(rows) * self.bins.widths
@@ -339,12 +368,12 @@ class JointFitter:
         """Departures (rows, bins) of the pairs of zones, at least 1."""
         return self._some_exposed.take(self.candidates.source[rows], axis=0)
 
-    def _appears(self, hazard: Floats, rows: slice = slice(None)) -> Floats:
+    def _appears(self, hazard: Singles, rows: slice = slice(None)) -> Floats:
         """Probability (rows, bins) that an object leaving at the source appears next at the target in that lag bin."""
         appears: Floats = hazard * self.bins.widths * self._exposed_share[self.candidates.source[rows]]
         return appears
 
-    def flatness(self, hazard: Floats) -> Floats:
+    def flatness(self, hazard: Singles) -> Floats:
         """Hazard without its dependence on the lag over the hazard, of each candidate (M,): as many transitions are
         expected of it.
         """
@@ -352,49 +381,10 @@ class JointFitter:
         for rows in rows_together(self.pairs):
             exposed = self.exposure[self.candidates.source[rows]] * self.bins.widths
             even[rows] = (hazard[rows] * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
-        flat: Floats = even[self.candidates.pair] / np.maximum(hazard.take(self._cell), 1e-300)
+        flat: Floats = even[self.candidates.pair] / np.maximum(hazard.take(self._cell), NOTHING)
         return flat
 
 
 def within(some: Indices, part: slice) -> slice:
     """Which of ``some`` (n,), ascending, belong to a part of all."""
     return slice(*np.searchsorted(some, (part.start, part.stop)).tolist())
-
-
-def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
-    """Departures of each zone whose lag bin could have been seen: (zones, bins).
-
-    A bin after the exit is exposed once the window up to it is over (``until``, seconds); one before the exit as far as
-    the passage had begun by then.
-    """
-    exposed = np.zeros((zones, bins.size))
-    ahead = int((bins.edges[1:] <= 0).sum())
-    before = bins.edges[: ahead + 1]
-    for zone, here in enumerate(rows_of(departures.zone, zones)):
-        left = np.sort(until - departures.t[here])
-        exposed[zone] = len(here) - np.searchsorted(left, bins.edges[1:], side="left")
-        # The seconds in view by each edge, added up, grow by how many were in view, also where a bin is exposed in
-        # part: where all passages are taken to last equally long, its few seconds would else look like a peak.
-        stay = np.sort(np.minimum(departures.t[here] - departures.since[here], -bins.edges[0]))
-        shorter = np.searchsorted(stay, -before, side="right")
-        longer = np.append(np.cumsum(stay[::-1])[::-1], 0.0)[shorter]
-        exposed[zone, :ahead] = np.diff(longer + (len(here) - shorter) * before) / bins.widths[:ahead]
-    return exposed
-
-
-def smooth(counts: Floats) -> tuple[Floats, Floats]:
-    """Counts (P, bins) spread over neighbouring bins, the wider the fewer there are; and the share (P,) that stays."""
-    size = counts.shape[1]
-    total = counts.sum(axis=1)
-    result = np.zeros_like(counts)
-    stays = np.zeros(len(total))
-    above = np.full(len(total), False)
-    for least, sd_bins in SMOOTHING_SD_BINS:
-        few = np.flatnonzero((total >= least) & ~above)
-        above[few] = True
-        spread = smoother(size, sd_bins)
-        for part in rows_together(len(few)):
-            rows = few[part]
-            result[rows] = counts[rows] @ spread.T
-            stays[rows] = spread[size // 2, size // 2]
-    return result, stays

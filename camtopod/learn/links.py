@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.candidates import Arrivals, Departures
-from camtopod.learn.joint import Fit, exposures, smooth
+from camtopod.learn.candidates import Arrivals, Departures, rows_together
+from camtopod.learn.exposure import exposures
+from camtopod.learn.joint import Fit
 from camtopod.learn.lags import LagBins
 from camtopod.learn.settings import Settings
 from camtopod.learn.significance import log_likelihood_ratio, q_values
 from camtopod.learn.slowness import combined
+from camtopod.learn.smoothing import smooth
 from camtopod.learn.transit import MEDIAN_ERROR, TransitFigures, transit_figures
 
 Floats = NDArray[np.float64]
@@ -52,7 +54,7 @@ def join(parts: list[Transitions]) -> Transitions:
 def transitions_of(fit: Fit) -> Transitions:
     """The candidates of a joint fit."""
     c = fit.candidates
-    return Transitions(c.source[c.pair], c.target[c.pair], c.lag, fit.responsibility, fit.flat)
+    return Transitions(c.source[c.pair], c.target[c.pair], c.lag.astype(float), fit.responsibility, fit.flat)
 
 
 def leaving(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:
@@ -126,13 +128,16 @@ def tabulate(transitions: Transitions, left: Floats, bins: LagBins, zones: int, 
     flat = np.bincount(
         pair[inside].astype(np.int64) * bins.size + at[inside], transitions.weight[inside], minlength=pairs * bins.size
     )
-    counts: Floats = flat.reshape(pairs, bins.size).astype(float)
-    density = smooth(counts)[0] / bins.widths
+    counts: Floats = flat.astype(float, copy=False).reshape(pairs, bins.size)
+    density = smooth(counts)[0]
+    density /= bins.widths
     slow, error = (None, None) if pace is None else (pace.slow, 0.5 * np.hypot(pace.left[source], pace.came[target]))
     transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins, slow, error)
     ratio = log_likelihood_ratio(pair, transitions.weight, transitions.flat, pairs)
     variance = np.nan_to_num(transit.sd) ** 2 / mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
-    probability = np.minimum((counts / np.maximum(left[source], 1.0)).sum(axis=1), 1.0)
+    probability = np.zeros(pairs)
+    for rows in rows_together(pairs):
+        probability[rows] = np.minimum((counts[rows] / np.maximum(left[source[rows]], 1.0)).sum(axis=1), 1.0)
     return LinkTable(
         source, target, probability, ratio, q_values(ratio, pairs), transit,
         variance, counts,

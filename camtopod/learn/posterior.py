@@ -22,10 +22,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, Indices, first_hazards, rows_together
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, Indices, Singles, first_hazards, rows_together
 from camtopod.learn.contexts import Contexts, Counted, Level, multipliers
 from camtopod.learn.doubt import doubts
-from camtopod.learn.joint import LEAVE_FLOOR, START_FLOOR, Fit, JointFitter, smooth, within
+from camtopod.learn.joint import LEAVE_FLOOR, NOTHING, START_FLOOR, Fit, JointFitter, Tables, within
 from camtopod.learn.lags import LagBins
 from camtopod.learn.passages import in_view
 from camtopod.learn.prior import Prior
@@ -33,6 +33,7 @@ from camtopod.learn.rates import Chance
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.screening import not_overlapping
 from camtopod.learn.skipped import occurring, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.smoothing import smooth
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -104,9 +105,10 @@ def fit_followed(
     fitter.sample()
     levels = fitter.levels()
     left = np.bincount(departures.zone, minlength=zones).astype(float)
-    doubt = doubts(fitter.candidates.pair, fitter.responsibility, fitter.pairs, evidence, left)
+    found = fitter.result()
+    doubt = doubts(found.candidates.pair, found.responsibility, fitter.pairs, evidence, left)
     posterior = Posterior(
-        fitter.result(), fitter.share, fitter.leave, doubt, fitter.entry_source, fitter.entry_target,
+        found, fitter.share, fitter.leave, doubt, fitter.entry_source, fitter.entry_target,
         fitter.entry_kernels()[0], levels,
     )  # fmt: skip
     return fitter.with_skips(posterior) if screened else posterior
@@ -121,23 +123,18 @@ class PosteriorFitter(JointFitter):
     ) -> None:  # fmt: skip
         super().__init__(departures, arrivals, candidates, bins, zones, until)
         self._prior = Prior(candidates, self._camera, self.exposure, self._per_zone)
-        self.hazard = self.counts = np.zeros(0)
+        self.hazard, self.counts = np.zeros(0, np.float32), np.zeros(0)
         self.share, self.leave = np.zeros(self.pairs), np.ones(zones)
         self.contexts = Contexts(departures, arrivals, zones, int(self._camera.max(initial=0)) + 1)
         self._left = np.bincount(departures.zone, minlength=zones).astype(float)
         self._leaving = np.zeros(0)  # (n,) of each departure, once contexts are known
         self._through = ways_through(departures, self.contexts.entry, self._camera)
-        self._skip_unit: Floats | None = None  # large, so there is none before it is known; nor multipliers
-        self._multiplier: Floats | None = None
+        self._skip_unit: Singles | None = None  # large, so there is none before it is known; nor multipliers
+        self._multiplier: Singles | None = None
         self._skip_odds, self._skip_sum = SKIP_ODDS_FIRST, np.zeros(self.pairs)
-        self._skip_part, self._entry_part = np.zeros(len(candidates.lag)), np.zeros(0)
+        self._skip_part, self._entry_part = np.zeros(len(candidates.lag), np.float32), np.zeros(0)
         self._skippable = np.zeros(0, np.int32)  # the candidates that may have skipped a view
         self._find_early()
-
-    @property
-    def responsibility(self) -> Floats:
-        """(M,)"""
-        return self._responsibility
 
     def look(self) -> None:
         """A few iterations, to see which candidates are worth following."""
@@ -147,12 +144,8 @@ class PosteriorFitter(JointFitter):
     def worth_following(self) -> Candidates:
         """The candidates that are neither negligible nor impossible."""
         c = self.candidates
-        impossible = not_overlapping(c, self.departures, self.arrivals, self._responsibility, self.contexts.cameras)
-        kept = np.flatnonzero((self._responsibility > NEGLIGIBLE) & ~impossible)
-        present, pair = np.unique(c.pair[kept], return_inverse=True)
-        return Candidates(
-            c.departure[kept], c.arrival[kept], pair.astype(np.int32), c.lag[kept], c.source[present], c.target[present]
-        )
+        impossible = not_overlapping(c, self.departures, self.arrivals, self.responsibility, self.contexts.cameras)
+        return c.take((self.responsibility > NEGLIGIBLE) & ~impossible)
 
     def skip(self) -> None:
         """See to it that what appears after a skipped view is worth following, too."""
@@ -165,18 +158,18 @@ class PosteriorFitter(JointFitter):
         self._entered_at, self.hazard = self._start_entry(), self.start(FIRST_NOISE_SD)
         for _ in range(FIRST_ROUNDS):
             self._iterate(FIRST_ITERATIONS, contexts=False)
-            self.hazard = self.use_slowness(self._as_fit(self.hazard))
+            self.hazard = self.use_slowness(Tables(self.hazard, self.counts))
             self._find_skips(self.hazard)
         self._iterate(ITERATIONS, contexts=True)
 
     def sample(self) -> None:
         """Weigh what the fit says with what is believed on average over draws of who came from where."""
-        fitted, early = self._responsibility, self._early
+        fitted, early = self.responsibility.copy(), self._early
         sources = Sources(self.candidates.arrival, len(self.arrivals.t), SAMPLING_SEED)
-        believed, skipped, entered = np.zeros(len(fitted)), np.zeros(len(fitted)), np.zeros(len(early))
-        self._responsibility = fitted.copy()
+        believed, skipped = np.zeros((2, len(fitted)), np.float32)
+        entered = np.zeros(len(early))
         for sweep in range(SWEEPS):
-            self._believe(sources.draw(self._responsibility))
+            self._believe(sources.draw(self.responsibility))
             hazard = self._with_faint(self._learn_hazards())
             if (sweep + 1) % SKIPS_EVERY == 0:
                 self._find_skips(hazard)
@@ -186,37 +179,37 @@ class PosteriorFitter(JointFitter):
             if sweep % 2 == 0:
                 self._learn_contexts()
             if sweep >= SETTLING_SWEEPS:
-                believed += self._responsibility
+                believed += self.responsibility
                 some = self._skippable
-                skipped[some] += self._responsibility[some] * self._skip_part[some]
-                entered += self._responsibility[early] * self._entry_part
-        self._skip_part = skipped / np.maximum(believed, 1e-300)
-        self._entry_part = entered / np.maximum(believed[early], 1e-300)
-        on_average = believed / (SWEEPS - SETTLING_SWEEPS)
-        self._responsibility = SAMPLES_SHARE * on_average + (1.0 - SAMPLES_SHARE) * fitted
+                skipped[some] += self.responsibility[some] * self._skip_part[some]
+                entered += self.responsibility[early] * self._entry_part
+        np.divide(skipped, np.maximum(believed, NOTHING), out=self._skip_part)
+        self._entry_part = entered / np.maximum(believed[early], NOTHING)
+        believed *= SAMPLES_SHARE / (SWEEPS - SETTLING_SWEEPS)
+        fitted *= 1.0 - SAMPLES_SHARE
+        np.add(believed, fitted, out=self.responsibility)
         self.hazard = self._with_faint(self._learn_hazards())
 
     def levels(self) -> list[Level]:
         """What is known of contexts, and the shares beside them, in the end."""
         return self.contexts.named(self.candidates, self._count_contexts())
 
-    def _with_faint(self, hazard: Floats) -> Floats:
-        return with_faint(hazard, self._exposed(slice(None)), self.candidates.source, self.bins)
+    def _with_faint(self, hazard: Singles) -> Singles:
+        return with_faint(hazard, self._some_exposed, self.candidates.source, self.bins)
 
     def result(self) -> Fit:
-        """All that leaves a view and appears in the next; ``hazard`` and ``counts`` are those counted from the exit."""
+        """All that leaves a view and appears in the next; ``hazard`` is that counted from the exit, ``counts`` nothing,
+        as nobody asks for them.
+        """
         hazard = self._after_exit(self.hazard, slice(None))
-        return Fit(
-            hazard, self.counts, self._responsibility, self.flatness(hazard), self.outside, self.candidates,
-            self.persistence,
-        )  # fmt: skip
+        return self.found(Tables(hazard, np.zeros((0, self.bins.size))), self.flatness(hazard))
 
     def with_skips(self, posterior: Posterior) -> Posterior:
         """The posterior with what skipped views lead to beside the pairs of zones that were followed."""
         c = posterior.fit.candidates
         source, target, unit = skipped_beside(self._appears(self.hazard), c, self._through, self.bins, self.zones)
-        hazard = self._skip_odds * unit
-        share = (hazard * self.bins.widths).sum(axis=1)
+        hazard = (self._skip_odds * unit).astype(np.float32)
+        share = hazard @ self.bins.widths
         key = np.concatenate((c.source, source)).astype(np.int64) * self.zones + np.concatenate((c.target, target))
         order = np.argsort(key, kind="stable")
         number = np.argsort(order)  # where each pair has gone
@@ -226,7 +219,7 @@ class PosteriorFitter(JointFitter):
             return both
 
         fit = posterior.fit._replace(
-            hazard=mixed(posterior.fit.hazard, hazard), counts=mixed(posterior.fit.counts, np.zeros_like(hazard)),
+            hazard=np.concatenate((posterior.fit.hazard, hazard))[order],
             candidates=c._replace(
                 pair=number[c.pair].astype(np.int32), source=(key[order] // self.zones).astype(np.int32),
                 target=(key[order] % self.zones).astype(np.int32),
@@ -238,10 +231,8 @@ class PosteriorFitter(JointFitter):
             leave=np.maximum(gone, LEAVE_FLOOR),
         )  # fmt: skip
 
-    def _as_fit(self, hazard: Floats) -> Fit:
-        nothing = np.zeros(0)
-        at_exit = np.concatenate([nothing, *map(self._at_exit, self._parts)])
-        return Fit(hazard, nothing, at_exit, nothing, self.outside, self.candidates, self.persistence)
+    def _to_count(self) -> Singles:
+        return np.concatenate([np.zeros(0, np.float32), *map(self._at_exit, self._parts)])
 
     def _iterate(self, iterations: int, contexts: bool) -> None:
         for iteration in range(iterations):
@@ -250,28 +241,28 @@ class PosteriorFitter(JointFitter):
             if contexts and iteration % 2 == 0:
                 self._learn_contexts()
 
-    def _learn_hazards(self) -> Floats:
+    def _learn_hazards(self) -> Singles:
         """M step: hazards (P, bins) counted from the exit without those of skipped views; and all other tables."""
-        self.hazard = self.counts = np.zeros(0)  # they were as large as the new ones
+        self.hazard, self.counts = np.zeros(0, np.float32), np.zeros(0)  # they were as large as the new ones
         self._learn_entry()
         self._learn_odds()
         self._look_outside()
         self.counts = self._count(map(self._at_exit, self._telling))
         return self._hazards(self.counts)
 
-    def _at_exit(self, part: slice | Indices) -> Floats:
+    def _at_exit(self, part: slice | Indices) -> Singles:
         """Responsibilities of a part as far as lags count from the exit and no view is skipped."""
         other = self._skip_part[part].copy()
         if isinstance(part, slice):
             here = within(self._early, part)
             other[self._early[here] - part.start] += self._entry_part[here]
         else:
-            drawn = np.flatnonzero(self._responsibility[self._early])
+            drawn = np.flatnonzero(self.responsibility[self._early])
             other[np.searchsorted(part, self._early[drawn])] += self._entry_part[drawn]
-        shares: Floats = self._responsibility[part] * np.maximum(1.0 - other, 0.0)
+        shares: Singles = self.responsibility[part] * np.maximum(1.0 - other, 0.0)
         return shares
 
-    def _per_second(self, counts: Floats, smoothed: Floats) -> Floats:
+    def _per_second(self, counts: Floats, smoothed: Singles) -> Singles:
         expected = self._prior.expected(counts)
         hazard = np.empty_like(smoothed)
         for rows in rows_together(self.pairs):
@@ -280,27 +271,28 @@ class PosteriorFitter(JointFitter):
             np.divide(smoothed[rows] + beforehand, per_second, out=hazard[rows])
         return hazard
 
-    def _find_skips(self, hazard: Floats) -> None:
+    def _find_skips(self, hazard: Singles) -> None:
         """Hazards of skipped views, by the links and passages as they are known now."""
         self._skip_unit = None  # as large as the new one
-        self._skip_unit = skip_hazards(self._appears(hazard), self.candidates, self._through, self.bins, self.zones)
-        self._skip_sum = (self._skip_unit * self.bins.widths).sum(axis=1)
+        unit = skip_hazards(self._appears(hazard), self.candidates, self._through, self.bins, self.zones)
+        self._skip_unit = unit.astype(np.float32)
+        self._skip_sum = self._skip_unit @ self.bins.widths
         self._skippable = occurring(self._skip_unit, self._cell, self._parts)
         self._skip_part[:] = 0.0
 
     def _learn_odds(self) -> None:
         """M step of the odds of a skipped view, which all views have in common."""
         recorded = float(self._skip_sum @ self._left[self.candidates.source])
-        skipped = float(self._responsibility @ self._skip_part)
+        skipped = sum(float(self.responsibility[part].astype(float) @ self._skip_part[part]) for part in self._parts)
         odds = (skipped + SKIP_ODDS_FIRST * SKIP_ODDS_PASSAGES) / (recorded + SKIP_ODDS_PASSAGES)
         self._skip_odds = min(odds, SKIP_ODDS_MAX)
 
-    def _weights(self, hazard: Floats, part: slice) -> Floats:
+    def _weights(self, hazard: Singles, part: slice) -> Floats:
         """Hazard of each candidate of a part that the others make."""
         weight = super()._weights(hazard, part)
         here = within(self._early, part)
         early = self._early[here]
-        others = np.maximum(1.0 - self._responsibility.take(early) * self._entry_own[here], 0.0)
+        others = np.maximum(1.0 - self.responsibility.take(early) * self._entry_own[here], 0.0)
         entered = self._entered_at[here] * others
         if self._agreement is not None:
             entered *= self._agreement.take(early)
@@ -317,18 +309,18 @@ class PosteriorFitter(JointFitter):
             weight *= self._multiplier[part]
         return weight
 
-    def _after_exit(self, hazard: Floats, rows: slice) -> Floats:
+    def _after_exit(self, hazard: Singles, rows: slice) -> Singles:
         return hazard[rows] if self._skip_unit is None else hazard[rows] + self._skip_odds * self._skip_unit[rows]
 
-    def _leave(self, hazard: Floats) -> Floats:
+    def _leave(self, hazard: Singles) -> Floats:
         return self._leaving if len(self._leaving) else super()._leave(hazard)
 
     def _learn_contexts(self) -> None:
         """What contexts make of the shares."""
         c, counted = self.candidates, self._count_contexts()
-        multiplier = self.contexts.judged(c, self._responsibility, self.share, counted)
+        multiplier = self.contexts.judged(c, self.responsibility, self.share, counted)
         for part in self._parts:
-            multiplier[part] = multipliers(self.share.take(c.pair[part]), multiplier[part])
+            multiplier[part] = multipliers(self.share.take(c.pair[part]), multiplier[part].astype(float))
         self._multiplier = multiplier
 
     def _count_contexts(self) -> list[Counted]:
@@ -338,7 +330,7 @@ class PosteriorFitter(JointFitter):
         self.share = self._added(c.pair, self.pairs) / below[c.source]
         gone = 1.0 - np.minimum(self._added(c.departure, len(zone)), 1.0)
         self.leave = np.maximum(np.bincount(zone, gone, minlength=self.zones) / below, LEAVE_FLOOR)
-        counted, leaving = self.contexts.count(c, self._responsibility, gone, self.leave[zone])
+        counted, leaving = self.contexts.count(c, self.responsibility, gone, self.leave[zone])
         self._leaving = np.maximum(leaving, LEAVE_FLOOR)
         return counted
 
@@ -391,10 +383,12 @@ class PosteriorFitter(JointFitter):
         """Entry kernels (Q, bins) by the responsibilities as they are; and of the counts smoothed for them, by how much
         those of each early candidate grow with its own.
         """
-        smoothed, stays = smooth(self._count_entry(self._responsibility[self._early] * self._entry_part))
-        cell = self._entry_cell
-        own = stays.take(cell // self.bins.size) / np.maximum(smoothed.take(cell), 1e-300)
-        for rows in rows_together(len(smoothed)):
+        kernel = self._count_entry(self.responsibility[self._early] * self._entry_part)
+        cell, stays = self._entry_cell, np.zeros(len(kernel))
+        for rows in rows_together(len(kernel)):
+            kernel[rows], stays[rows] = smooth(kernel[rows])
+        own = stays.take(cell // self.bins.size) / np.maximum(kernel.take(cell), 1e-300)
+        for rows in rows_together(len(kernel)):
             exposed = np.maximum(self._entry_exposure[self.entry_source[rows]], 1.0)
-            smoothed[rows] /= exposed * self.bins.widths
-        return smoothed, own
+            kernel[rows] /= exposed * self.bins.widths
+        return kernel, own

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Candidates
 from camtopod.learn.grouping import numbered, summed
-from camtopod.learn.joint import smooth
+from camtopod.learn.smoothing import smooth
 
 Floats = NDArray[np.float64]
 

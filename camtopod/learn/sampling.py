@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Indices
+from camtopod.learn.candidates import Indices, Singles, rows_together
 from camtopod.learn.lags import LagBins
 
 Floats = NDArray[np.float64]
@@ -32,21 +32,23 @@ class Sources:
         self._reached = np.zeros(len(arrival) + 1)
         self._random = np.random.default_rng(seed)
 
-    def draw(self, responsibility: Floats) -> Indices:
+    def draw(self, responsibility: Singles) -> Indices:
         """The candidates that are drawn, ascending, of all (M,) with these probabilities."""
-        reached = np.cumsum(responsibility, out=self._reached[1:])
+        reached = np.cumsum(responsibility, dtype=float, out=self._reached[1:])
         before = self._reached[self._start[:-1]]
         at = np.searchsorted(reached, before + self._random.random(len(before)))
         drawn: Indices = at[at < self._start[1:]]
         return drawn
 
 
-def with_faint(hazard: Floats, exposed: Floats, source: Ints, bins: LagBins) -> Floats:
-    """Hazards (P, bins) as they are with the faint transitions that every pair has; ``exposed`` (P, bins) departures,
-    ``source`` (P,).
+def with_faint(hazard: Singles, exposed: Floats, source: Ints, bins: LagBins) -> Singles:
+    """Hazards (P, bins) as they are with the faint transitions that every pair has, in the place of those without;
+    ``exposed`` (zones, bins) departures, at least 1, ``source`` (P,).
     """
     after = bins.edges[1:] > 0
-    diluted = exposed + FAINT_TRANSITIONS * np.bincount(source)[source][:, None]
+    more = FAINT_TRANSITIONS * np.bincount(source, minlength=len(exposed))
     faint = FAINT_TRANSITIONS * after / (after.sum() * bins.widths)
-    mixed: Floats = (hazard * exposed + faint) / diluted
-    return mixed
+    for rows in rows_together(len(hazard)):
+        here, zone = exposed[source[rows]], source[rows]
+        hazard[rows] = (hazard[rows] * here + faint) / (here + more[zone][:, None])
+    return hazard

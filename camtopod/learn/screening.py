@@ -26,23 +26,26 @@ from camtopod.learn.candidates import (
     Arrivals,
     Candidates,
     Departures,
+    Singles,
     excess,
     find_candidates,
     in_reach,
     number_pairs,
     possible,
 )
+from camtopod.learn.exposure import exposures
 from camtopod.learn.grouping import rows_of
-from camtopod.learn.joint import START_FLOOR, exposures, smooth
+from camtopod.learn.joint import START_FLOOR
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.rates import Chance
 from camtopod.learn.significance import RESPONSIBILITY_MAX
+from camtopod.learn.smoothing import smooth
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 Rows = NDArray[np.intp]
-Part = tuple[Ints, Ints, Floats, Floats]
+Part = tuple[Ints, Ints, Singles, Singles]
 
 PAIRS_FEW = 20_000
 """So few pairs of zones are all followed, unless their candidates are too many."""
@@ -153,18 +156,20 @@ def whole(
         number[candidates.source[pairs[rows]]] = pairs[rows]
         among = np.sort(np.concatenate([leaving[source] for source in candidates.source[pairs[rows]]]))
         departure, at, lag = possible(departures, arrivals, bins, coming[zone], among)
-        parts.append((departure, coming[zone][at], number[departures.zone[departure]], lag))
-    nothing = (np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0, np.int32), np.zeros(0))
-    departure, arrival, pair, lag = (np.concatenate(columns) for columns in zip(nothing, *parts, strict=True))
+        came, pair = coming[zone][at].astype(np.int32), number[departures.zone[departure]]
+        parts.append((departure.astype(np.int32), came, pair, lag.astype(np.float32)))
+    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
+    lefts, cames, pairings, lags = zip(nothing, *parts, strict=True)
+    arrival = np.concatenate(cames)
     order = np.argsort(arrival, kind="stable")  # each part has arrivals of its own, by arrival and departure
     return candidates._replace(
-        departure=departure[order].astype(np.int32), arrival=arrival[order].astype(np.int32), pair=pair[order],
-        lag=lag[order],
+        departure=np.concatenate(lefts)[order], arrival=arrival[order], pair=np.concatenate(pairings)[order],
+        lag=np.concatenate(lags)[order],
     )  # fmt: skip
 
 
 def not_overlapping(
-    candidates: Candidates, departures: Departures, arrivals: Arrivals, responsibility: Floats, cameras: int
+    candidates: Candidates, departures: Departures, arrivals: Arrivals, responsibility: Singles, cameras: int
 ) -> NDArray[np.bool_]:
     """Candidates (M,) that appear before the exit in the view of a camera that shows no overlap with this one.
 
@@ -253,12 +258,13 @@ def _likely(ends: Ends, zone: int, sources: Longs) -> Part:
         moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
         hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
     kept = share > LIKELY_MIN
-    return departure[kept].astype(np.int32), mine[at[kept]].astype(np.int32), lag[kept], share[kept]
+    left, came = departure[kept].astype(np.int32), mine[at[kept]].astype(np.int32)
+    return left, came, lag[kept].astype(np.float32), share[kept].astype(np.float32)
 
 
 def _joined(parts: Iterator[Part], departures: Departures, arrivals: Arrivals, zones: int) -> Candidates:
     """The likeliest candidates of all parts, by arrival."""
-    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0), np.zeros(0))
+    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32))
     columns = [list(column) for column in zip(nothing, *parts, strict=True)]
     # One at a time, as they are gone when they are joined.
     share, lag, arrival, departure = (np.concatenate(columns.pop()) for _ in nothing)

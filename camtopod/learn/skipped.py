@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Candidates, Departures, rows_together
+from camtopod.learn.candidates import Candidates, Departures, Singles, rows_together
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.missed import joined
 from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
@@ -100,7 +100,7 @@ def skip_hazards(appears: Floats, candidates: Candidates, through: Through, bins
     return _along(appears, candidates, through, bins, zones, known)
 
 
-def occurring(hazard: Floats, cell: Ints, parts: Sequence[slice]) -> Ints:
+def occurring(hazard: Singles, cell: Ints, parts: Sequence[slice]) -> Ints:
     """The candidates, ascending, that have any of a ``hazard`` (P, bins), which are few; ``cell`` (M,) of each."""
     some = [np.zeros(0, np.int32)]
     for part in parts:

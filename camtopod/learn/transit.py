@@ -132,8 +132,10 @@ def peak(density: Floats, bins: LagBins) -> Floats:
     """Lag (seconds) at the peak of each row of ``density`` (P, bins); nan for an empty row."""
     rows = np.arange(len(density))
     top = np.argmax(density, axis=1) if density.size else np.zeros(0, int)
-    padded = np.pad(density, ((0, 0), (1, 1)))
-    left, here, right = padded[rows, top], padded[rows, top + 1], padded[rows, top + 2]
+    last = density.shape[1] - 1
+    here = density[rows, top]
+    left = np.where(top > 0, density[rows, np.maximum(top - 1, 0)], 0.0)
+    right = np.where(top < last, density[rows, np.minimum(top + 1, last)], 0.0)
     curve = left - 2.0 * here + right
     shift = np.where(curve < 0, 0.5 * (left - right) / np.where(curve < 0, curve, -1.0), 0.0)
     at = bins.scale * np.sinh(bins.step * (bins.first + top + 0.5 + np.clip(shift, -0.5, 0.5)))
