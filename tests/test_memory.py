@@ -57,6 +57,18 @@ memory.give_back()
 print(resident_bytes() - before)
 """
 
+VERSIONS = f"""{RESIDENT}
+if sys.argv[1] == "limited":
+    memory.keep_large_apart()
+bytearray(30_000_000)  # from now on glibc keeps as much in hand
+before, kept = resident_bytes(), []
+for size in range(2_000_000, 8_000_000, 500_000):
+    version = bytearray(size)
+    kept.append(bytearray(10_000))
+    del version
+print(resident_bytes() - before)
+"""
+
 
 def measured(program: str) -> dict[str, int]:
     """What the program prints with the arenas limited, and with as many as glibc likes: bytes."""
@@ -90,6 +102,12 @@ class Circle:
 def thawed() -> Iterator[None]:
     yield
     gc.unfreeze()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
+def test_what_is_large_leaves_no_holes_behind() -> None:
+    bytes_more = measured(VERSIONS)
+    assert bytes_more["limited"] < 1e6 < 5e6 < bytes_more["as it is"]
 
 
 @pytest.mark.usefixtures("thawed")

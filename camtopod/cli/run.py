@@ -58,6 +58,7 @@ def _shard(text: str) -> tuple[int, int]:
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM or SIGINT."""
     memory.limit_arenas()
+    memory.keep_large_apart()
     memory.collect_rarely()
     sys.setswitchinterval(SWITCH_SECONDS)
     start_logging(args)

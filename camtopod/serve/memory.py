@@ -12,7 +12,10 @@ from collections.abc import Iterator
 
 ARENAS_MAX = 1
 """More would be faster only for many threads that allocate at the same time."""
-_M_ARENA_MAX = -8
+_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3
+LARGE_BYTES = 1_000_000
+"""What is so large is given back as soon as it is free: versions and snapshots on their way come several times that.
+"""
 YOUNG_MAX = 20_000
 """Objects made and not yet gone before the collector looks for circles among them. Most are events on their way, which
 are in no circle and are gone soon: with the usual 700 it goes through each of them, which takes longer than to decode
@@ -25,6 +28,15 @@ def limit_arenas() -> None:
     library = ctypes.CDLL(None)
     if hasattr(library, "mallopt"):
         library.mallopt(_M_ARENA_MAX, ARENAS_MAX)
+
+
+def keep_large_apart() -> None:
+    """What is large is asked of the system by itself, from now on. Else glibc would do so only until the first of them
+    is free, and with what is small between them the next finds no room where the last ones were.
+    """
+    library = ctypes.CDLL(None)
+    if hasattr(library, "mallopt"):
+        library.mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)
 
 
 def collect_rarely() -> None:
