@@ -213,9 +213,9 @@ def test_entry_kernels_count_as_by_hand(seed: int, n: int) -> None:
     found = find_candidates(departures, arrivals, bins, 4)
     fitter = PosteriorFitter(departures, arrivals, found, *rest)
     exposed, early = naive.entry_kernels(departures, arrivals, found, bins, 4)
-    assert fitter._entry_exposure.tolist() == exposed.tolist()
-    pairs = list(zip(fitter.entry_source.tolist(), fitter.entry_target.tolist(), strict=True))
+    assert fitter.entering.exposure.tolist() == exposed.tolist()
+    pairs = list(zip(fitter.entering.source.tolist(), fitter.entering.target.tolist(), strict=True))
     assert pairs == sorted({pair for pair, _ in early.values()})
-    assert fitter._early.tolist() == sorted(early)
-    cells = [(pairs[k // bins.size], k % bins.size) for k in fitter._entry_cell.tolist()]
+    assert fitter.entering.early.tolist() == sorted(early)
+    cells = [(pairs[k // bins.size], k % bins.size) for k in fitter.entering.cell.tolist()]
     assert cells == [early[c] for c in sorted(early)]

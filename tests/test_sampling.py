@@ -53,7 +53,7 @@ def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.Mo
     """Only what is drawn is looked at where nothing else counts; to the last bit."""
     network = REGIMES["overlapped"].make(0, 0.1)
     fitters: list[module.PosteriorFitter] = []
-    monkeypatch.setattr(module.PosteriorFitter, "sample", lambda self: fitters.append(self))
+    monkeypatch.setattr(module.PosteriorFitter, "sample", lambda self: fitters.append(copy.deepcopy(self)))
     learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
     for event in network[0]:
         learner.receive(event)
@@ -62,7 +62,7 @@ def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.Mo
     drawn = Sources(fitter.candidates.arrival, len(fitter.arrivals.t), 1).draw(fitter.responsibility)
     before, found = copy.deepcopy(fitter), []
     assert len(drawn) < len(fitter.responsibility) / 2
-    assert len(np.intersect1d(drawn, fitter._early))
+    assert len(np.intersect1d(drawn, fitter.entering.early))
     assert len(np.intersect1d(drawn, fitter._skippable))
     for few in (True, False):
         fitter = copy.deepcopy(before)
@@ -70,7 +70,7 @@ def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.Mo
         fitter._drawn = drawn if few else None
         hazard = fitter._learn_hazards()
         fitter._expect(hazard)
-        found.append((hazard, fitter._entered_at, fitter.outside, fitter.counts, fitter.responsibility))
+        found.append((hazard, fitter.entering.hazard, fitter.outside, fitter.counts, fitter.responsibility))
     for drawn_only, all_of_them in zip(*found, strict=True):
         assert drawn_only.any()
         assert drawn_only.tobytes() == all_of_them.tobytes()

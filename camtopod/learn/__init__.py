@@ -8,13 +8,14 @@ In the order in which data flows:
   `zones`: all of it, with numbers that stay with their place; `moved`: a camera that was turned
 * `coarse`, `twoway`, `clocks`: whose clock is wrong, and by how much
 * `scene`: who left, who came, who passed through; `rates`: how often anyway; `slowness`: how fast
-* `candidates`, `lags`, `joint`: which arrival belongs to which departure; `passages`: also in one view
+* `candidates`, `lags`, `exposure`, `smoothing`, `joint`: which arrival belongs to which departure; `passages`: also in
+  one view
 * `crossfit`, `significance`, `missed`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its
   figures; `links`
 * `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
 * `change`, `silence`, `alarms`: what opened, closed, moved or fell silent; `scoring`: how good its own predictions were
-* `posterior`, `prior`, `contexts`, `skipped`, `sampling`: where objects go, all weak evidence included; `doubt`: what
-  of that may be chance; `model`: what of it a version carries
+* `posterior`, `entering`, `prior`, `contexts`, `skipped`, `sampling`: where objects go, all weak evidence included;
+  `doubt`: what of that may be chance; `model`: what of it a version carries
 * `assemble`, `rounding`, `topology`: versions with digests and deltas
 * `hazards`, `places`, `surroundings`, `pace`, `recent`, `under_way`, `succession`, `lag_odds`, `ready`, `predict`:
   where to look next, and when

@@ -59,7 +59,7 @@ class Counted(NamedTuple):
     """... (n,), how sure the departure itself is in it, ..."""
     below: Floats
     """... (n,), and the others with what is backed off to."""
-    moved: Floats
+    moved: Singles
     """(contexts, columns) sure transitions."""
 
     def of(self, departure: NDArray[np.intp], target: Longs, responsibility: Singles) -> tuple[Longs, Floats]:
@@ -72,7 +72,7 @@ class Counted(NamedTuple):
 
     def judged(self, departure: NDArray[np.intp], cell: Longs, own: Floats, share: Floats) -> Floats:
         """The probabilities of some candidates (m,) by the others of their context; ``share`` (m,) without it."""
-        here: Floats = self.moved.take(cell)
+        here = self.moved.take(cell).astype(float)
         here -= own
         here += BACK_OFF_DEPARTURES * share
         np.maximum(here, 0.0, out=here)
@@ -119,12 +119,12 @@ class Contexts:
             left = np.bincount(number, mine * gone, minlength=len(keys))
             stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
             leave = told * stays / below + (1.0 - told) * leave
-            levels.append(Counted(keys, n, number * width, told, mine, below, np.zeros((len(keys), width))))
+            levels.append(Counted(keys, n, number * width, told, mine, below, np.zeros((len(keys), width), np.float32)))
         for part in together(c.arrival):
             departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
             for level in levels:
                 cell, own = level.of(departure, target, responsibility[part])
-                np.add.at(level.moved.ravel(), cell, own)
+                np.add.at(level.moved.ravel(), cell, own.astype(np.float32))
         return levels, leave
 
     def judged(self, candidates: Candidates, responsibility: Singles, share: Floats, levels: list[Counted]) -> Singles:
@@ -146,7 +146,7 @@ class Contexts:
             context, at = np.nonzero(level.moved)
             reached = candidates.target[first[level.keys[context, 0]] + at].astype(np.int64)
             rows = np.searchsorted(context, np.arange(len(level.keys) + 1))
-            transitions = level.moved[context, at]
+            transitions = level.moved[context, at].astype(float)
             result.append(Level(level.keys[:, 0], level.keys[:, 1:], level.departures, rows, reached, transitions))
         return result
 

@@ -241,17 +241,17 @@ class Learner:
             self._window.column("t") / MICROSECONDS, self._window.column("camera"), len(self._window.cameras)
         )
         posterior, between, likely, changes = self._between_views(scene, silences)
+        cameras = self._window.cameras
+        model = model_of(cameras, scene, posterior, self.bins, self._window, changes, self.settings.correct_clocks)
+        del posterior  # it takes as much as the version will
         self.between_steps()
         camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
         found = without_missed(between, through, significant(between, self.settings), camera_of, self.settings)
         published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
         seen = np.flatnonzero(significant(through, self.settings))
         visible = refresh_monte_carlo(through.rows(seen), self.stay_bins)
-        cameras = self._window.cameras
         topology = assemble(
-            self.settings, self._window, scene,
-            model_of(cameras, scene, posterior, self.bins, self._window, changes, self.settings.correct_clocks),
-            self._keeper.clocks,
+            self.settings, self._window, scene, model, self._keeper.clocks,
             links=link_records(cameras, scene, published, self.bins)
             + link_records(cameras, scene, visible, self.stay_bins, "visible"),
             weak_links=link_records(
@@ -352,7 +352,7 @@ class Learner:
         posterior = fit_followed(departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened)
         left, pace = leaving(departures, self.bins, zones, scene.last), pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), left, self.bins, zones, pace).with_evidence(ratio, zones * zones)
-        likely = tabulate(transitions_of(posterior.fit), left, self.bins, zones)
+        likely = tabulate(transitions_of(posterior.fit), left, self.bins, zones).without_counts()
         over = scene.last - self.bins.lag_max
         self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])

@@ -107,6 +107,10 @@ class LinkTable(NamedTuple):
             TransitFigures(*(column[keep] for column in self.transit)), self.variance[keep], self.counts[keep],
         )  # fmt: skip
 
+    def without_counts(self) -> LinkTable:
+        """The same without the transitions per lag bin, which take most of the memory."""
+        return self._replace(counts=np.zeros((len(self.source), 0)))
+
     def with_evidence(self, ratio: Floats, tests: int) -> LinkTable:
         """The same with evidence (P,) in nats from elsewhere, and the false discovery rates among ``tests`` pairs
         looked at.

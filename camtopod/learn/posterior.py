@@ -22,18 +22,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, Indices, Singles, first_hazards, rows_together
+from camtopod.learn.candidates import Arrivals, Candidates, Departures, Indices, Singles, rows_together
 from camtopod.learn.contexts import Contexts, Counted, Level, multipliers
 from camtopod.learn.doubt import doubts
-from camtopod.learn.joint import LEAVE_FLOOR, NOTHING, START_FLOOR, Fit, JointFitter, Tables, within
+from camtopod.learn.entering import Entering
+from camtopod.learn.joint import LEAVE_FLOOR, NOTHING, Fit, JointFitter, Tables, within
 from camtopod.learn.lags import LagBins
-from camtopod.learn.passages import in_view
 from camtopod.learn.prior import Prior
-from camtopod.learn.rates import Chance
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.screening import not_overlapping
 from camtopod.learn.skipped import occurring, skip_hazards, skipped_beside, ways_through
-from camtopod.learn.smoothing import smooth
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -108,8 +106,8 @@ def fit_followed(
     found = fitter.result()
     doubt = doubts(found.candidates.pair, found.responsibility, fitter.pairs, evidence, left)
     posterior = Posterior(
-        found, fitter.share, fitter.leave, doubt, fitter.entry_source, fitter.entry_target,
-        fitter.entry_kernels()[0], levels,
+        found, fitter.share, fitter.leave, doubt, fitter.entering.source, fitter.entering.target,
+        fitter.entry_kernels(), levels,
     )  # fmt: skip
     return fitter.with_skips(posterior) if screened else posterior
 
@@ -132,13 +130,14 @@ class PosteriorFitter(JointFitter):
         self._skip_unit: Singles | None = None  # large, so there is none before it is known; nor multipliers
         self._multiplier: Singles | None = None
         self._skip_odds, self._skip_sum = SKIP_ODDS_FIRST, np.zeros(self.pairs)
-        self._skip_part, self._entry_part = np.zeros(len(candidates.lag), np.float32), np.zeros(0)
+        self._skip_part = np.zeros(len(candidates.lag), np.float32)
         self._skippable = np.zeros(0, np.int32)  # the candidates that may have skipped a view
-        self._find_early()
+        self.entering = Entering(candidates, departures, arrivals, self.contexts.entry, bins, zones)
 
     def look(self) -> None:
         """A few iterations, to see which candidates are worth following."""
-        self._entered_at, self.hazard = self._start_entry(), self.start(FIRST_NOISE_SD)
+        self.entering.start(FIRST_NOISE_SD)
+        self.hazard = self.start(FIRST_NOISE_SD)
         self._iterate(SCOUT_ITERATIONS, contexts=False)
 
     def worth_following(self) -> Candidates:
@@ -155,7 +154,8 @@ class PosteriorFitter(JointFitter):
 
     def learn(self) -> None:
         """The whole fit."""
-        self._entered_at, self.hazard = self._start_entry(), self.start(FIRST_NOISE_SD)
+        self.entering.start(FIRST_NOISE_SD)
+        self.hazard = self.start(FIRST_NOISE_SD)
         for _ in range(FIRST_ROUNDS):
             self._iterate(FIRST_ITERATIONS, contexts=False)
             self.hazard = self.use_slowness(Tables(self.hazard, self.counts))
@@ -164,10 +164,10 @@ class PosteriorFitter(JointFitter):
 
     def sample(self) -> None:
         """Weigh what the fit says with what is believed on average over draws of who came from where."""
-        fitted, early = self.responsibility.copy(), self._early
+        fitted, entering = self.responsibility.copy(), self.entering
         sources = Sources(self.candidates.arrival, len(self.arrivals.t), SAMPLING_SEED)
         believed, skipped = np.zeros((2, len(fitted)), np.float32)
-        entered = np.zeros(len(early))
+        entered = np.zeros(len(entering.early))
         for sweep in range(SWEEPS):
             self._believe(sources.draw(self.responsibility))
             hazard = self._with_faint(self._learn_hazards())
@@ -182,9 +182,9 @@ class PosteriorFitter(JointFitter):
                 believed += self.responsibility
                 some = self._skippable
                 skipped[some] += self.responsibility[some] * self._skip_part[some]
-                entered += self.responsibility[early] * self._entry_part
+                entered += self.responsibility[entering.early] * entering.part
         np.divide(skipped, np.maximum(believed, NOTHING), out=self._skip_part)
-        self._entry_part = entered / np.maximum(believed[early], NOTHING)
+        entering.part = entered / np.maximum(believed[entering.early], NOTHING)
         believed *= SAMPLES_SHARE / (SWEEPS - SETTLING_SWEEPS)
         fitted *= 1.0 - SAMPLES_SHARE
         np.add(believed, fitted, out=self.responsibility)
@@ -194,13 +194,23 @@ class PosteriorFitter(JointFitter):
         """What is known of contexts, and the shares beside them, in the end."""
         return self.contexts.named(self.candidates, self._count_contexts())
 
+    def entry_kernels(self) -> Floats:
+        """Entry kernels (Q, bins) by the responsibilities as they are."""
+        return self.entering.kernels(self._entered())
+
+    def _entered(self) -> Floats:
+        """Responsibilities of the early candidates, as far as their lags count from the entry."""
+        weight: Floats = self.responsibility[self.entering.early] * self.entering.part
+        return weight
+
     def _with_faint(self, hazard: Singles) -> Singles:
         return with_faint(hazard, self._some_exposed, self.candidates.source, self.bins)
 
     def result(self) -> Fit:
         """All that leaves a view and appears in the next; ``hazard`` is that counted from the exit, ``counts`` nothing,
-        as nobody asks for them.
+        as nobody asks for them. After this there is no further iteration.
         """
+        self.counts, self._own, self._multiplier = np.zeros(0), self._own[:0], None
         hazard = self._after_exit(self.hazard, slice(None))
         return self.found(Tables(hazard, np.zeros((0, self.bins.size))), self.flatness(hazard))
 
@@ -244,7 +254,7 @@ class PosteriorFitter(JointFitter):
     def _learn_hazards(self) -> Singles:
         """M step: hazards (P, bins) counted from the exit without those of skipped views; and all other tables."""
         self.hazard, self.counts = np.zeros(0, np.float32), np.zeros(0)  # they were as large as the new ones
-        self._learn_entry()
+        self.entering.learn(self._entered())
         self._learn_odds()
         self._look_outside()
         self.counts = self._count(map(self._at_exit, self._telling))
@@ -252,13 +262,13 @@ class PosteriorFitter(JointFitter):
 
     def _at_exit(self, part: slice | Indices) -> Singles:
         """Responsibilities of a part as far as lags count from the exit and no view is skipped."""
-        other = self._skip_part[part].copy()
+        other, early = self._skip_part[part].copy(), self.entering.early
         if isinstance(part, slice):
-            here = within(self._early, part)
-            other[self._early[here] - part.start] += self._entry_part[here]
+            here = within(early, part)
+            other[early[here] - part.start] += self.entering.part[here]
         else:
-            drawn = np.flatnonzero(self.responsibility[self._early])
-            other[np.searchsorted(part, self._early[drawn])] += self._entry_part[drawn]
+            drawn = np.flatnonzero(self.responsibility[early])
+            other[np.searchsorted(part, early[drawn])] += self.entering.part[drawn]
         shares: Singles = self.responsibility[part] * np.maximum(1.0 - other, 0.0)
         return shares
 
@@ -290,10 +300,11 @@ class PosteriorFitter(JointFitter):
     def _weights(self, hazard: Singles, part: slice) -> Floats:
         """Hazard of each candidate of a part that the others make."""
         weight = super()._weights(hazard, part)
-        here = within(self._early, part)
-        early = self._early[here]
-        others = np.maximum(1.0 - self.responsibility.take(early) * self._entry_own[here], 0.0)
-        entered = self._entered_at[here] * others
+        entering = self.entering
+        here = within(entering.early, part)
+        early = entering.early[here]
+        others = np.maximum(1.0 - self.responsibility.take(early) * entering.own[here], 0.0)
+        entered = entering.hazard[here] * others
         if self._agreement is not None:
             entered *= self._agreement.take(early)
         weight[early - part.start] += entered
@@ -304,7 +315,7 @@ class PosteriorFitter(JointFitter):
                 skipped *= self._agreement.take(some)
             weight[some - part.start] += skipped
             self._skip_part[some] = skipped / np.maximum(weight.take(some - part.start), 1e-300)
-        self._entry_part[here] = entered / np.maximum(weight.take(early - part.start), 1e-300)
+        entering.part[here] = entered / np.maximum(weight.take(early - part.start), 1e-300)
         if self._multiplier is not None:
             weight *= self._multiplier[part]
         return weight
@@ -333,62 +344,3 @@ class PosteriorFitter(JointFitter):
         counted, leaving = self.contexts.count(c, self.responsibility, gone, self.leave[zone])
         self._leaving = np.maximum(leaving, LEAVE_FLOOR)
         return counted
-
-    def _find_early(self) -> None:
-        """The candidates that appear before the exit of a passage whose entry is known, and their place in the tables
-        of entry kernels.
-        """
-        c, d, a, bins = self.candidates, self.departures, self.arrivals, self.bins
-        early = np.flatnonzero((c.lag < 0) & (d.own[c.departure] >= 0))
-        at = bins.index(a.t[c.arrival[early]] - d.since[c.departure[early]])
-        early, at = early[at >= 0], at[at >= 0]
-        entry = self.contexts.entry
-        key = entry[c.departure[early]] * self.zones + a.zone[c.arrival[early]]
-        present, number = np.unique(key, return_inverse=True)
-        self._early = early
-        self.entry_source = (present // max(self.zones, 1)).astype(np.int32)
-        self.entry_target = (present % max(self.zones, 1)).astype(np.int32)
-        self._entry_cell = number.astype(np.int64) * bins.size + at
-        self._entry_own, self._entry_part = np.zeros((2, len(early)))
-        tied = d.own >= 0
-        self._entered = entry[tied]
-        self._entry_exposure = in_view(d.t[tied] - d.since[tied], self._entered, bins, self.zones)
-
-    def _start_entry(self) -> Floats:
-        """Hazards of the early candidates by the first entry kernels: what exceeds chance."""
-        d, a = self.departures, self.arrivals
-        if len(self._early) == 0:
-            return np.zeros(0)
-        seen = self._count_entry(np.ones(len(self._early)))
-        tied = d.own >= 0
-        began, zone = d.since[tied], self._entered.astype(np.int32)
-        order = np.argsort(began, kind="stable")
-        rates = Chance(began[order], zone[order], a.t, a.zone, self.zones)
-        source, chance = self.entry_source, rates.of(self.entry_source, self.entry_target)
-        first = first_hazards(seen, chance, self._entry_exposure, source, self.bins, FIRST_NOISE_SD, START_FLOOR)
-        here: Floats = first.take(self._entry_cell)
-        return here
-
-    def _count_entry(self, weight: Floats) -> Floats:
-        size = len(self.entry_source) * self.bins.size
-        flat: Floats = np.bincount(self._entry_cell, weight, minlength=size).astype(float, copy=False)
-        return flat.reshape(-1, self.bins.size)
-
-    def _learn_entry(self) -> None:
-        """M step of the entry kernels, of which only what the candidates need is kept: all would be a large table."""
-        hazard, self._entry_own = self.entry_kernels()
-        self._entered_at = hazard.take(self._entry_cell)
-
-    def entry_kernels(self) -> tuple[Floats, Floats]:
-        """Entry kernels (Q, bins) by the responsibilities as they are; and of the counts smoothed for them, by how much
-        those of each early candidate grow with its own.
-        """
-        kernel = self._count_entry(self.responsibility[self._early] * self._entry_part)
-        cell, stays = self._entry_cell, np.zeros(len(kernel))
-        for rows in rows_together(len(kernel)):
-            kernel[rows], stays[rows] = smooth(kernel[rows])
-        own = stays.take(cell // self.bins.size) / np.maximum(kernel.take(cell), 1e-300)
-        for rows in rows_together(len(kernel)):
-            exposed = np.maximum(self._entry_exposure[self.entry_source[rows]], 1.0)
-            kernel[rows] /= exposed * self.bins.widths
-        return kernel, own

@@ -43,12 +43,11 @@ def pair_key(pair: Pair) -> tuple[str, str]:
 
 def digest_of(topology: Topology) -> str:
     """``sha256:...`` over the content in canonical JSON (sorted keys, shortest decimals)."""
-    content = msgspec.to_builtins(topology)
-    for name in NOT_CONTENT:
-        content.pop(name, None)
+    content = {name: getattr(topology, name) for name in topology.__struct_fields__ if name not in NOT_CONTENT}
+    content = {name: value for name, value in content.items() if value is not None}
     if not topology.weak_links:  # an optional list that is empty or left out is the same content
         content.pop("weak_links", None)
-    return "sha256:" + hashlib.sha256(msgspec.json.encode(content, order="deterministic")).hexdigest()
+    return "sha256:" + hashlib.sha256(msgspec.json.encode(content, order="sorted")).hexdigest()
 
 
 def stamp(topology: Topology) -> Topology:
