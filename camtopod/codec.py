@@ -6,7 +6,7 @@ import math
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, TypeVar
 
 import msgspec
@@ -165,9 +165,12 @@ def _no_pause() -> None:
     """At once."""
 
 
-def read_in_parts(kind: Any, raw: bytes | msgspec.Raw, pause: Callable[[], None] = _no_pause) -> Any:
+def read_in_parts(
+    kind: Any, raw: bytes | msgspec.Raw, pause: Callable[[], None] = _no_pause, left_out: Collection[str] = ()
+) -> Any:
     """The same from MessagePack for large nouns: decoded in one go, no other thread would get a turn meanwhile.
-    ``pause`` is called before each part.
+    ``pause`` is called before each part. ``left_out``: lists of the noun that are not read and come out empty, in one
+    that is large.
     """
     pause()
     if len(raw) <= PART_BYTES:
@@ -187,8 +190,10 @@ def read_in_parts(kind: Any, raw: bytes | msgspec.Raw, pause: Callable[[], None]
         fields = msgspec.structs.fields(kind)
         if missing := [field.encode_name for field in fields if field.required and field.encode_name not in parts]:
             raise Rejected("bad-value", f"{kind.__name__} without {missing[0]}")
-        known = [field for field in fields if field.encode_name in parts]
-        return kind(**{field.name: read_in_parts(field.type, parts[field.encode_name], pause) for field in known})
+        known = [field for field in fields if field.encode_name in parts and field.name not in left_out]
+        empty: dict[str, Any] = {name: [] for name in left_out}
+        read = {field.name: read_in_parts(field.type, parts[field.encode_name], pause) for field in known}
+        return kind(**read, **empty)
     return _decode(msgspec.msgpack.Decoder(kind), raw)
 
 

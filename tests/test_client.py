@@ -79,7 +79,7 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         put(bus, *later(walkers(60, seed=2), 12), Event("late", "entry", T0 + 16 * SPAN_SECONDS))
         newer = site.wait_for(last.version + 1, 20.0)
         assert site._held is not None
-        assert site._held.predictor.topology.version >= newer.version
+        assert site._held.predictor.version >= newer.version
         assert site._held.predictor.save().under_way[0][:2] == ("a", "7"), "what was observed outlives a version"
     assert [one.version for one in site.versions()] == [], "closed"
     assert site.predict(**LEFT).next_, "what is held stays usable"

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from serving import T0, closing_event, numbered, walkers
 
-from camtopod.codec import Rejected, to_json, to_pack
+from camtopod.codec import Rejected, to_pack
 from camtopod.config import Limits
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction
@@ -27,7 +27,7 @@ from camtopod.serve.puller import read_batch
 from camtopod.serve.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
 from camtopod.serve.share import everything
 from camtopod.serve.spool import SpoolBatch
-from camtopod.serve.storing import Version
+from camtopod.serve.versions import Version
 
 
 class Acks:
@@ -257,7 +257,7 @@ def first_version() -> Version:
     for event in [*numbered(walkers(20)), closing_event()]:
         learner.receive(event)
     topology = learner.updates()[0]
-    return Version(topology, to_json(topology), to_pack(topology), None)
+    return Version.of(topology)
 
 
 def test_a_version_that_could_not_be_stored_at_the_end_is_stored_before_a_snapshot_that_has_it(
@@ -423,7 +423,7 @@ def test_a_version_is_published_after_it_is_stored(bench: Bench) -> None:
     bench.receiver.storing.on_version(one)
     bench.round()
     assert bench.published == [one]
-    assert bench.journal.versions("E") == {1: one.topology.digest}
+    assert bench.journal.versions("E") == {1: one.head.digest}
 
 
 def test_a_journal_that_turns_out_to_be_damaged_ends_the_work_and_holds_up_no_end(

@@ -34,8 +34,8 @@ from camtopod.serve.rivals import Rivals
 from camtopod.serve.share import Share, Told
 from camtopod.serve.sharing import Sharing
 from camtopod.serve.spool import Spool
-from camtopod.serve.storing import Version
 from camtopod.serve.subscriber import TopologyView
+from camtopod.serve.versions import Version
 from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
 
@@ -162,7 +162,7 @@ def test_shards_together_have_the_versions_of_one(count: int, tmp_path: Path, al
             made = len([version for version in alone if version.as_of <= min(one.reached or 0 for one in step)])
         wait_for(lambda: len(site.versions) >= made, f"{made} versions")
     assert made > 3
-    assert [content(version.topology) for version in site.versions] == [content(one) for one in alone[:made]]
+    assert [content(version.newest.topology) for version in site.versions] == [content(one) for one in alone[:made]]
     assert all(version.delta is not None for version in site.versions[1:])
 
 
@@ -174,11 +174,11 @@ def test_a_merger_that_starts_again_goes_on_with_the_line(tmp_path: Path) -> Non
             for one in 2 * course(2).after[events]:  # what has been said is no news
                 site.say(one)
             wait_for(lambda: bool(site.versions), "a version")
-            first = site.versions[0].topology
+            first = site.versions[0].newest.topology
             if before is not None:
                 assert (first.epoch, first.version) == (before.epoch, before.version + 1)
                 assert site.merger.version(before.epoch, before.version) == codec.to_json(before)
-    numbers = [version.topology.version for version in site.versions]
+    numbers = [version.newest.topology.version for version in site.versions]
     assert numbers == list(range(first.version, first.version + len(numbers)))
 
 
@@ -189,7 +189,7 @@ def test_no_version_has_two_contents_if_the_newest_snapshot_is_damaged(tmp_path:
         with Site(tmp_path, 1) as site:
             site.say(course(1).after[events][0])
             wait_for(lambda site=site: bool(site.versions), "a version")  # type: ignore[misc]
-        published += [version.topology for version in site.versions]
+        published += [version.newest.topology for version in site.versions]
         if events == 2 * THIRD:
             with contextlib.closing(sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)) as journal:
                 journal.execute(
@@ -204,15 +204,15 @@ def test_a_new_epoch_begins_with_what_is_known_though_nobody_says_anything(tmp_p
         with Site(tmp_path, 1) as site:
             site.say(course(1).after[events][0])
             wait_for(lambda site=site: bool(site.versions), "a version")  # type: ignore[misc]
-    before = site.versions[-1].topology
+    before = site.versions[-1].newest.topology
     with contextlib.closing(sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)) as journal:
         journal.execute("UPDATE snapshot SET state = x'00' WHERE position = (SELECT MAX(position) FROM snapshot)")
     with Site(tmp_path, 1) as site:
         wait_for(lambda: bool(site.versions), "a version of what is known")
     first = site.versions[0]
-    assert first.topology.epoch > before.epoch
-    assert (first.topology.version, first.delta) == (1, None)
-    assert first.topology.cameras
+    assert first.newest.topology.epoch > before.epoch
+    assert (first.newest.topology.version, first.delta) == (1, None)
+    assert first.newest.topology.cameras
 
 
 def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,12 +221,12 @@ def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pyt
     with Site(tmp_path, 2) as site:
         site.say(first)
         wait_for(lambda: bool(site.versions), "a version without the other")
-        cameras = {camera.id for camera in site.versions[-1].topology.cameras}
+        cameras = {camera.id for camera in site.versions[-1].newest.topology.cameras}
         assert cameras == {event.camera for event in EVENTS if shards_of(2)[0].owns(event.camera)}
         site.say(first)
         site.say(second)
         wait_for(
-            lambda: {camera.id for camera in site.versions[-1].topology.cameras} == {e.camera for e in EVENTS},
+            lambda: {camera.id for camera in site.versions[-1].newest.topology.cameras} == {e.camera for e in EVENTS},
             "both shards' cameras",
         )
 
@@ -246,7 +246,7 @@ def test_who_gets_on_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             one_round(merger)
             now[0] += 0.6 * mergers.PATIENCE_SECONDS
     assert len(made) > 5
-    assert [content(version.topology) for version in made] == [content(one) for one in alone[: len(made)]]
+    assert [content(version.newest.topology) for version in made] == [content(one) for one in alone[: len(made)]]
 
 
 def one_round(merger: Merger) -> None:
@@ -260,12 +260,12 @@ def test_a_site_that_is_dealt_out_anew_has_every_camera_once(tmp_path: Path, cap
     with Site(tmp_path, 1) as site:
         site.say(before)
         wait_for(lambda: bool(site.versions), "a version")
-        old = site.versions[-1].topology
+        old = site.versions[-1].newest.topology
     with Site(tmp_path, 1, Sharding(districts=2)) as site:
         site.say(before)
         site.say(after)
         wait_for(lambda: bool(site.versions), "a version")
-    new = site.versions[-1].topology
+    new = site.versions[-1].newest.topology
     assert (new.epoch, new.version) > (old.epoch, old.version)
     assert [camera.id for camera in new.cameras] == sorted({event.camera for event in EVENTS})
     assert len({zone.id for zone in new.zones}) == len(new.zones)
@@ -284,7 +284,7 @@ def test_of_what_waits_too_long_the_newest_is_kept(tmp_path: Path, monkeypatch: 
         merger.tell(msgspec.structs.replace(newest, parts=[]))
         one_round(merger)
     assert course(1).versions[0].links != course(1).versions[-1].links
-    assert made[-1].topology.links == course(1).versions[-1].links
+    assert made[-1].newest.topology.links == course(1).versions[-1].links
 
 
 def test_too_much_at_a_time_costs_versions_and_nothing_else(

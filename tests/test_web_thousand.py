@@ -20,7 +20,7 @@ from camtopod.records import Event, Topology
 from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal, StoredVersion
-from camtopod.serve.storing import Version
+from camtopod.serve.versions import Version
 from camtopod.web import app
 
 CAMERAS = 1000
@@ -61,7 +61,7 @@ def without_a_path() -> Topology:
 def publish(daemon: Daemon, topology: Topology) -> None:
     """As if its learner had made it: it is stored, then everybody is told what has changed."""
     delta = codec.to_pack(make_delta(SITE, topology))
-    daemon._on_version(Version(topology, codec.to_json(topology), codec.to_pack(topology), delta))
+    daemon._on_version(Version.of(topology, delta))
 
 
 def test_a_thousand_cameras_are_shown_live(daemon: Daemon, browser: Browser, tmp_path: Path) -> None:

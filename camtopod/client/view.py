@@ -131,10 +131,10 @@ class View:
         if zone is not None and x is not None:
             raise ValueError("give a zone or a position, not both")
         with self._mutex:
-            predictor = self._now().predictor
+            version, predictor, _ = self._now()
             if zone is not None:
-                return predictor.predict_from(zone_at(predictor.topology, zone, camera), event.t, track=track, now=now)
-            zones_of(predictor.topology, camera)
+                return predictor.predict_from(zone_at(version, zone, camera), event.t, track=track, now=now)
+            zones_of(version, camera)
             return predictor.predict(event, now)
 
     def observe(self, event: Event) -> None:

@@ -68,12 +68,11 @@ class Predictor:
     """Prediction over one topology version. `observe` keeps it abreast of events; `predict` answers for an exit.
 
     An exit is to be predicted before it is observed, else it competes with itself; not so where `predict` is told when
-    it is asked. ``pause`` is called often while it is made.
+    it is asked. ``pause`` is called often while it is made. Of the topology it keeps the zones.
     """
 
     def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
-        self.topology = topology
-        self.zones = topology.zones
+        self.version, self.as_of, self.zones = topology.version, topology.as_of, topology.zones
         self._hazards = Hazards(topology, pause)
         self._surroundings = Surroundings(topology, pause)
         self._paces = Paces(topology)
@@ -98,7 +97,7 @@ class Predictor:
         """Work out for each zone of the cameras ``wanted`` what would else be worked out at its first exit."""
         for k, zone in enumerate(unhurried(self.zones, pause)):
             if wanted(zone.camera):
-                self.predict_from(k, self.topology.as_of)
+                self.predict_from(k, self.as_of)
 
     def follow(self, topology: Topology) -> Predictor:
         """A predictor over a newer version that remembers what this one has observed."""
@@ -170,7 +169,7 @@ class Predictor:
         zone = self.zone_of(event)
         track = None if event.track is None else str(event.track)
         if zone is None:
-            return Prediction(event.camera, None, event.t, track, self.topology.version, 1.0, [])
+            return Prediction(event.camera, None, event.t, track, self.version, 1.0, [])
         passage = None
         if track is not None and now is None:
             passage = self._under_way.get(event.camera, track)
@@ -193,7 +192,7 @@ class Predictor:
         _check(t, now)
         here, ready = self.zones[zone], self._ready.of(zone)
         if ready is None:
-            return Prediction(here.camera, here.id, t, track, self.topology.version, 1.0, [])
+            return Prediction(here.camera, here.id, t, track, self.version, 1.0, [])
         left, outcomes, edges = t - self._ahead[here.camera], ready.outcomes, self._hazards.bins.edges
         entry, previous, sure, stay = None, None, 0.0, None
         if passage is not None:
@@ -229,7 +228,7 @@ class Predictor:
             NextCamera(ready.targets[k].camera, ready.targets[k].id, odds[k] / kept, *times)
             for k, times in zip(order, windows, strict=True)
         ]
-        return Prediction(here.camera, here.id, t, track, self.topology.version, leave / kept, following)
+        return Prediction(here.camera, here.id, t, track, self.version, leave / kept, following)
 
     def _at_exit(self, ready: Ready, t: float, passage: Passage | None) -> AtExit:
         """`_odds` for an exit that has not been observed, by what is known then."""

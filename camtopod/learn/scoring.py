@@ -106,7 +106,7 @@ class Scorer:
                 if self._exits % self._stride == 0 and predictor.zone_of(event) is not None:
                     said = _by_camera(predictor.predict(event))
                     baseline = self._baseline.get(event.camera, {"": 1.0})
-                    version = predictor.topology.version
+                    version = predictor.version
                     self._guesses.append(Guess(t_us / MICROSECONDS, event.camera, version, said, baseline))
             predictor.observe(event)
 

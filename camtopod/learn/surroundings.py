@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from typing import NamedTuple
 
 from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
@@ -22,16 +23,42 @@ class _Counts(NamedTuple):
     stays: float
 
 
+class _Uncounted:
+    """Contexts that nobody has asked about, by number: there are thousands, and as columns they take a tenth."""
+
+    def __init__(self) -> None:
+        self.departures, self.stays, self.ends = array("d"), array("d"), array("l", [0])
+        self._to, self._moved = array("l"), array("d")
+
+    def add(self, row: Context, index: dict[str, int]) -> int:
+        """Its number."""
+        self.departures.append(row.departures)
+        self.stays.append(max(row.departures - sum(row.to.values()), 0.0))
+        self._to.extend([index.get(name, -1) for name in row.to])
+        self._moved.extend(row.to.values())
+        self.ends.append(len(self._to))
+        return len(self.stays) - 1
+
+    def counts(self, number: int, targets: list[int]) -> _Counts:
+        """Of one, on its zone's targets."""
+        first, end = self.ends[number], self.ends[number + 1]
+        to = dict(zip(self._to[first:end], self._moved[first:end], strict=True))
+        below = self.departures[number] + BACK_OFF_DEPARTURES
+        return _Counts(below, [to.get(target, 0.0) for target in targets], self.stays[number])
+
+
 class Surroundings:
     """Contexts by zone index (the order of ``topology.zones``), each by (zone of entry, block, camera before)."""
 
     def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
-        self._names = [zone.id for zone in topology.zones]
-        self._of_zone: dict[int, dict[Key, Context | _Counts]] = {}
+        self._uncounted = _Uncounted()
+        self._of_zone: dict[int, dict[Key, int | _Counts]] = {}
         for row in unhurried((topology.model and topology.model.contexts) or [], pause):
             entry = index[row.entry] if row.entry is not None else None
-            self._of_zone.setdefault(index[row.zone], {})[entry, row.block, row.previous] = row
+            self._of_zone.setdefault(index[row.zone], {})[entry, row.block, row.previous] = self._uncounted.add(
+                row, index
+            )
 
     def multipliers(
         self, zone: int, outcomes: Outcomes, block: int | None, entry: int | None, previous: str | None, sure: float
@@ -68,13 +95,11 @@ class Surroundings:
         ]
         return likelier, max(leave, LEAVE_FLOOR)
 
-    def _counted(self, known: dict[Key, Context | _Counts], key: Key, targets: list[int]) -> _Counts:
+    def _counted(self, known: dict[Key, int | _Counts], key: Key, targets: list[int]) -> _Counts:
         """Of a context of a zone, on the zone's targets; worked out when it is first asked about."""
         row = known.get(key)
         if row is None:
             return _Counts(BACK_OFF_DEPARTURES, [0.0] * len(targets), 0.0)
-        if isinstance(row, Context):
-            moved = [row.to.get(self._names[target], 0.0) for target in targets]
-            stays = max(row.departures - sum(row.to.values()), 0.0)
-            known[key] = row = _Counts(row.departures + BACK_OFF_DEPARTURES, moved, stays)
+        if isinstance(row, int):
+            known[key] = row = self._uncounted.counts(row, targets)
         return row

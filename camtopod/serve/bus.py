@@ -27,7 +27,7 @@ from camtopod.serve import clock, guard, refusals
 log = logging.getLogger(__name__)
 
 _PACK = "application/msgpack;schema=camtopod.{}.1"
-_JSON = "application/json"
+JSON = "application/json"
 _OPEN_RETRY_SECONDS = 0.2
 _TAKEN_MAX = 10_000
 """Messages an ear gives at a time."""
@@ -157,10 +157,10 @@ class Bus:
                     return
                 if noun is None:
                     return
-                as_json = parameters.get("format") == _JSON
+                as_json = parameters.get("format") == JSON
                 payload = codec.to_json(noun) if as_json else codec.to_pack(noun)
                 self._mind_size(self._below(asked), payload)
-                query.reply(asked, payload, encoding=_JSON if as_json else _PACK.format(schema))
+                query.reply(asked, payload, encoding=JSON if as_json else _PACK.format(schema))
 
         self._declared.append(self._session.declare_queryable(self._full(key), reply))
 

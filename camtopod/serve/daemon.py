@@ -26,7 +26,7 @@ from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
-from camtopod.serve.bus import Bus, QueryError, dial, meet
+from camtopod.serve.bus import JSON, Bus, QueryError, dial, meet
 from camtopod.serve.changes import changes
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
@@ -39,7 +39,7 @@ from camtopod.serve.receiver import Receiver
 from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover, told_by
 from camtopod.serve.rivals import Rivals
 from camtopod.serve.share import Share, Whole
-from camtopod.serve.storing import Version
+from camtopod.serve.versions import Newest, Version, head_of
 
 if TYPE_CHECKING:
     from camtopod.serve.sharing import Sharing
@@ -76,7 +76,7 @@ class Daemon:
         """Whether `start` has done its work."""
         self.progress = Progress()
         """Of the daemon's loops and, before they run, of the start."""
-        self.topology: Topology | None = None
+        self.newest: Newest | None = None
         """The newest version, as published."""
 
     @property
@@ -89,6 +89,11 @@ class Daemon:
         """The session it works on; valid after `start`."""
         assert self._bus is not None, "the daemon has not been started"
         return self._bus
+
+    @property
+    def topology(self) -> Topology | None:
+        """The newest version, as published; it is read each time."""
+        return None if self.newest is None else self.newest.topology
 
     @property
     def learner_pid(self) -> int:
@@ -125,8 +130,8 @@ class Daemon:
             except sqlite3.Error as error:
                 raise StateError(f"cannot read the journal in {directory}: {error}; it is left as it is") from None
             undo.pop_all()
-        if self.topology is not None and self._share.first:
-            self._bus.put("topology", self.topology, "topology")
+        if self.newest is not None and self._share.first:
+            self._bus.put("topology", self.newest.raw, "topology")
         health, limits, stall = config.health, config.limits, config.health.stall_seconds
         self._run("receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall)
         self._run("listen", lambda mark: self._receiver.listen(), float("inf"))  # where it hangs, "receive" does
@@ -199,15 +204,15 @@ class Daemon:
 
     def status(self) -> dict[str, Any]:
         """What ``status/daemon`` says: state, reason, counters."""
-        receiver, learning = self._receiver, self._learning
+        receiver, learning, head = self._receiver, self._learning, self.newest and self.newest.head
         reason = self._reason or self._rivals.reason or "; ".join(self.failing())
         return {
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
             "site": self._config.site.name,
             **({"shard": self._share.name} if isinstance(self._share, Share) else {}),
-            "epoch": self.epoch if self.topology is None else self.topology.epoch,
-            "version": 0 if self.topology is None else self.topology.version,
+            "epoch": self.epoch if head is None else head.epoch,
+            "version": 0 if head is None else head.version,
             "t": self._clock(),
             "events": {
                 **receiver.counts,
@@ -223,8 +228,8 @@ class Daemon:
             "dropped": receiver.dropped,
             "learner": learning.statistics,
             **self._live.counts,
-            "score": None if self.topology is None else self.topology.score,
-            "alarms": [] if self.topology is None else (self.topology.alarms or [])[-STATUS_ALARMS:],
+            "score": None if head is None else head.score,
+            "alarms": [] if head is None else head.alarms[-STATUS_ALARMS:],
             "pulls": self._puller.pulls,
             "journal": {"damaged": self._learning.damaged, **self._journal.status()},
             "cameras": {
@@ -266,10 +271,9 @@ class Daemon:
     def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess, directory: Path) -> None:
         limits, share = self._config.limits, self._share
         self._live = Live(self._publish_prediction, share.owns, self._stopping.wait)
-        if isinstance(share, Whole):
-            self.topology = newest_topology(self._journal, process)
-            if self.topology is not None:
-                self._live.use(self.topology)
+        if isinstance(share, Whole) and (topology := newest_topology(self._journal, process)) is not None:
+            self.newest = Newest(head_of(topology), codec.to_pack(topology))
+            self._live.use(topology)
         self._receiver = Receiver(
             self._journal, bus, limits, self._clock,
             learn=lambda batch: self._learning.feed(batch), room=lambda: self._learning.room(),
@@ -320,14 +324,14 @@ class Daemon:
             known.add(camera)
         self._puller.on_alive(camera, alive)
 
-    def _version(self, parameters: dict[str, str]) -> Topology:
+    def _version(self, parameters: dict[str, str]) -> Topology | msgspec.Raw:
         """The newest version, or an older one of the epoch (``version``) as far as it is kept. Raises `QueryError`."""
-        if self.topology is None:
+        if (newest := self.newest) is None:
             raise QueryError("nothing has been learned yet")
-        wanted = parameters.get("version", str(self.topology.version))
-        epoch = parameters.get("epoch", self.topology.epoch)
-        if (epoch, wanted) == (self.topology.epoch, str(self.topology.version)):
-            return self.topology
+        wanted = parameters.get("version", str(newest.head.version))
+        epoch = parameters.get("epoch", newest.head.epoch)
+        if (epoch, wanted) == (newest.head.epoch, str(newest.head.version)):
+            return newest.topology if parameters.get("format") == JSON else newest.raw
         try:
             kept = self._journal if self._sharing is None or self._sharing.merger is None else self._sharing.merger
             content = kept.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
@@ -340,38 +344,33 @@ class Daemon:
     def _on_version(self, version: Version, hurried: bool = False) -> None:
         """A version that was learned."""
         if self._sharing is None:
-            self._live.prepare(version.topology, hurried)
+            self._live.prepare(version.packed, hurried)
         self._receiver.storing.on_version(version)
 
     def _publish(self, version: Version) -> None:
         """A version that is stored: everybody may know it, or the other shards."""
-        tell = self._announce if self._sharing is None else self._sharing.publish
-        tell(version)
+        (self._announce if self._sharing is None else self._sharing.publish)(version)
 
     def _use(self, newest: Version | Topology) -> None:
         """The whole site's topology, of a shard."""
-        self._live.prepare(newest.topology if isinstance(newest, Version) else newest)
+        self._live.prepare(newest.packed if isinstance(newest, Version) else newest)
         if isinstance(newest, Version):
             self._announce(newest)
         else:
-            self.topology = newest
+            self.newest = Newest(head_of(newest), newest)
             self._live.use(newest)
             self._live.forget_older()
 
     def _announce(self, version: Version) -> None:
-        self._live.use(version.topology)
-        self.topology = version.topology
+        self._live.use(version.packed)
+        self.newest, said = version.newest, version.head
         if version.delta is not None:
             self.bus.put_raw("topology/delta", version.delta, "topology-delta")
         self.bus.put_raw("topology", version.packed, "topology")
-        for alarm in version.topology.alarms or []:
-            if alarm.version == version.topology.version:
+        for alarm in said.alarms:
+            if alarm.version == said.version:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
-        log.info(
-            "version %d: %d cameras, %d zones, %d links",
-            version.topology.version, len(version.topology.cameras),
-            len(version.topology.zones), len(version.topology.links),
-        )  # fmt: skip
+        log.info("version %d: %d cameras, %d zones, %d links", said.version, said.cameras, said.zones, said.links)
         self._live.forget_older()
 
     def _publish_prediction(self, prediction: Prediction) -> None:

@@ -15,9 +15,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from camtopod import codec
-from camtopod.learn.pauses import no_pause
-from camtopod.records import Topology
 from camtopod.serve import memory
 from camtopod.serve.cameras import Received
 from camtopod.serve.journal import Entry, Journal, Snapshot
@@ -36,10 +33,9 @@ from camtopod.serve.learner_messages import (
     Teach,
 )
 from camtopod.serve.learner_process import LearnerEnded, LearnerProcess
-from camtopod.serve.leisure import Leisure
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.recovery import Recovered, note_failure
-from camtopod.serve.storing import Version
+from camtopod.serve.versions import Version, head_of
 
 log = logging.getLogger(__name__)
 
@@ -227,7 +223,7 @@ class Learning:
         while True:
             answer = self._process.receive(_TICK_SECONDS)
             if isinstance(answer, Made):
-                self._take(answer, stopping)
+                self._take(answer)
             elif isinstance(answer, Otherwise):
                 self._begin_epoch(answer.version)
             elif answer is not None:
@@ -241,15 +237,13 @@ class Learning:
                 if time.monotonic() - told_at > FINISH_SECONDS:
                     self._process.kill()
 
-    def _take(self, made: Made, stopping: threading.Event) -> None:
+    def _take(self, made: Made) -> None:
         """A new version. It may take its time, unless the journal is replayed and one comes after the other."""
         self._due = True
         self.made += 1
-        hurried = self.replaying > 0
-        pause = no_pause if hurried else Leisure(stopping.wait)
         with _giving_way(), memory.kept(thorough=self.made % THOROUGH_EVERY == 0):
-            topology = codec.read_in_parts(Topology, made.packed, pause)
-            self._on_version(Version(topology, made.content, made.packed, made.delta, made.told), hurried)
+            version = Version(head_of(made.packed), made.content, made.packed, made.delta, made.told)
+            self._on_version(version, self.replaying > 0)
 
     def _begin_epoch(self, version: int) -> None:
         self.epoch = self._new_epoch()

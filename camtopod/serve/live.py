@@ -15,6 +15,7 @@ from camtopod.serve.bus import QueryError
 from camtopod.serve.cameras import Received
 from camtopod.serve.leisure import Leisure, let_go
 from camtopod.serve.share import everything
+from camtopod.serve.versions import for_prediction
 
 
 class Live:
@@ -29,7 +30,7 @@ class Live:
         self._publish, self._owns, self._rest = publish, owns, rest
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
-        self._prepared: Predictor | None = None
+        self._prepared: tuple[Topology | bytes, Predictor] | None = None
         self._older: list[object] = []
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
@@ -51,20 +52,25 @@ class Live:
             for event in events:
                 self._predictor.observe(event)
 
-    def prepare(self, topology: Topology, hurried: bool = False) -> None:
-        """A version that is about to be used: what takes long is done, and predictions go on meanwhile; none of them is
-        held up unless it is ``hurried``. One thread.
+    def prepare(self, version: Topology | bytes, hurried: bool = False) -> None:
+        """A version that is about to be used, as such or as MessagePack: what takes long is done, and predictions go on
+        meanwhile; none of them is held up unless it is ``hurried``. One thread.
         """
         pause: Pause = no_pause if hurried or self._predictor is None else Leisure(self._rest)
-        prepared = Predictor(topology, pause)
+        read = for_prediction(version, pause) if isinstance(version, bytes) else version
+        prepared = Predictor(read, pause)
         prepared.make_ready(self._owns, pause)
-        self._prepared = prepared
+        self._prepared = version, prepared
+        if read is not version:
+            wholes: list[object] = [read]
+            del read
+            let_go(wholes, pause)
 
-    def use(self, topology: Topology) -> None:
+    def use(self, version: Topology | bytes) -> None:
         """Predict from this version on, remembering what was observed; then call `forget_older`."""
-        newer = self._prepared
-        if newer is None or newer.topology is not topology:
-            newer = Predictor(topology)
+        prepared, newer = self._prepared or (None, None)
+        if newer is None or prepared is not version:
+            newer = Predictor(for_prediction(version) if isinstance(version, bytes) else version)
         self._prepared = None
         with self._mutex:
             older = self._predictor
@@ -72,7 +78,7 @@ class Live:
                 newer.take_over(older)
             self._predictor = newer
         if older is not None:
-            self._older += [older, older.topology]
+            self._older.append(older)
 
     def forget_older(self) -> None:
         """Let go of what was used before, bit by bit. In the thread of `use`."""
@@ -96,7 +102,7 @@ class Live:
             predictor = self._predictor
             if predictor is None:
                 raise QueryError("nothing has been learned yet")
-            event, now = asked_exit(camera, parameters, predictor.topology.as_of)
+            event, now = asked_exit(camera, parameters, predictor.as_of)
             zones = [zone.id for zone in predictor.zones]
             try:
                 if "zone" not in parameters:

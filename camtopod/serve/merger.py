@@ -30,7 +30,8 @@ from camtopod.serve import clock as clocks
 from camtopod.serve.journal import Journal, Snapshot
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.share import Told
-from camtopod.serve.storing import Storing, Version
+from camtopod.serve.storing import Storing
+from camtopod.serve.versions import Version
 
 log = logging.getLogger(__name__)
 
@@ -158,7 +159,7 @@ class Merger:
         made = self._line.updates()
         for topology in made:
             delta = None if before is None else codec.to_pack(make_delta(before, topology))
-            self._storing.on_version(Version(topology, codec.to_json(topology), codec.to_pack(topology), delta))
+            self._storing.on_version(Version.of(topology, delta))
             before = topology
         if made:
             state = msgspec.msgpack.encode(self._line.save())

@@ -165,14 +165,14 @@ def site_status(daemon: Daemon) -> dict[str, Any]:
     refused = {"denied": 0, "too-large": 0, **status["refused"]}
     refused["connections"] = sum(refused.values()) - refused["denied"] - refused["too-large"]
     status["refused"] = refused
-    topology = daemon.topology
-    if topology is not None:
+    if daemon.newest is not None:
+        newest = daemon.newest.head
         status["topology"] = {
-            "as_of": topology.as_of,
-            "cameras": len(topology.cameras),
-            "zones": len(topology.zones),
-            "links": len(topology.links),
-            "alarm": topology.alarms[-1].t if topology.alarms else 0.0,
+            "as_of": newest.as_of,
+            "cameras": newest.cameras,
+            "zones": newest.zones,
+            "links": newest.links,
+            "alarm": newest.alarms[-1].t if newest.alarms else 0.0,
         }
     for camera, counters in status["cameras"].items():
         counters["dropped"] = status["dropped"].pop(camera, 0)

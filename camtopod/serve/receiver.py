@@ -32,8 +32,9 @@ from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.rejects import Rejects
 from camtopod.serve.share import everything
 from camtopod.serve.spool import SpoolBatch
-from camtopod.serve.storing import Storing, Version
+from camtopod.serve.storing import Storing
 from camtopod.serve.streams import Streams
+from camtopod.serve.versions import Version
 
 log = logging.getLogger(__name__)
 

@@ -20,8 +20,8 @@ from camtopod.serve.merger import Merger
 from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.rivals import ROLE
 from camtopod.serve.share import Share, Told
-from camtopod.serve.storing import Version
 from camtopod.serve.subscriber import TopologyView
+from camtopod.serve.versions import Version
 
 log = logging.getLogger(__name__)
 

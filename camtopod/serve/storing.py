@@ -11,13 +11,12 @@ import logging
 import sqlite3
 import threading
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
-from camtopod.records import Topology
 from camtopod.serve.clock import Clock
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.progress import Beat, no_beat
+from camtopod.serve.versions import Version
 
 log = logging.getLogger(__name__)
 
@@ -26,18 +25,6 @@ BELIEVED_SECONDS = 86_400.0
 """A wall clock that has run evenly for so long is right; until then it makes nothing older by more than that."""
 EVEN_SECONDS = 60.0
 """Further apart from the steady clock than before, the wall clock has stepped."""
-
-
-class Version(NamedTuple):
-    """A new version on its way into the journal and then onto the bus: itself, as JSON and as MessagePack; what has
-    changed, as MessagePack, unless it is the first; and of a shard what the others are told.
-    """
-
-    topology: Topology
-    content: bytes
-    packed: bytes
-    delta: bytes | None
-    told: bytes | None = None
 
 
 class Storing:
@@ -69,10 +56,7 @@ class Storing:
         """
         snapshot = self._snapshots.popleft() if self._snapshots else None  # before the versions, which it must not pass
         versions = [self._versions.popleft() for _ in range(len(self._versions))]
-        stored = [
-            StoredVersion(topology.epoch, topology.version, topology.digest, content)
-            for topology, content, *_ in versions
-        ]
+        stored = [StoredVersion(one.head.epoch, one.head.version, one.head.digest, one.content) for one in versions]
         while True:
             try:
                 self._journal.commit(entries, stored, snapshot, self._clock())
