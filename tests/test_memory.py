@@ -7,6 +7,7 @@ import subprocess
 import sys
 import weakref
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -69,6 +70,18 @@ for size in range(2_000_000, 8_000_000, 500_000):
 print(resident_bytes() - before)
 """
 
+JOURNAL = f"""{RESIDENT}
+from camtopod.serve.journal import Journal, Snapshot, StoredVersion
+journal = Journal(Path(sys.argv[1]))
+before = resident_bytes()
+for number in (1, 2):
+    version = StoredVersion("E", number, "digest", os.urandom(20_000_000))
+    journal.commit([], [version], Snapshot(number, "E", version.content))
+del version
+memory.give_back()
+print(resident_bytes() - before)
+"""
+
 
 def measured(program: str) -> dict[str, int]:
     """What the program prints with the arenas limited, and with as many as glibc likes: bytes."""
@@ -108,6 +121,12 @@ def thawed() -> Iterator[None]:
 def test_what_is_large_leaves_no_holes_behind() -> None:
     bytes_more = measured(VERSIONS)
     assert bytes_more["limited"] < 1e6 < 5e6 < bytes_more["as it is"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
+def test_what_is_in_the_journal_does_not_stay_in_memory(tmp_path: Path) -> None:
+    ran = subprocess.run([sys.executable, "-c", JOURNAL, str(tmp_path)], capture_output=True, check=True)
+    assert int(ran.stdout) < 10e6
 
 
 @pytest.mark.usefixtures("thawed")

@@ -321,15 +321,22 @@ class Journal:
                 self._db.execute(_values(insert, len(rows[0]) + 1, size), [*chain.from_iterable(some)])
                 start += size
 
+    def _insert_large(self, insert: str, row: tuple[Any, ...]) -> None:
+        """One row, with its checksum. Its statement is kept for the next, and with it a copy of what it was given last:
+        that is nothing.
+        """
+        for values in ((*row, crc(*row)), (None,) * (len(row) + 1)):
+            self._db.execute(f"{insert} SELECT {', '.join('?' * len(values))} WHERE ?1 IS NOT NULL", values)
+
     def _add_version(self, version: StoredVersion, stored: int) -> None:
         number = self._db.execute("SELECT COALESCE(MAX(id), 0) + 1 FROM version").fetchone()[0]
         content = zlib.compress(version.content, _COMPRESSION) if version.content else b""
         row = (number, version.epoch, version.version, stored, version.digest, len(content), content)
-        self._db.execute("INSERT OR IGNORE INTO version VALUES (?, ?, ?, ?, ?, ?, ?, ?)", (*row, crc(*row)))
+        self._insert_large("INSERT OR IGNORE INTO version", row)
 
     def _add_snapshot(self, snapshot: Snapshot, stored: int) -> None:
         row = (snapshot.position, snapshot.epoch, stored, snapshot.state)
-        self._db.execute("INSERT OR REPLACE INTO snapshot VALUES (?, ?, ?, ?, ?)", (*row, crc(*row)))
+        self._insert_large("INSERT OR REPLACE INTO snapshot", row)
         self._db.execute(
             "DELETE FROM snapshot WHERE position NOT IN (SELECT position FROM snapshot ORDER BY position DESC LIMIT ?)",
             (SNAPSHOTS_KEPT,),
