@@ -28,7 +28,7 @@ from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learning import Learning
 from camtopod.serve.progress import no_beat
 from camtopod.serve.recovery import recover
-from camtopod.serve.storing import Version
+from camtopod.serve.versions import Version
 
 SETTINGS = msgspec.structs.replace(small_config(Path()).learn, lateness_seconds=5.0)
 EVENTS = [*sorted(numbered(walkers(60)), key=lambda event: event.t), closing_event()]
@@ -86,10 +86,10 @@ class Installation:
 
         self.learning.work(stop, beat)
         self.learning._tell(stop, no_beat)
-        for topology, content, *_ in self._versions:
-            stored = StoredVersion(topology.epoch, topology.version, topology.digest, content)
+        for head, content, *_ in self._versions:
+            stored = StoredVersion(head.epoch, head.version, head.digest, content)
             self.journal.commit([], [stored])
-            self.published.append((topology.epoch, topology.version, topology.digest))
+            self.published.append((head.epoch, head.version, head.digest))
         for snapshot in self._snapshot:
             self.journal.commit([], snapshot=snapshot)
         self._versions.clear()
