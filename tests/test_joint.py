@@ -373,6 +373,19 @@ def test_agreement_is_the_ratio_of_densities() -> None:
     assert agreement(left, came, NO_PERSISTENCE).tolist() == [1.0] * 50
 
 
+def test_agreement_stays_within_single_precision() -> None:
+    """Where passages hardly vary, two loiterers agree beyond all measure: what is kept of that has to be a number."""
+    departures, arrivals = made(3, 20, 20)
+    departures = departures._replace(slow=np.full(len(departures.t), 1.5))
+    arrivals = arrivals._replace(slow=np.full(len(arrivals.t), 1.5))
+    fitter = JointFitter(departures, arrivals, find_candidates(departures, arrivals, SHORT, 3), SHORT, 3, 60.0)
+    fitter.use(Persistence(0.0, 0.95, 0.05))
+    tables = fitter.run(fitter.start())
+    assert np.isfinite(tables.hazard).all()
+    assert np.isfinite(fitter.responsibility).all()
+    assert fitter.responsibility.any()
+
+
 def test_speed_tells_who_is_who() -> None:
     """Two on the way at once: with their speeds known the fit is surer of the right ones."""
     rng = np.random.default_rng(7)

@@ -30,6 +30,8 @@ SURE_TRANSITIONS_MIN = 30
 LAG_SECONDS_MIN = 2.0
 """Shorter lags do not scale with speed."""
 SIGNIFICANT_SD = 2.0
+AGREEMENT_MAX = 1e9
+"""However alike two slownesses are, they speak for one object by this factor at most."""
 
 
 class Persistence(NamedTuple):
@@ -120,5 +122,5 @@ def agreement(left: Floats, came: Floats, p: Persistence) -> Floats:
         return np.ones(len(left))
     u, v, r = left / p.sd, came / p.sd, p.correlation
     exponent = (2.0 * r * u * v - r * r * (u * u + v * v)) / (2.0 * (1.0 - r * r))
-    ratio: Floats = np.exp(exponent) / np.sqrt(1.0 - r * r)
-    return np.where(np.isfinite(ratio), ratio, 1.0)
+    ratio: Floats = np.exp(np.minimum(exponent, np.log(AGREEMENT_MAX))) / np.sqrt(1.0 - r * r)
+    return np.where(np.isfinite(ratio), np.minimum(ratio, AGREEMENT_MAX), 1.0)
