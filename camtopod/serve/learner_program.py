@@ -213,7 +213,7 @@ def main(learner: type[Learner] = Learner) -> None:
     """Learn until the daemon ends; never returns."""
     faulthandler.enable()
     memory.limit_arenas()
-    memory.keep_large_apart(memory.FIT_IN_HAND_BYTES)
+    memory.keep_large_apart()
     out = os.dup(1)
     os.dup2(2, 1)  # what anybody prints is no answer
     asked: queue.SimpleQueue[Question] = queue.SimpleQueue()

@@ -16,9 +16,9 @@ _M_ARENA_MAX, _M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD = -8, -3, -1
 LARGE_BYTES = 1_000_000
 """What is so large is given back as soon as it is free: versions and snapshots on their way come several times that.
 """
-FIT_IN_HAND_BYTES = 6_000_000
-"""What a fit works with at a time comes and goes thousands of times: it would take an eighth longer if the system were
-asked for it each time.
+IN_HAND_BYTES = 6_000_000
+"""So much of what is small and free is kept: what a fit works with at a time, and events on their way, come and go
+thousands of times, and it takes an eighth longer if the system is asked for it each time.
 """
 YOUNG_MAX = 20_000
 """Objects made and not yet gone before the collector looks for circles among them. Most are events on their way, which
@@ -34,17 +34,14 @@ def limit_arenas() -> None:
         library.mallopt(_M_ARENA_MAX, ARENAS_MAX)
 
 
-def keep_large_apart(in_hand_bytes: int | None = None) -> None:
+def keep_large_apart() -> None:
     """What is large is asked of the system by itself, from now on. Else glibc would do so only until the first of them
     is free, and with what is small between them the next finds no room where the last ones were.
-
-    ``in_hand_bytes``: so much of what is small and free is kept, if not as little as glibc does.
     """
     library = ctypes.CDLL(None)
     if hasattr(library, "mallopt"):
         library.mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)
-        if in_hand_bytes is not None:
-            library.mallopt(_M_TRIM_THRESHOLD, in_hand_bytes)
+        library.mallopt(_M_TRIM_THRESHOLD, IN_HAND_BYTES)
 
 
 def collect_rarely() -> None:
