@@ -236,13 +236,9 @@ class JointFitter:
 
     def prune(self, tables: Tables) -> Tables:
         """Follow only the pairs of zones that have any transitions left."""
-        c = self.candidates
         alive = tables.counts.sum(axis=1) > FOLLOWED_TRANSITIONS_MIN
-        kept = np.flatnonzero(alive[c.pair])
-        number = np.cumsum(alive, dtype=np.int32) - 1
-        self.candidates = Candidates(
-            c.departure[kept], c.arrival[kept], number[c.pair[kept]], c.lag[kept], c.source[alive], c.target[alive]
-        )
+        kept = alive[self.candidates.pair]
+        self.candidates = self.candidates.take(kept)
         self._message, self.responsibility = self._message[kept], self.responsibility[kept]
         self.use(self.persistence)
         self._own = self._own[alive]
