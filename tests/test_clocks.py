@@ -69,6 +69,8 @@ def test_all_ways_of_counting_give_the_same(seed: int, at_once: int) -> None:
         assert (counted(seed, 3, 1.0) == by_difference).all()
         patch.setattr(coarse, "DIFFERENCES_MAX", 0)
         assert (counted(seed, 3, 1.0) == by_difference).all()
+        patch.setattr(coarse, "SPECTRA_KEPT", 1)  # two of the three labels
+        assert (counted(seed, 3, 1.0) == by_difference).all()
     assert by_difference.sum() > 0
 
 

@@ -19,7 +19,7 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
 from camtopod.learn.candidates import Arrivals, Departures
-from camtopod.learn.coarse import ROWS_AT_ONCE, correlograms, highest
+from camtopod.learn.coarse import ROWS_AT_ONCE, correlograms, highest, side_by_side
 from camtopod.learn.scene import Scene
 from camtopod.learn.twoway import two_ways
 
@@ -170,7 +170,9 @@ def differences(
     left, came = (departures.t, departures.zone), (arrivals.t, arrivals.zone)
     seen = correlograms(left, came, len(camera_of), BIN_SECONDS)
     found = []
-    for a, b in pairs:
+    a_of, b_of = np.array(pairs).T
+    cameras_at_once = seen.at_once * len(zones_of) // len(camera_of)
+    for a, b in (pairs[k] for k in side_by_side(a_of, b_of, cameras_at_once)):
         u, v = (ends.ravel().astype(np.int32) for ends in np.meshgrid(zones_of[a], zones_of[b], indexing="ij"))
         for k, way in two_ways(seen.of(u, v), seen.of(v, u)):
             if way.spread > SPREAD_SHARE_MAX * max(abs(way.transit), SHORT_SECONDS / BIN_SECONDS):
@@ -180,7 +182,7 @@ def differences(
                 continue
             sd = max(way.sd * BIN_SECONDS, SD_MIN_SECONDS)
             found.append(Difference(a, b, way.ahead * BIN_SECONDS, sd, way.transit * BIN_SECONDS))
-    return found
+    return sorted(found, key=lambda difference: (difference.a, difference.b))
 
 
 def _promising(
@@ -190,11 +192,10 @@ def _promising(
     a, b = (np.array([pair[k] for pair in pairs], np.int32) for k in range(2))
     left, came = (departures.t, departures.camera), (arrivals.t, arrivals.camera)
     seen = correlograms(left, came, len(zones_of), SCREENING_BIN_SECONDS)
-    peaks = []
+    peak, order = np.zeros(len(a)), side_by_side(a, b, seen.at_once)
     for k in range(0, len(a), ROWS_AT_ONCE):
-        one, other = a[k : k + ROWS_AT_ONCE], b[k : k + ROWS_AT_ONCE]
-        peaks.append(np.minimum(highest(seen.of(one, other)), highest(seen.of(other, one))))
-    peak = np.concatenate(peaks)
+        some = order[k : k + ROWS_AT_ONCE]
+        peak[some] = np.minimum(highest(seen.of(a[some], b[some])), highest(seen.of(b[some], a[some])))
     order = np.argsort(-peak, kind="stable")
     size = np.cumsum([2 * len(zones_of[a[k]]) * len(zones_of[b[k]]) for k in order])
     return [pairs[k] for k in np.sort(order[(size <= ZONE_PAIRS_MAX)])]

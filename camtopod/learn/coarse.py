@@ -7,10 +7,14 @@ many by Fourier transform. Counts are integers, so both ways give the same.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+
+from camtopod.learn.grouping import rows_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -23,7 +27,11 @@ LAGS = 1000
 BLOCK = 2048
 """Bins of one Fourier block; arrivals are taken from half a block before to half a block after it."""
 SPECTRA_MAX = 4096
-"""At most this many blocks over all labels (32 MB a thousand); beyond, the newest stretch of time is looked at."""
+"""At most this many blocks over all labels; beyond, the newest stretch of time is looked at."""
+SPECTRA_KEPT = 2048
+"""Transforms of blocks that are kept, of what left and of what came (16 MB a thousand); others are made again when they
+are asked for.
+"""
 DIFFERENCES_MAX = 4_000_000
 """Up to this many differences are counted one by one."""
 DIFFERENCES_AT_ONCE = 500_000
@@ -46,6 +54,7 @@ def correlograms(
     left: tuple[Floats, Ints], came: tuple[Floats, Ints], labels: int, bin_seconds: float
 ) -> ByDifference | ByTransform:
     """Everything that left and came, ready to be counted by lag, a few pairs at a time: all would be a lot of memory.
+    It is quickest where those asked for one after the other have at most ``at_once`` labels (`side_by_side`).
 
     ``left``, ``came``: times (n,) ascending in seconds, and labels (zones or cameras) below ``labels``; not empty.
     """
@@ -64,13 +73,22 @@ def correlograms(
     return ByTransform(bins, names, labels)
 
 
+def side_by_side(a: NDArray[Any], b: NDArray[Any], at_once: int) -> NDArray[np.intp]:
+    """An order of pairs (P,) in which those that come one after the other have few labels, for long at most
+    ``at_once``: tile by tile of the matrix of all pairs.
+    """
+    side = max(at_once // 2, 1)
+    return np.lexsort((b, a, b // side, a // side))
+
+
 class ByDifference:
     """Counts difference by difference. ``low``, ``n``: the first arrival within the lags of each departure, and how
     many there are.
     """
 
     def __init__(self, bins: list[Longs], names: list[Longs], labels: int, low: Longs, n: Longs) -> None:
-        self._labels, reached = labels, np.cumsum(n)
+        self._labels = self.at_once = labels
+        reached = np.cumsum(n)
         # Each difference as (source, target, lag) in one number.
         self._cells = np.empty(int(n.sum()), np.int64)
         for k in range(0, len(self._cells), DIFFERENCES_AT_ONCE):
@@ -99,29 +117,40 @@ class ByTransform:
     """Counts by Fourier transform."""
 
     def __init__(self, bins: list[Longs], names: list[Longs], labels: int) -> None:
-        blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
-        self._left = self._spectra(bins[0], names[0], (labels, blocks), (0,))
-        np.conj(self._left, out=self._left)
-        self._came = self._spectra(bins[1], names[1], (labels, blocks), (-1, 0, 1))
+        self._blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
+        self._bins = [[some[rows] for rows in rows_of(name, labels)] for some, name in zip(bins, names, strict=True)]
+        self.at_once = max(SPECTRA_KEPT // (2 * self._blocks), 2)
+        self._spectra: dict[tuple[int, int], Spectra] = {}  # those asked for last
 
     def of(self, source: Ints, target: Ints) -> Counts:
         """As `ByDifference.of`."""
-        product = np.einsum("pbf,pbf->pf", self._left[source], self._came[target])
+        product = np.empty((len(source), BLOCK + 1), np.complex64)
+        for row, u, v in zip(product, source.tolist(), target.tolist(), strict=True):
+            np.einsum("bf,bf->f", self._of_label(0, u), self._of_label(1, v), out=row)
         lags = scipy.fft.irfft(product, 2 * BLOCK)
         counts: Counts = np.rint(np.concatenate((lags[:, -LAGS:], lags[:, : LAGS + 1]), axis=1))
         return counts
 
-    @staticmethod
-    def _spectra(bins: Longs, names: Longs, shape: tuple[int, int], shifts: tuple[int, ...]) -> Spectra:
-        """Of what is in each block, or up to so many blocks beside it: (labels, blocks, frequencies)."""
-        present = np.zeros((*shape, 2 * BLOCK), np.float32)
-        for shift in shifts:
-            block = bins // BLOCK + shift
-            at = bins - block * BLOCK + BLOCK // 2
-            inside = (block >= 0) & (block < shape[1]) & (at >= 0) & (at < 2 * BLOCK)
-            np.add.at(present, (names[inside], block[inside], at[inside]), 1.0)
-        spectra: Spectra = scipy.fft.rfft(present, overwrite_x=True)
-        return spectra
+    def _of_label(self, side: int, label: int) -> Spectra:
+        """(blocks, frequencies) of what left in each block, conjugate (``side`` 0), or of what came from half a block
+        before it to half a block after it (1).
+        """
+        known = self._spectra.pop((side, label), None)
+        if known is None:
+            bins = self._bins[side][label]
+            present = np.zeros((self._blocks, 2 * BLOCK), np.float32)
+            for shift in ((0,), (-1, 0, 1))[side]:
+                block = bins // BLOCK + shift
+                at = bins - block * BLOCK + BLOCK // 2
+                inside = (block >= 0) & (block < self._blocks) & (at >= 0) & (at < 2 * BLOCK)
+                np.add.at(present, (block[inside], at[inside]), 1.0)
+            known = scipy.fft.rfft(present, overwrite_x=True)
+            if side == 0:
+                np.conj(known, out=known)
+        self._spectra[side, label] = known
+        if len(self._spectra) > 2 * self.at_once:
+            del self._spectra[next(iter(self._spectra))]
+        return known
 
 
 def chance(counts: Counts) -> Counts:
