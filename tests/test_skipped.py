@@ -17,7 +17,7 @@ from camtopod.learn.candidates import Candidates, Departures, find_candidates, n
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
 from camtopod.learn.posterior import Posterior
-from camtopod.learn.skipped import Through, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.skipped import Legs, Through, legs_of, skip_hazards, skipped_beside, ways_through
 from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
 
 BINS = LagBins(-60.0, 120.0)
@@ -98,7 +98,8 @@ def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch)
     """A site of 12 cameras that miss a tenth, an hour and a half."""
     networks = [REGIMES["short"].make(seed, 0.5) for seed in (20, 21)]
     with_ways = [foretold(*network) for network in networks]
-    monkeypatch.setattr(posterior, "skip_hazards", lambda appears, *_: np.zeros_like(appears))
+    nothing = lambda _, candidates, __, bins, ___: np.zeros((len(candidates.source), bins.size))  # noqa: E731
+    monkeypatch.setattr(posterior, "skip_hazards", nothing)
     without = [foretold(*network) for network in networks]
     loss, top3 = (
         np.mean([one[figure] - other[figure] for one, other in zip(with_ways, without, strict=True)])
@@ -192,6 +193,10 @@ def some_links(seed: int, pairs: int, passages: int) -> tuple[np.ndarray, Candid
     return appears, candidates, Through(came, left, passes, seconds), through
 
 
+def legs(appears: np.ndarray, candidates: Candidates) -> Legs:
+    return legs_of(appears.sum(axis=1), lambda some: appears[some], candidates, BINS)
+
+
 def by_hand(appears: np.ndarray, source: list[int], target: list[int], ways: Ways) -> np.ndarray:
     return naive.skip_hazards(
         appears, source, target, ways, BINS, module.LEG_QUANTILES, module.SPREAD_SD_BINS, module.LINK_SHARE_MIN,
@@ -203,7 +208,7 @@ def by_hand(appears: np.ndarray, source: list[int], target: list[int], ways: Way
 @settings(max_examples=40)
 def test_skip_hazards_equal_loops(seed: int, pairs: int, passages: int) -> None:
     appears, candidates, through, ways = some_links(seed, pairs, passages)
-    fast = skip_hazards(appears, candidates, through, BINS, len(CAMERA))
+    fast = skip_hazards(legs(appears, candidates), candidates, through, BINS, len(CAMERA))
     slow = by_hand(appears, candidates.source.tolist(), candidates.target.tolist(), ways)
     assert fast == pytest.approx(slow, abs=1e-12)
 
@@ -214,7 +219,7 @@ def test_ways_beside_the_candidates_equal_loops_over_all_pairs(seed: int, pairs:
     """As if the pairs that no candidate has were there, and nobody appeared there next."""
     appears, candidates, through, ways = some_links(seed, pairs, passages)
     zones = len(CAMERA)
-    source, target, hazard = skipped_beside(appears, candidates, through, BINS, zones)
+    source, target, hazard = skipped_beside(legs(appears, candidates), candidates, through, BINS, zones)
     known = candidates.source.astype(int) * zones + candidates.target
     every = np.zeros((zones * zones, BINS.size))
     every[known] = appears
@@ -242,7 +247,8 @@ def test_without_pairs_or_passages_nothing() -> None:
     none, nothing = np.zeros(0, np.int32), np.zeros(0)
     nowhere = Through(np.zeros(0, np.int64), np.zeros(0, np.int64), nothing, nothing)
     empty = Candidates(none, none, none, nothing, none, none)
-    assert skip_hazards(np.zeros((0, BINS.size)), empty, nowhere, BINS, 3).shape == (0, BINS.size)
-    assert [len(column) for column in skipped_beside(np.zeros((0, BINS.size)), empty, nowhere, BINS, 3)] == [0, 0, 0]
+    no_legs = legs(np.zeros((0, BINS.size)), empty)
+    assert skip_hazards(no_legs, empty, nowhere, BINS, 3).shape == (0, BINS.size)
+    assert [len(column) for column in skipped_beside(no_legs, empty, nowhere, BINS, 3)] == [0, 0, 0]
     one = empty._replace(source=np.array([0], np.int32), target=np.array([1], np.int32))
-    assert not skip_hazards(np.full((1, BINS.size), 0.01), one, nowhere, BINS, 3).any()
+    assert not skip_hazards(legs(np.full((1, BINS.size), 0.01), one), one, nowhere, BINS, 3).any()

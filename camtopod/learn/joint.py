@@ -112,13 +112,13 @@ def fit_jointly(
     Always from nothing: going on from the last one believes early mistakes ever more and sees too late what has opened.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
-    hazard = fitter.run(fitter.use_slowness(fitter.run(fitter.start()))).hazard
+    hazard = fitter.run(fitter.use_slowness(fitter.run(fitter.start()).hazard)).hazard
     fitter.sparsity = SPARSITY
     tables = fitter.prune(fitter.run(hazard))
     del hazard
     for _ in range(SPARSE_ROUNDS_MAX - 1):
         before = fitter.persistence
-        tables = fitter.prune(fitter.run(fitter.use_slowness(tables)))
+        tables = fitter.prune(fitter.run(fitter.use_slowness(tables.hazard)))
         if max(abs(now - then) for now, then in zip(fitter.persistence, before, strict=True)) < SETTLED:
             break
     return fitter.found(tables, fitter.flatness(tables.hazard))
@@ -181,7 +181,9 @@ class JointFitter:
 
     def run(self, hazard: Singles) -> Tables:
         """One round of EM from the given hazards (P, bins)."""
+        counts = np.zeros(0)
         for iteration in range(ITERATIONS):
+            del counts  # they are as large as the new ones
             self._expect(hazard)
             counts = self._counted(self.responsibility)
             self._look_outside()
@@ -194,16 +196,16 @@ class JointFitter:
             hazard = fresh
         return Tables(hazard, counts)
 
-    def use_slowness(self, tables: Tables) -> Singles:
-        """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins).
+    def use_slowness(self, hazard: Singles) -> Singles:
+        """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins)
+        in the place of those before.
 
         What is sure is judged without looking at whether the slownesses agree, else agreement would breed itself.
         """
-        c, hazard, before = self.candidates, tables.hazard, self._to_count()
-        del tables  # they are as large as the new ones
+        c, before = self.candidates, self._to_count()
         self._agreement = None
         self._expect(hazard)
-        del hazard
+        del hazard  # they are as large as the new ones
         sure = np.flatnonzero(self.responsibility > SURE_RESPONSIBILITY)
         (left, came), each = self._slownesses(sure), self.responsibility[sure].astype(float)
         self.use(persistence(left, came, c.lag[sure].astype(float), c.pair[sure], each))
@@ -344,6 +346,13 @@ class JointFitter:
 
     def _hazards(self, counts: Floats) -> Singles:
         """M step: counts over exposure, smoothed, per second, (P, bins)."""
+        hazard = self._smoothed(counts)
+        for rows in rows_together(self.pairs):
+            hazard[rows] /= self._exposed(rows) * self.bins.widths
+        return hazard
+
+    def _smoothed(self, counts: Floats) -> Singles:
+        """Counts (P, bins) less the sparse prior, smoothed; by how much they grow with a candidate's own is noted."""
         total = counts.sum(axis=1)
         kept = np.maximum(total - self.sparsity, 1e-3 * total) if self.sparsity else total
         share = (kept / np.maximum(total, 1e-300))[:, None]
@@ -352,19 +361,13 @@ class JointFitter:
             some, stays = smooth(counts[rows], kept[rows])
             smoothed[rows] = some = some * share[rows]
             self._own[rows] = stays[:, None] / np.maximum(some, NOTHING)
-        return self._per_second(counts, smoothed)
-
-    def _per_second(self, counts: Floats, smoothed: Singles) -> Singles:
-        """Hazards (P, bins) of counts and smoothed counts; in the place of these."""
-        for rows in rows_together(self.pairs):
-            smoothed[rows] /= self._exposed(rows) * self.bins.widths
         return smoothed
 
     def _exposed(self, rows: slice | Indices) -> Floats:
         """Departures (rows, bins) of the pairs of zones, at least 1."""
         return self._some_exposed.take(self.candidates.source[rows], axis=0)
 
-    def _appears(self, hazard: Singles, rows: slice = slice(None)) -> Floats:
+    def _appears(self, hazard: Singles, rows: slice | Indices) -> Floats:
         """Probability (rows, bins) that an object leaving at the source appears next at the target in that lag bin."""
         appears: Floats = hazard * self.bins.widths * self._exposed_share[self.candidates.source[rows]]
         return appears

@@ -31,7 +31,7 @@ from camtopod.learn.lags import LagBins
 from camtopod.learn.prior import Prior
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.screening import not_overlapping
-from camtopod.learn.skipped import occurring, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.skipped import Legs, legs_of, occurring, skip_hazards, skipped_beside, ways_through
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -121,7 +121,7 @@ class PosteriorFitter(JointFitter):
     ) -> None:  # fmt: skip
         super().__init__(departures, arrivals, candidates, bins, zones, until)
         self._prior = Prior(candidates, self._camera, self.exposure, self._per_zone)
-        self.hazard, self.counts = np.zeros(0, np.float32), np.zeros(0)
+        self.hazard = np.zeros(0, np.float32)
         self.share, self.leave = np.zeros(self.pairs), np.ones(zones)
         self.contexts = Contexts(departures, arrivals, zones, int(self._camera.max(initial=0)) + 1)
         self._left = np.bincount(departures.zone, minlength=zones).astype(float)
@@ -148,7 +148,6 @@ class PosteriorFitter(JointFitter):
 
     def skip(self) -> None:
         """See to it that what appears after a skipped view is worth following, too."""
-        del self.counts  # nobody asks for them any more
         self._find_skips(self.hazard)
         self._expect(self.hazard)
 
@@ -158,7 +157,7 @@ class PosteriorFitter(JointFitter):
         self.hazard = self.start(FIRST_NOISE_SD)
         for _ in range(FIRST_ROUNDS):
             self._iterate(FIRST_ITERATIONS, contexts=False)
-            self.hazard = self.use_slowness(Tables(self.hazard, self.counts))
+            self.hazard = self.use_slowness(self._handed_on())
             self._find_skips(self.hazard)
         self._iterate(ITERATIONS, contexts=True)
 
@@ -210,14 +209,14 @@ class PosteriorFitter(JointFitter):
         """All that leaves a view and appears in the next; ``hazard`` is that counted from the exit, ``counts`` nothing,
         as nobody asks for them. After this there is no further iteration.
         """
-        self.counts, self._own, self._multiplier = np.zeros(0), self._own[:0], None
+        self._own, self._multiplier = self._own[:0], None
         hazard = self._after_exit(self.hazard, slice(None))
         return self.found(Tables(hazard, np.zeros((0, self.bins.size))), self.flatness(hazard))
 
     def with_skips(self, posterior: Posterior) -> Posterior:
         """The posterior with what skipped views lead to beside the pairs of zones that were followed."""
         c = posterior.fit.candidates
-        source, target, unit = skipped_beside(self._appears(self.hazard), c, self._through, self.bins, self.zones)
+        source, target, unit = skipped_beside(self._legs(self.hazard), c, self._through, self.bins, self.zones)
         hazard = (self._skip_odds * unit).astype(np.float32)
         share = hazard @ self.bins.widths
         key = np.concatenate((c.source, source)).astype(np.int64) * self.zones + np.concatenate((c.target, target))
@@ -253,12 +252,16 @@ class PosteriorFitter(JointFitter):
 
     def _learn_hazards(self) -> Singles:
         """M step: hazards (P, bins) counted from the exit without those of skipped views; and all other tables."""
-        self.hazard, self.counts = np.zeros(0, np.float32), np.zeros(0)  # they were as large as the new ones
+        self._handed_on()  # they were as large as the new ones
         self.entering.learn(self._entered())
         self._learn_odds()
         self._look_outside()
-        self.counts = self._count(map(self._at_exit, self._telling))
-        return self._hazards(self.counts)
+        return self._hazards(self._count(map(self._at_exit, self._telling)))
+
+    def _handed_on(self) -> Singles:
+        """The hazards, which the fitter does not have any more."""
+        hazard, self.hazard = self.hazard, np.zeros(0, np.float32)
+        return hazard
 
     def _at_exit(self, part: slice | Indices) -> Singles:
         """Responsibilities of a part as far as lags count from the exit and no view is skipped."""
@@ -272,8 +275,10 @@ class PosteriorFitter(JointFitter):
         shares: Singles = self.responsibility[part] * np.maximum(1.0 - other, 0.0)
         return shares
 
-    def _per_second(self, counts: Floats, smoothed: Singles) -> Singles:
+    def _hazards(self, counts: Floats) -> Singles:
         expected = self._prior.expected(counts)
+        smoothed = self._smoothed(counts)
+        del counts  # they are larger than the hazards
         hazard = np.empty_like(smoothed)
         for rows in rows_together(self.pairs):
             beforehand = expected.of(rows, lambda back: smoothed[back] / self._exposed(back))
@@ -284,11 +289,16 @@ class PosteriorFitter(JointFitter):
     def _find_skips(self, hazard: Singles) -> None:
         """Hazards of skipped views, by the links and passages as they are known now."""
         self._skip_unit = None  # as large as the new one
-        unit = skip_hazards(self._appears(hazard), self.candidates, self._through, self.bins, self.zones)
+        unit = skip_hazards(self._legs(hazard), self.candidates, self._through, self.bins, self.zones)
         self._skip_unit = unit.astype(np.float32)
         self._skip_sum = self._skip_unit @ self.bins.widths
         self._skippable = occurring(self._skip_unit, self._cell, self._parts)
         self._skip_part[:] = 0.0
+
+    def _legs(self, hazard: Singles) -> Legs:
+        """What appears next, as legs of ways over a skipped view."""
+        share = np.concatenate([self._appears(hazard[rows], rows).sum(axis=1) for rows in rows_together(self.pairs)])
+        return legs_of(share, lambda some: self._appears(hazard[some], some), self.candidates, self.bins)
 
     def _learn_odds(self) -> None:
         """M step of the odds of a skipped view, which all views have in common."""

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Candidates
+from camtopod.learn.candidates import Candidates, Singles, rows_together
 from camtopod.learn.grouping import numbered, summed
 from camtopod.learn.smoothing import smooth
 
@@ -37,7 +37,8 @@ class Prior:
         cameras = int(camera.max(initial=0)) + 1
         source, target = camera[candidates.source], camera[candidates.target]
         self._views, self.pair = numbered(source * cameras + target, cameras * cameras)
-        self._exposed = np.maximum(summed(exposure, camera, cameras), 1.0)[self._views // cameras]
+        self._leaving = self._views // cameras
+        self._exposed = np.maximum(summed(exposure, camera, cameras), 1.0)
         self.share = (came / np.bincount(camera, came)[camera])[candidates.target][:, None]
         self.back = _leading_back(candidates, len(camera))
 
@@ -51,10 +52,12 @@ class Prior:
         both = float(np.minimum(transitions, returned).sum())
         return (both + TWO_WAY_TRANSITIONS) / (float(transitions.sum()) + TWO_WAY_TRANSITIONS)
 
-    def pooled(self, counts: Floats) -> Floats:
+    def pooled(self, counts: Floats) -> Singles:
         """Transitions per exposed departure (views, bins) from camera to camera."""
-        rates: Floats = smooth(summed(counts, self.pair, len(self._views)))[0]
-        rates /= self._exposed
+        seen = summed(counts, self.pair, len(self._views))
+        rates = np.empty(seen.shape, np.float32)
+        for rows in rows_together(len(seen)):
+            rates[rows] = smooth(seen[rows])[0] / self._exposed[self._leaving[rows]]
         return rates
 
 

@@ -10,13 +10,13 @@ but the links and the passages say how likely and how late each of them is, and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Candidates, Departures, Singles, rows_together
+from camtopod.learn.candidates import Candidates, Departures, Indices, Singles, rows_together
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.missed import joined
 from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
@@ -36,6 +36,8 @@ TIED_SHARE_MIN = 0.5
 LEG_QUANTILES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 SPREAD_SD_BINS = 2.0
 """The lags of a way are those of its legs at these quantiles, spread over this many bins."""
+WAYS_AT_ONCE = 1024
+"""Counted together: more would take memory for all quantiles of both legs of each."""
 
 
 class Through(NamedTuple):
@@ -45,6 +47,25 @@ class Through(NamedTuple):
     exit: Longs
     share: Floats
     seconds: Floats
+
+
+class Legs(NamedTuple):
+    """Next appearances that enough take, (n,) each: zones, share of the departures, lags (n, quantiles) in seconds."""
+
+    source: Ints
+    target: Ints
+    share: Floats
+    lag: Floats
+
+
+def legs_of(share: Floats, appears: Callable[[Indices], Floats], candidates: Candidates, bins: LagBins) -> Legs:
+    """``share`` (P,) of those who leave at the source of each pair of zones that appears next at its target;
+    ``appears``: of pairs (n,), by lag (n, bins).
+    """
+    some = np.flatnonzero(share >= LINK_SHARE_MIN)
+    reached = np.cumsum(appears(some), axis=1) / share[some][:, None]
+    lag = bins.centres[np.minimum((reached[:, :, None] < LEG_QUANTILES).sum(axis=1), bins.size - 1)]
+    return Legs(candidates.source[some], candidates.target[some], share[some], lag)
 
 
 def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through:
@@ -91,13 +112,10 @@ def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
     return present.astype(np.int64), n.astype(np.int64), seconds[order][np.cumsum(n) - n + n // 2]
 
 
-def skip_hazards(appears: Floats, candidates: Candidates, through: Through, bins: LagBins, zones: int) -> Floats:
-    """Hazard (P, bins) of appearing next at a target because the view between was skipped, if it skipped every second.
-
-    ``appears`` (P, bins): probability that who leaves at the source appears next at the target in that lag bin.
-    """
+def skip_hazards(legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int) -> Floats:
+    """Hazard (P, bins) of appearing next at a target because the view between was skipped, if every second one is."""
     known = candidates.source.astype(np.int64) * zones + candidates.target  # ascending
-    return _along(appears, candidates, through, bins, zones, known)
+    return _along(legs, through, bins, zones, known)
 
 
 def occurring(hazard: Singles, cell: Ints, parts: Sequence[slice]) -> Ints:
@@ -110,46 +128,45 @@ def occurring(hazard: Singles, cell: Ints, parts: Sequence[slice]) -> Ints:
 
 
 def skipped_beside(
-    appears: Floats, candidates: Candidates, through: Through, bins: LagBins, zones: int
+    legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int
 ) -> tuple[Ints, Ints, Floats]:
     """Sources and targets (X,) of the ways over skipped views that are no pairs of the candidates, and the hazards
     (X, bins), as `skip_hazards`.
     """
-    c = candidates
-    share = appears.sum(axis=1)
-    link = np.flatnonzero(share >= LINK_SHARE_MIN)
-    first, way = joined(c.target[link], through.entry)
-    step, last = joined(through.exit[way], c.source[link])
-    k, m = link[first[step]], link[last]
-    likely = share[k] * through.share[way[step]] * share[m] >= WAY_SHARE_MIN
-    key = np.unique(c.source[k[likely]].astype(np.int64) * zones + c.target[m[likely]])
-    key = np.setdiff1d(key, c.source.astype(np.int64) * zones + c.target)
-    hazard = _along(appears, candidates, through, bins, zones, key)
+    first, _, last, _ = _ways(legs, through)
+    key = np.unique(legs.source[first].astype(np.int64) * zones + legs.target[last])
+    key = np.setdiff1d(key, candidates.source.astype(np.int64) * zones + candidates.target)
+    hazard = _along(legs, through, bins, zones, key)
     return (key // max(zones, 1)).astype(np.int32), (key % max(zones, 1)).astype(np.int32), hazard
 
 
-def _along(
-    appears: Floats, candidates: Candidates, through: Through, bins: LagBins, zones: int, pairs: Longs
-) -> Floats:
+def _ways(legs: Legs, through: Through) -> tuple[Indices, Indices, Indices, Floats]:
+    """The likely ways over one skipped view: the leg before it, the way through it, the leg after; and the share of
+    those who leave where the first begins.
+    """
+    before, way = joined(legs.target, through.entry)
+    step, last = joined(through.exit[way], legs.source)
+    first, way = before[step], way[step]
+    taken = legs.share[first] * through.share[way] * legs.share[last]
+    likely = taken >= WAY_SHARE_MIN
+    return first[likely], way[likely], last[likely], taken[likely]
+
+
+def _along(legs: Legs, through: Through, bins: LagBins, zones: int, pairs: Longs) -> Floats:
     """Hazards (X, bins) of the ``pairs`` (X,) of zones, source * zones + target, ascending."""
-    c = candidates
-    share = appears.sum(axis=1)
-    link = np.flatnonzero(share >= LINK_SHARE_MIN)
-    first, way = joined(c.target[link], through.entry)
-    step, last = joined(through.exit[way], c.source[link])
-    k, j, m = link[first[step]], way[step], link[last]
-    taken = share[k] * through.share[j] * share[m]
-    pair, known = _rows(pairs, c.source[k].astype(np.int64) * zones + c.target[m])
-    kept = known & (taken >= WAY_SHARE_MIN)
-    first, last, j, pair, taken = first[step][kept], last[kept], j[kept], pair[kept], taken[kept]
-    reached = np.cumsum(appears[link], axis=1) / share[link][:, None]
-    legs = bins.centres[np.minimum((reached[:, :, None] < LEG_QUANTILES).sum(axis=1), bins.size - 1)]
-    lag = legs[first][:, :, None] + through.seconds[j][:, None, None] + legs[last][:, None, :]
-    at = bins.index(lag)
-    cell = pair[:, None, None] * bins.size + at
-    weight = np.broadcast_to((taken / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
-    mass = np.bincount(cell[at >= 0], weight[at >= 0], minlength=len(pairs) * bins.size).reshape(-1, bins.size)
-    hazard: Floats = mass.astype(float, copy=False)
+    first, way, last, taken = _ways(legs, through)
+    pair, known = _rows(pairs, legs.source[first].astype(np.int64) * zones + legs.target[last])
+    ways = np.flatnonzero(known)
+    mass = np.zeros(len(pairs) * bins.size)
+    for k in range(0, len(ways), WAYS_AT_ONCE):
+        some = ways[k : k + WAYS_AT_ONCE]
+        middle = through.seconds[way[some]]
+        lag = legs.lag[first[some]][:, :, None] + middle[:, None, None] + legs.lag[last[some]][:, None, :]
+        at = bins.index(lag)
+        cell = pair[some][:, None, None] * bins.size + at
+        weight = np.broadcast_to((taken[some] / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
+        np.add.at(mass, cell[at >= 0], weight[at >= 0])
+    hazard: Floats = mass.reshape(-1, bins.size)
     spread = smoother(bins.size, SPREAD_SD_BINS).T
     for rows in rows_together(len(pairs)):
         hazard[rows] = hazard[rows] @ spread / bins.widths
