@@ -155,7 +155,7 @@ def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) ->
     found = fit_posterior(*asked, LINKED)
     scout = PosteriorFitter(*asked)
     scout.look()
-    kept = scout.worth_following()
+    kept = scout.candidates.take(scout.worth_following())
     ahead = scout.candidates.lag < 0
     left_out = (
         scout.responsibility[~ahead].sum()

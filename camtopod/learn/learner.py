@@ -24,6 +24,7 @@ from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
+    WEAK_TRANSITIONS_MIN,
     LinkTable,
     beside,
     join,
@@ -352,7 +353,8 @@ class Learner:
         posterior = fit_followed(departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened)
         left, pace = leaving(departures, self.bins, zones, scene.last), pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), left, self.bins, zones, pace).with_evidence(ratio, zones * zones)
-        likely = tabulate(transitions_of(posterior.fit), left, self.bins, zones).without_counts()
+        likely = tabulate(transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN), left, self.bins, zones).without_counts()
+        likely = likely.with_evidence(likely.ratio, len(posterior.share))
         over = scene.last - self.bins.lag_max
         self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])

@@ -28,6 +28,7 @@ Ints = NDArray[np.int32]
 TRANSITIONS_MIN = 2.0
 """A published link rests on at least this many expected transitions."""
 WEAK_TRANSITIONS_MIN = 0.2
+"""A weak link has at least so many."""
 WEAK_LINKS_PER_ZONE_MAX = 24
 LEFT_OVER_MIN = 0.05
 MONTE_CARLO_SEED = 2011
@@ -51,10 +52,13 @@ def join(parts: list[Transitions]) -> Transitions:
     return Transitions(*(np.concatenate(columns) for columns in zip(none, *parts, strict=True)))
 
 
-def transitions_of(fit: Fit) -> Transitions:
-    """The candidates of a joint fit."""
+def transitions_of(fit: Fit, least: float = 0.0) -> Transitions:
+    """The candidates of a joint fit, of pairs of zones with at least so many transitions."""
     c = fit.candidates
-    return Transitions(c.source[c.pair], c.target[c.pair], c.lag.astype(float), fit.responsibility, fit.flat)
+    enough = np.bincount(c.pair, fit.responsibility, minlength=len(c.source)) >= least
+    rows = np.flatnonzero(enough[c.pair])
+    pair, lag = c.pair[rows], c.lag[rows].astype(float)
+    return Transitions(c.source[pair], c.target[pair], lag, fit.responsibility[rows], fit.flat[rows])
 
 
 def leaving(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:

@@ -103,15 +103,15 @@ def _presently(posterior: Posterior, changes: list[Change]) -> Floats:
 def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) -> list[Onward]:
     c = posterior.fit.candidates
     share = posterior.share * now
-    mass = posterior.fit.hazard * bins.widths * now[:, None]
     rows = []
     likely = np.flatnonzero(share > SHARE_MIN)
     for zone, mine in enumerate(rows_of(c.source[likely], len(ids))):
         pairs = likely[mine]
         pairs = pairs[np.argsort(-share[pairs], kind="stable")][:OUTCOMES_PER_ZONE_MAX]
+        mass = posterior.fit.hazard[pairs] * bins.widths * now[pairs, None]
         outcomes = [
-            Outcome(ids[c.target[k]], short(float(share[k])), in_steps(mass[k], bins), short(float(posterior.doubt[k])))
-            for k in pairs.tolist()
+            Outcome(ids[c.target[k]], short(float(share[k])), in_steps(lags, bins), short(float(posterior.doubt[k])))
+            for k, lags in zip(pairs.tolist(), mass, strict=True)
         ]
         rows.append(Onward(ids[zone], short(float(posterior.leave[zone])), outcomes))
     return sorted(rows, key=lambda row: row.zone)

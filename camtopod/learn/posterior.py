@@ -86,7 +86,9 @@ def followed_of(
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
     scout.look()
     scout.skip()
-    return scout.worth_following()
+    kept = scout.worth_following()
+    del scout  # it takes more memory than what is made now
+    return candidates.take(kept)
 
 
 def fit_followed(
@@ -140,11 +142,11 @@ class PosteriorFitter(JointFitter):
         self.hazard = self.start(FIRST_NOISE_SD)
         self._iterate(SCOUT_ITERATIONS, contexts=False)
 
-    def worth_following(self) -> Candidates:
-        """The candidates that are neither negligible nor impossible."""
+    def worth_following(self) -> NDArray[np.bool_]:
+        """The candidates (M,) that are neither negligible nor impossible."""
         c = self.candidates
         impossible = not_overlapping(c, self.departures, self.arrivals, self.responsibility, self.contexts.cameras)
-        return c.take((self.responsibility > NEGLIGIBLE) & ~impossible)
+        return (self.responsibility > NEGLIGIBLE) & ~impossible
 
     def skip(self) -> None:
         """See to it that what appears after a skipped view is worth following, too."""
