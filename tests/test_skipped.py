@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
 from bench.regimes import REGIMES
-from camtopod.learn import posterior
+from camtopod.learn import posterior, skipping
 from camtopod.learn import skipped as module
 from camtopod.learn.candidates import Candidates, Departures, find_candidates, number_pairs
 from camtopod.learn.joint import LEAVE_FLOOR
@@ -98,7 +98,7 @@ def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch)
     """A site of 12 cameras that miss a tenth, an hour and a half."""
     networks = [REGIMES["short"].make(seed, 0.5) for seed in (20, 21)]
     with_ways = [foretold(*network) for network in networks]
-    nothing = lambda _, candidates, __, bins, ___: np.zeros((len(candidates.source), bins.size))  # noqa: E731
+    nothing = lambda *asked: (np.zeros(0, np.int64), np.zeros((0, asked[3].size)))  # noqa: E731
     monkeypatch.setattr(posterior, "skip_hazards", nothing)
     without = [foretold(*network) for network in networks]
     loss, top3 = (
@@ -115,7 +115,7 @@ def test_ways_that_screening_left_out_are_foretold_beside_the_others() -> None:
     for u, a, b, v in ((0, 1, 2, 3), (2, 3, 4, 5)):
         taken = share(found, u, a) * share(found, b, v)
         assert share(without, u, v) == 0
-        assert share(found, u, v) == pytest.approx(posterior.SKIP_ODDS_FIRST * taken, rel=0.05)
+        assert share(found, u, v) == pytest.approx(skipping.ODDS_FIRST * taken, rel=0.05)
     rows = [dict(zip(pairs_of(one), range(99), strict=False)) for one in (without, found)]
     assert list(rows[1]) == sorted(rows[1])
     old, new = list(rows[0].values()), [rows[1][pair] for pair in rows[0]]
@@ -208,7 +208,9 @@ def by_hand(appears: np.ndarray, source: list[int], target: list[int], ways: Way
 @settings(max_examples=40)
 def test_skip_hazards_equal_loops(seed: int, pairs: int, passages: int) -> None:
     appears, candidates, through, ways = some_links(seed, pairs, passages)
-    fast = skip_hazards(legs(appears, candidates), candidates, through, BINS, len(CAMERA))
+    pair, hazard = skip_hazards(legs(appears, candidates), candidates, through, BINS, len(CAMERA))
+    fast = np.zeros_like(appears)
+    fast[pair] = hazard
     slow = by_hand(appears, candidates.source.tolist(), candidates.target.tolist(), ways)
     assert fast == pytest.approx(slow, abs=1e-12)
 
@@ -248,7 +250,7 @@ def test_without_pairs_or_passages_nothing() -> None:
     nowhere = Through(np.zeros(0, np.int64), np.zeros(0, np.int64), nothing, nothing)
     empty = Candidates(none, none, none, nothing, none, none)
     no_legs = legs(np.zeros((0, BINS.size)), empty)
-    assert skip_hazards(no_legs, empty, nowhere, BINS, 3).shape == (0, BINS.size)
+    assert skip_hazards(no_legs, empty, nowhere, BINS, 3)[1].shape == (0, BINS.size)
     assert [len(column) for column in skipped_beside(no_legs, empty, nowhere, BINS, 3)] == [0, 0, 0]
     one = empty._replace(source=np.array([0], np.int32), target=np.array([1], np.int32))
-    assert not skip_hazards(legs(np.full((1, BINS.size), 0.01), one), one, nowhere, BINS, 3).any()
+    assert not len(skip_hazards(legs(np.full((1, BINS.size), 0.01), one), one, nowhere, BINS, 3)[0])

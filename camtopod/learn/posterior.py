@@ -31,7 +31,8 @@ from camtopod.learn.lags import LagBins
 from camtopod.learn.prior import Prior
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.screening import not_overlapping
-from camtopod.learn.skipped import Legs, legs_of, occurring, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.skipped import Legs, legs_of, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.skipping import Skipping
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -53,10 +54,6 @@ SAMPLES_SHARE = 0.5
 SAMPLING_SEED = 2011
 SKIPS_EVERY = 10
 """Sweeps until skipped views are looked at again."""
-SKIP_ODDS_FIRST, SKIP_ODDS_MAX = 0.1, 2.0 / 3.0
-"""Passages that a camera misses for each that it records."""
-SKIP_ODDS_PASSAGES = 20.0
-"""The first odds count as much as this many passages recorded on ways that may be skipped."""
 
 
 class Posterior(NamedTuple):
@@ -129,11 +126,8 @@ class PosteriorFitter(JointFitter):
         self._left = np.bincount(departures.zone, minlength=zones).astype(float)
         self._leaving = np.zeros(0)  # (n,) of each departure, once contexts are known
         self._through = ways_through(departures, self.contexts.entry, self._camera)
-        self._skip_unit: Singles | None = None  # large, so there is none before it is known; nor multipliers
-        self._multiplier: Singles | None = None
-        self._skip_odds, self._skip_sum = SKIP_ODDS_FIRST, np.zeros(self.pairs)
-        self._skip_part = np.zeros(len(candidates.lag), np.float32)
-        self._skippable = np.zeros(0, np.int32)  # the candidates that may have skipped a view
+        self._multiplier: Singles | None = None  # large, so there is none before it is known
+        self._skipping = Skipping(bins)
         self.entering = Entering(candidates, departures, arrivals, self.contexts.entry, bins, zones)
 
     def look(self) -> None:
@@ -165,7 +159,7 @@ class PosteriorFitter(JointFitter):
 
     def sample(self) -> None:
         """Weigh what the fit says with what is believed on average over draws of who came from where."""
-        fitted, entering = self.responsibility.copy(), self.entering
+        fitted, entering, skipping = self.responsibility.copy(), self.entering, self._skipping
         sources = Sources(self.candidates.arrival, len(self.arrivals.t), SAMPLING_SEED)
         believed, skipped = np.zeros((2, len(fitted)), np.float32)
         entered = np.zeros(len(entering.early))
@@ -181,10 +175,10 @@ class PosteriorFitter(JointFitter):
                 self._learn_contexts()
             if sweep >= SETTLING_SWEEPS:
                 believed += self.responsibility
-                some = self._skippable
-                skipped[some] += self.responsibility[some] * self._skip_part[some]
+                skipped[skipping.some] += self.responsibility[skipping.some] * skipping.part
                 entered += self.responsibility[entering.early] * entering.part
-        np.divide(skipped, np.maximum(believed, NOTHING), out=self._skip_part)
+        some = np.flatnonzero(skipped)
+        skipping.believe(some, (skipped[some] / np.maximum(believed[some], NOTHING)).astype(np.float32))
         entering.part = entered / np.maximum(believed[entering.early], NOTHING)
         believed *= SAMPLES_SHARE / (SWEEPS - SETTLING_SWEEPS)
         fitted *= 1.0 - SAMPLES_SHARE
@@ -212,14 +206,14 @@ class PosteriorFitter(JointFitter):
         as nobody asks for them. After this there is no further iteration.
         """
         self._own, self._multiplier = self._own[:0], None
-        hazard = self._after_exit(self.hazard, slice(None))
+        hazard = self._after_exit(self.hazard, slice(0, self.pairs))
         return self.found(Tables(hazard, np.zeros((0, self.bins.size))), self.flatness(hazard))
 
     def with_skips(self, posterior: Posterior) -> Posterior:
         """The posterior with what skipped views lead to beside the pairs of zones that were followed."""
         c = posterior.fit.candidates
         source, target, unit = skipped_beside(self._legs(self.hazard), c, self._through, self.bins, self.zones)
-        hazard = (self._skip_odds * unit).astype(np.float32)
+        hazard = (self._skipping.odds * unit).astype(np.float32)
         share = hazard @ self.bins.widths
         key = np.concatenate((c.source, source)).astype(np.int64) * self.zones + np.concatenate((c.target, target))
         order = np.argsort(key, kind="stable")
@@ -256,7 +250,7 @@ class PosteriorFitter(JointFitter):
         """M step: hazards (P, bins) counted from the exit without those of skipped views; and all other tables."""
         self._handed_on()  # they were as large as the new ones
         self.entering.learn(self._entered())
-        self._learn_odds()
+        self._skipping.learn(self.responsibility, self._left[self.candidates.source])
         self._look_outside()
         return self._hazards(self._count(map(self._at_exit, self._telling)))
 
@@ -267,14 +261,16 @@ class PosteriorFitter(JointFitter):
 
     def _at_exit(self, part: slice | Indices) -> Singles:
         """Responsibilities of a part as far as lags count from the exit and no view is skipped."""
-        other, early = self._skip_part[part].copy(), self.entering.early
-        if isinstance(part, slice):
-            here = within(early, part)
-            other[early[here] - part.start] += self.entering.part[here]
-        else:
-            drawn = np.flatnonzero(self.responsibility[early])
-            other[np.searchsorted(part, early[drawn])] += self.entering.part[drawn]
-        shares: Singles = self.responsibility[part] * np.maximum(1.0 - other, 0.0)
+        shares = self.responsibility[part].copy()
+        other = np.zeros(len(shares), np.float32)
+        for some, elsewhere in (self._skipping.some, self._skipping.part), (self.entering.early, self.entering.part):
+            if isinstance(part, slice):
+                here = within(some, part)
+                other[some[here] - part.start] += elsewhere[here]
+            else:
+                drawn = np.flatnonzero(self.responsibility[some])
+                other[np.searchsorted(part, some[drawn])] += elsewhere[drawn]
+        shares *= np.maximum(1.0 - other, 0.0)
         return shares
 
     def _hazards(self, counts: Floats) -> Singles:
@@ -290,24 +286,13 @@ class PosteriorFitter(JointFitter):
 
     def _find_skips(self, hazard: Singles) -> None:
         """Hazards of skipped views, by the links and passages as they are known now."""
-        self._skip_unit = None  # as large as the new one
-        unit = skip_hazards(self._legs(hazard), self.candidates, self._through, self.bins, self.zones)
-        self._skip_unit = unit.astype(np.float32)
-        self._skip_sum = self._skip_unit @ self.bins.widths
-        self._skippable = occurring(self._skip_unit, self._cell, self._parts)
-        self._skip_part[:] = 0.0
+        pair, unit = skip_hazards(self._legs(hazard), self.candidates, self._through, self.bins, self.zones)
+        self._skipping.use(pair, unit, self.candidates, self._cell, self._parts)
 
     def _legs(self, hazard: Singles) -> Legs:
         """What appears next, as legs of ways over a skipped view."""
         share = np.concatenate([self._appears(hazard[rows], rows).sum(axis=1) for rows in rows_together(self.pairs)])
         return legs_of(share, lambda some: self._appears(hazard[some], some), self.candidates, self.bins)
-
-    def _learn_odds(self) -> None:
-        """M step of the odds of a skipped view, which all views have in common."""
-        recorded = float(self._skip_sum @ self._left[self.candidates.source])
-        skipped = sum(float(self.responsibility[part].astype(float) @ self._skip_part[part]) for part in self._parts)
-        odds = (skipped + SKIP_ODDS_FIRST * SKIP_ODDS_PASSAGES) / (recorded + SKIP_ODDS_PASSAGES)
-        self._skip_odds = min(odds, SKIP_ODDS_MAX)
 
     def _weights(self, hazard: Singles, part: slice) -> Floats:
         """Hazard of each candidate of a part that the others make."""
@@ -320,20 +305,21 @@ class PosteriorFitter(JointFitter):
         if self._agreement is not None:
             entered *= self._agreement.take(early)
         weight[early - part.start] += entered
-        if self._skip_unit is not None:
-            some = self._skippable[within(self._skippable, part)].astype(np.intp)
-            skipped = self._skip_odds * self._skip_unit.take(self._cell[some])
-            if self._agreement is not None:
-                skipped *= self._agreement.take(some)
-            weight[some - part.start] += skipped
-            self._skip_part[some] = skipped / np.maximum(weight.take(some - part.start), 1e-300)
+        skipping = self._skipping
+        there = within(skipping.some, part)
+        some = skipping.some[there].astype(np.intp)
+        skipped = skipping.hazard(there)
+        if self._agreement is not None:
+            skipped *= self._agreement.take(some)
+        weight[some - part.start] += skipped
+        skipping.part[there] = skipped / np.maximum(weight.take(some - part.start), 1e-300)
         entering.part[here] = entered / np.maximum(weight.take(early - part.start), 1e-300)
         if self._multiplier is not None:
             weight *= self._multiplier[part]
         return weight
 
     def _after_exit(self, hazard: Singles, rows: slice) -> Singles:
-        return hazard[rows] if self._skip_unit is None else hazard[rows] + self._skip_odds * self._skip_unit[rows]
+        return self._skipping.added(hazard[rows], rows)
 
     def _leave(self, hazard: Singles) -> Floats:
         return self._leaving if len(self._leaving) else super()._leave(hazard)

@@ -10,13 +10,13 @@ but the links and the passages say how likely and how late each of them is, and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Candidates, Departures, Indices, Singles, rows_together
+from camtopod.learn.candidates import Candidates, Departures, Indices
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.missed import joined
 from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
@@ -112,19 +112,16 @@ def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
     return present.astype(np.int64), n.astype(np.int64), seconds[order][np.cumsum(n) - n + n // 2]
 
 
-def skip_hazards(legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int) -> Floats:
-    """Hazard (P, bins) of appearing next at a target because the view between was skipped, if every second one is."""
-    known = candidates.source.astype(np.int64) * zones + candidates.target  # ascending
-    return _along(legs, through, bins, zones, known)
-
-
-def occurring(hazard: Singles, cell: Ints, parts: Sequence[slice]) -> Ints:
-    """The candidates, ascending, that have any of a ``hazard`` (P, bins), which are few; ``cell`` (M,) of each."""
-    some = [np.zeros(0, np.int32)]
-    for part in parts:
-        some.append(np.flatnonzero(hazard.take(cell[part])).astype(np.int32))
-        some[-1] += part.start
-    return np.concatenate(some)
+def skip_hazards(
+    legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int
+) -> tuple[Longs, Floats]:
+    """The pairs of the candidates (K,), ascending, to whose target a skipped view may have led, and the hazards (K,
+    bins) of appearing there because it was, if every second one is.
+    """
+    ways = _ways(legs, through)
+    pair, known = _rows(candidates.source.astype(np.int64) * zones + candidates.target, ways.key(legs, zones))
+    present, number = np.unique(pair[known], return_inverse=True)
+    return present.astype(np.int64), _along(ways.take(known), number, len(present), legs, through, bins)
 
 
 def skipped_beside(
@@ -133,43 +130,54 @@ def skipped_beside(
     """Sources and targets (X,) of the ways over skipped views that are no pairs of the candidates, and the hazards
     (X, bins), as `skip_hazards`.
     """
-    first, _, last, _ = _ways(legs, through)
-    key = np.unique(legs.source[first].astype(np.int64) * zones + legs.target[last])
-    key = np.setdiff1d(key, candidates.source.astype(np.int64) * zones + candidates.target)
-    hazard = _along(legs, through, bins, zones, key)
-    return (key // max(zones, 1)).astype(np.int32), (key % max(zones, 1)).astype(np.int32), hazard
+    ways = _ways(legs, through)
+    key = ways.key(legs, zones)
+    _, known = _rows(candidates.source.astype(np.int64) * zones + candidates.target, key)
+    present, number = np.unique(key[~known], return_inverse=True)
+    hazard = _along(ways.take(~known), number, len(present), legs, through, bins)
+    return (present // max(zones, 1)).astype(np.int32), (present % max(zones, 1)).astype(np.int32), hazard
 
 
-def _ways(legs: Legs, through: Through) -> tuple[Indices, Indices, Indices, Floats]:
-    """The likely ways over one skipped view: the leg before it, the way through it, the leg after; and the share of
-    those who leave where the first begins.
+class _Ways(NamedTuple):
+    """Ways over one skipped view, (n,) each: the leg before it, the way through it, the leg after it; and the share
+    that takes it of those who leave where it begins.
     """
+
+    before: Indices
+    through: Indices
+    after: Indices
+    taken: Floats
+
+    def key(self, legs: Legs, zones: int) -> Longs:
+        """(n,) where they begin and end: source * zones + target."""
+        return legs.source[self.before].astype(np.int64) * zones + legs.target[self.after]
+
+    def take(self, rows: NDArray[Any] | slice) -> _Ways:
+        """Some of them."""
+        return _Ways(self.before[rows], self.through[rows], self.after[rows], self.taken[rows])
+
+
+def _ways(legs: Legs, through: Through) -> _Ways:
+    """The likely ways."""
     before, way = joined(legs.target, through.entry)
-    step, last = joined(through.exit[way], legs.source)
-    first, way = before[step], way[step]
-    taken = legs.share[first] * through.share[way] * legs.share[last]
-    likely = taken >= WAY_SHARE_MIN
-    return first[likely], way[likely], last[likely], taken[likely]
+    step, after = joined(through.exit[way], legs.source)
+    before, way = before[step], way[step]
+    taken = legs.share[before] * through.share[way] * legs.share[after]
+    return _Ways(before, way, after, taken).take(taken >= WAY_SHARE_MIN)
 
 
-def _along(legs: Legs, through: Through, bins: LagBins, zones: int, pairs: Longs) -> Floats:
-    """Hazards (X, bins) of the ``pairs`` (X,) of zones, source * zones + target, ascending."""
-    first, way, last, taken = _ways(legs, through)
-    pair, known = _rows(pairs, legs.source[first].astype(np.int64) * zones + legs.target[last])
-    ways = np.flatnonzero(known)
-    mass = np.zeros(len(pairs) * bins.size)
-    for k in range(0, len(ways), WAYS_AT_ONCE):
-        some = ways[k : k + WAYS_AT_ONCE]
-        middle = through.seconds[way[some]]
-        lag = legs.lag[first[some]][:, :, None] + middle[:, None, None] + legs.lag[last[some]][:, None, :]
+def _along(ways: _Ways, number: NDArray[np.intp], rows: int, legs: Legs, through: Through, bins: LagBins) -> Floats:
+    """Hazards (rows, bins) of the ways; ``number`` (n,): the row of each."""
+    mass = np.zeros(rows * bins.size)
+    for k in range(0, len(number), WAYS_AT_ONCE):
+        part = slice(k, k + WAYS_AT_ONCE)
+        some, middle = ways.take(part), through.seconds[ways.through[part]]
+        lag = legs.lag[some.before][:, :, None] + middle[:, None, None] + legs.lag[some.after][:, None, :]
         at = bins.index(lag)
-        cell = pair[some][:, None, None] * bins.size + at
-        weight = np.broadcast_to((taken[some] / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
+        cell = number[part][:, None, None] * bins.size + at
+        weight = np.broadcast_to((some.taken / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
         np.add.at(mass, cell[at >= 0], weight[at >= 0])
-    hazard: Floats = mass.reshape(-1, bins.size)
-    spread = smoother(bins.size, SPREAD_SD_BINS).T
-    for rows in rows_together(len(pairs)):
-        hazard[rows] = hazard[rows] @ spread / bins.widths
+    hazard: Floats = mass.reshape(-1, bins.size) @ smoother(bins.size, SPREAD_SD_BINS).T / bins.widths
     return hazard
 
 
