@@ -112,10 +112,9 @@ def fit_jointly(
     Always from nothing: going on from the last one believes early mistakes ever more and sees too late what has opened.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
-    hazard = fitter.run(fitter.use_slowness(fitter.run(fitter.start()).hazard)).hazard
-    fitter.sparsity = SPARSITY
-    tables = fitter.prune(fitter.run(hazard))
-    del hazard
+    tables = fitter.prune(
+        fitter.run(fitter.run(fitter.use_slowness(fitter.run(fitter.start()).hazard)).hazard, SPARSITY)
+    )
     for _ in range(SPARSE_ROUNDS_MAX - 1):
         before = fitter.persistence
         tables = fitter.prune(fitter.run(fitter.use_slowness(tables.hazard)))
@@ -179,8 +178,9 @@ class JointFitter:
         left, came = self.departures, self.arrivals
         return Chance(left.t, left.zone, came.t, came.zone, self.zones)
 
-    def run(self, hazard: Singles) -> Tables:
-        """One round of EM from the given hazards (P, bins)."""
+    def run(self, hazard: Singles, sparsity: float | None = None) -> Tables:
+        """One round of EM from the given hazards (P, bins); from here on with that ``sparsity``, if given."""
+        self.sparsity = self.sparsity if sparsity is None else sparsity
         counts = np.zeros(0)
         for iteration in range(ITERATIONS):
             del counts  # they are as large as the new ones

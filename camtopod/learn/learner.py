@@ -347,17 +347,18 @@ class Learner:
         ratio = cross_evidence(
             departures, arrivals, self._all_of(fit, departures, arrivals, zones), self.bins, zones, first, scene.last
         )
-        followed = followed_of(*problem)
-        del candidates, problem  # as much as the rest of a fit takes
-        screened = bool(self._screen.followed)
-        posterior = fit_followed(departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened)
         left, pace = leaving(departures, self.bins, zones, scene.last), pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), left, self.bins, zones, pace).with_evidence(ratio, zones * zones)
+        over = scene.last - self.bins.lag_max
+        changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
+        del fit  # what follows takes the most memory, ...
+        followed = followed_of(*problem)
+        del candidates, problem  # ... and then these would take as much as the rest
+        screened = bool(self._screen.followed)
+        posterior = fit_followed(departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened)
         likely = tabulate(transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN), left, self.bins, zones).without_counts()
         likely = likely.with_evidence(likely.ratio, len(posterior.share))
-        over = scene.last - self.bins.lag_max
         self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
-        changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
         share_min = self.settings.publish_probability_min
         return (
             posterior, present(between, changes, zones, share_min), present(likely, changes, zones, share_min), changes,

@@ -48,12 +48,11 @@ class Skipping:
         row = np.full(len(candidates.source), -1, np.int32)
         row[pair] = np.arange(len(pair), dtype=np.int32)
         some, cells = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
-        size = self._bins.size
         for part in parts:
             of = candidates.pair[part]
             here = np.flatnonzero(row.take(of) >= 0)
             of = of[here]
-            at = row.take(of) * size + (cell[part][here] - of * size)
+            at = cell[part][here] + (row.take(of) - of) * self._bins.size
             occurs = self._unit.take(at) > 0
             some.append((here[occurs] + part.start).astype(np.int32))
             cells.append(at[occurs])

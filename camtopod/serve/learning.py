@@ -45,7 +45,7 @@ SAVE_SECONDS_MAX = 3.0
 """And the snapshot of the end."""
 GATHER_SECONDS = 0.02
 """What comes within this time is taught together: a message for each event would cost more than learning it."""
-QUEUED_EVENTS_MAX = 50_000
+QUEUED_EVENTS_MAX = 20_000
 """Kept in memory for the learner, beside the journal, from which what is more is read again."""
 THOROUGH_EVERY = 250
 """Versions until it is looked for what would otherwise stay in memory for ever; it holds everything up for a moment."""
