@@ -88,7 +88,7 @@ def film(
             for walker in walkers:
                 draw(picture, walker, frame / FPS)
             seen = cv2.add(picture, noise[int(rng.integers(NOISE_PICTURES))], dtype=cv2.CV_8U)
-            encoder.stdin.write(np.ascontiguousarray(seen))
+            encoder.stdin.write(np.ascontiguousarray(seen).tobytes())
     if encoder.returncode:
         raise OSError(f"ffmpeg cannot write {path}")
     return path

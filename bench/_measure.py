@@ -283,7 +283,7 @@ def by_range(method: Callable[..., Any], seen: Crossings, found: Sequence[Candid
     """What a method finds among the candidates of each range of lags; by variant and range, if it looks at any."""
     if method not in (*TAKE_CANDIDATES, *TAKE_LAGS):
         return dict(method(seen))
-    result = {}
+    result: dict[str, Findings] = {}
     for one in found:
         findings = method(seen, one if method in TAKE_CANDIDATES else one.lags)
         result |= {f"{name}, {one.lags.low:g}..{one.lags.high:g} s": each for name, each in findings.items()}

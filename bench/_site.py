@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -34,6 +35,8 @@ ONCE = Settings(refit_share=1e9, refit_hours=1e9)
 LEARNED_EVENTS, LEARNED_PER_SECOND_PER_CAMERA = 60_000, 0.1
 """What a site has learned from before anything is measured: its window is full."""
 STOP_SECONDS = 20.0
+LOOK_SECONDS = 0.02
+"""Between two looks at how much memory there is."""
 
 
 class Count(Struct, frozen=True):
@@ -156,6 +159,43 @@ def resident(pid: int, most: bool = False) -> int:
             [kilobytes] = [line.split()[1] for line in lines if line.startswith("VmHWM:" if most else "VmRSS:")]
             total += 1024 * int(kilobytes)
     return total
+
+
+@contextlib.contextmanager
+def most_at_once(pid: int) -> Iterator[list[int]]:
+    """While the block runs it is looked how much a process and its children have in memory at one moment: the most so
+    far is the only element of the list, in bytes. Pages of files that several of them have are counted once, as the
+    system has them once; how many these are is looked up at the end.
+    """
+    most, ended = [0], threading.Event()
+
+    def look() -> None:
+        while not ended.wait(LOOK_SECONDS):
+            most[0] = max(most[0], resident(pid))
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    try:
+        yield most
+        most[0] -= _counted_again((pid, *_children(pid)))
+    finally:
+        ended.set()
+        looking.join()
+
+
+def _counted_again(processes: Sequence[int]) -> int:
+    """Bytes of files that more than one of the processes have in memory, beyond the first."""
+    sizes: dict[tuple[str, ...], list[int]] = {}
+    for process in processes:
+        mapping: tuple[str, ...] = ()
+        for line in Path(f"/proc/{process}/smaps").read_text().splitlines():
+            name, *columns = line.split()
+            if not name.endswith(":"):  # addresses: permissions, offset, device, inode and path
+                mapping = tuple(columns[:4])
+                sizes.setdefault(mapping, []).append(0)
+            elif name in {"Rss:", "Anonymous:"}:  # what was written to is the process's own
+                sizes[mapping][-1] += 1024 * int(columns[0]) * (1 if name == "Rss:" else -1)
+    return sum(sum(each) - max(each) for mapping, each in sizes.items() if mapping[-1] != "0")
 
 
 def _children(pid: int) -> list[int]:

@@ -30,15 +30,13 @@ from numpy.typing import NDArray
 from bench._measure import TRAIN_SHARE, predict, prediction_figures
 from bench.regimes import REGIMES
 from camtopod.learn import posterior
-from camtopod.learn.candidates import Candidates
+from camtopod.learn.candidates import Singles
 from camtopod.learn.learner import Learner
 from camtopod.learn.posterior import PosteriorFitter
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.sim.score import next_entries
 from camtopod.sim.truth import Truth
-
-Floats = NDArray[np.float64]
 
 FIGURES = {"top1_ratio": "top-1", "top3_ratio": "top-3", "log_loss_above": "log loss above", "kept": "on the truth"}
 MICROSECONDS = 1_000_000
@@ -56,24 +54,23 @@ class Told:
         }
         self.kept = float("nan")
 
-    def of(self, fitter: PosteriorFitter) -> Floats:
+    def of(self, fitter: PosteriorFitter) -> Singles:
         """1 for each candidate (M,) that is one object's next appearance, else 0."""
         c = fitter.candidates
         left, came = (
             np.rint(t * MICROSECONDS).astype(np.int64).tolist() for t in (fitter.departures.t, fitter.arrivals.t)
         )
         pairs = zip(c.departure.tolist(), c.arrival.tolist(), strict=True)
-        return np.array([float(self.next.get(left[d]) == came[a]) for d, a in pairs])
+        return np.array([self.next.get(left[d]) == came[a] for d, a in pairs], np.float32)
 
     @contextmanager
     def at_every_step(self) -> Iterator[None]:
         """Nothing is guessed."""
         expect = PosteriorFitter._expect
 
-        def told(fitter: PosteriorFitter, hazard: Floats) -> Floats:
+        def told(fitter: PosteriorFitter, hazard: Singles) -> None:
             expect(fitter, hazard)
-            fitter._responsibility = self.of(fitter)
-            return fitter._responsibility
+            fitter.responsibility = self.of(fitter)
 
         with patch.object(PosteriorFitter, "_expect", told), patch.object(PosteriorFitter, "sample", lambda _: None):
             yield
@@ -85,11 +82,11 @@ class Told:
 
         def begin(fitter: PosteriorFitter) -> None:
             if from_truth:
-                fitter._responsibility = self.of(fitter)
+                fitter.responsibility = self.of(fitter)
             sample(fitter)
 
-        def follow(fitter: PosteriorFitter) -> Candidates:
-            fitter._responsibility = np.maximum(fitter._responsibility, self.of(fitter))
+        def follow(fitter: PosteriorFitter) -> NDArray[np.bool_]:
+            fitter.responsibility = np.maximum(fitter.responsibility, self.of(fitter))
             return worth(fitter)
 
         with (
@@ -106,7 +103,7 @@ class Told:
 
         def watched(fitter: PosteriorFitter) -> object:
             true = self.of(fitter)
-            self.kept = float(fitter._responsibility @ true / max(true.sum(), 1.0))
+            self.kept = float(fitter.responsibility @ true / max(true.sum(), 1.0))
             return result(fitter)
 
         with patch.object(PosteriorFitter, "result", watched):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from serving import wait_for
 
 from bench import _ratios, ingest, latency, memory, router
-from bench._site import traffic
+from bench._site import most_at_once, resident, traffic
 
 SMALL = ["--cameras", "4", "--learned", "400", "--rounds", "1"]
 
@@ -48,6 +51,37 @@ def test_latency(site: list[str], tmp_path: Path) -> None:
     for one, other in zip(median["rows"], tail["rows"], strict=True):
         assert 0.0 < one["cost"]["median"] <= other["cost"]["median"]
     assert fitting["baseline"] == latency.QUIET
+
+
+BIG = 200_000_000
+GROWS = f"""
+import subprocess, sys
+other = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+input()
+big = b"1" * {BIG}
+print("has it", flush=True)
+input()
+del big
+print("has it no more", flush=True)
+input()
+other.communicate()
+"""
+
+
+def test_the_most_at_one_moment_counts_files_once() -> None:
+    with subprocess.Popen([sys.executable, "-c", GROWS], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with most_at_once(process.pid) as most:
+            for answer in (b"has it\n", b"has it no more\n"):
+                process.stdin.write(b"\n")
+                process.stdin.flush()
+                assert process.stdout.readline() == answer
+                wait_for(lambda: most[0] >= BIG, "the look at it")
+            left = resident(process.pid)
+        process.stdin.write(b"\n")
+        process.stdin.close()
+    assert left < BIG < most[0] < BIG + left, "two interpreters, most of which is in one file"
 
 
 def test_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -75,18 +75,18 @@ def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
     mine = np.array(truth.identity) != CLUTTER
     if truth.zones:
         mine &= np.array(truth.zone) >= 0
-        zone = np.array(index, dtype=np.int64)[np.array(truth.zone)]
+        at = np.array(index, dtype=np.int64)[np.array(truth.zone)]
     else:
         names = [TrueZone(name, name) for name in truth.cameras]
-        zone = np.array([cameras[event.camera] for event in events], dtype=np.int64)
-    t, zone = np.array([event.t for event in events])[mine], zone[mine]
+        at = np.array([cameras[event.camera] for event in events], dtype=np.int64)
+    t, at = np.array([event.t for event in events])[mine], at[mine]
     entry = np.array([event.kind for event in events])[mine] == "entry"
     order = np.argsort(t, kind="stable")
     came, left = order[entry[order]], order[~entry[order]]
     return Crossings(
         [zone.id for zone in names],
         np.array([cameras[zone.camera] for zone in names]),
-        t[left], zone[left], t[came], zone[came],
+        t[left], at[left], t[came], at[came],
     )  # fmt: skip
 
 
