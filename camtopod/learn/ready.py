@@ -104,7 +104,7 @@ class Ready:
         """Those that may have come about."""
         self._transitions: Floats = outcomes.share * site.hazards.departures[zone]
         self._shift: Floats = np.where(site.corrected, 0.0, self.later)
-        self._windows: dict[float | None, list[list[float]]] = {}
+        self._windows: dict[float | None, Floats] = {}
         self._coming: dict[int, list[float]] = {}
         """Of outcomes that were asked for: odds below each edge of what is still to come, after a usual passage."""
 
@@ -139,13 +139,12 @@ class Ready:
         factor, wider = pace or (1.0, None)
         if wider not in self._windows:
             self._windows[wider] = self._usual(wider)
-        usual, floor = self._windows[wider], math.floor
-        times: list[Sequence[float]] = []
-        for k in numbers:
+        usual: list[list[float]] = self._windows[wider].take(numbers, axis=0).tolist()
+        times, floor = list[Sequence[float]](), math.floor
+        for k, (a, b, c, x, y, z) in zip(numbers, usual, strict=True):
             if k in known.came or k in self._exposed:
                 times.append(self.window(k, pace, self._lags(k, known)))
             else:
-                a, b, c, x, y, z = usual[k]
                 times.append((floor(a * factor + x) / 1e3, floor(b * factor + y) / 1e3, floor(c * factor + z) / 1e3))
         return times
 
@@ -154,7 +153,7 @@ class Ready:
         shift, transitions = self._shift.item(number), self._transitions.item(number)
         return [round(lag + shift, 3) for lag in self._site.paces.at_pace(pace, transitions, *lags)]
 
-    def _usual(self, wider: float | None) -> list[list[float]]:
+    def _usual(self, wider: float | None) -> Floats:
         """Windows of objects of usual pace, (targets, 6): three times what scales with the pace and three times what
         does not and one half, in milliseconds.
         """
@@ -166,8 +165,7 @@ class Ready:
                 fixed[k] += lags
             else:
                 scaled[k] = self._site.paces.at_pace((1.0, wider), self._transitions.item(k), *lags)
-        milliseconds: list[list[float]] = np.hstack((scaled * 1000.0, fixed * 1000.0 + 0.5)).tolist()
-        return milliseconds
+        return np.hstack((scaled * 1000.0, fixed * 1000.0 + 0.5))
 
     def _lags(self, number: int, known: AtExit) -> list[float]:
         """The `lag_odds.quantiles` of one outcome."""
