@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.learn.candidates import Singles
 from camtopod.learn.histograms import on_bins
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins
@@ -34,8 +35,8 @@ class Outcomes(NamedTuple):
     """(targets,) of the departures."""
     leave: float
     """Share of the departures not seen again."""
-    hazard: Floats
-    """(targets, bins) per second and exposed departure."""
+    hazard: Singles
+    """(targets, bins) per second and exposed departure; a version says it to fewer digits."""
     exposure: Floats
     """(bins,) share of the departures here that are exposed."""
     doubt: Floats
@@ -74,11 +75,12 @@ class Hazards:
         every = list(self.outcomes.items())
         first_rows = np.cumsum([1, *(len(o.targets) for _, o in every)]).tolist()
         self._first_row: dict[int, int] = dict(zip(self.outcomes, first_rows, strict=False))
-        self._rows: Floats = np.zeros((first_rows[-1], self.bins.size + 1))  # the last column is for lags without a bin
+        # The last column is for lags without a bin.
+        self._rows: Singles = np.zeros((first_rows[-1], self.bins.size + 1), np.float32)
         for zone, o in unhurried(every, pause):  # the same hazards, kept once
-            hazard = self._rows[self._first_row[zone] :][: len(o.targets), :-1]
-            hazard[:] = o.hazard
-            self.outcomes[zone] = o._replace(hazard=hazard)
+            rows = self._rows[self._first_row[zone] :][: len(o.targets), :-1]
+            rows[:] = o.hazard
+            self.outcomes[zone] = o._replace(hazard=rows)
         self._edges = self.bins.edges.copy()
         self._edges[[0, -1]] = self.bins.lag_min, np.nextafter(self.bins.lag_max, np.inf)
         self._edge_list: list[float] = self._edges.tolist()
@@ -122,7 +124,7 @@ class Hazards:
         at = self._edges.searchsorted(lag, "right")
         at += row * np.intp(self._rows.shape[1])
         at -= 1
-        return self._rows.take(at)
+        return self._rows.take(at).astype(float)
 
     def rates_entered(self, entry: int, targets: NDArray[np.int32], elapsed: Floats) -> Floats:
         """`rate_entered` for several zones (n,) and times (n,)."""
@@ -145,7 +147,7 @@ class Hazards:
         at = bisect_right(self._edge_list, lag) - 1
         return at if at < self.bins.size else -1
 
-    def before(self, hazard: Floats, later: float | Floats) -> NDArray[np.bool_]:
+    def before(self, hazard: Singles, later: float | Floats) -> NDArray[np.bool_]:
         """In which bins (..., bins) objects of these hazards may have appeared by the time they leave, where the clock
         is ``later`` seconds ahead of the one where they do.
         """
@@ -183,7 +185,8 @@ class Hazards:
         outcomes = {}
         for row in rows:
             if row.next_:
-                hazard = np.stack([on_bins(outcome.hazard, self.bins) for outcome in row.next_]) / self.bins.widths
+                mass = np.stack([on_bins(outcome.hazard, self.bins) for outcome in row.next_])
+                hazard = (mass / self.bins.widths).astype(np.float32)
                 share = np.array([outcome.share for outcome in row.next_])
                 zone, targets = index[row.zone], [index[outcome.to] for outcome in row.next_]
                 doubt = np.array([outcome.doubt for outcome in row.next_])
@@ -201,7 +204,7 @@ class Hazards:
             spread = smooth(np.stack([_counts(link, self.bins) for link in out]))[0]
             share = spread / np.maximum(spread.sum(axis=1, keepdims=True), 1e-300)
             probability = np.array([link.probability for link in out])[:, None]
-            hazard = probability * share / (self.bins.widths * exposure)
+            hazard = (probability * share / (self.bins.widths * exposure)).astype(np.float32)
             leave = max(1.0 - float(probability.sum()), LEAVE_FLOOR)
             targets = [index[link.to] for link in out]
             outcomes[zone] = Outcomes(targets, probability[:, 0], leave, hazard, exposure, np.zeros(len(out)))
