@@ -14,8 +14,8 @@ In the order in which data flows:
   figures; `links`
 * `overlap`, `relations`: how cameras hang together; `chain`: the Markov chain over them
 * `change`, `silence`, `alarms`: what opened, closed, moved or fell silent; `scoring`: how good its own predictions were
-* `posterior`, `entering`, `prior`, `contexts`, `skipped`, `sampling`: where objects go, all weak evidence included;
-  `doubt`: what of that may be chance; `model`: what of it a version carries
+* `posterior`, `entering`, `prior`, `contexts`, `skipped`, `skipping`, `sampling`: where objects go, all weak evidence
+  included; `doubt`: what of that may be chance; `model`: what of it a version carries
 * `assemble`, `rounding`, `topology`: versions with digests and deltas
 * `hazards`, `places`, `surroundings`, `pace`, `recent`, `under_way`, `succession`, `lag_odds`, `ready`, `predict`:
   where to look next, and when
