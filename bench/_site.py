@@ -177,10 +177,11 @@ def most_at_once(pid: int) -> Iterator[list[int]]:
     looking.start()
     try:
         yield most
-        most[0] -= _counted_again((pid, *_children(pid)))
+        again = _counted_again((pid, *_children(pid)))
     finally:
         ended.set()
         looking.join()
+    most[0] -= again
 
 
 def _counted_again(processes: Sequence[int]) -> int:

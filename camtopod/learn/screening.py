@@ -67,7 +67,7 @@ OUTSIDE_FIRST = 0.5
 """Share of the arrivals that come from outside, as the rounds begin."""
 OVERLAP_FALSE = 0.05
 """Probability that any two of the cameras that do not overlap seem to."""
-LIKELY_MIN = 0.0005
+LIKELY_MIN = 0.001
 """Less likely candidates are left out ..."""
 LIKELY_MAX, LIKELY_PER_ARRIVAL = 3_000_000, 8
 """... and all but so many, or so many for each arrival if that is more: the likeliest."""
