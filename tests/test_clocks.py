@@ -74,6 +74,27 @@ def test_all_ways_of_counting_give_the_same(seed: int, at_once: int) -> None:
     assert by_difference.sum() > 0
 
 
+def test_no_more_transforms_are_kept_than_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coarse, "DIFFERENCES_MAX", 0)
+    monkeypatch.setattr(coarse, "SPECTRA_KEPT", 40)
+    labels = np.arange(30, dtype=np.int32)
+    left, came = some_events(7, 900, 30, 9000.0), some_events(8, 900, 30, 9000.0)
+    seen = correlograms(left, came, 30, 1.0)
+    assert isinstance(seen, coarse.ByTransform)
+    a, b = (ends.ravel() for ends in np.meshgrid(labels, labels))
+    for k in coarse.side_by_side(a, b, seen.at_once):
+        seen.of(a[k : k + 1], b[k : k + 1])
+        assert sum(len(blocks) for blocks in seen._spectra.values()) <= 40
+
+
+def test_pairs_side_by_side_are_all_pairs_and_few_labels_for_long() -> None:
+    a, b = (ends.ravel() for ends in np.meshgrid(np.arange(20), np.arange(20)))
+    order = coarse.side_by_side(a, b, 8)
+    assert sorted(order.tolist()) == list(range(400))
+    for k in range(0, 400, 16):
+        assert len({*a[order[k : k + 16]].tolist(), *b[order[k : k + 16]].tolist()}) <= 8
+
+
 def test_beyond_the_limit_the_newest_time_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     t = np.arange(0.0, 10 * coarse.BLOCK, 50.0)
     zone = np.zeros(len(t), np.int32)

@@ -120,6 +120,7 @@ class ByTransform:
         self._blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
         self._bins = [[some[rows] for rows in rows_of(name, labels)] for some, name in zip(bins, names, strict=True)]
         self.at_once = max(SPECTRA_KEPT // (2 * self._blocks), 2)
+        """Labels of which the transforms are kept."""
         self._spectra: dict[tuple[int, int], Spectra] = {}  # those asked for last
 
     def of(self, source: Ints, target: Ints) -> Counts:
