@@ -63,14 +63,14 @@ def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.Mo
     before, found = copy.deepcopy(fitter), []
     assert len(drawn) < len(fitter.responsibility) / 2
     assert len(np.intersect1d(drawn, fitter.entering.early))
-    assert len(np.intersect1d(drawn, fitter._skippable))
+    assert len(np.intersect1d(drawn, fitter._skipping.some))
     for few in (True, False):
         fitter = copy.deepcopy(before)
         fitter._believe(drawn)
         fitter._drawn = drawn if few else None
         hazard = fitter._learn_hazards()
         fitter._expect(hazard)
-        found.append((hazard, fitter.entering.hazard, fitter.outside, fitter.counts, fitter.responsibility))
+        found.append((hazard, fitter.entering.hazard, fitter.outside, fitter._own, fitter.responsibility))
     for drawn_only, all_of_them in zip(*found, strict=True):
         assert drawn_only.any()
         assert drawn_only.tobytes() == all_of_them.tobytes()
