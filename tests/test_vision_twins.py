@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from camtopod.vision import background, blobs, kalman, shake, shrink, stature
+from camtopod.vision import background, blobs, kalman, motion, shake, shrink, stature, tracks
+from camtopod.vision.settings import VisionSettings
 from camtopod.vision.wiener import temporal_noise
 
 Picture = npt.NDArray[np.uint8]
@@ -101,6 +102,82 @@ def test_fragments(seed: int) -> None:
     np.testing.assert_array_equal(labels != 0, twin != 0)
     pairs = set(zip(labels.ravel().tolist(), twin.ravel().tolist(), strict=True))
     assert len(pairs) == len(twin_stats) == len(stats) or not mask.any()
+
+
+@seeds
+def test_filled_are_the_outlines(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for share in (0.0, 0.3, 0.5, 0.6, 0.8, 1.0):
+        mask = np.zeros((60, 90), np.uint8)
+        part = mask if seed % 2 else mask[20:47, 31:70]
+        part[:] = np.where(rng.uniform(size=part.shape) < share, np.uint8(255), np.uint8(0))
+        outlines = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+        twin = cv2.drawContours(mask.copy(), outlines, -1, 255, cv2.FILLED)
+        np.testing.assert_array_equal(motion._filled(mask), twin)
+    ring = cv2.circle(np.zeros((60, 90), np.uint8), (40, 30), 12, 255)
+    assert cv2.countNonZero(motion._filled(ring)) > 5 * cv2.countNonZero(ring)
+
+
+@seeds
+@pytest.mark.parametrize("known", [False, True])
+def test_merged_are_all_that_belong(seed: int, known: bool) -> None:
+    rng = np.random.default_rng(seed)
+    corners = rng.integers(0, [320, 180], (30, 2))
+    boxes = [(float(x), float(y), float(x + w), float(y + h)) for (x, y), (w, h) in
+             zip(corners, rng.integers(2, 25, (30, 2)), strict=True)]  # fmt: skip
+
+    def height(bottom: float) -> float | None:
+        return 10.0 + 0.2 * bottom if known else None
+
+    groups = [([label], box) for label, box in enumerate(boxes)]
+    before = None
+    while before != len(groups):
+        before = len(groups)
+        for i in range(len(groups)):
+            for j in range(len(groups) - 1, i, -1):
+                if blobs._belong(groups[i][1], groups[j][1], height):
+                    labels, box = groups.pop(j)
+                    groups[i] = (groups[i][0] + labels, blobs._union(groups[i][1], box))
+    assert blobs._merge(list(enumerate(boxes)), height) == groups
+    assert len(groups) < len(boxes)
+
+
+class _NoEdges:
+    size = (320, 180)
+
+    def touches(self, box: motion.Box) -> bool:
+        return False
+
+    def at_edge(self, track: tracks.Track) -> bool:
+        return False
+
+    begins_at_edge = at_edge
+
+
+@seeds
+def test_only_what_is_near_or_overlaps_can_be_a_track_s(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+
+    def made(many: int) -> list[blobs.Blob]:
+        spots = zip(rng.uniform(0, [320, 180], (many, 2)), rng.uniform(4, 60, (many, 2)), strict=True)
+        return [blobs.Blob(x, y, x + w, y + h, x + 0.4 * w, w * h) for (x, y), (w, h) in spots]
+
+    tracker = tracks.Tracker(VisionSettings(), _NoEdges())
+    tracker.step(0.0, made(12))
+    seen = made(60)
+    taken = 0
+    for track in tracker.active:
+        gate = tracks.GATE_HEIGHTS * track.height + 2 * track.kalman.uncertainty
+        x, top, foot_x, bottom = track.kalman.position
+        for blob, cost in zip(seen, tracker._costs(track, seen), strict=True):
+            head = np.hypot(blob.head[0] - x, blob.top - top)
+            foot = np.hypot(blob.foot_x - foot_x, blob.bottom - bottom)
+            near = min(head, foot) <= gate or tracks._overlap(track.last.box, blob.box) >= 0.3
+            assert (cost < tracks._NEVER) == near
+            if near:
+                assert cost == pytest.approx((0.7 * min(head, foot) + 0.3 * max(head, foot)) / gate + 0.5)
+            taken += near
+    assert 0 < taken < len(seen) * len(tracker.active) / 2
 
 
 def test_kalman_is_the_textbook_s() -> None:

@@ -20,8 +20,12 @@ EDGE_SHARE_MIN = 0.2
 """Of a blob's pixels, this share must have an edge of their own; shadows and light have fewer."""
 FILL_SHARE_MIN = 0.2
 """Of its box, a person fills at least this share."""
+BESIDE_HEIGHTS = 0.06
+"""Fragments of one person are at most this share of a person's height beside each other."""
 BLOBS_MAX = 400
 """More fragments than this in one frame are noise; the largest are kept."""
+_HEIGHT_UNKNOWN = 1.5
+"""While a person's height is unknown it is at most so many times that of the taller fragment."""
 _CLOSE = np.ones((3, 1), np.uint8)
 
 ExpectedHeight = Callable[[float], float | None]
@@ -128,16 +132,28 @@ def _merge(fragments: list[tuple[int, Box]], expected_height: ExpectedHeight) ->
     """Groups of labels that are one person, and their boxes: one above the other, or nearly touching, and not too
     tall together."""
     groups = [([label], box) for label, box in fragments]
+    reach = BESIDE_HEIGHTS * _tallest([box for _, box in groups], expected_height)
     merged = True
     while merged:
         merged = False
         for i in range(len(groups)):
             for j in range(len(groups) - 1, i, -1):
-                if _belong(groups[i][1], groups[j][1], expected_height):
+                a, b = groups[i][1], groups[j][1]
+                if a[0] - b[2] > reach or b[0] - a[2] > reach:  # most of them
+                    continue
+                if _belong(a, b, expected_height):
                     labels, box = groups.pop(j)
                     groups[i] = (groups[i][0] + labels, _union(groups[i][1], box))
                     merged = True
     return groups
+
+
+def _tallest(boxes: list[Box], expected_height: ExpectedHeight) -> float:
+    """No two of the boxes, nor of what they are merged to, are taken for parts of a taller person than this."""
+    if not boxes:
+        return 0.0
+    unknown = _HEIGHT_UNKNOWN * (max(box[3] for box in boxes) - min(box[1] for box in boxes))
+    return max(expected_height(box[3]) or unknown for box in boxes)
 
 
 def _union(a: Box, b: Box) -> Box:
@@ -148,8 +164,8 @@ def _belong(a: Box, b: Box, expected_height: ExpectedHeight) -> bool:
     overlap = (a[2] if a[2] < b[2] else b[2]) - (a[0] if a[0] > b[0] else b[0])
     height = expected_height(a[3] if a[3] > b[3] else b[3])
     if height is None:
-        height = 1.5 * max(a[3] - a[1], b[3] - b[1])
-    if overlap < -0.06 * height:  # most pairs: the rest is dear
+        height = _HEIGHT_UNKNOWN * max(a[3] - a[1], b[3] - b[1])
+    if overlap < -BESIDE_HEIGHTS * height:
         return False
     gap = max(a[1], b[1]) - min(a[3], b[3])
     together = _union(a, b)

@@ -136,8 +136,7 @@ class MotionDetector:
         edges, strong = self._own_texture(frame, expected)
         near = cv2.dilate(edges, _WIDE)
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
-        outlines = cv2.findContours(solid, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-        solid = cv2.bitwise_and(moving, cv2.drawContours(solid, outlines, -1, 255, cv2.FILLED))
+        solid = cv2.bitwise_and(moving, _filled(solid))
         solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)  # outlines of furniture are lines, people are not
         return Motion(solid, edges, moving, expected)
 
@@ -196,6 +195,22 @@ class MotionDetector:
         where[rows, columns] = cv2.dilate(mask, _SQUARE)
         self._adopt(frame, where)
         return True
+
+
+def _filled(mask: Luma) -> Luma:
+    """``mask`` and what it goes around: all that a flood from outside does not reach.
+
+    A flood costs by the area, so it is let in only where there is something.
+    """
+    left, top, width, height = cv2.boundingRect(mask)
+    if width == 0:
+        return mask
+    part = slice(top, top + height), slice(left, left + width)
+    flooded = cv2.copyMakeBorder(mask[part], 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0.0,))
+    cv2.floodFill(flooded, None, (0, 0), (255.0,))
+    filled = mask.copy()
+    filled[part] = cv2.bitwise_or(mask[part], cv2.bitwise_not(flooded[1 : height + 1, 1 : width + 1]))
+    return filled
 
 
 def _beyond(frame: Luma, expected: Luma) -> Luma:

@@ -115,9 +115,11 @@ class Tracker:
     def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
         """Blobs that hide several confirmed people update all of them; the other blobs are returned."""
         free = []
-        waiting = [(track, track.box) for track in self.active if track.confirmed and track.last.t < t]
+        waiting = [(track, *_middle(track.box)) for track in self.active if track.confirmed and track.last.t < t]
         for blob in blobs:
-            inside = [track for track, box in waiting if track.last.t < t and _holds(blob.box, box)]
+            left, top, right, bottom = blob.box
+            held = [track for track, x, y in waiting if left <= x <= right and top <= y <= bottom]
+            inside = [track for track in held if track.last.t < t]
             wide = len(inside) > 1 and blob.width > 1.3 * max(track.width for track in inside)
             tall = len(inside) > 1 and blob.height > 1.25 * max(track.height for track in inside)
             if wide or tall:
@@ -167,8 +169,12 @@ class Tracker:
         scale = max(track.height, self.stature.height(foot_y) or 0.0)
         gate = GATE_HEIGHTS * scale + 2 * track.kalman.uncertainty
         height_min = PIECE_HEIGHT_MIN * track.height if track.confirmed else 0.0
+        leftmost = min(head_x, foot_x, track.last.box[0]) - gate
+        rightmost = max(head_x, foot_x, track.last.box[2]) + gate
         costs = [_NEVER] * len(blobs)
         for j, blob in enumerate(blobs):
+            if blob.right < leftmost or rightmost < blob.left:  # most of them: neither near nor overlapping
+                continue
             head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
             foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
             near, far = (head, foot) if head < foot else (foot, head)
@@ -356,8 +362,12 @@ class Tracker:
 
 def _holds(outer: Box, inner: Box) -> bool:
     """Whether the middle of ``inner`` is in ``outer``."""
-    x, y = (inner[0] + inner[2]) / 2, (inner[1] + inner[3]) / 2
+    x, y = _middle(inner)
     return outer[0] <= x <= outer[2] and outer[1] <= y <= outer[3]
+
+
+def _middle(box: Box) -> tuple[float, float]:
+    return (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
 
 
 def _overlap(a: Box, b: Box) -> float:
