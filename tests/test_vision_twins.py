@@ -159,12 +159,12 @@ def test_only_what_is_near_or_overlaps_can_be_a_track_s(seed: int) -> None:
     rng = np.random.default_rng(seed)
 
     def made(many: int) -> list[blobs.Blob]:
-        spots = zip(rng.uniform(0, [320, 180], (many, 2)), rng.uniform(4, 60, (many, 2)), strict=True)
+        spots = zip(rng.uniform(0, [320, 180], (many, 2)), 10.0 ** rng.uniform(0, 1.8, (many, 2)), strict=True)
         return [blobs.Blob(x, y, x + w, y + h, x + 0.4 * w, w * h) for (x, y), (w, h) in spots]
 
     tracker = tracks.Tracker(VisionSettings(), _NoEdges())
     tracker.step(0.0, made(12))
-    seen = made(60)
+    seen = made(2000)
     taken = 0
     for track in tracker.active:
         gate = tracks.GATE_HEIGHTS * track.height + 2 * track.kalman.uncertainty

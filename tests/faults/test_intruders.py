@@ -382,7 +382,9 @@ def test_a_box_whose_certificate_was_withdrawn_has_no_rights(
     assert thief.do("ask", key=f"{HQ}/status/daemon") == []  # and with it the put has been dealt with
     assert observer.do("heard") == []
     assert status(observer)["refused"]["no-rights"] == before + 1
-    assert any("'gone' from" in line and "can do nothing here" in line for line in guarded.said)
+    wait_for(
+        lambda: any("'gone' from" in line and "can do nothing here" in line for line in guarded.said), "it to be said"
+    )
 
 
 # --- at the door ------------------------------------------------------------------------------------
@@ -404,7 +406,8 @@ def test_who_is_not_let_in(keys: Keys, guarded: RealDaemon, cleanup: contextlib.
         before = status(observer)["refused"].get(reason, 0)
         assert not intruder.open(**good | wrong), reason
         assert status(observer)["refused"].get(reason, 0) > before, (reason, status(observer)["refused"])
-        assert any(f"not let onto the bus: {reason}" in line for line in guarded.said)
+        wanted = f"not let onto the bus: {reason}"
+        wait_for(lambda wanted=wanted: any(wanted in line for line in guarded.said), f"it to be said: {reason}")
     assert intruder.open(**good), "the control: the same with a good certificate"
 
 
