@@ -23,7 +23,7 @@ from camtopod.codec import to_pack
 from camtopod.districts.dealing import Sharding
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve import learner_messages, learning, memory, recovery
+from camtopod.serve import learner_messages, learner_start, learning, memory, recovery
 from camtopod.serve.learner_messages import (
     Answer,
     Begin,
@@ -177,6 +177,23 @@ def test_of_what_was_stored_before_a_shard_tells_the_newest_alone() -> None:
     told, newest = (codec.read(Told, packed, pack=True) for packed in (again[0].told, shown.told))
     assert told.parts == newest.parts
     assert len(told.parts) == 2
+
+
+@pytest.mark.parametrize("spared", [True, False], ids=["spared", "the canary"])
+def test_what_nobody_asks_for_is_not_loaded(spared: bool) -> None:
+    program = f"""
+import sys
+from camtopod.serve import learner_start
+{"learner_start.spare()" if spared else ""}
+import camtopod.serve.learner_program
+print(*(part for part in learner_start.SPARED if "numpy." + part in sys.modules))
+import numpy.f2py, numpy.testing
+numpy.testing.assert_array_equal(numpy.zeros(2), [0.0, 0.0])
+numpy.f2py.get_include()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ([] if spared else ["testing", "f2py"])
+    assert learner_start.__name__ == PROGRAM
 
 
 def test_it_gives_way(process: LearnerProcess) -> None:

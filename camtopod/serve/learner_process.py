@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from camtopod.serve import learner_messages as messages
 from camtopod.serve.learner_messages import Answer, Board, Question
 
-PROGRAM = "camtopod.serve.learner_program"
+PROGRAM = "camtopod.serve.learner_start"
 END_SECONDS = 5.0
 """For the system to end a process that was killed."""
 _LOOK_SECONDS = 0.2

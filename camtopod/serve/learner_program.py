@@ -1,10 +1,9 @@
 """The learner in a process of its own, so that a refit takes the interpreter from nobody who receives or predicts.
 
-    python -m camtopod.serve.learner_program BOARD
-
-`camtopod.serve.learner_process` starts it, asks on its standard input and reads its standard output. It neither stores
-nor publishes and keeps no ledger: it ends, at once and with what it knows, when the daemon does. An exception ends it,
-too; its traceback goes to standard error, and the daemon sees on the board at which entry of the journal it was.
+`camtopod.serve.learner_process` starts it by `learner_start`, asks on its standard input and reads its standard output.
+It neither stores nor publishes and keeps no ledger: it ends, at once and with what it knows, when the daemon does. An
+exception ends it, too; its traceback goes to standard error, and the daemon sees on the board at which entry of the
+journal it was.
 """
 
 from __future__ import annotations
@@ -231,7 +230,3 @@ def main(learner: type[Learner] = Learner) -> None:
         Pupil(asked, out, Board(int(sys.argv[1])), learner).work()
     except BrokenPipeError:  # the daemon has gone
         os._exit(0)
-
-
-if __name__ == "__main__":
-    main()
