@@ -10,8 +10,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ HERE = Path(__file__).parent
 OUTAGE_SECONDS_MAX = 60.0
 """No fault makes anything later than this, so the result does not depend on the order of arrival."""
 READY_SECONDS = 60.0
+SAID_LINES_MAX = 40
 LEARNER = "learner"
 """The daemon's process that learns, which can be killed by itself: the daemon then ends, and is started again."""
 
@@ -48,6 +50,7 @@ class Site:
         self.router_endpoint = free_endpoint()
         self.at_daemon = self.at_publishers = self.router_endpoint
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._said: dict[str, deque[bytes]] = {"daemon": deque()}
         self.began = 0.0
         self._bus: Bus | None = None
         self.versions: dict[tuple[str, int], str] = {}
@@ -65,7 +68,7 @@ class Site:
             config = self.directory / "camtopod.toml"
             config.write_text(self.daemon_toml())
             process = camtopod("--config", str(config), "run", stderr=subprocess.PIPE)
-            self._await(process, process.stderr, b"ready at")
+            self._said[name] = self._await(process, process.stderr, b"ready at")
         else:
             spool = str(self.directory / f"spool-{name}.db") if self.spools else "-"
             process = self._python(
@@ -158,7 +161,10 @@ class Site:
                 found: dict[str, Any] = msgspec.msgpack.decode(answers[0][1])
                 return found
             time.sleep(0.05)
-        raise AssertionError("the daemon does not answer")
+        raise AssertionError(
+            f"the daemon does not answer; {'it runs' if self.running('daemon') else 'it has ended'}, the asker is "
+            f"{'' if self._bus.connected else 'not '}connected; it said last: {b''.join(self._said['daemon']).decode()}"
+        )
 
     def journal(self) -> list[Event]:
         """Every event in the journal, without its boot and seq, except the last one."""
@@ -204,21 +210,22 @@ class Site:
             [sys.executable, str(HERE / script), *arguments], env={**os.environ, "PYTHONPATH": path}, **popen
         )
 
-    def _await(self, process: subprocess.Popen[bytes], pipe: Any, what: bytes) -> None:
+    def _await(self, process: subprocess.Popen[bytes], pipe: Any, what: bytes) -> deque[bytes]:
+        """Until it says so; the last lines it has said and will say."""
         said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        lines: deque[bytes] = deque(maxlen=SAID_LINES_MAX)
 
         def read() -> None:
-            for line in pipe:
-                said.put(line)
+            with suppress(ValueError):  # closed
+                for line in pipe:
+                    lines.append(line)
+                    said.put(line)
             said.put(b"")
 
         threading.Thread(target=read, daemon=True).start()
-        lines = []
-        while True:
-            lines.append(said.get(timeout=READY_SECONDS))
-            if what in lines[-1]:
-                return
-            assert lines[-1], f"{process.args!r} ended: {b''.join(lines).decode()}"
+        while what not in (line := said.get(timeout=READY_SECONDS)):
+            assert line, f"{process.args!r} ended: {b''.join(lines).decode()}"
+        return lines
 
     @staticmethod
     def _close_pipes(process: subprocess.Popen[bytes]) -> None:
