@@ -17,6 +17,8 @@ from camtopod.learn.lags import LagBins
 SHORT = LagBins(-3.0, 8.0)
 CAMERAS = np.array([0, 0, 1, 2], np.int32)
 """Camera of each of four zones."""
+SINGLE = 5e-7
+"""Counts are kept in single precision, and what is left of one without a candidate's own share may be far smaller."""
 
 
 def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
@@ -58,7 +60,7 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
         responsibility, share[found.pair], gone, leave,
         module.BACK_OFF_DEPARTURES, module.PREVIOUS_RESPONSIBILITY_MIN,
     )  # fmt: skip
-    assert after == pytest.approx(slow[1])
+    assert after == pytest.approx(slow[1], abs=SINGLE)
     assert leaving == pytest.approx(slow[2])
     assert len(levels) == len(LEVELS) == 4
     for level, (n_of, moved_of) in zip(levels, slow[0], strict=True):
