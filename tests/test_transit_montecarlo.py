@@ -23,16 +23,31 @@ def lags(seed: int, n: int, pairs: int) -> tuple[np.ndarray, np.ndarray, np.ndar
     return rng.integers(0, pairs, n).astype(np.int32), rng.uniform(-20, 120, n), weight
 
 
+def telling(weight: np.ndarray) -> np.ndarray:
+    """The weights of one pair that count for its quantiles: what is unlikely does only where nothing else is."""
+    likely = np.where(weight > WEIGHT_MIN, weight, 0.0)
+    return likely if likely.any() else weight
+
+
 # --- figures ---
+
+
+@pytest.mark.parametrize(("weights", "expected"), [([5e-4, 8e-4, 9e-4], 30.0), ([5e-4, 8e-4, 0.5], 40.0)])
+def test_unlikely_transitions_count_where_there_are_no_others(weights: list[float], expected: float) -> None:
+    pair, lag = np.array([1, 1, 1], np.int32), np.array([20.0, 30.0, 40.0])
+    found = transit_figures(pair, lag, np.array(weights), np.zeros((2, BINS.size)), BINS)
+    assert found.quantiles[1, 1] == expected
+    assert np.isfinite([found.mean[1], found.sd[1], found.median_error[1]]).all()
+    assert np.isnan(found.quantiles[0]).all(), "nothing is known where there is nothing"
 
 
 @given(st.integers(0, 10**6), st.integers(0, 60), st.integers(1, 5))
 def test_quantiles_equal_those_of_one_pair_at_a_time(seed: int, n: int, pairs: int) -> None:
     pair, lag, weight = lags(seed, n, pairs)
     found = weighted_quantiles(pair, lag, weight, pairs)
-    weight = np.where(weight > WEIGHT_MIN, weight, 0.0)  # what is less likely does not count
     for p in range(pairs):
-        slow = [naive.weighted_quantile(lag[pair == p], weight[pair == p], q) for q in (0.1, 0.5, 0.9)]
+        x, w = lag[pair == p], telling(weight[pair == p])
+        slow = [naive.weighted_quantile(x, w, q) for q in (0.1, 0.5, 0.9)]
         assert found[p] == pytest.approx(slow, nan_ok=True)
 
 
@@ -44,7 +59,7 @@ def test_figures_equal_their_definitions(seed: int, n: int, pairs: int) -> None:
         x, w = lag[pair == p], weight[pair == p]
         assert found.total[p] == pytest.approx(w.sum())
         if w.sum() > 0:
-            low, middle, high = (naive.weighted_quantile(x, w, q) for q in (0.25, 0.5, 0.75))
+            low, middle, high = (naive.weighted_quantile(x, telling(w), q) for q in (0.25, 0.5, 0.75))
             near = abs(x - middle) <= 4.5 * max((high - low) / 1.349, 0.2)
             mean = np.average(x[near], weights=w[near])
             sd = np.sqrt(np.average((x[near] - mean) ** 2, weights=w[near]))

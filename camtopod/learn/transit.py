@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 QUANTILES = (0.1, 0.5, 0.9)
 QUARTILES = (0.25, 0.5, 0.75)
 WEIGHT_MIN = 1e-3
-"""Transitions less likely than this do not count for the quantiles."""
+"""Transitions less likely than this do not count for the quantiles, where there are others."""
 NORMAL_QUARTILES = 1.349
 """Distance of the quartiles of a normal distribution, in standard deviations."""
 MEDIAN_ERROR = 1.2533
@@ -112,7 +112,9 @@ def weighted_quantiles(
     pair: NDArray[np.int32], lag: Floats, weight: Floats, pairs: int, shares: tuple[float, ...] = QUANTILES
 ) -> Floats:
     """Quantiles of the lags of each pair, (P, shares): the first lag at which the share of the weight is reached."""
-    kept = weight > WEIGHT_MIN
+    likely = weight > WEIGHT_MIN
+    some_likely = np.bincount(pair[likely], minlength=pairs) > 0
+    kept = likely | ((weight > 0.0) & ~some_likely[pair])
     pair, lag, weight = pair[kept], lag[kept], weight[kept]
     if len(pair) == 0:
         return np.full((pairs, len(shares)), np.nan)
