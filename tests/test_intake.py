@@ -218,7 +218,7 @@ def test_event_time_is_where_a_second_camera_has_come_to(events: list[Event]) ->
             continue
         newest[e.camera] = max(newest.get(e.camera, e.t), e.t)
         reached = sorted(newest.values())[-2 if len(newest) > 1 else -1]
-        wanted = microseconds(max(reached, max(newest.values()) - 60.0) - 5.0)
+        wanted = microseconds(max(reached, max(newest.values()) - 60.0)) - intake.lateness_us
         assert intake.watermark_us == (wanted if before is None else max(wanted, before))
 
 

@@ -33,7 +33,7 @@ from camtopod.learn.slowness import (
 from camtopod.learn.smoothing import SMOOTHING_SD_BINS, smooth
 
 BINS = LagBins(-20.0, 120.0)
-SINGLE = 2e-6
+SINGLE = 1e-5
 """What is kept in single precision is right to so much after a few iterations."""
 SHORT = LagBins(-3.0, 8.0)
 
