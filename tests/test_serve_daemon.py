@@ -513,7 +513,7 @@ def test_what_waits_for_other_backlogs_is_in_the_status(site: Site) -> None:
     receiver = daemon._receiver
     assert daemon.status()["events"]["merging"] == 0
     receiver.merge.answered("lobby", [T0, T0 + 60], True, 0.0)
-    receiver.merge.release([Received(Entry("refused", "lobby", "b", 1, b""))], 0.0, 10)
+    receiver.merge.release([Received(Entry("refused", "lobby", "b", 1, b""))], 0.0, lambda: 10)
     assert receiver.merge.waiting == 1
     assert daemon.status()["events"]["merging"] == 1
 

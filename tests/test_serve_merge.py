@@ -24,7 +24,7 @@ def at(camera: str, *times: float) -> list[Received]:
 
 
 def release(merge: Merge, ready: list[Received], now: float, most: int = 100) -> list[Received]:
-    return merge.release(ready, now, most)
+    return merge.release(ready, now, lambda: most)
 
 
 def times(released: list[Received]) -> list[float]:

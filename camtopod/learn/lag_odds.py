@@ -53,20 +53,21 @@ def quantiles_beside(
     """`quantiles` of one target, of whose mass there is ``coming`` (bins + 1,) below each edge, ``share`` times, and
     what ``came`` beside that: (bin, mass), by bin.
     """
-    last = len(coming) - 2
+    last, passed, low, beside = len(coming) - 2, 0, 0, 0.0  # what one quantile is behind, the later ones are, too
     total = share * coming[last + 1] + sum(mass for _, mass in came)
     lags = []
     for part in WINDOW:
-        wanted, low, high, beside, here = part * total, 0, last, 0.0, 0.0
-        for at, mass in came:
+        wanted, first, high, here = part * total, low, last, 0.0
+        while passed < len(came):
+            at, mass = came[passed]
             if share * coming[at] + beside > wanted:  # below this bin
                 high = at - 1
                 break
             if share * coming[at + 1] + beside + mass > wanted:  # in it
-                low, high, here = at, at, mass
+                first, high, here = at, at, mass
                 break
-            low, beside = at + 1, beside + mass
-        k = min(max(bisect_right(coming, (wanted - beside) / share) - 1, low), high)
+            first, low, beside, passed = at + 1, at + 1, beside + mass, passed + 1
+        k = min(max(bisect_right(coming, (wanted - beside) / share) - 1, first), high)
         gap = share * (coming[k + 1] - coming[k]) + here
         within = (wanted - (share * coming[k] + beside)) / gap if gap > 0.0 else 0.0  # nothing there: by rounding
         lags.append(edges[k] + min(max(within, 0.0), 1.0) * (edges[k + 1] - edges[k]))

@@ -372,8 +372,10 @@ class Predictor:
         for camera in self._hazards.cameras_ahead(zone):
             if camera == here:
                 continue
+            if not (passages := self._under_way.in_view(camera)):
+                continue
             ahead, rate, first = self._hazards.rate_ahead(camera, zone), causes.get(camera, 0.0), None
-            for place, passage in self._under_way.in_view(camera):
+            for place, passage in passages:
                 one = ahead
                 if passage.entry in kernels:
                     one += self._hazards.rate_entered(passage.entry, zone, t - passage.t)

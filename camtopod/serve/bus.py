@@ -8,6 +8,7 @@ which must not block: a handler that is full starves the whole session.
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import logging
 import socket
@@ -58,8 +59,8 @@ class Ear:
         self._closing = threading.Lock()
 
     def take(self, wait: bool = True) -> list[tuple[str, bytes]] | None:
-        """What has come, as (key below the site, payload); waits for it, or there may be nothing. None when it is
-        closed and everything has been taken.
+        """What comes next, and that alone, waited for; or all that has come. As (key below the site, payload); None
+        when it is closed and everything has been taken.
         """
         messages, skipped, put, heard = self._messages, self._skipped, zenoh.SampleKind.PUT, []
         try:
@@ -67,7 +68,7 @@ class Ear:
             while sample is not None:
                 if sample.kind == put:
                     heard.append((str(sample.key_expr)[skipped:], sample.payload.to_bytes()))
-                sample = messages.try_recv() if len(heard) < _TAKEN_MAX else None
+                sample = messages.try_recv() if not wait and len(heard) < _TAKEN_MAX else None
         except zenoh.ZError:  # closed
             return heard or None
         return heard
@@ -110,7 +111,7 @@ class Bus:
             self._session.put(
                 self._full(key),
                 payload,
-                encoding=_PACK.format(schema),
+                encoding=_encoding(schema),
                 congestion_control=zenoh.CongestionControl.BLOCK,
             )
         except zenoh.ZError as error:
@@ -352,6 +353,11 @@ def _with_port(endpoint: str) -> str:
     with socket.socket(family) as probe:
         probe.bind((host.strip("[]"), 0))
         return f"{endpoint.removesuffix('0')}{probe.getsockname()[1]}"
+
+
+@functools.cache
+def _encoding(schema: str) -> zenoh.Encoding:
+    return zenoh.Encoding(_PACK.format(schema))
 
 
 def _names(parameters: str) -> list[str]:

@@ -100,8 +100,7 @@ class Cameras:
         """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too far ahead to be
         believed.
         """
-        if now != self._noticed or wall - now != self._beside:
-            self._notice_step(wall - now, now)
+        self._notice_step(wall - now, now)
         if fresh:
             camera = self._cameras.get(event.camera) or self._place(event.camera)
             camera.lead, camera.lead_at = event.t - wall, now
@@ -201,6 +200,8 @@ class Cameras:
 
     def _notice_step(self, beside: float, now: float) -> None:
         """This machine's clock may have been set; ``beside``: it less the one that does not step, now."""
+        if now == self._noticed and beside == self._beside:
+            return
         step = beside - (beside if self._beside is None else self._beside)
         self._beside, self._noticed = beside, now
         if step >= STEP_SECONDS_MIN:

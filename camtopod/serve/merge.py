@@ -11,7 +11,7 @@ from __future__ import annotations
 import collections
 import heapq
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from msgspec import Struct, field
 
@@ -62,14 +62,16 @@ class Merge:
         backlog = self._backlogs.get(camera)
         return backlog is not None and len(backlog.waiting) >= self._events_max
 
-    def release(self, ready: list[Received], now: float, most: int) -> list[Received]:
-        """What goes on: of these, and of what waits, then at most ``most``. Each camera's in the order it came."""
+    def release(self, ready: list[Received], now: float, room: Callable[[], int]) -> list[Received]:
+        """What goes on: of these, and of what waits, then as many as there is ``room`` for. Each camera's in the order
+        it came.
+        """
         if self._began is not None:
             for received in ready:
                 waiting = self._backlogs.setdefault(received.entry.camera, _Backlog()).waiting
                 before = waiting[-1][0] if waiting else -math.inf
                 waiting.append((max(before, -math.inf if received.event is None else received.event.t), received))
-            ready = self._merged(self._horizon(now), most)
+            ready = self._merged(self._horizon(now), room())
         newest = max((received.event.t for received in ready if received.event is not None), default=-math.inf)
         self._released = max(self._released, newest)
         return ready

@@ -228,7 +228,7 @@ class Receiver:
             else:
                 ready += self._published(message, wall, now)
         ready += self.streams.give_up(time.monotonic(), self._limits.gap_seconds, self.with_spool)
-        ready = self.merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), max(self._room(), 0))
+        ready = self.merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), self._room)
         ready = self._without_floods(ready)
         if (advanced := self._event_time.went_on(now, self._limits.settle_seconds)) is not None:
             ready.append(Received(Entry("advance", "", None, None, repr(advanced).encode()), advance=advanced))
