@@ -12,6 +12,10 @@ from collections.abc import Generator
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded: the matrices are small, the cores are taken
 
+# Containers often set it, a user's shell does not: with it C's standard output waits for nothing, too, in all programs
+# that tests start, and what is stuck there is not seen.
+os.environ.pop("PYTHONUNBUFFERED", None)
+
 import pytest
 from hypothesis import HealthCheck, settings
 

@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 
 import pytest
 
 from camtopod.vision.complaints import listening
+
+PRINTS_AS_C_DOES = """
+import ctypes, sys
+from camtopod.vision.complaints import listening
+
+libc = ctypes.CDLL(None)
+libc.printf(b"before\\n")
+with listening() as complaints:
+    libc.printf(b"[tcp] Connection to tcp://127.0.0.1 failed: Connection refused\\n")
+    print(complaints.take(), file=sys.stderr)
+    libc.printf(b"said when nobody asks any more\\n")
+print("data")
+"""
 
 
 def said(text: str) -> None:
@@ -19,3 +34,10 @@ def test_a_reason_is_heard_and_standard_output_is_itself_again(capfd: pytest.Cap
         assert "user name or password" in complaints.take()
     said("data\n")
     assert capfd.readouterr().out == "data\n"
+
+
+def test_what_waits_in_the_buffer_of_c_is_heard_too() -> None:
+    """Where standard output is no terminal C keeps some kilobytes, as OpenCV prints with it."""
+    done = subprocess.run([sys.executable, "-c", PRINTS_AS_C_DOES], capture_output=True, text=True, check=True)
+    assert "nothing listens" in done.stderr
+    assert done.stdout == "before\ndata\n"

@@ -5,6 +5,7 @@ Only what is recognised is handed on, in our words: FFmpeg's own may hold addres
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
 import sys
@@ -15,6 +16,7 @@ LEVEL_VARIABLE = "OPENCV_FFMPEG_LOGLEVEL"
 LEVEL_WARNINGS = "24"
 LEVEL_NOTHING = "-8"
 _READ_BYTES = 65536
+_LIBC = ctypes.CDLL(None)
 _STANDARD_OUTPUT = 1
 _REFUSED = re.compile(rb"(?:failed: (?:Server returned )?|HTTP error )([45]\d\d)\b")
 _STATUSES = {
@@ -58,6 +60,8 @@ class Complaints:
 
     def take(self) -> str:
         """The newest reason, or "". Never blocks."""
+        if self._fd is not None:
+            _flush()
         said = b""
         while self._fd is not None:
             try:
@@ -70,11 +74,17 @@ class Complaints:
         return reason_in(said)
 
 
+def _flush() -> None:
+    """What OpenCV has printed waits in the buffer of C's standard output, a thing apart from `sys.stdout`."""
+    _LIBC.fflush(None)
+
+
 @contextmanager
 def listening() -> Iterator[Complaints]:
     """Standard output is FFmpeg's while the block runs, so only for a process that has no data for it."""
     os.environ.setdefault(LEVEL_VARIABLE, LEVEL_WARNINGS)
     sys.stdout.flush()
+    _flush()
     heard, written = os.pipe()
     for fd in (heard, written):
         os.set_blocking(fd, False)  # when it is full, what is said is lost, and nothing waits
@@ -84,6 +94,7 @@ def listening() -> Iterator[Complaints]:
     try:
         yield Complaints(heard)
     finally:
+        _flush()  # or it would come among what is printed next
         os.dup2(before, _STANDARD_OUTPUT)
         os.close(before)
         os.close(heard)
