@@ -46,6 +46,18 @@ class Browser:
         self._complaints: list[str] = []
         self._asked: list[str] = []
 
+    def renew(self) -> None:
+        """A new tab, and nothing asked or complained about yet. The old one is closed: its page would go on asking."""
+        old = self._driver.current_window_handle
+        self._driver.switch_to.new_window("tab")
+        new = self._driver.current_window_handle
+        self._driver.switch_to.window(old)
+        self._driver.close()
+        self._driver.switch_to.window(new)
+        self.size(1280, 800)
+        self.asked().clear()
+        self.complaints().clear()
+
     def open(self, address: str) -> None:
         """Load a page anew."""
         self._driver.get("about:blank")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded: the matrices are small, the cores are taken
 
@@ -17,6 +17,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded: the mat
 os.environ.pop("PYTHONUNBUFFERED", None)
 
 import pytest
+from chromium import Browser, chromium
 from hypothesis import HealthCheck, settings
 
 DATA = "CAMTOPOD_TEST_DATA"
@@ -38,6 +39,20 @@ def _logging_as_it_was() -> Generator[None]:
     yield
     root.setLevel(level)
     root.handlers[:] = handlers
+
+
+@pytest.fixture(scope="session")
+def started_browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One for all tests: it takes seconds to start."""
+    with chromium(tmp_path_factory.mktemp("profile")) as started:
+        yield started
+
+
+@pytest.fixture
+def browser(started_browser: Browser) -> Browser:
+    """As new, whatever page an earlier test has left open."""
+    started_browser.renew()
+    return started_browser
 
 
 @pytest.hookimpl(wrapper=True)

@@ -34,7 +34,7 @@ main.console()
 
 def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: Path) -> None:
     slow, empty = tmp_path / "python", tmp_path / "empty"
-    slow.write_text(f'#!/bin/sh\ncase " $* " in *" hall "*) sleep 4 ;; esac\nexec {sys.executable} "$@"\n')
+    slow.write_text(f'#!/bin/sh\ncase " $* " in *" hall "*) sleep 4 ;; esac\nexec "{sys.executable}" "$@"\n')
     slow.chmod(0o755)
     empty.mkdir()
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent), "TMPDIR": str(empty)}
@@ -142,7 +142,7 @@ def test_a_grabber_that_fails_ends_the_demo_with_its_words(
 ) -> None:
     broken = tmp_path / "python"
     grabber = 'case "$*" in *" grab "*) echo it is broken >&2; exit 3;; esac'
-    broken.write_text(f'#!/bin/sh\n{grabber}\nexec {sys.executable} "$@"\n')
+    broken.write_text(f'#!/bin/sh\n{grabber}\nexec "{sys.executable}" "$@"\n')
     broken.chmod(0o755)
     recording = demo.Recording(demo.site(), [], Truth(TRUTH_SCHEMA, [], [], [], []), 1.0, {"hall": tmp_path / "x"})
     monkeypatch.setattr(demo, "_record", lambda *_: recording)

@@ -61,6 +61,7 @@ def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         f"-----BEGIN PRIVATE KEY-----\n{SECRETS['key']}\n-----END PRIVATE KEY-----\n"
     )
     (tmp_path / "lobby").write_text(f"rtsp://admin:{SECRETS['file']}@192.0.2.5/x\n")
+    (tmp_path / "lobby").chmod(0o644)  # as most files are; the umask of who runs the tests may be a stricter one
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(credentials))
     monkeypatch.setenv("CAMTOPOD_MQTT_PASSWORD", SECRETS["mqtt"])
     monkeypatch.setenv("CAMERA_URL", f"rtsp://u:{SECRETS['environment']}@h/x")

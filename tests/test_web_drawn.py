@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 import msgspec
 import pytest
-from chromium import Browser, chromium
+from chromium import Browser
 from made_site import made_link, made_site
 from shown import Shown, opened
 
@@ -34,16 +34,9 @@ return Object.fromEntries([...document.querySelectorAll('.edge')].map((one) => {
 Shows = Callable[..., None]
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
-
-
 @pytest.fixture
 def show(browser: Browser, tmp_path: Path) -> Iterator[Shows]:
     """Open a report on a topology, on a desktop or in another size; the page may complain about nothing."""
-    before = len(browser.complaints())
 
     def open_report(topology: Topology, width: int = 1280, height: int = 800) -> None:
         path = tmp_path / "report.html"
@@ -54,7 +47,7 @@ def show(browser: Browser, tmp_path: Path) -> Iterator[Shows]:
         browser.wait(lambda: browser.count(".labels .name") > 0, "it to be drawn")
 
     yield open_report
-    assert browser.complaints()[before:] == []
+    assert browser.complaints() == []
 
 
 def joined(*edges: tuple[str, str, float, float, float]) -> Topology:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from chromium import Browser, chromium
+from chromium import Browser
 from made_site import AS_OF, made_site
 from serving import small_config, wait_for
 
@@ -29,13 +29,6 @@ PATH = next(link for link in SITE.links if link.relation == "unseen")
 FROM, TO = PATH.from_.split("/")[0], PATH.to.split("/")[0]
 SHOWN_SECONDS = 15.0
 """A machine that does other things as well takes some to lay out a thousand."""
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with chromium(tmp_path_factory.mktemp("profile")) as opened:
-        opened.size(1280, 800)
-        yield opened
 
 
 @pytest.fixture
