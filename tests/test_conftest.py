@@ -41,6 +41,7 @@ def test_what_is_missing_fails_in_ci(tmp_path: Path, environment: dict[str, str]
     (tmp_path / "conftest.py").write_text(CONFTEST.read_text())
     (tmp_path / "test_some.py").write_text(TESTS)
     inherited = {name: value for name, value in os.environ.items() if name not in ("CI", "CAMTOPOD_TEST_DATA")}
+    inherited["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))  # it imports what stands beside it
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), str(tmp_path)],
         env=inherited | environment,
