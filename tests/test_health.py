@@ -152,6 +152,29 @@ def test_a_question_to_a_spool_that_never_ends_is_seen(daemon: Daemon, monkeypat
     wait_for(lambda: daemon.failing() == [], "it to go on")
 
 
+class HangingSession:
+    """A session whose publications do not end before ``go``."""
+
+    def __init__(self, session: Any) -> None:
+        self._session, self.go = session, threading.Event()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._session, name)
+
+    def put(self, *given: Any, **named: Any) -> None:
+        assert self.go.wait(WAIT_SECONDS)
+        self._session.put(*given, **named)
+
+
+def test_a_publication_that_hangs_is_in_the_status_and_makes_it_unhealthy(daemon: Daemon) -> None:
+    bus = daemon.bus
+    session = bus._session = HangingSession(bus._session)  # type: ignore[assignment]
+    wait_for(lambda: "publishing on status/daemon takes" in daemon.status()["reason"], "the status to say so")
+    wait_for(lambda: any("status/daemon has taken" in reason for reason in daemon.failing()), "it to be unhealthy")
+    session.go.set()
+    wait_for(lambda: (daemon.failing(), daemon.status()["reason"]) == ([], ""), "it to go on")
+
+
 def test_a_full_disk_is_not_ready_but_starting_again_would_not_help(
     daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:

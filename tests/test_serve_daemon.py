@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 import pytest
 import serving
+from one_bus import OneBus
 from serving import T0, all_out, closing_event, numbered, small_config, wait_for, walkers
 
 from camtopod import codec
@@ -634,3 +635,26 @@ def test_a_daemon_that_comes_back_while_a_view_asks_is_asked_again(epoch: str) -
     view = TopologyView(Answering([old, new]))  # type: ignore[arg-type]
     assert view.update() == old
     wait_for(lambda: view.update() == new, "the whole to be fetched again", 5.0)
+
+
+def test_a_view_whose_delta_was_lost_fetches_the_whole_when_the_status_names_a_newer_version() -> None:
+    versions: list[Topology] = []
+    learner = Learner(small_config(Path()).learn, site="site", epoch="01A")
+    for event in [*walkers(40), closing_event()]:
+        learner.receive(event)
+        versions += learner.updates()
+    bus = OneBus()
+    bus.kept[1] = versions[0]
+    view = TopologyView(bus)  # type: ignore[arg-type]
+    assert view.update() == versions[0]
+    bus.kept[2] = versions[1]
+
+    def told_and_updated() -> bool:
+        bus.put("status/daemon", {"epoch": "01A", "version": 2, "state": "running"})
+        return view.update() == versions[1]
+
+    assert not told_and_updated(), "the delta may still come"
+    wait_for(told_and_updated, "the whole to be fetched")
+    assert view.fetched == 2
+    told_and_updated()
+    assert view.fetched == 2

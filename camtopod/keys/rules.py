@@ -15,6 +15,8 @@ from msgspec import Struct
 
 PREFIX = "camtopo"
 FORMAT = "camtopod/access/1"
+STATUS = "status/daemon"
+"""Below the site: how the daemon is, and which version is its newest."""
 SOON_SECONDS = 60 * 86400.0
 """A certificate that expires within this time is warned of."""
 EVENT_BYTES_MAX = 16 * 1024
@@ -37,7 +39,8 @@ _EVERYTHING = (
     "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", "liveliness_token",
     "declare_liveliness_subscriber", "liveliness_query",
 )  # fmt: skip
-_READABLE = ("topology", "topology/delta", "prediction/*", "predict/*", "status/*")
+READABLE = ("topology", "topology/delta", "prediction/*", "predict/*", "status/*")
+"""What a reader may hear and ask."""
 
 
 class Certificate(Struct, frozen=True, omit_defaults=True):
@@ -122,6 +125,20 @@ def sizes(site: str, pull_events_max: int) -> Settings:
     }
 
 
+def answers_apart(site: str) -> Settings:
+    """What readers ask, and so the answers, has a queue of its own on every link. In that of the publications an answer
+    to a reader that has stopped reading would hold up publications to all others; nor does more than one of them wait.
+    """
+    apart = {
+        "id": "answers",
+        "messages": ["query"],
+        "flows": ["ingress"],
+        "key_exprs": [_key(site, key) for key in READABLE],
+        "overwrite": {"priority": "data_low", "congestion_control": "block_first"},
+    }
+    return {"qos/network": [apart]}
+
+
 def spool_bytes_max(pull_events_max: int) -> int:
     """The largest answer of a spool, which is the largest message that a meeting point has to take, but for the parts
     that shards tell.
@@ -145,7 +162,7 @@ def router_json5(access: Access, listen: list[str], message_bytes_max: int, pull
     """The configuration of a router of its own, to be started beside the daemon's certificate and key."""
     settings = quiet("router") | {"listen/endpoints": listen}
     settings |= mutual_tls("ca.pem", "certificate.pem", "private.key") | access_control(access)
-    settings |= sizes(access.site, pull_events_max)
+    settings |= sizes(access.site, pull_events_max) | answers_apart(access.site)
     settings |= {"transport/link/rx/max_message_size": message_bytes_max}
     nested: dict[str, Any] = {}
     for path, value in settings.items():
@@ -182,8 +199,8 @@ def _rules(site: str, certificate: Certificate) -> list[dict[str, Any]]:
         return [rule("everything", come + go, _EVERYTHING, "**")]
     if certificate.role == "reader":
         return [
-            rule("asks", come, ("declare_subscriber", "query"), *_READABLE),
-            rule("hears", go, ("put", "reply"), *_READABLE),
+            rule("asks", come, ("declare_subscriber", "query"), *READABLE),
+            rule("hears", go, ("put", "reply"), *READABLE),
             rule("watches", come, ("declare_liveliness_subscriber", "liveliness_query"), "alive/daemon/*"),
             rule("sees", go, ("liveliness_token",), "alive/daemon/*"),
         ]

@@ -11,6 +11,7 @@ import contextlib
 import functools
 import json
 import logging
+import math
 import socket
 import threading
 import time
@@ -34,6 +35,20 @@ _TAKEN_MAX = 10_000
 """Messages an ear gives at a time."""
 _REPLIES_MAX = 4096
 """Answers to one query that are kept; the rest is dropped by closing the channel."""
+_PROMPT = ("prediction", "ack", "status")
+"""Small and urgent: these never wait behind a topology on their way to the same program."""
+_UNREPEATED = ("event", "part")
+"""Published once, by programs that may wait: a full link is waited for."""
+HANGS_SECONDS = 1.0
+"""A publication that takes longer than this shows in the status."""
+
+_WAIT, _ONE_WAITS = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.BLOCK_FIRST
+_DROP = zenoh.CongestionControl.DROP
+"""What becomes of a message for a link that is full: the caller waits; one such message waits, and not the caller, and
+further ones are dropped; it is dropped."""
+_FIRST, _USUAL, _LAST = zenoh.Priority.INTERACTIVE_HIGH, zenoh.Priority.DATA, zenoh.Priority.DATA_LOW
+"""Each is a queue of its own on every link. Questions and answers are in the last; the meeting point puts those of
+readers there, whatever they ask for (`camtopod.keys.rules.answers_apart`)."""
 
 OnMessage = Callable[[str, bytes], None]
 """Called with (key below the site, payload), from a thread of the bus; must not block."""
@@ -97,26 +112,42 @@ class Bus:
         self._ears: list[Ear] = []
         self._closed = threading.Event()
         self._doorkeeper: guard.Doorkeeper | None = None
+        self._putting: dict[int, tuple[float, str]] = {}  # by thread: since when (monotonic), and on which key
 
     def put(self, key: str, noun: Any, schema: str) -> None:
         """Publish a noun, as MessagePack. What becomes of it is not known; see `camtopod.serve.spool`."""
         self.put_raw(key, codec.to_pack(noun), schema)
 
     def put_raw(self, key: str, payload: bytes, schema: str) -> None:
-        """Publish bytes that are MessagePack already. Does nothing once the bus is closed."""
+        """Publish bytes that are MessagePack already. Does nothing once the bus is closed.
+
+        Does not wait for a program that has stopped reading, except with events and parts. On its full link the rest is
+        dropped, but for one topology that the link takes as it empties; the program notices by the versions, and asks.
+        """
         if self._closed.is_set():
             return
         self._mind_size(key, payload)
+        thread = threading.get_ident()
+        self._putting[thread] = time.monotonic(), key
         try:
             self._session.put(
                 self._full(key),
                 payload,
                 encoding=_encoding(schema),
-                congestion_control=zenoh.CongestionControl.BLOCK,
+                congestion_control=_DROP if schema in _PROMPT else _WAIT if schema in _UNREPEATED else _ONE_WAITS,
+                priority=_FIRST if schema in _PROMPT else _USUAL,
             )
         except zenoh.ZError as error:
             if not self._closed.is_set():
                 log.warning("cannot publish on %s: %s", key, error)
+        finally:
+            del self._putting[thread]
+
+    @property
+    def hanging(self) -> tuple[float, str]:
+        """(seconds, key) of the publication that has been under way for longest; (0, "") if there is none."""
+        since, key = min(self._putting.copy().values(), default=(math.inf, ""))
+        return max(0.0, time.monotonic() - since), key
 
     def subscribe(self, key: str, on_message: OnMessage) -> Callable[[], None]:
         """Hand every publication on ``key`` (may hold ``*``) to ``on_message``; returns what ends it."""
@@ -183,6 +214,7 @@ class Bus:
                 zenoh.handlers.FifoChannel(_REPLIES_MAX),
                 timeout=seconds or self._query_seconds,
                 consolidation=zenoh.ConsolidationMode.NONE,
+                priority=_LAST,
             )
             for reply in replies:
                 if reply.ok is not None:

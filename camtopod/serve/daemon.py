@@ -26,7 +26,7 @@ from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
-from camtopod.serve.bus import JSON, Bus, QueryError, dial, meet
+from camtopod.serve.bus import HANGS_SECONDS, JSON, Bus, QueryError, dial, meet
 from camtopod.serve.changes import changes
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
@@ -176,7 +176,11 @@ class Daemon:
 
     def failing(self) -> list[str]:
         """Why it should be started again; empty if all loops get on."""
-        return (["a part of the daemon has failed"] if self._failed.is_set() else []) + self.progress.stuck()
+        reasons = ["a part of the daemon has failed"] if self._failed.is_set() else []
+        seconds, key = (0.0, "") if self._bus is None else self._bus.hanging
+        if seconds > self._config.health.stall_seconds:
+            reasons.append(f"publishing on {key} has taken {seconds:.0f} s and does not end")
+        return reasons + self.progress.stuck()
 
     def unready(self) -> list[str]:
         """Why nobody should rely on it at the moment, which starting again might not change; empty if ready."""
@@ -242,7 +246,9 @@ class Daemon:
     def _reason(self) -> str:
         """Why nothing is stored, or learned, at the moment; "" if all is well."""
         receiver, watermark = self._receiver, self._learning.statistics["watermark"]
-        reason = receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason)
+        seconds, key = self._bus.hanging if self._bus is not None else (0.0, "")
+        hanging = f"publishing on {key} takes {seconds:.0f} s" if seconds > HANGS_SECONDS else ""
+        reason = receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason) or hanging
         return reason or receiver.cameras.reason(watermark, self._clock())
 
     def __enter__(self) -> Daemon:

@@ -9,14 +9,12 @@ from msgspec import Struct
 
 from camtopod.districts.dealing import Dealing, Sharding, districts_of
 from camtopod.districts.parts import Part
+from camtopod.keys.rules import STATUS
 from camtopod.learn.intake import microseconds
 from camtopod.serve.learner_messages import Portion
 
 SOON_SECONDS = 60.0
 """So long before its turn a guest is heard, as clocks differ and subscribing takes a moment."""
-
-
-STATUS = "status/daemon"
 
 
 class Told(Struct):

@@ -6,7 +6,10 @@ import logging
 import queue
 import time
 
+from msgspec import Struct
+
 from camtopod import codec
+from camtopod.keys.rules import STATUS
 from camtopod.learn.topology import apply_delta
 from camtopod.records import Delta, Topology
 from camtopod.serve.bus import Bus, QueryError
@@ -15,15 +18,24 @@ log = logging.getLogger(__name__)
 
 WAITING_MAX = 1000
 """Deltas that wait for `TopologyView.update`; beyond it they are dropped and the whole is fetched."""
+BEHIND_SECONDS = 1.0
+"""When the daemon has had a newer version for so long, its delta was lost on the way."""
 _ASK_AGAIN_SECONDS = 0.5
 _TICK_SECONDS = 0.1
+
+
+class _Status(Struct):
+    """What of ``status/daemon`` says which version is the newest."""
+
+    epoch: str
+    version: int
 
 
 class TopologyView:
     """Follows the versions of one site's daemon. `update` from one thread, as often as one likes.
 
     Late joiners, missed deltas, a daemon that restarts and one that begins a new epoch all end the same way:
-    the whole topology is fetched.
+    the whole topology is fetched. That a delta is missing shows with the next, or in the daemon's status.
     """
 
     def __init__(self, bus: Bus) -> None:
@@ -31,11 +43,13 @@ class TopologyView:
         self._deltas: queue.Queue[bytes] = queue.Queue(WAITING_MAX)
         self._stale = True
         self._ask_after = 0.0
+        self._behind_since: float | None = None
         self.topology: Topology | None = None
         """The newest version seen, None before the first."""
         self.fetched = 0
         """How often the whole topology was fetched."""
         bus.subscribe("topology/delta", self._on_delta)
+        bus.subscribe(STATUS, self._on_status)
         bus.watch_alive("daemon", self._on_daemon)
 
     def update(self) -> Topology | None:
@@ -71,6 +85,20 @@ class TopologyView:
         if alive:
             self._stale = True
             self._ask_after = 0.0
+
+    def _on_status(self, key: str, payload: bytes) -> None:
+        try:
+            newest = codec.read(_Status, payload, pack=True)
+        except codec.Rejected as error:
+            log.debug("a status that cannot be read: %s", error)
+            return
+        held, now = self.topology, time.monotonic()
+        if newest.version == 0 or (held is not None and (newest.epoch, newest.version) <= (held.epoch, held.version)):
+            self._behind_since = None
+        elif self._behind_since is None:
+            self._behind_since = now
+        elif now - self._behind_since >= BEHIND_SECONDS:
+            self._behind_since, self._stale = now, True
 
     def _apply(self, payload: bytes) -> None:
         try:

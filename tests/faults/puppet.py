@@ -68,6 +68,11 @@ class Puppet:
         )
         return [(r.ok or r.err).payload.to_bytes().decode("utf-8", "replace") for r in replies]
 
+    def ask_many(self, key: str, times: int) -> None:
+        """Questions, said to be as urgent as predictions, whose answers are not waited for."""
+        for _ in range(times):
+            self._session.get(key, lambda reply: None, timeout=60.0, priority=zenoh.Priority.INTERACTIVE_HIGH)
+
     def heard(self) -> list[str]:
         with self._mutex:
             return list(self._heard)

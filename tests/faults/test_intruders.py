@@ -126,7 +126,7 @@ class RealDaemon:
     """`camtopod run` on a free port; what it says is in ``said``."""
 
     def __init__(self, folder: Path, bus: str) -> None:
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         config = folder / "camtopod.toml"
         config.write_text(f'[site]\nname = "hq"\n[limits]\nstatus_seconds = 0.1\n{bus}')
         config.chmod(0o600)

@@ -1,0 +1,184 @@
+"""Programs that subscribe and stop reading: everybody else goes on being told, at once.
+
+The daemon and every reader that stops is a process of its own. The control is a reader in the test's own process: it
+has to hear each prediction, soon after the exit it belongs to.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from made_site import made_site
+from serving import wait_for
+from test_intruders import HQ, Keys, Puppet, RealDaemon, client, tls_table
+
+from camtopod import codec
+from camtopod.config import BusSettings, Config, SiteSettings
+from camtopod.records import Ack, Event, Prediction
+from camtopod.serve.bus import Bus, dial
+from camtopod.serve.journal import Journal, StoredVersion
+from camtopod.serve.subscriber import TopologyView
+
+SITE_CAMERAS = 150
+"""Their topology has some hundred kilobytes, so that a link takes a few of them at most."""
+SENDERS = [f"cam{number:04d}" for number in range(12)]
+LATE_SECONDS_MAX = 0.5
+SMALL_BUFFER_BYTES = 4096
+QUESTIONS = 60
+
+
+class Walks:
+    """Exits at a steady rate, with what became of each: a prediction and an ack, and when."""
+
+    def __init__(self, publisher: Bus, reader: Bus, per_second: float) -> None:
+        self._publisher, self._per_second = publisher, per_second
+        self._mutex = threading.Lock()
+        self._put: dict[tuple[str, float], float] = {}
+        self._unacknowledged: dict[tuple[str, int], float] = {}
+        self.delays: list[float] = []
+        """Seconds from each exit to its prediction ..."""
+        self.ack_delays: list[float] = []
+        """... and to its ack."""
+        self._seqs = dict.fromkeys(SENDERS, 0)
+        reader.subscribe("prediction/*", self._on_prediction)
+        for camera in SENDERS:
+            publisher.subscribe(f"ack/{camera}", self._on_ack)
+
+    def walk(self, seconds: float) -> None:
+        began = time.monotonic()
+        for number in range(int(seconds * self._per_second)):
+            time.sleep(max(0.0, began + number / self._per_second - time.monotonic()))  # the rate of the traffic
+            camera = SENDERS[number % len(SENDERS)]
+            self._seqs[camera] += 1
+            event = Event(camera, "exit", time.time(), 0.5, 0.5, boot="b", seq=self._seqs[camera])
+            event = codec.event_from_pack(codec.to_pack(event))
+            with self._mutex:
+                now = time.monotonic()
+                self._put[camera, event.t] = self._unacknowledged[camera, self._seqs[camera]] = now
+            self._publisher.put(f"event/{camera}", event, "event")
+
+    @property
+    def missing(self) -> int:
+        return len(self._put) + len(self._unacknowledged)
+
+    def _on_prediction(self, key: str, payload: bytes) -> None:
+        now, prediction = time.monotonic(), codec.read(Prediction, payload, pack=True)
+        with self._mutex:
+            put = self._put.pop((prediction.camera, prediction.t), None)
+            if put is not None:
+                self.delays.append(now - put)
+
+    def _on_ack(self, key: str, payload: bytes) -> None:
+        now, ack = time.monotonic(), codec.read(Ack, payload, pack=True)
+        with self._mutex:
+            for camera, seq in [one for one in self._unacknowledged if one[0] == ack.camera and one[1] <= ack.seq]:
+                self.ack_delays.append(now - self._unacknowledged.pop((camera, seq)))
+
+
+def learned_state(directory: Path) -> None:
+    """A state directory whose newest version is a large one."""
+    topology = made_site(SITE_CAMERAS)
+    journal = Journal(directory)
+    content = codec.to_json(topology)
+    journal.commit([], [StoredVersion(topology.epoch, topology.version, topology.digest, content)], now=time.time())
+    journal.close()
+
+
+class Stopping:
+    """Readers that hear predictions, ask for the topology, stop reading, and may come back."""
+
+    def __init__(self, settings: dict[str, Any]) -> None:
+        self._settings = settings
+        self._puppets: list[Puppet] = []
+
+    def come(self, count: int, questions: int) -> None:
+        for _ in range(count):
+            puppet = Puppet()
+            assert puppet.open(**self._settings)
+            puppet.do("subscribe", key=f"{HQ}/prediction/*")
+            puppet.do("ask_many", key=f"{HQ}/topology", times=questions)
+            os.kill(puppet.pid, signal.SIGSTOP)
+            self._puppets.append(puppet)
+
+    def go(self) -> None:
+        for puppet in self._puppets:
+            os.kill(puppet.pid, signal.SIGKILL)
+            os.kill(puppet.pid, signal.SIGCONT)
+            with contextlib.suppress(BrokenPipeError):
+                puppet.close()
+        self._puppets.clear()
+
+
+Scene = Callable[[bool], tuple[Bus, Bus, dict[str, Any]]]
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    """Makes a daemon with a large topology, over TLS or not; gives a publisher's session, a reader's, and what those
+    who stop are told.
+    """
+    with contextlib.ExitStack() as stack:
+
+        def make(secured: bool) -> tuple[Bus, Bus, dict[str, Any]]:
+            folder = tmp_path / "daemon"
+            learned_state(tmp_path / "daemon" / "state")
+            if not secured:
+                daemon = RealDaemon(folder, '[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
+                stack.callback(daemon.stop)
+                buses = [BusSettings(connect=(daemon.endpoint,))] * 2
+                stopping = client(daemon.endpoint) | {"transport/link/tcp/so_rcvbuf": SMALL_BUFFER_BYTES}
+            else:
+                keys = Keys(tmp_path / "keys")
+                keys.authority.issue("camera", "box", 100, cameras=SENDERS)
+                keys.allow(keys.folder / "daemon" / "access.json")
+                daemon = RealDaemon(folder, tls_table(keys, keys.folder / "daemon" / "access.json"))
+                stack.callback(daemon.stop)
+                buses = [keys.bus(name, daemon.endpoint) for name in ("camera/box", "reader/wall")]
+                stopping = client(daemon.endpoint) | keys.tls("reader/wall")
+            publisher, reader = (stack.enter_context(dial(Config(bus=bus, site=SiteSettings("hq")))) for bus in buses)
+            return publisher, reader, stopping
+
+        yield make
+
+
+def walks_beside(
+    scene: Scene, secured: bool, readers: int, questions: int, per_second: float, turns: int, seconds: float
+) -> tuple[Walks, Bus]:
+    """Exits while readers stop, are killed and come back."""
+    publisher, reader, settings = scene(secured)
+    walks = Walks(publisher, reader, per_second)
+    walks.walk(1.0)
+    wait_for(lambda: walks.missing == 0, "the first predictions and acks")
+    stopping = Stopping(settings)
+    try:
+        for _ in range(turns):
+            stopping.come(readers, questions)
+            walks.walk(seconds)
+            if turns > 1:
+                stopping.go()
+        wait_for(lambda: walks.missing == 0, "a prediction and an ack for each exit")
+    finally:
+        stopping.go()
+    return walks, reader
+
+
+@pytest.mark.parametrize("secured", [False, True], ids=["open", "tls"])
+def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene, secured: bool) -> None:
+    walks, reader = walks_beside(scene, secured, readers=4, questions=QUESTIONS, per_second=5, turns=2, seconds=4)
+    assert max(walks.delays) < LATE_SECONDS_MAX
+    assert max(walks.ack_delays) < LATE_SECONDS_MAX
+    assert TopologyView(reader).wait_for(1, 10.0) is not None
+
+
+def test_many_that_stop_hold_up_nobody_where_many_walk(scene: Scene) -> None:
+    walks, _ = walks_beside(scene, False, readers=8, questions=3, per_second=400, turns=1, seconds=6)
+    assert max(walks.delays) < LATE_SECONDS_MAX
+    assert max(walks.ack_delays) < LATE_SECONDS_MAX
