@@ -350,9 +350,20 @@ class Prediction(Struct, frozen=True, rename={"next_": "next"}):
     next_: list[NextCamera]
 
 
-class Ack(Struct, frozen=True):
-    """The highest (boot, seq) of a camera below which everything is safely stored."""
+class Ack(Struct, frozen=True, omit_defaults=True):
+    """The highest (boot, seq) of a camera below which everything is safely stored.
+
+    The counters are of the events of this boot since the daemon's start: those that are learned from, those that were
+    older than what had been learned already (``late``), those that came again (``duplicate``), and those that are
+    stored and not learned from, as their camera flooded or their time was in the future (``refused``).
+    """
 
     camera: str
     boot: str
     seq: int
+    daemon: str = ""
+    """The name of the daemon, which stays with its state directory."""
+    accepted: int | None = None
+    late: int | None = None
+    duplicate: int | None = None
+    refused: int | None = None

@@ -134,7 +134,7 @@ def test_what_is_on_disk_is_counted_and_not_touched(tmp_path: Path, capsys: pyte
     config = small_config(tmp_path / "state")
     events = numbered([*walkers(20), closing_event()])
     with Daemon(config) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
-        spooled = open_spool(tmp_path / "state" / "spool-a.db", config.limits)
+        spooled = open_spool(tmp_path / "state", "site", "a", config.limits)
         publisher = Publisher(spooled, 100)
         publisher.attach(bus)
         publisher.publish(*events)
@@ -147,11 +147,12 @@ def test_what_is_on_disk_is_counted_and_not_touched(tmp_path: Path, capsys: pyte
     found = {path.name: path.read_bytes() for path in killed.iterdir()}
     journal(killed / "journal.db")
     assert {path.name: path.read_bytes() for path in killed.iterdir()} == found
-    before = {path: path.read_bytes() for path in sorted((tmp_path / "state").iterdir())}
+    spools = tmp_path / "state" / "spools-of-site"
+    before = _contents(tmp_path / "state")
     assert journal(tmp_path / "state" / "journal.db")["first entry"] == 1
     assert journal(tmp_path / "state" / "journal.db")["last entry"] >= len(events)
-    assert spool(tmp_path / "state" / "spool-a.db")["events"] == len(events)
-    (tmp_path / "state" / "spool-b.db").write_bytes(b"no database, at all" * 100)
+    assert spool(spools / "a.db")["events"] == len(events)
+    (spools / "b.db").write_bytes(b"no database, at all" * 100)
     (tmp_path / "c.toml").write_text(f'[state]\ndirectory = "{tmp_path}/state"\n[bus]\nconnect_seconds = 0.1\n')
     connect = free_endpoint()
     assert main(["--config", str(tmp_path / "c.toml"), "--connect", connect, "doctor"]) == 0
@@ -159,10 +160,13 @@ def test_what_is_on_disk_is_counted_and_not_touched(tmp_path: Path, capsys: pyte
     assert "journal.db: -rw-------, user" in text
     assert "  at the last checkpoint: first entry 1, last entry " in text
     assert f"  at the last checkpoint: events {len(events)}, " in text
-    assert "spool-b.db: file is not a database" in text
+    assert "b.db: file is not a database" in text
     assert f"cannot reach the bus at {connect}" in text
-    after = {path: path.read_bytes() for path in sorted((tmp_path / "state").iterdir()) if path.name != "spool-b.db"}
-    assert after == before
+    assert _contents(tmp_path / "state") == before | {spools / "b.db": b"no database, at all" * 100}
+
+
+def _contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def test_a_wrong_configuration_and_nothing_there(

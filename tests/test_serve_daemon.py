@@ -362,9 +362,10 @@ def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
     stored(daemon, 2)
     assert daemon.status()["events"]["future"] == 1
     wait_for(
-        lambda: bool(acks) and acks[-1] == Ack("lobby", "b1", 3),
+        lambda: bool(acks) and (acks[-1].boot, acks[-1].seq) == ("b1", 3),
         "the ack of all three: none is asked for again",
     )
+    assert (acks[-1].accepted, acks[-1].late, acks[-1].duplicate, acks[-1].refused) == (2, 0, 0, 1)
     daemon.stop()
     assert [kind for kind, *_ in journal_of(site)] == ["event", "future", "event"]
 

@@ -15,10 +15,11 @@ import pytest
 from serving import Failing
 
 from camtopod import codec
+from camtopod.config import Limits
 from camtopod.records import Event
 from camtopod.serve import database, spool_format, wal
 from camtopod.serve.database import StateError
-from camtopod.serve.spool import Spool
+from camtopod.serve.spool import Spool, open_spool
 
 
 def event(number: int, camera: str = "lobby") -> Event:
@@ -47,7 +48,7 @@ def test_the_spool_counts_each_camera_without_gaps(spool: Spool) -> None:
     assert (batch.boot, batch.first, batch.more, batch.dropped) == ("boot-1", 1, False, 0)
 
 
-def test_what_is_acknowledged_is_gone_and_the_count_goes_on(spool: Spool, tmp_path: Path) -> None:
+def test_what_is_acknowledged_is_gone_and_the_next_opening_counts_anew(spool: Spool, tmp_path: Path) -> None:
     spool.append([event(n) for n in range(5)])
     spool.ack("lobby", "boot-1", 3)
     assert len(spool) == 2
@@ -58,11 +59,77 @@ def test_what_is_acknowledged_is_gone_and_the_count_goes_on(spool: Spool, tmp_pa
     spool.ack("lobby", "boot-1", 5)
     spool.close()
     again = Spool(tmp_path / "spool.db", "boot-2", events_max=1000)
-    assert again.boot == "boot-1", "a spool that was closed keeps its boot, so that its count goes on"
     assert len(again) == 0
-    assert again.append([event(6)])[0].seq == 6
-    assert again.batch("lobby", "boot-1", 6, 10).first == 6
+    assert [(one.boot, one.seq) for one in again.append([event(6)])] == [("boot-2", 1)]
+    assert [seq for seq, _ in again.batch("lobby", "boot-1", 6, 10).events] == [1], "of the boot that waits"
     again.close()
+
+
+def test_a_file_that_comes_back_as_it_was_gives_no_number_twice(spool: Spool, tmp_path: Path) -> None:
+    given = spool.append([event(n) for n in range(5)])
+    spool.close()
+    shutil.copytree(tmp_path, tmp_path.parent / f"{tmp_path.name}-image")
+    for day in range(3):
+        image = tmp_path.parent / f"{tmp_path.name}-day-{day}"
+        shutil.copytree(tmp_path.parent / f"{tmp_path.name}-image", image)
+        restored = Spool(image / "spool.db", f"day-{day}", events_max=1000)
+        given += restored.append([event(100 * day + n) for n in range(5)])
+        restored.close()
+    assert len({(one.camera, one.boot, one.seq) for one in given}) == len(given) == 20
+
+
+def test_more_acknowledged_than_given_is_not_taken_and_another_boot_begins(spool: Spool, tmp_path: Path) -> None:
+    spool.append([event(1), event(2)])
+    assert not spool.ack("lobby", "boot-1", 10**9)
+    assert len(spool) == 2
+    assert [(one.boot, one.seq) for one in spool.append([event(3)])] == [("boot-1.1", 1)]
+    spool.append([Event("lobby", "entry", 1.0, boot="theirs", seq=77)])
+    assert spool.ack("lobby", "theirs", 10**9)
+    spool.append([Event("lobby", "entry", 1.0, boot="theirs", seq=78)])
+    assert len(spool) == 4, "of another boot as far as it is here"
+    spool.close()
+    again = Spool(tmp_path / "spool.db", "boot-2", events_max=1000)
+    assert len(again) == 4
+    again.close()
+
+
+@pytest.mark.parametrize(
+    ("daemon", "endpoint", "kept"),
+    [
+        *(("anna", "tcp/here", 3), ("anna", "tcp/there", 3), ("berta", "tcp/here", 3), ("berta", "tcp/there", 0)),
+        *(("", "tcp/here", 3), ("", "tcp/there", 0)),
+    ],
+)
+def test_what_one_daemon_has_acknowledged_is_given_to_no_other(
+    daemon: str, endpoint: str, kept: int, spool: Spool, tmp_path: Path
+) -> None:
+    spool.asked_by("anna", "tcp/here")
+    spool.append([event(n) for n in range(5)])
+    spool.ack("lobby", "boot-1", 3)
+    spool.close()
+    again = Spool(tmp_path / "spool.db", "boot-2", events_max=1000)
+    again.asked_by(daemon, endpoint)
+    given = again.batch("lobby", None, 0, 10).events
+    assert [seq for seq, _ in given] == [*range(4 - kept, 4), 4, 5]
+    assert again.statistics()["kept"] == kept
+    assert len(again) == 2
+    again.close()
+
+
+def test_the_spool_of_an_older_program_goes_on_as_that_of_the_site(tmp_path: Path) -> None:
+    older = Spool(tmp_path / "spool-lobby.db", "older", events_max=1000)
+    older.append([event(1), event(2)])
+    limits = Limits()
+    with pytest.raises(StateError, match="held by another"):
+        open_spool(tmp_path, "hq", "lobby", limits)
+    older.close()
+    spool = open_spool(tmp_path, "hq", "lobby", limits)
+    assert [seq for seq, _ in spool.batch("lobby", None, 0, 10).events] == [1, 2]
+    elsewhere = open_spool(tmp_path, "other", "lobby", limits)
+    assert len(elsewhere) == 0
+    assert {path.name for path in tmp_path.glob("spool-lobby*")} == {"spool-lobby.lock"}
+    for one in (spool, elsewhere):
+        one.close()
 
 
 def test_an_empty_spool_says_where_it_will_begin(spool: Spool) -> None:
@@ -212,7 +279,7 @@ def copy_of(path: Path, to: Path) -> Path:
     return to / path.name
 
 
-def test_a_spool_that_was_not_closed_begins_a_new_boot(spool: Spool, tmp_path: Path) -> None:
+def test_a_spool_that_was_killed_begins_a_new_boot_with_what_was_in_it(spool: Spool, tmp_path: Path) -> None:
     spool.append([event(1), event(2)])
     again = Spool(copy_of(tmp_path / "spool.db", tmp_path / "killed"), "boot-2", events_max=1000)
     assert again.boot == "boot-2", "what the disk lost of its count nobody knows"

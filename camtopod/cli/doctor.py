@@ -34,7 +34,7 @@ from camtopod.serve.database import StateError
 FILES_MAX = 200
 """Of the state directory."""
 _BUNDLES = (".tar.gz", ".tgz")
-_LOOKS = {"journal.db": inspection.journal, "spool-*.db": inspection.spool}
+_LOOKS = {"journal.db": inspection.journal, "spools-of-*/*.db": inspection.spool}
 _SECRET_NAME = re.compile(r"(?i)pass|pwd|secret|token|credential")
 _SECRET_CHARACTERS_MIN = 6
 """Of an environment variable: 'true' and 'false' are no secrets."""

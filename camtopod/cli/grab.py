@@ -160,10 +160,9 @@ def _to_bus(
     from camtopod.serve.publisher import Publisher
     from camtopod.serve.spool import open_spool
 
-    path = config.state_directory / f"spool-{args.camera}.db"
     with contextlib.ExitStack() as stack:
         try:
-            spool = open_spool(path, config.limits)
+            spool = open_spool(config.state_directory, config.site.name, args.camera, config.limits)
         except StateError as error:
             raise CommandError(str(error), exits.STATE) from None
         stack.callback(spool.close)
@@ -182,7 +181,7 @@ def _to_bus(
         if publisher.unacknowledged and not told.stop.is_set():
             raise CommandError(
                 f"{publisher.unacknowledged} events are not acknowledged: is `camtopod run` running for site "
-                f"{config.site.name}? They wait in {path} and go out when this camera is grabbed again"
+                f"{config.site.name}? They wait in {spool.path} and go out when this camera is grabbed again"
             )
     return exits.DONE
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
 import logging
 import queue
 import re
@@ -11,15 +12,17 @@ import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import msgspec
 
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
-from camtopod.cli.exits import CommandError
+from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.formats import FORMATS, add_options, events
-from camtopod.cli.lines import LineReader
+from camtopod.cli.lines import LineReader, open_input
+from camtopod.cli.outcome import KNOWN_SECONDS, Outcome
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
 from camtopod.config import Config
@@ -62,8 +65,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)")
     parser.add_argument(
         "--boot", metavar="NAME",
-        help="a recording: number its events under this name, so that they count once however often it is ingested",
+        help="number the events under this name, so that they count once however often they are ingested (default: a "
+        "regular file's digest)",
     )  # fmt: skip
+    parser.add_argument("--anew", action="store_true", help="count a regular file's events again, as if they were new")
     add_options(parser)
 
 
@@ -71,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
     """Read, publish, wait for the acknowledgements; or write."""
     start_logging(args)
     config = configuration(args)
+    if args.boot is not None and args.anew:
+        raise CommandError("--anew and --boot contradict each other", exits.USAGE)
     if args.boot is not None and not re.match(CAMERA_PATTERN, args.boot):
         raise CommandError(f"--boot {args.boot!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
     reader = LineReader()
@@ -81,18 +88,34 @@ def run(args: argparse.Namespace) -> int:
                 progress.show("%d lines read, %d events", reader.read, reader.events)
 
         source = events(args, reader, stack, stop)
-        if args.boot is not None:
-            source = numbered_by(args.boot, source)
+        if (boot := args.boot or _digest(args)) is not None:
+            source = numbered_by(boot, source)
         read = batches(source, config.limits.spool_batch_events, stop, tell)
+        status = exits.DONE
         if args.out is not None:
             _write(args.out, read)
         else:
-            _publish(config, read, stack, stop, progress)
+            status = _publish(config, read, stack, stop, progress)
     if (summary := reader.summary()) is not None:
         log.warning("%s", summary)
-    if reader.read > sum(reader.rejected.values()) and not reader.events:
+    if reader.read and sum(reader.rejected.values()) == reader.read:
+        raise InputError(f"no line of {args.file} fits: nothing to ingest")
+    if reader.read and not reader.events:
         log.warning("no event came of %d lines: %s", reader.read, _NO_EVENTS[args.format])
-    return exits.DONE
+    return status
+
+
+def _digest(args: argparse.Namespace) -> str | None:
+    """The boot of a regular file's events: they count once, however often it is ingested. None for a pipe, which can be
+    read once only, and if that is not wanted.
+    """
+    if args.anew or args.out is not None or not Path(args.file).is_file():
+        return None
+    digest = hashlib.sha256()
+    with open_input(args.file) as file:
+        while piece := file.read(1 << 20):
+            digest.update(piece)
+    return f"file-{digest.hexdigest()[:32]}"
 
 
 def numbered_by(boot: str, source: Iterator[Event]) -> Iterator[Event]:
@@ -126,26 +149,40 @@ def _publish(
     stack: contextlib.ExitStack,
     stop: threading.Event,
     progress: Progress,
-) -> None:
+) -> int:
+    """Publish, wait until everything is stored, and say what became of it; returns the exit status."""
+    try:
+        spool = open_spool(config.state_directory, config.site.name, "ingest", config.limits)
+    except StateError as error:
+        raise CommandError(str(error), exits.STATE) from None
+    stack.callback(spool.close)
     try:
         bus = dial(config)
     except BusError as error:
         raise CommandError(str(error), exits.BUS) from None
-    stack.callback(bus.close)
-    try:
-        spool = open_spool(config.state_directory / "spool-ingest.db", config.limits)
-    except StateError as error:
-        raise CommandError(str(error), exits.STATE) from None
-    stack.callback(spool.close)
-    publisher = Publisher(spool, config.limits.spool_batch_events)
+    stack.callback(bus.close)  # before the spool, which may be asked until then
+    outcome = Outcome()
+    publisher = Publisher(spool, config.limits.spool_batch_events, outcome.on_ack)
     publisher.attach(bus)
     daemons: set[str] = set()
     bus.watch_alive("daemon", lambda name, alive: (daemons.add if alive else daemons.discard)(name))
+
     for batch in source:
+        if new := outcome.new_cameras(batch):
+            publisher.attach(bus, sorted(new))
+            if any(event.boot is not None for event in batch):
+                stop.wait(KNOWN_SECONDS)
+        outcome.publishing(batch, spool.boot)
         publisher.publish(*batch)
         _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons, progress)
     _wait(publisher, 0, stop, config.site.name, daemons, progress)
+
     log.info("%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged)
+    if not outcome.told:
+        return exits.DONE
+    accepted, late, refused, _ = outcome.counted()
+    log.info("of these %s", outcome.in_words())
+    return exits.FAILED if late + refused and not accepted else exits.DONE
 
 
 def batches(

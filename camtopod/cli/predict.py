@@ -29,6 +29,9 @@ def run(args: argparse.Namespace) -> int:
     predictor = Predictor(read_topology(args.topology))
     reader = LineReader()
     lines = list(reader.merged([args.events]))
+    if reader.read and not lines:
+        print(f"camtopod: {reader.summary()}", file=sys.stderr)
+        raise InputError(f"no event lines in {args.events}: nothing to predict")
     by_time = sorted(range(len(lines)), key=lambda k: lines[k].event.t)
     answers: dict[int, bytes] = {}
     waiting: list[int] = []

@@ -56,6 +56,100 @@ class Behind(Struct):
             self.events = self.late = self.most = 0
 
 
+class EventTimeState(Struct):
+    """What an `EventTime` knows."""
+
+    newest_us: int | None
+    second_us: int | None
+    leader: str | None
+    watermark_us: int | None
+    behind: dict[str, Behind]
+
+
+class EventTime:
+    """How far event time has come, and which events are too late for it. All times in microseconds."""
+
+    def __init__(self, lateness_seconds: float, clocks_apart_seconds: float = 0.0) -> None:
+        self._lateness_us, self._apart_us = microseconds(lateness_seconds), microseconds(clocks_apart_seconds)
+        self.newest_us: int | None = None
+        self.watermark_us: int | None = None
+        """Nothing older will be learned any more; None before the first event."""
+        self.second_us: int | None = None
+        """The newest of another camera than the one that has come furthest ..."""
+        self.leader: str | None = None
+        """... which is this one."""
+        self.behind: dict[str, Behind] = {}
+        self.lateness_us = self._lateness_us
+        """By how much the watermark trails event time: the setting, and the clock that is furthest behind."""
+
+    def note(self, t_us: int, camera: str) -> bool:
+        """A camera has an event at ``t_us``; False if that is too late to be learned."""
+        self._look_behind(t_us, camera)
+        if self.watermark_us is not None and t_us < self.watermark_us:
+            return False
+        if self.newest_us is None or t_us > self.newest_us:
+            if camera != self.leader:
+                self.second_us, self.leader = self.newest_us, camera
+            self.newest_us = t_us
+        elif camera != self.leader and (self.second_us is None or t_us > self.second_us):
+            self.second_us = t_us
+        self._raise_watermark()
+        return True
+
+    def advance(self, now_us: int) -> None:
+        """Event time has come to ``now`` although no event says so."""
+        if self.newest_us is not None and now_us > self.newest_us:
+            self.newest_us = self.second_us = now_us
+            self.leader = None
+            self._raise_watermark()
+
+    def rewind(self, to_us: int) -> None:
+        """What was later than ``to`` was stamped by a wrong clock: event time is there again."""
+        if self.newest_us is not None and self.newest_us > to_us:
+            self.newest_us = self.second_us = to_us
+            self.leader, self.watermark_us = None, None
+            self._raise_watermark()
+
+    def save(self) -> EventTimeState:
+        """Everything `load` needs to go on from here."""
+        return EventTimeState(self.newest_us, self.second_us, self.leader, self.watermark_us, self.behind)
+
+    def load(self, state: EventTimeState) -> None:
+        """Go on from there."""
+        self.newest_us, self.second_us, self.leader = state.newest_us, state.second_us, state.leader
+        self.watermark_us, self.behind = state.watermark_us, state.behind
+        self._wait_for_the_last()
+
+    def _look_behind(self, t_us: int, camera: str) -> None:
+        """How far an event is behind event time; one that is further than clocks may be apart tells of no clock."""
+        come = self._come_to()
+        if come is None or come - t_us > self._apart_us:
+            return
+        behind = self.behind.setdefault(camera, Behind())
+        known = behind.known
+        behind.note(come - t_us, self._lateness_us)
+        if behind.known != known:
+            self._wait_for_the_last()
+
+    def _wait_for_the_last(self) -> None:
+        self.lateness_us = self._lateness_us + max((behind.known for behind in self.behind.values()), default=0)
+
+    def _come_to(self) -> int | None:
+        """Event time."""
+        if self.newest_us is None:
+            return None
+        second = self.newest_us if self.second_us is None else self.second_us
+        return max(second, self.newest_us - self._apart_us)
+
+    def _raise_watermark(self) -> None:
+        """It only rises, but for `rewind`: what has been passed has been learned."""
+        come = self._come_to()
+        assert come is not None
+        watermark = come - self.lateness_us
+        if self.watermark_us is None or watermark > self.watermark_us:
+            self.watermark_us = watermark
+
+
 class IntakeState(Struct):
     """What an `Intake` knows. ``seen``: (camera, boot, starts, ends) of every `Sequence`."""
 
@@ -105,21 +199,28 @@ class Intake:
     """Events in any order in, events by time out."""
 
     def __init__(self, lateness_seconds: float, cameras_max: int, clocks_apart_seconds: float = 0.0) -> None:
-        self._lateness_us = microseconds(lateness_seconds)
-        self._apart_us = microseconds(clocks_apart_seconds)
+        self.time = EventTime(lateness_seconds, clocks_apart_seconds)
+        """How far event time has come."""
         self.cameras_max = cameras_max
-        self.newest_us: int | None = None
-        self.watermark_us: int | None = None
-        """Nothing older will be learned any more; None before the first event."""
-        self._second_us: int | None = None  # the newest of another camera than the one that has come furthest ...
-        self._leader: str | None = None  # ... which is this one
         self.counts = {"accepted": 0, "duplicate": 0, "late": 0, "refused": 0}
         self._held: list[Event] = []
         self._oldest_us: int | None = None  # of those held
         self._seen: dict[str, dict[str, Sequence]] = {}
-        self._behind: dict[str, Behind] = {}
-        self.lateness_us = self._lateness_us
-        """By how much the watermark trails event time: the setting, and the clock that is furthest behind."""
+
+    @property
+    def newest_us(self) -> int | None:
+        """The newest event time there has been."""
+        return self.time.newest_us
+
+    @property
+    def watermark_us(self) -> int | None:
+        """Nothing older will be learned any more; None before the first event."""
+        return self.time.watermark_us
+
+    @property
+    def lateness_us(self) -> int:
+        """By how much the watermark trails event time."""
+        return self.time.lateness_us
 
     def save(self) -> IntakeState:
         """Everything `load` needs to go on from here."""
@@ -128,22 +229,21 @@ class Intake:
             for camera, boots in self._seen.items()
             for boot, sequence in boots.items()
         ]
+        time = self.time.save()
         return IntakeState(
-            self.newest_us, self._second_us, self._leader, self.watermark_us, self.counts, list(self._held),
-            list(self._seen), seen, self._behind,
+            time.newest_us, time.second_us, time.leader, time.watermark_us, self.counts, list(self._held),
+            list(self._seen), seen, time.behind,
         )  # fmt: skip
 
     def load(self, state: IntakeState) -> None:
         """Go on from there."""
-        self.newest_us, self._second_us, self._leader = state.newest_us, state.second_us, state.leader
-        self.watermark_us, self.counts = state.watermark_us, state.counts
+        self.time.load(EventTimeState(state.newest_us, state.second_us, state.leader, state.watermark_us, state.behind))
+        self.counts = state.counts
         self._hold(state.held)
         self._seen = {camera: {} for camera in state.cameras}
         for camera, boot, starts, ends in state.seen:
             sequence = self._seen[camera][boot] = Sequence()
             sequence.starts, sequence.ends = starts, ends
-        self._behind = state.behind
-        self._wait_for_the_last()
 
     def receive(self, event: Event) -> str:
         """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many
@@ -167,59 +267,20 @@ class Intake:
             if not sequence.add(event.seq):
                 return "duplicate"
         t_us = microseconds(event.t)
-        self._look_behind(t_us, event.camera)
-        if self.watermark_us is not None and t_us < self.watermark_us:
+        if not self.time.note(t_us, event.camera):
             return "late"
-        self._note(t_us, event.camera)
         self._held.append(event)
         self._oldest_us = t_us if self._oldest_us is None else min(self._oldest_us, t_us)
         return "accepted"
 
-    def _note(self, t_us: int, camera: str) -> None:
-        """A camera has come to ``t_us``."""
-        if self.newest_us is None or t_us > self.newest_us:
-            if camera != self._leader:
-                self._second_us, self._leader = self.newest_us, camera
-            self.newest_us = t_us
-        elif camera != self._leader and (self._second_us is None or t_us > self._second_us):
-            self._second_us = t_us
-        self._raise_watermark()
-
-    def _look_behind(self, t_us: int, camera: str) -> None:
-        """How far an event is behind event time; one that is further than clocks may be apart tells of no clock."""
-        come = self._come_to()
-        if come is None or come - t_us > self._apart_us:
-            return
-        behind = self._behind.setdefault(camera, Behind())
-        known = behind.known
-        behind.note(come - t_us, self._lateness_us)
-        if behind.known != known:
-            self._wait_for_the_last()
-
-    def _wait_for_the_last(self) -> None:
-        self.lateness_us = self._lateness_us + max((behind.known for behind in self._behind.values()), default=0)
-
-    def _come_to(self) -> int | None:
-        """Event time, in microseconds."""
-        if self.newest_us is None:
-            return None
-        second = self.newest_us if self._second_us is None else self._second_us
-        return max(second, self.newest_us - self._apart_us)
-
-    def _raise_watermark(self) -> None:
-        """It only rises: what has been passed has been learned."""
-        come = self._come_to()
-        assert come is not None
-        watermark = come - self.lateness_us
-        if self.watermark_us is None or watermark > self.watermark_us:
-            self.watermark_us = watermark
-
     def advance(self, now_us: int) -> None:
         """Event time has come to ``now`` although no event says so."""
-        if self.newest_us is not None and now_us > self.newest_us:
-            self.newest_us = self._second_us = now_us
-            self._leader = None
-            self._raise_watermark()
+        self.time.advance(now_us)
+
+    def rewind(self, to_us: int) -> None:
+        """Event time is at ``to`` again: held events that are later are dropped."""
+        self._hold([event for event in self._held if microseconds(event.t) <= to_us])
+        self.time.rewind(to_us)
 
     def take(self, until_us: int) -> list[tuple[int, Event]]:
         """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical

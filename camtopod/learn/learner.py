@@ -19,7 +19,7 @@ from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.change import Change, find_changes, present
 from camtopod.learn.clocks import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.intake import MICROSECONDS, Intake, microseconds
+from camtopod.learn.intake import MICROSECONDS, EventTimeState, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import (
@@ -169,6 +169,10 @@ class Learner:
             return None
         tick = -(-oldest // self._tick_us) * self._tick_us
         return (tick + self._intake.lateness_us + 1) / MICROSECONDS
+
+    def event_time(self) -> EventTimeState:
+        """How far event time has come."""
+        return self._intake.time.save()
 
     def predictor(self) -> Predictor:
         """Prediction over the newest version. Raises RuntimeError before the first."""

@@ -5,6 +5,10 @@ from __future__ import annotations
 import collections
 from collections.abc import Callable, Iterable
 
+from msgspec import Struct
+from msgspec.structs import asdict
+
+from camtopod.learn.intake import EventTime, microseconds
 from camtopod.records import Ack
 from camtopod.serve.bus import Bus
 from camtopod.serve.cameras import Received
@@ -12,33 +16,63 @@ from camtopod.serve.progress import Beat
 from camtopod.serve.streams import Key
 
 
+class Counts(Struct):
+    """What became of the events of one stream since the start; see `Ack`."""
+
+    accepted: int = 0
+    late: int = 0
+    duplicate: int = 0
+    refused: int = 0
+
+
 class Acks:
-    """``stored``: as `Journal.streams`. ``owns``: the cameras whose events it is for this daemon to acknowledge.
-    `again` and `forget` from one thread at a time, `note` and `put` from another.
+    """``stored``: as `Journal.streams`. ``owns``: the cameras whose events it is for this daemon to acknowledge;
+    ``daemon``: its name; ``event_time``: as the learner has it for what is stored.
+
+    `again`, `duplicate` and `forget` from one thread at a time, `note` and `put` from another.
     """
 
-    def __init__(self, bus: Bus, stored: dict[Key, int], owns: Callable[[str], bool]) -> None:
-        self._bus, self._owns = bus, owns
+    def __init__(
+        self, bus: Bus, stored: dict[Key, int], owns: Callable[[str], bool], daemon: str, event_time: EventTime
+    ) -> None:
+        self._bus, self._owns, self._daemon, self._event_time = bus, owns, daemon, event_time
         self.stored = stored
         """The highest seq of each stream that is stored."""
+        self._counts: dict[Key, Counts] = {}
         self._dirty = set(stored)
-        self._again: collections.deque[Key] = collections.deque()
+        self._again: set[Key] = set()
         self._forgotten: collections.deque[Key] = collections.deque()
         self._next = 0.0
 
     def note(self, ready: Iterable[Received]) -> None:
         """These are stored."""
-        further = {
-            (entry.camera, entry.boot): entry.seq
-            for entry in (received.entry for received in ready)
-            if entry.boot is not None and entry.seq is not None
-        }
-        self.stored.update(further)
-        self._dirty.update(further)
+        for received in ready:
+            entry, event, late = received.entry, received.event, False
+            if event is not None:
+                late = not self._event_time.note(microseconds(event.t), event.camera)
+            elif received.advance is not None:
+                self._event_time.advance(microseconds(received.advance))
+            if entry.boot is None or entry.seq is None:
+                continue
+            key = (entry.camera, entry.boot)
+            self.stored[key] = entry.seq
+            self._dirty.add(key)
+            counts = self._of(key)
+            if event is None:
+                counts.refused += 1
+            elif late:
+                counts.late += 1
+            else:
+                counts.accepted += 1
 
     def again(self, key: Key) -> None:
-        """The ack of a stream got lost."""
-        self._again.append(key)
+        """The ack of a stream got lost, or its publisher may not know it. Any thread."""
+        self._again.add(key)
+
+    def duplicate(self, key: Key) -> None:
+        """An event of the stream has come again."""
+        self._of(key).duplicate += 1
+        self._again.add(key)
 
     def forget(self, keys: Iterable[Key]) -> None:
         """Streams that are not followed any more."""
@@ -50,13 +84,21 @@ class Acks:
             return
         self._next = now + interval
         while self._again:
-            key = self._again.popleft()
+            key = self._again.pop()
             if key in self.stored:
                 self._dirty.add(key)
-        for camera, boot in self._dirty:
+        for key in self._dirty:
+            camera, boot = key
             if self._owns(camera):
-                self._bus.put(f"ack/{camera}", Ack(camera, boot, self.stored[camera, boot]), "ack")
-                beat()  # a put onto a dead link blocks for seconds
+                ack = Ack(camera, boot, self.stored[key], self._daemon, **asdict(self._of(key)))
+                self._bus.put(f"ack/{camera}", ack, "ack")
+                beat()
         self._dirty.clear()
         while self._forgotten:
-            self.stored.pop(self._forgotten.popleft(), None)
+            key = self._forgotten.popleft()
+            self.stored.pop(key, None)
+            self._counts.pop(key, None)
+
+    def _of(self, key: Key) -> Counts:
+        counts = self._counts.get(key)
+        return self._counts.setdefault(key, Counts()) if counts is None else counts

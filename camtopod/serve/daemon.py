@@ -23,6 +23,7 @@ import msgspec
 
 from camtopod import codec
 from camtopod.config import Config
+from camtopod.learn.intake import EventTime, microseconds
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks
@@ -222,6 +223,7 @@ class Daemon:
                 **receiver.counts,
                 "lost": receiver.streams.lost,
                 "unknown": receiver.streams.unknown,
+                "contradicted": receiver.duplicates.contradicted,
                 "waiting": learning.waiting,
                 "early": receiver.cameras.waiting,
                 "merging": receiver.merge.waiting,
@@ -249,6 +251,7 @@ class Daemon:
         seconds, key = self._bus.hanging if self._bus is not None else (0.0, "")
         hanging = f"publishing on {key} takes {seconds:.0f} s" if seconds > HANGS_SECONDS else ""
         reason = receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason) or hanging
+        reason = reason or receiver.duplicates.reason
         return reason or receiver.cameras.reason(watermark, self._clock())
 
     def __enter__(self) -> Daemon:
@@ -280,10 +283,17 @@ class Daemon:
         if isinstance(share, Whole) and (topology := newest_topology(self._journal, process)) is not None:
             self.newest = Newest(head_of(topology), codec.to_pack(topology))
             self._live.use(topology)
+        recent = recent_events(self._journal)
+        learned_time = EventTime(self._config.learn.lateness_seconds, self._config.learn.ahead_seconds_max)
+        if recovered.taught.event_time is not None:
+            learned_time.load(recovered.taught.event_time)
+            for event in recent:  # they may be newer than the snapshot
+                learned_time.note(microseconds(event.t), event.camera)
         self._receiver = Receiver(
             self._journal, bus, limits, self._clock,
             learn=lambda batch: self._learning.feed(batch), room=lambda: self._learning.room(),
             publish=self._publish, see=self._live.see, owns=share.owns,
+            daemon=self._name(), learned_time=learned_time,
         )  # fmt: skip
         storing = self._receiver.storing
         self._learning = Learning(
@@ -296,9 +306,11 @@ class Daemon:
             self._sharing = Sharing(
                 self._config, share, directory, bus, self._learning, told_by(process), self._clock, self._use
             )
-        self._live.remember(recent_events(self._journal))
+        self._live.remember(recent)
         receiver = self._receiver
-        self._puller = Puller(bus, limits, receiver.streams.wanted, receiver.on_pulled, receiver.gap, receiver.rejects)
+        self._puller = Puller(
+            bus, limits, receiver.streams.wanted, receiver.on_pulled, receiver.gap, receiver.rejects, self._name()
+        )
 
     def _serve(self, bus: Bus) -> None:
         if self._share.first:
@@ -327,7 +339,7 @@ class Daemon:
         ):
             return
         if alive:
-            known.add(camera)
+            self._receiver.on_alive(camera)
         self._puller.on_alive(camera, alive)
 
     def _version(self, parameters: dict[str, str]) -> Topology | msgspec.Raw:

@@ -149,6 +149,23 @@ def connect_or_begin_anew(
         return connect(path, schema, prepare), aside
 
 
+def move(path: Path, new: Path) -> None:
+    """Give a database and its log, which no process has open, another place. Raises `StateError`.
+
+    The log first: a move that is broken off is finished by the next call.
+    """
+    try:
+        _make_directory(new.parent)
+        for suffix in (*_SIDE_FILES, ""):
+            with contextlib.suppress(FileNotFoundError):
+                os.rename(f"{path}{suffix}", f"{new}{suffix}")
+        Path(f"{path}-shm").unlink(missing_ok=True)
+        _sync_directory(new.parent)
+        _sync_directory(path.parent)
+    except OSError as error:
+        raise StateError(f"cannot move {path} to {new}: {error.strerror}") from None
+
+
 def set_aside(path: Path) -> Path:
     """Rename a database and its log; returns the new name. Raises `StateError` if there are too many already.
 

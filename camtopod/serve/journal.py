@@ -210,6 +210,14 @@ class Journal:
                 after = row[0]
                 yield row[0], Entry(*row[2:7]) if crc(*row[:7]) == row[7] else None
 
+    def numbered(self, camera: str, boot: str, seq: int) -> Entry | None:
+        """The entry with this number; None if it is not kept any more, or damaged. Raises `sqlite3.Error`."""
+        with self._mutex, database.damage_noticed(self._path):
+            row = self._db.execute(
+                "SELECT * FROM entry WHERE camera = ? AND boot = ? AND seq = ?", (camera, boot, seq)
+            ).fetchone()
+        return Entry(*row[2:7]) if row is not None and crc(*row[:7]) == row[7] else None
+
     def streams(self) -> dict[tuple[str, str], int]:
         """The highest stored seq of each (camera, boot), those that stored last at the end.
 

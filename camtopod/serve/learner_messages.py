@@ -16,6 +16,7 @@ import msgspec
 from msgspec import Struct
 
 from camtopod.districts.dealing import Sharding
+from camtopod.learn.intake import EventTimeState
 from camtopod.learn.settings import Settings
 
 LESSONS_MAX = 4_000
@@ -121,7 +122,8 @@ class Otherwise(Struct, tag=True):
 class Taught(Struct, tag=True):
     """Everything up to ``position`` is learned, which is less than was asked if there was no time. ``deadline``: event
     time at which time may have to be said to have gone on; ``unreadable``: events that could not be read any more. Of a
-    shard: what it has ``reached`` and whom it has for ``neighbours``.
+    shard: what it has ``reached`` and whom it has for ``neighbours``. At the beginning: how far ``event_time`` has
+    come, unless it is a shard, in which that differs from district to district.
     """
 
     position: int
@@ -130,6 +132,7 @@ class Taught(Struct, tag=True):
     unreadable: int
     reached: float | None = None
     neighbours: list[str] = []
+    event_time: EventTimeState | None = None
 
 
 class Shown(Struct, tag=True):

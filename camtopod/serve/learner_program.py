@@ -68,7 +68,10 @@ class Pupil:
                     self._tell(self._load(state, sharded))
                 case Begin():
                     self._begin(question)
-                    self._tell(self._taught(0, 0))
+                    taught = self._taught(0, 0)
+                    if isinstance(self._learner, Learner):
+                        taught.event_time = self._learner.event_time()
+                    self._tell(taught)
                 case Refresh(position):
                     self._board.at = position + 1
                     self._learner.refresh()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import sqlite3
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from camtopod import codec
 from camtopod.records import Ack, Event
@@ -19,16 +20,19 @@ log = logging.getLogger(__name__)
 PENDING_EVENTS_MAX = 10_000
 """Events kept in memory while the spool cannot be written (disk full); beyond it the newest are dropped."""
 SEQ_MAX = 2**63 - 1
+NAME_CHARACTERS_MAX = 64
+"""Of a daemon's name."""
 
 
 class Publisher:
     """Publishes the events of some cameras. `publish` and `retry` from one thread; they raise `database.Damaged`.
 
-    Works without a bus: events then wait in the spool until `attach`. The spool belongs to the caller.
+    Works without a bus: events then wait in the spool until `attach`. The spool belongs to the caller, who closes the
+    bus before it. ``on_ack``: called with each ack, from a thread of the bus.
     """
 
-    def __init__(self, spool: Spool, limit_batch_events: int) -> None:
-        self._spool = spool
+    def __init__(self, spool: Spool, limit_batch_events: int, on_ack: Callable[[Ack], None] | None = None) -> None:
+        self._spool, self.on_ack = spool, on_ack
         self._bus: Bus | None = None
         self._batch_max = limit_batch_events
         self._pending: list[Event] = []
@@ -100,11 +104,11 @@ class Publisher:
         """Answer for the camera's spool, obey its acks, be seen alive."""
         if camera not in self._introduced:
             self._introduced.add(camera)
-            bus.answer(f"spool/{camera}", self._answer, "spool")
-            bus.subscribe(f"ack/{camera}", self._on_ack)
+            bus.answer(f"spool/{camera}", functools.partial(self._answer, bus.endpoint), "spool")
+            bus.subscribe(f"ack/{camera}", functools.partial(self._on_ack, bus.endpoint))
             bus.appear("grabber", camera)
 
-    def _answer(self, key: str, parameters: dict[str, str]) -> SpoolBatch:
+    def _answer(self, endpoint: str, key: str, parameters: dict[str, str]) -> SpoolBatch:
         try:
             start, most = int(parameters.get("from", "0")), int(parameters.get("max", "1000"))
         except ValueError:
@@ -113,6 +117,7 @@ class Publisher:
             raise self._refusal(key, parameters, "from is not a sequence number")
         camera = key.removeprefix("spool/")
         try:
+            self._spool.asked_by(parameters.get("daemon", "")[:NAME_CHARACTERS_MAX], endpoint)
             return self._spool.batch(camera, parameters.get("boot"), start, max(1, min(most, 10_000)))
         except (sqlite3.Error, StateError) as error:
             raise QueryError(f"the spool cannot be read: {error}") from None
@@ -121,14 +126,18 @@ class Publisher:
         self.rejects.add("bad-question", key, what, str(parameters))
         return QueryError(what)
 
-    def _on_ack(self, key: str, payload: bytes) -> None:
+    def _on_ack(self, endpoint: str, key: str, payload: bytes) -> None:
         try:
             ack = codec.read(Ack, payload, pack=True)
             if ack.camera != key.removeprefix("ack/"):
                 raise codec.Rejected("wrong-camera", f"says camera {ack.camera!r}")
             if not 0 <= ack.seq <= SEQ_MAX:
                 raise codec.Rejected("bad-value", "seq is not a sequence number")
-            self._spool.ack(ack.camera, ack.boot, ack.seq)
+            self._spool.asked_by(ack.daemon[:NAME_CHARACTERS_MAX], endpoint)
+            if not self._spool.ack(ack.camera, ack.boot, ack.seq):
+                raise codec.Rejected("beyond", "seq is above all that this boot has given")
+            if self.on_ack is not None:
+                self.on_ack(ack)
         except codec.Rejected as error:
             self.rejects.add(error.reason, key, str(error), payload)
             return

@@ -31,7 +31,9 @@ _BOOT = re.compile(CAMERA_PATTERN)
 
 
 class Puller:
-    """``wanted(camera)``: the (boot, seq) to ask from, or None; ``deliver`` takes an answer, or refuses."""
+    """``wanted(camera)``: the (boot, seq) to ask from, or None; ``deliver`` takes an answer, or refuses;
+    ``daemon``: its name.
+    """
 
     def __init__(
         self,
@@ -41,7 +43,9 @@ class Puller:
         deliver: Callable[[Pulled], bool],
         poke: threading.Event,
         rejects: Rejects,
+        daemon: str = "",
     ) -> None:
+        self._daemon = daemon
         self._bus, self._limits = bus, limits
         self._wanted, self._deliver = wanted, deliver
         self._poke = poke
@@ -100,7 +104,7 @@ class Puller:
         if not _BOOT.match(boot):
             boot, start = "", 0
         most = self._limits.pull_events_max
-        given: dict[str, object] = {"from": start, "max": most}
+        given: dict[str, object] = {"from": start, "max": most, "daemon": self._daemon}
         try:
             answers = self._bus.ask(f"spool/{camera}", given | ({"boot": boot} if boot else {}))
         except QueryError as error:

@@ -18,11 +18,13 @@ from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.config import Limits
+from camtopod.learn.intake import EventTime as LearnedTime
 from camtopod.records import CAMERA_CHARACTERS_MAX, Event
 from camtopod.serve.acks import Acks
 from camtopod.serve.bus import Bus, Ear
 from camtopod.serve.cameras import Cameras, Received
 from camtopod.serve.clock import Clock, steady_beside
+from camtopod.serve.duplicates import Duplicates
 from camtopod.serve.event_time import EventTime
 from camtopod.serve.handover import Handover
 from camtopod.serve.inbox import Inbox, Message
@@ -70,7 +72,8 @@ class Receiver:
 
     ``see`` is shown what is about to be stored, once, in journal order, and may take so many seconds for it; ``learn``
     takes it when it is stored, and must not block; ``room()``: how many ``learn`` takes. ``publish``: called with each
-    version after it is stored. ``owns``: the cameras whose events it is for this daemon to acknowledge.
+    version after it is stored. ``owns``: the cameras whose events it is for this daemon to acknowledge; ``daemon``: its
+    name; ``learned_time``: event time as the learner has it after what is stored.
     """
 
     def __init__(
@@ -85,6 +88,8 @@ class Receiver:
         see: Callable[[list[Received], float], None],
         steady: Clock | None = None,
         owns: Callable[[str], bool] = everything,
+        daemon: str = "",
+        learned_time: LearnedTime | None = None,
     ) -> None:
         self._bus, self._limits, self._clock = bus, limits, clock
         self._see, self._learn, self._learner_room, self._owns = see, learn, room, owns
@@ -103,7 +108,8 @@ class Receiver:
         self._answers: collections.deque[Pulled] = collections.deque()
         self.merge = Merge(limits.held_events_max)
         stored = journal.streams()
-        self._acks = Acks(bus, stored, owns)
+        self._acks = Acks(bus, stored, owns, daemon, learned_time or LearnedTime(0.0))
+        self.duplicates = Duplicates(journal, self._steady)
         self._ready = Handover()
         self._event_time = EventTime()
         self.streams: Streams[Received] = Streams(stored, limits.held_events_max, limits.streams_max, BOOTS_MAX, owns)
@@ -131,6 +137,12 @@ class Receiver:
         self._answers.append(pulled)
         self._inbox.poke()
         return True
+
+    def on_alive(self, camera: str) -> None:
+        """A publisher has appeared: it is told again what is stored of its camera. Any thread."""
+        self.with_spool.add(camera)
+        for boot in self.streams.boots(camera):
+            self._acks.again((camera, boot))
 
     def on_deadline(self, deadline: float | None) -> None:
         """Event time at which the learner wants to be told that time went on."""
@@ -210,6 +222,7 @@ class Receiver:
         if not self._store(ready, stopping):
             return False
         self._acks.put(time.monotonic(), limits.ack_seconds, self._beat)
+        self.duplicates.compare(self._acks.stored)
         self.storing.forget_old()
         return True
 
@@ -359,6 +372,8 @@ class Receiver:
         verdict, ready = self.streams.offer((camera, boot), seq, received, time.monotonic())
         if verdict == "duplicate":
             self.counts["duplicate"] += 1
+            self.duplicates.note(entry)
+            self._acks.duplicate((camera, boot))
         elif verdict == "dropped":
             self.counts["held_full"] += 1
         elif verdict == "refused":

@@ -1,10 +1,11 @@
 """The publisher's spool: every event is here, durably, from before it is put until it is acknowledged.
 
-What a put says is not believed; the daemon asks the spool for what it has not got. A spool has a ``boot`` of
-its own and counts each camera's events within it; an event that brings its own boot and seq keeps them.
+What a put says is not believed; the daemon asks the spool for what it has not got. Each time a spool is opened a new
+``boot`` begins, and each camera's events are counted within it: a file that comes back as it was some time ago (a
+restored image) never gives a number to a second event. An event that brings its own boot and seq keeps them.
 
-The newest acknowledged events stay for a while, and what was acknowledged is told with every answer: so a
-daemon whose journal came back shorter than it was notices, and gets them again.
+A spool belongs to one site. The newest acknowledged events stay for a while, for the daemon that acknowledged them, and
+what was acknowledged is told with every answer: a daemon whose journal came back shorter notices, and gets them again.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ _DEFAULT = Limits()
 _DELETED_MAX = 5_000
 """Events deleted at a time, for the log takes what a transaction changes; a spool that is full adds fewer."""
 _INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw, crc) VALUES (?, ?, ?, ?, ?)"
+
+PROMISED = ("promised to", "promised at")
+"""In the table ``meta``: the name of the daemon that acknowledged last, and the endpoint at which it was."""
 
 Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Stream = tuple[str, str]
@@ -72,27 +76,29 @@ class Spool:
         kept_events_max: int = _DEFAULT.spool_kept_events,
     ) -> None:
         self._mutex = threading.Lock()
-        self._path = path
+        self.path = path
+        """The file."""
         self._events_max, self._bytes_max, self._kept_max = events_max, bytes_max, kept_events_max
         self._lock = database.Lock(path.with_suffix(".lock"))
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
             try:
                 with database.damage_noticed(path):
-                    self._opened = spool_format.open_file(path, boot)
-                    self._db = self._opened.connection
+                    self._db, rescued = spool_format.open_file(path)
                     undo.callback(self._db.close)
                     self._acked = spool_format.acked(self._db)
+                    self._promised = tuple(spool_format.meta(self._db, key) for key in PROMISED)
                     self._recount()
             except sqlite3.Error as error:
                 raise database.StateError(f"cannot read {path}: {error}; it is left as it is") from None
             undo.pop_all()
-        self.boot = self._opened.boot
-        """This spool's incarnation: the one given when its file was made, or after it was not closed."""
-        self.rescued = self._opened.rescued
+        self.boot = self._first_boot = boot
+        """This spool's incarnation."""
+        self.rescued = rescued
         """Events read out of a damaged file on opening."""
-        self._seqs = {} if self._opened.fresh else spool_format.counts(self._db)
-        self._opened_written = False
+        self._seqs: dict[str, int] = {}
+        self._boot_written = False
+        self._boots_begun = 0
         self._unwritten: set[Stream] = set()
         self._damaged: set[int] = set()
         self._sure = True
@@ -105,7 +111,7 @@ class Spool:
         An event that is in the spool already (same camera, boot and seq) is stored once. After an error the
         same call may be repeated: whether its events were durable after all is asked of the file.
         """
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, database.damage_noticed(self.path):
             if not self._sure:
                 self._ask_the_file(self._number(events)[0])
             numbered, seqs = self._number(events)
@@ -122,22 +128,53 @@ class Spool:
             self.dropped += dropped
             if dropped and not self._said_full:
                 self._said_full = True
-                log.error("the spool %s is full: its oldest events are dropped, %d so far", self._path, self.dropped)
-            self._opened_written = True
+                log.error("the spool %s is full: its oldest events are dropped, %d so far", self.path, self.dropped)
+            self._boot_written = True
             self._unwritten.clear()
             if forgotten:
                 self._acked = spool_format.acked(self._db)
             return numbered
 
-    def ack(self, camera: str, boot: str, seq: int) -> None:
+    def asked_by(self, daemon: str, endpoint: str) -> None:
+        """The daemon of that name, reached at ``endpoint``, asks for events or acknowledges some. Raises
+        `sqlite3.Error`.
+
+        What was acknowledged is kept for the daemon that has done so, or for its successor at the same endpoint. When
+        it is neither, the kept events are deleted: it would take them for its own.
+        """
+        with self._mutex, database.damage_noticed(self.path):
+            if self._promised == (daemon, endpoint):
+                return
+            same = (daemon and daemon == self._promised[0]) or endpoint == self._promised[1]
+            with database.transaction(self._db):
+                self._write_down()
+                forgotten = 0 if same else self._forget(self._kept)
+                for key, value in zip(PROMISED, (daemon, endpoint), strict=True):
+                    spool_format.set_row(self._db, "meta", key, value)
+            self._boot_written = True
+            self._unwritten.clear()
+            self._promised = daemon, endpoint
+            self._kept -= forgotten
+            self._held -= forgotten
+            self._acked = spool_format.acked(self._db)
+
+    def ack(self, camera: str, boot: str, seq: int) -> bool:
         """Everything of (camera, boot) up to ``seq`` is safe elsewhere. Raises `sqlite3.Error`.
+
+        False for more than the present boot has given: another program has counted on under it, as happens when this
+        machine is set back to an earlier moment. Nothing is acknowledged then, and a new boot begins.
 
         Of this spool's own boot it is written with the next events, or on closing. Should it be lost before that, the
         daemon is told of these events once more, and acknowledges them again. Of an older boot it is written at once:
         the daemon knows only a camera's newest boots again, and there may be many after a time without it.
         """
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, database.damage_noticed(self.path):
             before = self._acked.get((camera, boot), -1)
+            given = max(before, self._given(camera, boot))
+            if seq > given and boot == self.boot:
+                self._begin_boot()
+                return False
+            seq = min(seq, given)
             newly = self._count("camera = ? AND boot = ? AND seq > ? AND seq <= ?", camera, boot, before, seq)
             if newly:
                 self._kept += newly
@@ -146,12 +183,13 @@ class Spool:
                 if boot != self.boot:
                     with contextlib.suppress(sqlite3.OperationalError):  # no room: then with the next events
                         self._write_acks()
+            return True
 
     def batch(self, camera: str, boot: str | None, from_seq: int, events_max: int) -> SpoolBatch:
         """Events of ``camera`` from ``from_seq`` of ``boot`` on, acknowledged or not; if there are none, those
         not acknowledged of the oldest other boot. Should there be both, by turns. No ``boot``: of the oldest.
         """
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, database.damage_noticed(self.path):
             chosen, start = self._choose(camera, boot, from_seq)
             acked = self._acked.get((camera, chosen))
             rows, more = self._good_rows(camera, chosen, start, events_max)
@@ -167,38 +205,37 @@ class Spool:
 
     def cameras(self) -> list[str]:
         """The cameras with events that are not acknowledged."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, database.damage_noticed(self.path):
             cameras = self._db.execute("SELECT DISTINCT camera FROM event").fetchall()
             return [camera for (camera,) in cameras if self._waiting(camera)]
 
     def statistics(self) -> dict[str, int]:
         """Counters for the status."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, database.damage_noticed(self.path):
             return {
                 "unacknowledged": self._held - self._kept,
                 "kept": self._kept,
                 "dropped": self.dropped,
                 "damaged_events": len(self._damaged),
-                "damaged_files": len(database.damaged_files(self._path))
-                + len(database.damaged_files(self._path.with_name(f"{self._path.name}-wal"))),
+                "damaged_files": len(database.damaged_files(self.path))
+                + len(database.damaged_files(self.path.with_name(f"{self.path.name}-wal"))),
             }
 
     def __len__(self) -> int:
         """Events not acknowledged."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, database.damage_noticed(self.path):
             return self._held - self._kept
 
     def close(self) -> None:
         """Close the file; what is in it stays for the next time."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, database.damage_noticed(self.path):
             try:
                 with database.transaction(self._db):
                     self._write_down()
-                    spool_format.set_row(self._db, "meta", "closed", "yes")
             except sqlite3.ProgrammingError:
                 pass  # closed already
             except sqlite3.Error as error:
-                log.warning("the spool %s could not be closed properly: %s", self._path, error)
+                log.warning("the spool %s could not be closed properly: %s", self.path, error)
             self._db.close()
             self._lock.close()
 
@@ -213,24 +250,35 @@ class Spool:
             numbered.append(event)
         return numbered, seqs
 
+    def _given(self, camera: str, boot: str) -> int:
+        """The highest seq of a boot that events here have, or of the present boot have had; -1: none."""
+        numbered = self._seqs.get(camera, 0) if boot == self.boot else -1
+        newest = "SELECT COALESCE(MAX(seq), -1) FROM event WHERE camera = ? AND boot = ?"
+        return max(numbered, int(self._db.execute(newest, (camera, boot)).fetchone()[0]))
+
+    def _begin_boot(self) -> None:
+        self._boots_begun += 1
+        self.boot, self._seqs, self._boot_written = f"{self._first_boot}.{self._boots_begun}", {}, False
+        log.error("more is acknowledged of the spool %s than it has given: it counts anew", self.path)
+
     def _write_down(self) -> None:
         """Within a transaction: what is known and not in the file yet."""
-        if not self._opened_written:
-            spool_format.write_opened(self._db, self._opened)
+        if not self._boot_written:
+            spool_format.write_boot(self._db, self.boot)
         for camera, boot in self._unwritten:
             spool_format.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
 
     def _write_acks(self) -> None:
         with database.transaction(self._db):
             self._write_down()
-        self._opened_written = True
+        self._boot_written = True
         self._unwritten.clear()
 
     def _ask_the_file(self, again: list[Event]) -> None:
         """After an error: what it did store, if it is not ``again`` the same, keeps its numbers."""
         given = {_row(event) for event in again}
-        self._opened_written = spool_format.is_written(self._db, self._opened)
-        stored = spool_format.counts(self._db) if self._opened_written or not self._opened.fresh else {}
+        self._boot_written = spool_format.meta(self._db, "boot") == self.boot
+        stored = spool_format.counts(self._db) if self._boot_written else {}
         for camera, last in stored.items():
             ahead = self._db.execute(
                 "SELECT camera, boot, seq, raw, crc FROM event WHERE camera = ? AND boot = ? AND seq > ?",
@@ -336,7 +384,7 @@ class Spool:
             if database.crc(*row[:-1]) != row[-1]:
                 if id_ not in self._damaged:
                     self._damaged.add(id_)
-                    log.error("event %s of camera %s in the spool %s is damaged", row[2], camera, self._path)
+                    log.error("event %s of camera %s in the spool %s is damaged", row[2], camera, self.path)
             elif len(rows) == events_max:
                 return rows, True
             else:
@@ -360,7 +408,22 @@ def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
     return event.camera, event.boot, event.seq, raw, database.crc(event.camera, event.boot, event.seq, raw)
 
 
-def open_spool(path: Path, limits: Limits) -> Spool:
-    """The spool of a publishing process, with its limits. Raises `database.StateError`."""
+def open_spool(directory: Path, site: str, name: str, limits: Limits) -> Spool:
+    """The spool ``name`` of a publishing process for a site, with its limits, below the state directory ``directory``.
+    Raises `database.StateError`.
+    """
+    path = directory / f"spools-of-{site}" / f"{name}.db"
+    _adopt(directory / f"spool-{name}.db", path)
     boot = clock.ulid(clock.wall())
     return Spool(path, boot, limits.spool_events_max, limits.spool_bytes_max, limits.spool_kept_events)
+
+
+def _adopt(older: Path, path: Path) -> None:
+    """Take over the spool of an older program, which did not tell sites apart."""
+    if path.exists() or not older.exists():
+        return
+    lock = database.Lock(older.with_suffix(".lock"))
+    try:
+        database.move(older, path)
+    finally:
+        lock.close()

@@ -30,22 +30,14 @@ _SMALL_TABLES = ("meta", "count", "acked")
 
 
 class Opened(NamedTuple):
-    """``boot``: this spool's incarnation. ``fresh``: it is a new one, the counts in the file are not its own.
-
-    ``rescued``: how many events were read out of a damaged file just now.
-    """
+    """``rescued``: how many events were read out of a damaged file just now."""
 
     connection: sqlite3.Connection
-    boot: str
-    fresh: bool
     rescued: int
 
 
-def open_file(path: Path, boot: str) -> Opened:
-    """Open or make a spool's file; one that is there is not written to, so that a full disk is no hindrance.
-
-    ``boot`` has to be new: it is that of a new file, and of one that was not closed. How much of its count was
-    lost with its last writes nobody can know, and a seq that is given twice is an event lost. Raises
+def open_file(path: Path) -> Opened:
+    """Open or make a spool's file; one that is there is not written to, so that a full disk is no hindrance. Raises
     `database.StateError`, `sqlite3.Error`.
     """
     connection, _ = database.connect_or_begin_anew(path, SCHEMA, _prepare)
@@ -59,22 +51,15 @@ def open_file(path: Path, boot: str) -> Opened:
                     set_row(connection, "meta", "rescued", aside.name)
                     set_row(connection, "meta", "format", str(FORMAT))
                 log.error("%d events were read out of the damaged spool %s", rescued, aside)
-        before = meta(connection, "boot") if meta(connection, "closed") == "yes" else None
         undo.pop_all()
-    return Opened(connection, before or boot, before is None, rescued)
+    return Opened(connection, rescued)
 
 
-def write_opened(connection: sqlite3.Connection, opened: Opened) -> None:
-    """With the first events: whose boot it is, and that it is not closed."""
-    if opened.fresh:
-        connection.execute("DELETE FROM count")
-    for key, value in (("format", str(FORMAT)), ("boot", opened.boot), ("closed", "no")):
+def write_boot(connection: sqlite3.Connection, boot: str) -> None:
+    """With the first events of a boot: the counts from now on are its own."""
+    connection.execute("DELETE FROM count")
+    for key, value in (("format", str(FORMAT)), ("boot", boot), ("closed", "no")):
         set_row(connection, "meta", key, value)
-
-
-def is_written(connection: sqlite3.Connection, opened: Opened) -> bool:
-    """Whether `write_opened` has been done."""
-    return (meta(connection, "boot"), meta(connection, "closed")) == (opened.boot, "no")
 
 
 def meta(connection: sqlite3.Connection, key: str) -> str | None:

@@ -145,6 +145,10 @@ class Streams(Generic[T]):
         stream = self._streams.get((camera, boots[-1])) if boots else None
         return None if stream is None else (boots[-1], stream.next or 0)
 
+    def boots(self, camera: str) -> list[str]:
+        """The boots of a camera that are followed. Any thread."""
+        return list(self._boots.get(camera, ()))
+
     def forgotten(self) -> list[Key]:
         """The streams that are not followed any more, since the last call."""
         keys, self._forgotten = self._forgotten, []

@@ -1,0 +1,95 @@
+"""Events that come under a number that is taken: nearly always the same event once more. Where it is another one, a
+publisher has gone back in time (a virtual machine set back while it ran), or two share their numbers; then something
+is not stored, and that is said.
+"""
+
+from __future__ import annotations
+
+import collections
+import logging
+import threading
+from collections.abc import Mapping
+
+from camtopod import codec
+from camtopod.records import Event
+from camtopod.serve.clock import Clock
+from camtopod.serve.journal import Entry, Journal
+from camtopod.serve.streams import Key
+
+log = logging.getLogger(__name__)
+
+WAITING_MAX = 50_000
+"""Duplicates that wait to be compared; one that finds no room is compared when it comes again."""
+COMPARED_MAX = 2_000
+"""At a time."""
+SAID_SECONDS = 600.0
+"""For so long the status speaks of it."""
+NAMED_MAX = 1_000
+"""Streams that are named in the log, each once."""
+
+
+class Duplicates:
+    """`note` in one thread, `compare` in another. ``steady``: a clock that never steps."""
+
+    def __init__(self, journal: Journal, steady: Clock) -> None:
+        self._journal, self._steady = journal, steady
+        self._waiting: collections.deque[Entry] = collections.deque()
+        self._named: set[Key] = set()
+        self._last: tuple[float, str] | None = None
+        self._mutex = threading.Lock()
+        self.contradicted = 0
+        """Events under a number that another one has; they are not stored."""
+
+    def note(self, entry: Entry) -> None:
+        """An event that has come under a number of which something is stored, or about to be."""
+        if len(self._waiting) < WAITING_MAX:
+            self._waiting.append(entry)
+
+    def compare(self, stored: Mapping[Key, int]) -> None:
+        """Compare some of those noted. ``stored``: the highest seq of each stream that is stored; what is above waits.
+        Raises `sqlite3.Error`.
+        """
+        for _ in range(min(len(self._waiting), COMPARED_MAX)):
+            entry = self._waiting.popleft()
+            assert entry.boot is not None
+            assert entry.seq is not None
+            if entry.seq > stored.get((entry.camera, entry.boot), -1):
+                self._waiting.append(entry)
+                continue
+            before = self._journal.numbered(entry.camera, entry.boot, entry.seq)
+            if before is not None and before.kind != "refused" and not _same(before.raw, entry.raw):
+                self._say(entry)
+
+    @property
+    def reason(self) -> str:
+        """What was found lately; "" if nothing was. Any thread."""
+        with self._mutex:
+            if self._last is None or self._steady() - self._last[0] > SAID_SECONDS:
+                return ""
+            return self._last[1]
+
+    def _say(self, entry: Entry) -> None:
+        self.contradicted += 1
+        what = (
+            f"camera {entry.camera} has sent two different events under one number (boot {entry.boot}, "
+            f"seq {entry.seq}), and the second is not stored: its publisher has gone back in time, or two share one "
+            "spool; start it again, and it counts anew"
+        )
+        key = (entry.camera, entry.boot or "")
+        with self._mutex:
+            self._last = self._steady(), what
+        if key not in self._named and len(self._named) < NAMED_MAX:
+            self._named.add(key)
+            log.error("%s", what)
+
+
+def _same(one: bytes, other: bytes) -> bool:
+    """Whether two messages are one event, perhaps in another encoding."""
+    return one == other or _read(one) == _read(other) is not None
+
+
+def _read(raw: bytes) -> Event | None:
+    try:
+        return codec.event_from_bytes(raw)
+    except codec.Rejected:
+        return None
