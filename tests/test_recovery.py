@@ -20,8 +20,9 @@ from camtopod.codec import to_pack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.serve import recovery, wal
+from camtopod.serve import corrections, recovery, wal
 from camtopod.serve.cameras import Received
+from camtopod.serve.corrections import rewind
 from camtopod.serve.database import StateError, crc
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
@@ -209,8 +210,10 @@ def test_without_a_snapshot_and_the_oldest_events_an_epoch_begins(start: Start) 
 )
 def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
     what: str, status: int, times: int, start: Start, caplog: pytest.LogCaptureFixture,
-    capfd: pytest.CaptureFixture[str],
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
+    """Where it is of no use to leave out more."""
+    monkeypatch.setattr(corrections, "LEAVE_OUTS_MAX", 0)
     one = start()
     one.learn(EVENTS[:120])
     one.store([*EVENTS[120:130], msgspec.structs.replace(EVENTS[130], track=what), *EVENTS[131:160]])
@@ -230,6 +233,81 @@ def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
     assert len(again.journal) == len(EVENTS)
     later = start()
     assert (later.started_at, later.learning.epoch) == (len(EVENTS), "F"), "it has got beyond that"
+
+
+@pytest.mark.parametrize(("what", "times"), [("fails", 2), ("killed", 10), ("exhausted", 4)])
+def test_of_a_learner_that_fails_again_and_again_the_events_of_one_camera_are_left_out(
+    what: str, times: int, start: Start, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Of the entry's camera; where memory may have run out, first of the one with the most events."""
+    one = start()
+    one.learn(EVENTS[:120])
+    poison = next(k for k in range(125, 160) if EVENTS[k].camera == "b")
+    one.store([msgspec.structs.replace(e, track=what) if k == poison else e for k, e in enumerate(EVENTS)][120:160])
+    for _ in range(times):
+        failing = start(program="learners.faulty")
+        assert failing.started_at == 120
+        with pytest.raises(LearnerEnded):
+            failing.run()
+    again = start(program="learners.faulty")
+    assert again.started_at == 120, "nothing else that was learned is forgotten"
+    assert "what camera b has sent since entry 120 is left out" in caplog.text
+    assert "b" in again.learning.left_out
+    [snapshot] = again.journal.snapshots()
+    again.run()
+    again.learn(EVENTS[160:])
+    out = set(again.learning.left_out)
+    kept = [e for k, e in enumerate(EVENTS) if not (120 <= k < 160 and e.camera in out)]
+    forgotten = [e for e in kept if what != "fails" and e.camera in out and e in EVENTS[:120]]
+    assert again.learning.statistics["window"] >= len(kept) - len(forgotten) - 2, "but for those that wait"
+    epochs = {epoch for epoch, _, _ in again.published}
+    assert len(epochs) == 1
+    assert min(epochs) > "E"
+
+    published = dict(again.journal.versions(again.learning.epoch))
+    later = start()
+    assert (later.learning.epoch, later.journal.versions(later.learning.epoch)) == (again.learning.epoch, published)
+    later.journal._db.execute("DELETE FROM snapshot")
+    later.journal.commit([], snapshot=snapshot)
+    replayed = start()
+    assert replayed.started_at == 120
+    replayed.run()
+    assert (replayed.learning.epoch, replayed.published) == (again.learning.epoch, []), "the same versions again"
+
+
+def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> None:
+    wild = [msgspec.structs.replace(e, t=e.t + 86_400.0, boot="w") for e in EVENTS[:30]]
+    one = start()
+    one.learn([*EVENTS[:120], *wild])
+    to = EVENTS[119].t + 1.0
+    entry, lesson = rewind(to, one.learning.epoch, one.new_epoch())
+    one.journal.commit([entry])
+    one.learning.feed([Received(entry, rewind=lesson)])
+    one.run()
+    assert (one.learning.epoch, one.learning.statistics["watermark"]) == ("F", to)
+    one.learn(EVENTS[120:])
+    assert one.learning.statistics["late"] <= 30, "of what a wild clock had made late nothing is made good"
+    assert {epoch for epoch, _, _ in one.published} == {"E", "F"}
+    versions = {epoch: one.journal.versions(epoch) for epoch in "EF"}
+
+    again = start()
+    assert again.learning.epoch == "F"
+    again.journal._db.execute("DELETE FROM snapshot")
+    replayed = start()
+    assert (replayed.started_at, replayed.learning.epoch) == (0, "E")
+    replayed.run()
+    assert (replayed.learning.epoch, replayed.published) == ("F", [])
+
+    other = Installation(tmp_path / "other")
+    with contextlib.closing(other):
+        other.learn([])
+        entries = [entry for _, entry in replayed.journal.entries() if entry is not None]
+        other.journal.commit(entries)
+        other.learning.feed([])
+    anew = Installation(tmp_path / "other")
+    with contextlib.closing(anew):
+        anew.run()
+        assert {epoch: anew.journal.versions(epoch) for epoch in "EF"} == versions
 
 
 def test_a_disk_that_fails_is_no_failure_of_the_learner(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:

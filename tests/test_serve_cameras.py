@@ -25,6 +25,7 @@ from camtopod.serve.cameras import (
     FLOOD_SECONDS_KEPT,
     IDLE_SECONDS,
     LEADS_SECONDS,
+    REWIND_SECONDS,
     Cameras,
     Received,
 )
@@ -35,6 +36,8 @@ from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.receiver import Receiver
 from camtopod.serve.rejects import SAMPLES_MAX, Rejects
 from camtopod.serve.rivals import NAMED_MAX, Rivals
+
+DAY = 86_400.0
 
 
 def at(camera: str, t: float) -> Event:
@@ -104,6 +107,53 @@ def test_two_cameras_are_too_few_to_doubt_the_clock() -> None:
     assert not cameras.is_future(at("a", T0), T0, 4.0, True), "not for ever"
 
 
+@pytest.mark.parametrize("boxes", [{}, dict.fromkeys(("yard", "gate", "shed"), "nvr")])
+def test_the_cameras_of_one_box_have_one_vote_and_the_box_is_named(boxes: dict[str, str]) -> None:
+    good, wild = ["hall", "lobby", "stairs"], ["gate", "shed", "yard"]
+    cameras = Cameras(Limits(), boxes=boxes)
+    for name in [*good, *wild]:
+        cameras.admit(name, 0.0)
+    assert not any(cameras.is_future(at(name, T0), T0, 0.0, True, name) for name in good)
+    for year in (62.0, 64.0, 66.0):  # in a minute in which nobody else speaks
+        ahead = [cameras.is_future(at(name, T0 + 365 * DAY), T0 + year, year, True, "a box") for name in wild]
+        assert ahead == [True] * 3
+        assert cameras.clock_behind == 0.0
+    said = cameras.wild(66.0)
+    assert f"the clock of cameras gate, shed, yard (one box: {boxes.get('gate', 'a box')}) is about 315359" in said
+    assert not any(cameras.is_future(at(name, T0 + 67), T0 + 67, 67.0, True, name) for name in good)
+    assert cameras.wild(67.0 + LEADS_SECONDS) == "", "only while it sends"
+
+
+def test_as_far_as_the_clock_is_before_what_was_stored_last_it_is_behind() -> None:
+    cameras = Cameras(Limits(), behind=7200.0)
+    cameras.admit("a", 0.0)
+    assert not cameras.is_future(at("a", T0 + 7000), T0, 0.0, True)
+    assert cameras.clock_behind == 7000.0
+    assert cameras.is_future(at("a", T0 + 7300), T0, 2.0, True)
+
+
+def test_event_time_that_is_ahead_is_taken_back_when_that_has_lasted() -> None:
+    cameras = admitted("a")
+    assert cameras.rewind_to(None, T0, 0.0) is None
+    assert cameras.rewind_to(T0 + 60, T0, 0.0) is None, "that much is usual"
+    assert cameras.rewind_to(T0 + DAY, T0, 1.0) is None
+    assert cameras.rewind_to(T0 + DAY, T0 + REWIND_SECONDS, 1.0 + REWIND_SECONDS) == T0 + REWIND_SECONDS
+    assert cameras.rewind_to(T0 + DAY, T0 + 20, 20.0) is None, "once"
+
+
+def test_event_time_is_not_taken_back_to_a_clock_that_may_be_wrong() -> None:
+    cameras = admitted("a")
+    cameras.in_time([], T0 + DAY, 0.0)
+    cameras.in_time([], T0 + 1, 1.0)  # set back by a day
+    for now in (2.0, 1.0 + BELIEVED_SECONDS):
+        assert cameras.rewind_to(T0 + DAY, T0 + now, now) is None, "no camera says which is right"
+    cameras.is_future(at("a", T0 + 700), T0 + 700, 700.0, True)
+    assert cameras.rewind_to(T0 + DAY, T0 + 700, 700.0) is None
+    for now in (1000.0, 700.0 + BELIEVED_SECONDS):
+        cameras.is_future(at("a", T0 + now), T0 + now, now, True)
+    assert cameras.rewind_to(T0 + DAY, T0 + 1300, 700.0 + BELIEVED_SECONDS) == T0 + 1300
+
+
 def test_a_clock_that_was_set_back_is_noticed_however_few_the_cameras_are() -> None:
     for names in ("a", "ab", "abcd"):
         cameras = admitted(*names)
@@ -122,9 +172,6 @@ def test_a_clock_that_was_wrong_and_is_set_back_to_the_right_time_is_believed() 
     assert cameras.is_future(at("b", T0 + 3600), T0 + 1, 1.0, True)
     assert not cameras.is_future(at("a", T0 + 1), T0 + 1, 1.0, True)
     assert cameras.clock_behind == 0.0
-
-
-DAY = 86_400.0
 
 
 @pytest.mark.parametrize("names", ["a", "ab", "abcd"])
@@ -147,11 +194,11 @@ def test_those_still_under_way_when_a_clock_is_right_again_do_not_say_that_it_is
     cameras = admitted(*"abcd")
     for now, step in ((0.0, 0.0), (1.0, DAY)):
         for name in "abcd":
-            cameras.is_future(at(name, T0 + step + now), T0 + step + now, now, True)
+            cameras.is_future(at(name, T0 + step + now), T0 + step + now, now, True, name)
     for now in (2.0, 4.0, 6.0):
-        assert all(cameras.is_future(at(name, T0 + DAY + 1), T0 + now, now, True) for name in "abcd")
+        assert all(cameras.is_future(at(name, T0 + DAY + 1), T0 + now, now, True, name) for name in "abcd")
     for later in (7.0 + LEADS_SECONDS, 9.0 + LEADS_SECONDS):
-        future = [cameras.is_future(at(name, T0 + 3600 + later), T0 + later, later, True) for name in "abcd"]
+        future = [cameras.is_future(at(name, T0 + 3600 + later), T0 + later, later, True, name) for name in "abcd"]
     assert future == [False] * 4, "not for ever"
 
 
@@ -224,8 +271,8 @@ def test_why_what_comes_is_not_learned() -> None:
 def test_who_has_not_been_heard_since_the_start_does_not_vote() -> None:
     cameras = admitted(*"abcdefgh")
     for camera in "abc":
-        cameras.is_future(at(camera, T0), T0 - 3600, 1.0, True)
-    cameras.is_future(at("a", T0), T0 - 3600, 3.0, True)
+        cameras.is_future(at(camera, T0), T0 - 3600, 1.0, True, camera)
+    cameras.is_future(at("a", T0), T0 - 3600, 3.0, True, "a")
     assert cameras.clock_behind == 3600.0
 
 
@@ -251,7 +298,7 @@ def test_old_events_from_spools_say_nothing_about_clocks() -> None:
     cameras = admitted(*"abcd")
     for now in (0.0, 2.0):
         for camera in "abc":
-            cameras.is_future(at(camera, T0), T0 - 3600, now, True)
+            cameras.is_future(at(camera, T0), T0 - 3600, now, True, camera)
         cameras.is_future(at("d", T0 - 7200), T0 - 3600, now, False)
     assert cameras.clock_behind == 3600.0
 

@@ -10,6 +10,7 @@ its own cameras, its neighbours and the guests, and what it learns from the even
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 from msgspec import Struct
@@ -112,6 +113,16 @@ class District(Learner):
         self.load(state.learner)
         self.hearing = state.hearing
 
+    def change(self, change: Callable[[LearnerState], LearnerState]) -> None:
+        """Go on with another state, in which event time may have been taken back."""
+        self._go_on_with(change(self.save()))
+        if self._done_us is not None and self.hearing.turn is not None:
+            self.hearing.turn = min(self.hearing.turn, self._turn_of(self._done_us))
+
+    def _go_on_with(self, state: LearnerState) -> None:
+        super().__init__(self.settings, self.site, self.epoch)  # only a new learner can be told what it knows
+        self.load(state)
+
     def _turn_of(self, t_us: int) -> int:
         """The turn of an event: that of its tick, as what a tick has is learned together."""
         tick = -(-t_us // self._tick_us) * self._tick_us
@@ -143,9 +154,7 @@ class District(Learner):
             self.hearing.neighbours = self._find_neighbours(self.topology)
         gone = {camera for camera in foreign if not self._hears(camera, following)}
         if gone:
-            state = without(self.save(), gone)
-            super().__init__(self.settings, self.site, self.epoch)  # only a new learner can be told what it knows
-            self.load(state)
+            self._go_on_with(without(self.save(), gone))
 
     def _find_neighbours(self, topology: Topology) -> list[str]:
         """Foreign cameras from which objects come here, by how many they send."""

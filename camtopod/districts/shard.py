@@ -7,6 +7,7 @@ the same topology however many there are.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
 
 import msgspec
 from msgspec import Struct
@@ -15,9 +16,9 @@ from camtopod.districts.dealing import Dealing, Sharding, districts_of
 from camtopod.districts.district import District, DistrictState, Hearing
 from camtopod.districts.line import Line, LineState
 from camtopod.districts.parts import Part
-from camtopod.learn.intake import MICROSECONDS
+from camtopod.learn.intake import MICROSECONDS, EventTimeState
 from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import BYTES_MAX, NewerSnapshot, SnapshotError, pack, unpack
+from camtopod.learn.snapshot import BYTES_MAX, LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import Event, Topology
 
 FORMAT = 1
@@ -146,6 +147,11 @@ class ShardLearner:
         self._line.load(state.line)
         self.counts = dict(state.counts)
 
+    def change(self, change: Callable[[LearnerState], LearnerState]) -> None:
+        """Let each district go on with another state."""
+        for district in self.districts:
+            district.change(change)
+
     def begin_epoch(self, epoch: str) -> None:
         """What is known stays; versions count from 1 again."""
         self._line.begin_epoch(epoch)
@@ -158,6 +164,10 @@ class ShardLearner:
         """Event time (seconds) to which `advance` would have to go for something to happen; None: nothing waits."""
         waiting = [due for district in self.districts if (due := district.next_deadline()) is not None]
         return min(waiting, default=None)
+
+    def event_time(self) -> EventTimeState:
+        """How far event time has come in the district that has come furthest."""
+        return max((one.event_time() for one in self.districts), key=lambda state: state.watermark_us or 0)
 
     def statistics(self) -> dict[str, int | float]:
         """Counts and sizes, for people and for health checks. Cameras are own ones; windows are those of all districts

@@ -59,11 +59,11 @@ class Behind(Struct):
 class EventTimeState(Struct):
     """What an `EventTime` knows."""
 
-    newest_us: int | None
-    second_us: int | None
-    leader: str | None
-    watermark_us: int | None
-    behind: dict[str, Behind]
+    newest_us: int | None = None
+    second_us: int | None = None
+    leader: str | None = None
+    watermark_us: int | None = None
+    behind: dict[str, Behind] = {}
 
 
 class EventTime:
@@ -104,11 +104,10 @@ class EventTime:
             self._raise_watermark()
 
     def rewind(self, to_us: int) -> None:
-        """What was later than ``to`` was stamped by a wrong clock: event time is there again."""
-        if self.newest_us is not None and self.newest_us > to_us:
-            self.newest_us = self.second_us = to_us
-            self.leader, self.watermark_us = None, None
-            self._raise_watermark()
+        """What was later than ``to`` was stamped by a wrong clock: from there on events are learned again."""
+        if self.watermark_us is not None and self.watermark_us > to_us:
+            self.newest_us = self.second_us = to_us + self.lateness_us
+            self.leader, self.watermark_us = None, to_us
 
     def save(self) -> EventTimeState:
         """Everything `load` needs to go on from here."""
@@ -142,7 +141,7 @@ class EventTime:
         return max(second, self.newest_us - self._apart_us)
 
     def _raise_watermark(self) -> None:
-        """It only rises, but for `rewind`: what has been passed has been learned."""
+        """It rises only, except in `rewind`: what has been passed has been learned."""
         come = self._come_to()
         assert come is not None
         watermark = come - self.lateness_us
@@ -276,11 +275,6 @@ class Intake:
     def advance(self, now_us: int) -> None:
         """Event time has come to ``now`` although no event says so."""
         self.time.advance(now_us)
-
-    def rewind(self, to_us: int) -> None:
-        """Event time is at ``to`` again: held events that are later are dropped."""
-        self._hold([event for event in self._held if microseconds(event.t) <= to_us])
-        self.time.rewind(to_us)
 
     def take(self, until_us: int) -> list[tuple[int, Event]]:
         """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical

@@ -82,13 +82,18 @@ class Predictor:
         self._of_camera = self._places.of_camera
         self._ahead, self._clocks_apart = site.ahead, site.clocks_apart
         stay_max = {camera: self._hazards.longest_stay(zones) for camera, zones in self._of_camera.items()}
-        self._under_way = UnderWay({camera: stay for camera, stay in stay_max.items() if stay})
-        self._arrivals, self._exits = RecentArrivals(), Recent()
+        self._stay_max = {camera: stay for camera, stay in stay_max.items() if stay}
         self._ahead_of = np.array([self._ahead.get(zone.camera, 0.0) for zone in self.zones])
         self._wanted = np.zeros(len(self.zones), np.bool_)  # all False between calls
         self._row_of = np.full(len(self.zones), -1, np.intp)  # all -1 between calls
         self._names, self._camera_of = list(site.cameras), site.camera_of
         self._number_of: list[int] = self._camera_of.tolist()
+        self.forget()
+
+    def forget(self) -> None:
+        """Nothing has been observed (any more): event time has gone back."""
+        self._under_way = UnderWay(self._stay_max)
+        self._arrivals, self._exits = RecentArrivals(), Recent()
         self._events = 0
         self._last_event = [0] * len(self._names)
         """Of each camera, by the count of all events."""

@@ -52,6 +52,8 @@ class Acks:
                 late = not self._event_time.note(microseconds(event.t), event.camera)
             elif received.advance is not None:
                 self._event_time.advance(microseconds(received.advance))
+            elif received.rewind is not None:
+                self._event_time.rewind(microseconds(received.rewind.to))
             if entry.boot is None or entry.seq is None:
                 continue
             key = (entry.camera, entry.boot)

@@ -64,6 +64,10 @@ class QueryError(Exception):
     """A question that cannot be answered; ``str()`` goes to the asker."""
 
 
+Heard = tuple[str, bytes, bytes]
+"""(key below the site, payload, what the publisher has attached to it)."""
+
+
 class Ear:
     """What is published, for one thread that asks for it: where many messages come, far cheaper than a callback for
     each, and what comes alone is there no later.
@@ -73,16 +77,23 @@ class Ear:
         self._subscriber, self._messages, self._skipped = subscriber, subscriber.handler, len(above)
         self._closing = threading.Lock()
 
-    def take(self, wait: bool = True) -> list[tuple[str, bytes]] | None:
-        """What comes next, and that alone, waited for; or all that has come. As (key below the site, payload); None
-        when it is closed and everything has been taken.
+    def take(self, wait: bool = True) -> list[Heard] | None:
+        """What comes next, and that alone, waited for; or all that has come. None when it is closed and everything has
+        been taken.
         """
-        messages, skipped, put, heard = self._messages, self._skipped, zenoh.SampleKind.PUT, []
+        messages, skipped, put, heard = self._messages, self._skipped, zenoh.SampleKind.PUT, list[Heard]()
         try:
             sample = messages.recv() if wait else messages.try_recv()
             while sample is not None:
                 if sample.kind == put:
-                    heard.append((str(sample.key_expr)[skipped:], sample.payload.to_bytes()))
+                    note = sample.attachment
+                    heard.append(
+                        (
+                            str(sample.key_expr)[skipped:],
+                            sample.payload.to_bytes(),
+                            b"" if note is None else bytes(note),
+                        )
+                    )
                 sample = messages.try_recv() if not wait and len(heard) < _TAKEN_MAX else None
         except zenoh.ZError:  # closed
             return heard or None
@@ -118,7 +129,7 @@ class Bus:
         """Publish a noun, as MessagePack. What becomes of it is not known; see `camtopod.serve.spool`."""
         self.put_raw(key, codec.to_pack(noun), schema)
 
-    def put_raw(self, key: str, payload: bytes, schema: str) -> None:
+    def put_raw(self, key: str, payload: bytes, schema: str, attachment: bytes | None = None) -> None:
         """Publish bytes that are MessagePack already. Does nothing once the bus is closed.
 
         Does not wait for a program that has stopped reading, except with events and parts. On its full link the rest is
@@ -136,6 +147,7 @@ class Bus:
                 encoding=_encoding(schema),
                 congestion_control=_DROP if schema in _PROMPT else _WAIT if schema in _UNREPEATED else _ONE_WAITS,
                 priority=_FIRST if schema in _PROMPT else _USUAL,
+                attachment=attachment,
             )
         except zenoh.ZError as error:
             if not self._closed.is_set():

@@ -2,11 +2,15 @@
 
 Clocks are not trusted. An event stamped far ahead of this machine's clock is set aside. One stamped a little ahead
 would make everybody else's late, as the learner's time is that of the newest event; so it, and what its camera sends
-after it, waits here until its time has come: a wild camera delays itself. When most cameras are ahead it is this
-machine's clock that is behind, and time is taken from them; of few cameras only as far as it has been set back. When
-it is set forward, so are the clocks of cameras on this machine, and event time would go with them and never come back:
-so that is believed when it has lasted, or at once as far as cameras were ahead already. A camera that has more events
-within a second than any view can show floods; what is too much is not learned.
+after it, waits here until its time has come: a wild camera delays itself.
+
+Cameras are taken at their word against this machine's clock as far as it is known to be behind: by how much it was set
+back, or is before the moment at which the newest entries were stored. Beyond that several boxes have to agree, each
+with one vote however many cameras it has, as the cameras of a box share its clock. When this machine's clock is set
+forward, so are the clocks of cameras on this machine, and event time would go with them: so that counts when it has
+lasted, or at once as far as cameras were ahead already. Where event time is ahead all the same it is taken back.
+
+A camera that has more events within a second than any view can show floods; what is too much is not learned.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ import collections
 import logging
 import math
 import statistics
+from collections.abc import Mapping
 from typing import Any
 
 from msgspec import Struct, field
@@ -22,13 +27,14 @@ from msgspec import Struct, field
 from camtopod.config import Limits
 from camtopod.records import Event
 from camtopod.serve.journal import Entry
+from camtopod.serve.learner_messages import Rewind
 
 log = logging.getLogger(__name__)
 
 EARLY_SECONDS_MAX = 1.0
 """An event this far ahead of the clock is taken at once; far below the lateness that the learner allows for."""
-LEADS_MIN = 3
-"""Cameras heard lately that have to agree before this machine's clock is doubted without having been set back."""
+VOTES_MIN = 3
+"""Boxes heard lately that have to agree before this machine's clock is doubted beyond what is known of it."""
 LEADS_SECONDS = 60.0
 """Heard lately."""
 LOOK_SECONDS = 1.0
@@ -37,6 +43,11 @@ STEP_SECONDS_MIN = 5.0
 """This machine's clock is set when it moves so much against the one that does not step."""
 BELIEVED_SECONDS = 600.0
 """A clock that was set forward is believed when it has stayed so for this long, by the one that does not step."""
+REWIND_SECONDS = 10.0
+"""Event time that has been ahead for so long is taken back; when this machine's clock was set back it has to have been
+for `BELIEVED_SECONDS`, as that may have been the mistake."""
+NAMED_MAX = 5
+"""Cameras of a box that are named."""
 FLOOD_SECONDS_KEPT = 128
 """Seconds of event time in which a camera's events are counted."""
 IDLE_SECONDS = 3600.0
@@ -44,21 +55,23 @@ IDLE_SECONDS = 3600.0
 
 
 class Received(Struct, frozen=True, gc=False):
-    """On its way into the journal: an event (none if it is not to be learned) or an advance of event time."""
+    """On its way into the journal: an event (none if it is not to be learned), an advance of event time, a rewind."""
 
     entry: Entry
     event: Event | None = None
     advance: float | None = None
+    rewind: Rewind | None = None
 
 
 class Camera(Struct):
     """``heard``: when something of it came last (steady). ``lead``: seconds by which what came fresh from it was ahead
-    of this machine's clock, and ``lead_at``: when that was.
+    of this machine's clock, and ``lead_at``: when that was; ``box``: whose clock it has, "" if that is not known.
     """
 
     heard: float
     lead: float = 0.0
     lead_at: float = -math.inf
+    box: str = ""
     events: int = 0
     newest: float = 0.0
     seconds: dict[int, int] = field(default_factory=dict)
@@ -66,18 +79,24 @@ class Camera(Struct):
 
 
 class Cameras:
-    """At most ``limits.cameras_max``. ``now`` is always of a clock that never steps, ``wall`` is seconds since 1970."""
+    """At most ``limits.cameras_max``. ``now`` is always of a clock that never steps, ``wall`` is seconds since 1970.
 
-    def __init__(self, limits: Limits) -> None:
+    ``behind``: seconds by which this machine's clock is known to be behind from the beginning. ``boxes``: by camera the
+    certificate under which it is published, where there are certificates.
+    """
+
+    def __init__(self, limits: Limits, behind: float = 0.0, boxes: Mapping[str, str] | None = None) -> None:
         self.limits = limits
+        self._boxes = boxes or {}
         self._cameras: dict[str, Camera] = {}
         self._waiting: set[str] = set()
         self._next_look = 0.0
         self._beside: float | None = None  # this machine's clock less the one that does not step
         self._noticed = -math.inf  # when that was looked at last
-        self._set_back = 0.0
+        self._set_back = max(0.0, behind)
         self._doubted: list[tuple[float, float]] = []  # when it was set forward, and by how much; oldest first
         self._restored = -math.inf  # when that was last undone
+        self._ahead_since: float | None = None  # event time, of this machine's clock (steady)
         self.clock_ahead = 0.0
         """Seconds by which this machine's clock has been set forward that are not believed yet."""
         self.clock_behind = 0.0
@@ -96,14 +115,15 @@ class Cameras:
         (self._cameras.get(name) or self._place(name)).heard = now
         return True
 
-    def is_future(self, event: Event, wall: float, now: float, fresh: bool) -> bool:
+    def is_future(self, event: Event, wall: float, now: float, fresh: bool, box: str = "") -> bool:
         """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too far ahead to be
-        believed.
+        true. ``box``: whose clock has stamped it, as its publisher says.
         """
         self._notice_step(wall - now, now)
         if fresh:
             camera = self._cameras.get(event.camera) or self._place(event.camera)
             camera.lead, camera.lead_at = event.t - wall, now
+            camera.box = self._boxes.get(event.camera, box)
         if now >= self._next_look:
             self._next_look = now + LOOK_SECONDS
             self._look(now)
@@ -173,11 +193,46 @@ class Cameras:
         ahead = watermark - wall - self.clock_behind
         if ahead > self.limits.future_seconds_max:
             return (
-                f"event time is {ahead:.0f} s ahead of this machine's clock: until then all events are late, stored "
-                "and not learned; if the clock is wrong, set it; if it is right now and was ahead before, stop the "
-                "daemon, move its state directory away and start it again: it learns anew, from what the spools have"
+                f"event time is {ahead:.0f} s ahead of this machine's clock, so events are late, stored and not "
+                f"learned; if that lasts for {self._rewind_seconds:g} s, what lies ahead is dropped and event time "
+                "goes on from this machine's clock; if that clock is wrong, set it"
             )
         return ""
+
+    def wild(self, now: float) -> str:
+        """Which cameras have clocks so far ahead that their events are set aside, by box; "" if there are none. Any
+        thread.
+        """
+        boxes: dict[tuple[str, float], list[str]] = {}
+        for name, camera in sorted(self._cameras.copy().items()):
+            ahead = camera.lead - self.clock_behind
+            if ahead > self.limits.future_seconds_max and now - camera.lead_at <= LEADS_SECONDS:
+                boxes.setdefault((camera.box, round(ahead, -1)), []).append(name)
+        return "; ".join(
+            f"the clock of {_in_words(names)}{f' (one box: {box})' if box else ''} is about {ahead:.0f} s ahead of "
+            "this machine's: events are set aside, not learned; set that clock"
+            for (box, ahead), names in boxes.items()
+        )
+
+    def rewind_to(self, watermark: float | None, wall: float, now: float) -> float | None:
+        """To which moment (Unix seconds) event time is to be taken back now, as it has been ahead of what this
+        machine's clock and the cameras say for long enough; None: not now.
+        """
+        right = wall + self.clock_behind
+        doubtful = self.clock_ahead > 0.0 or (self._set_back > 0.0 and not self._leads(now))
+        if watermark is None or doubtful or watermark - right <= self.limits.future_seconds_max:
+            self._ahead_since = None
+            return None
+        if self._ahead_since is None:
+            self._ahead_since = now
+        if now - self._ahead_since < self._rewind_seconds:
+            return None
+        self._ahead_since = None
+        return right
+
+    @property
+    def _rewind_seconds(self) -> float:
+        return BELIEVED_SECONDS if self._set_back > 0.0 else REWIND_SECONDS
 
     def _place(self, name: str) -> Camera:
         """A camera's; made anew if it was given away while something of the camera was still under way."""
@@ -187,14 +242,18 @@ class Cameras:
         return camera
 
     def _leads(self, now: float) -> list[float]:
-        """Of the cameras heard lately."""
-        return [one.lead for one in self._cameras.values() if now - one.lead_at <= LEADS_SECONDS]
+        """Of the boxes heard lately, each the median of its cameras; the cameras of unknown boxes are taken for one."""
+        boxes: dict[str, list[float]] = {}
+        for camera in self._cameras.values():
+            if now - camera.lead_at <= LEADS_SECONDS:
+                boxes.setdefault(camera.box, []).append(camera.lead)
+        return [statistics.median_low(leads) for leads in boxes.values()]
 
     def _look(self, now: float) -> None:
         """Whether this machine's clock is behind. What was stamped by the wrong clock is no witness."""
         leads = self._leads(now)
         behind = max(0.0, statistics.median_low(leads)) if leads else 0.0
-        if len(leads) < LEADS_MIN or now - self._restored <= LEADS_SECONDS:
+        if len(leads) < VOTES_MIN or now - self._restored <= LEADS_SECONDS:
             behind = min(behind, self._set_back)
         self.clock_behind = behind - self.clock_ahead
 
@@ -247,3 +306,9 @@ class Cameras:
         if not waiting:
             self._waiting.discard(name)
         return due
+
+
+def _in_words(names: list[str]) -> str:
+    """For example ``cameras a, b and 3 more``."""
+    more = f" and {len(names) - NAMED_MAX} more" if len(names) > NAMED_MAX else ""
+    return f"{'cameras' if len(names) > 1 else 'camera'} {', '.join(names[:NAMED_MAX])}{more}"

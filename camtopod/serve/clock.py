@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
+import socket
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 Clock = Callable[[], float]
 """Seconds since the Unix epoch, or since whenever."""
@@ -20,6 +23,13 @@ def wall() -> float:
 def since_boot() -> float:
     """Seconds that never step and do not stand still while the machine is suspended, where the system tells those."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
+
+
+def box() -> str:
+    """What is the same in all programs that read this machine's clock, and in no others: this boot of its kernel."""
+    with contextlib.suppress(OSError):
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    return socket.gethostname()
 
 
 def steady_beside(clock: Clock) -> Clock:

@@ -30,6 +30,7 @@ from camtopod.serve import clock as clocks
 from camtopod.serve.bus import HANGS_SECONDS, JSON, Bus, QueryError, dial, meet
 from camtopod.serve.changes import changes
 from camtopod.serve.database import StateError
+from camtopod.serve.guard import boxes
 from camtopod.serve.journal import Journal
 from camtopod.serve.learner_process import LearnerProcess
 from camtopod.serve.learning import Learning
@@ -65,7 +66,7 @@ class Daemon:
         self, config: Config, bus: Bus | None = None, clock: clocks.Clock = clocks.wall,
         shard: tuple[int, int] | None = None,
     ) -> None:  # fmt: skip
-        self._config, self._clock = config, clock
+        self._config, self._clock, self._steady = config, clock, clocks.steady_beside(clock)
         self._share = Whole() if shard is None else Share(config.shards, shard)
         self._sharing: Sharing | None = None
         self._given_bus = bus
@@ -121,7 +122,9 @@ class Daemon:
                 if self._bus is None:
                     self._bus = meet(config, isinstance(share, Share)) if share.first else dial(config)
                 name = config.site.name
-                recovered = recover(self._journal, process, config.learn, name, self._new_epoch, share.portion)
+                recovered = recover(
+                    self._journal, process, config.learn, name, self._new_epoch, share.portion, self._clock()
+                )
                 if cancelled.is_set():
                     return False
                 self._build(self._bus, recovered, process, directory)
@@ -211,6 +214,7 @@ class Daemon:
         """What ``status/daemon`` says: state, reason, counters."""
         receiver, learning, head = self._receiver, self._learning, self.newest and self.newest.head
         reason = self._reason or self._rivals.reason or "; ".join(self.failing())
+        reason = reason or receiver.duplicates.reason or receiver.cameras.wild(self._steady())
         return {
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
@@ -237,6 +241,7 @@ class Daemon:
             "score": None if head is None else head.score,
             "alarms": [] if head is None else head.alarms[-STATUS_ALARMS:],
             "pulls": self._puller.pulls,
+            "left_out": self._learning.left_out,
             "journal": {"damaged": self._learning.damaged, **self._journal.status()},
             "cameras": {
                 camera: {**counters, "alive": camera in self._puller.alive}
@@ -251,7 +256,6 @@ class Daemon:
         seconds, key = self._bus.hanging if self._bus is not None else (0.0, "")
         hanging = f"publishing on {key} takes {seconds:.0f} s" if seconds > HANGS_SECONDS else ""
         reason = receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason) or hanging
-        reason = reason or receiver.duplicates.reason
         return reason or receiver.cameras.reason(watermark, self._clock())
 
     def __enter__(self) -> Daemon:
@@ -277,6 +281,11 @@ class Daemon:
         self._journal.set_meta("epoch", epoch)
         return epoch
 
+    def _correct(self, to: float) -> tuple[str, str]:
+        """Event time is taken back to ``to`` (Unix seconds): the epoch that ends, and the one that begins."""
+        self._live.forget()
+        return self._learning.epoch, self._new_epoch()
+
     def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess, directory: Path) -> None:
         limits, share = self._config.limits, self._share
         self._live = Live(self._publish_prediction, share.owns, self._stopping.wait)
@@ -285,15 +294,14 @@ class Daemon:
             self._live.use(topology)
         recent = recent_events(self._journal)
         learned_time = EventTime(self._config.learn.lateness_seconds, self._config.learn.ahead_seconds_max)
-        if recovered.taught.event_time is not None:
-            learned_time.load(recovered.taught.event_time)
-            for event in recent:  # they may be newer than the snapshot
-                learned_time.note(microseconds(event.t), event.camera)
+        learned_time.load(recovered.taught.event_time)
+        for event in recent:  # they may be newer than the snapshot
+            learned_time.note(microseconds(event.t), event.camera)
         self._receiver = Receiver(
             self._journal, bus, limits, self._clock,
             learn=lambda batch: self._learning.feed(batch), room=lambda: self._learning.room(),
             publish=self._publish, see=self._live.see, owns=share.owns,
-            daemon=self._name(), learned_time=learned_time,
+            daemon=self._name(), learned_time=learned_time, boxes=boxes(self._config), corrected=self._correct,
         )  # fmt: skip
         storing = self._receiver.storing
         self._learning = Learning(

@@ -22,6 +22,10 @@ class EventTime:
         if newest is not None:
             self._live = (newest if self._live is None else max(newest, self._live[0]), wall, now)
 
+    def rewind(self) -> None:
+        """Event time has gone back: nothing has been in step yet."""
+        self._live = None
+
     def went_on(self, now: float, settle_seconds: float) -> float | None:
         """To when, if that is to be said now: so far behind the clock."""
         if self._live is None or self.deadline is None:

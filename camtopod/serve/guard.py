@@ -60,6 +60,22 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
     return access
 
 
+def boxes(config: Config) -> dict[str, str]:
+    """By camera the certificate under which it is published; none without authentication. Raises `AccessError`."""
+    if not config.bus.tls.access:
+        return {}
+    try:
+        access = rules.read_access(Path(config.bus.tls.access).read_bytes())
+    except (OSError, ValueError) as error:
+        raise AccessError(f"cannot read who may do what, {config.bus.tls.access}: {error}") from None
+    return {
+        camera: certificate.name
+        for certificate in access.certificates
+        for camera in certificate.cameras or [certificate.camera]
+        if camera
+    }
+
+
 def check_files(config: Config) -> None:
     """A missing certificate or key is said by its name. Raises `AccessError`."""
     tls = config.bus.tls

@@ -18,10 +18,11 @@ STRANGERS = ""
 
 
 class Message(Struct, frozen=True, gc=False):
-    """A publication on ``event/{camera}``."""
+    """A publication on ``event/{camera}``; ``box``: whose clock has stamped it, "" if its publisher does not say."""
 
     camera: str
     raw: bytes
+    box: str = ""
 
 
 class Inbox:

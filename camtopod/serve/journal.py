@@ -48,9 +48,10 @@ _COMPRESSION = 3
 _ROWS_AT_ONCE = (1_000, 100, 10, 1)
 """Other threads get their turn after each statement, and it may be long before this one has its again: so few."""
 
-EntryKind = Literal["event", "future", "refused", "advance"]
+EntryKind = Literal["event", "future", "refused", "advance", "rewind", "leave-out"]
 """``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
-``advance``: event time went on without an event; ``raw`` is the time as decimal text."""
+``advance``: event time went on without an event; ``raw`` is the time as decimal text.
+``rewind``, ``leave-out``: what had been learned is corrected, in a new epoch; see `camtopod.serve.corrections`."""
 
 
 class Entry(Struct, frozen=True, gc=False):
@@ -209,6 +210,24 @@ class Journal:
                 yield from ((missing, None) for missing in range(after + 1, row[0]))
                 after = row[0]
                 yield row[0], Entry(*row[2:7]) if crc(*row[:7]) == row[7] else None
+
+    def corrections(self, after: int) -> list[tuple[int, Entry]]:
+        """The corrections behind the entry ``after``, as (id, entry). Raises `sqlite3.Error`."""
+        with self._mutex, database.damage_noticed(self._path):
+            rows = self._db.execute(
+                "SELECT * FROM entry WHERE id > ? AND kind IN ('rewind', 'leave-out') ORDER BY id", (after,)
+            ).fetchall()
+        return [(row[0], Entry(*row[2:7])) for row in rows if crc(*row[:7]) == row[7]]
+
+    def senders(self, after: int, up_to: int) -> dict[str, int]:
+        """How many events each camera has among the entries behind ``after``. Raises `sqlite3.Error`."""
+        with self._mutex, database.damage_noticed(self._path):
+            return dict(
+                self._db.execute(
+                    "SELECT camera, COUNT(*) FROM entry WHERE id > ? AND id <= ? AND kind = 'event' GROUP BY camera",
+                    (after, up_to),
+                ).fetchall()
+            )
 
     def numbered(self, camera: str, boot: str, seq: int) -> Entry | None:
         """The entry with this number; None if it is not kept any more, or damaged. Raises `sqlite3.Error`."""

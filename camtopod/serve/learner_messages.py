@@ -23,10 +23,24 @@ LESSONS_MAX = 4_000
 """In one message: some hundred kilobytes, some hundredths of a second without a fit. Where the daemon's threads are
 busy each message costs it several turns of waiting for the interpreter, milliseconds each."""
 READ_BYTES_MAX = 1 << 20
+OUT_OF_MEMORY = 71
+"""Exit status of the learner's process when it was refused memory."""
 _LENGTH = struct.Struct("<Q")
 
-Lesson = bytes | float | None
-"""What an entry of the journal teaches: an event as it was received, that event time has come so far, nothing."""
+
+class Rewind(Struct, frozen=True):
+    """Event time had been taken along by a wrong clock: what is later than ``to`` (seconds) is dropped, and ``epoch``
+    begins. ``stored``: digests of its versions that may have been published.
+    """
+
+    to: float
+    epoch: str
+    stored: dict[int, str] = {}
+
+
+Lesson = bytes | float | Rewind | None
+"""What an entry of the journal teaches: an event as it was received, that event time has come so far, that it has to
+go back, nothing."""
 
 
 class Portion(Struct, frozen=True):
@@ -45,7 +59,8 @@ class Load(Struct, tag=True):
 
 class Begin(Struct, tag=True):
     """A learner, with what was loaded last if anything was. ``stored``: digests of the epoch's versions that may have
-    been published; ``portion``: none for the whole site. Answer: `Taught`.
+    been published; ``portion``: none for the whole site; ``without``: cameras that are left out of what was loaded.
+    Answer: `Taught`.
     """
 
     settings: Settings
@@ -54,6 +69,7 @@ class Begin(Struct, tag=True):
     stored: dict[int, str]
     load: bool
     portion: Portion | None = None
+    without: list[str] = []
 
 
 class Refresh(Struct, tag=True):
@@ -121,9 +137,10 @@ class Otherwise(Struct, tag=True):
 
 class Taught(Struct, tag=True):
     """Everything up to ``position`` is learned, which is less than was asked if there was no time. ``deadline``: event
-    time at which time may have to be said to have gone on; ``unreadable``: events that could not be read any more. Of a
+    time at which time may have to be said to have gone on; ``unreadable``: events that could not be read any more;
+    ``epoch``: that of the versions to come. Of a
     shard: what it has ``reached`` and whom it has for ``neighbours``. At the beginning: how far ``event_time`` has
-    come, unless it is a shard, in which that differs from district to district.
+    come, in a shard in the district that has come furthest.
     """
 
     position: int
@@ -132,7 +149,8 @@ class Taught(Struct, tag=True):
     unreadable: int
     reached: float | None = None
     neighbours: list[str] = []
-    event_time: EventTimeState | None = None
+    event_time: EventTimeState = msgspec.field(default_factory=EventTimeState)
+    epoch: str = ""
 
 
 class Shown(Struct, tag=True):

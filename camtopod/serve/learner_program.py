@@ -14,10 +14,15 @@ import os
 import queue
 import sys
 import threading
+import traceback
+from collections.abc import Callable
 
 from camtopod import codec
+from camtopod.districts.forgetting import without
 from camtopod.districts.shard import ShardLearner, ShardState, pack_shard, unpack_shard
 from camtopod.learn.learner import Learner
+from camtopod.learn.rewinding import rewound
+from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.learn.topology import make_delta
 from camtopod.records import Topology
@@ -36,6 +41,7 @@ from camtopod.serve.learner_messages import (
     Portion,
     Question,
     Refresh,
+    Rewind,
     Save,
     Saved,
     Show,
@@ -69,8 +75,7 @@ class Pupil:
                 case Begin():
                     self._begin(question)
                     taught = self._taught(0, 0)
-                    if isinstance(self._learner, Learner):
-                        taught.event_time = self._learner.event_time()
+                    taught.event_time = self._learner.event_time()
                     self._tell(taught)
                 case Refresh(position):
                     self._board.at = position + 1
@@ -106,12 +111,7 @@ class Pupil:
                 return Loaded(of.settings, of.site, state.line.epoch, Portion(state.sharding, state.shard))
 
     def _begin(self, given: Begin) -> None:
-        if given.portion is None:
-            self._learner = self._kind(given.settings, given.site, given.epoch)
-            self._learner.between_steps = memory.give_back
-        else:
-            sharding, shard = given.portion.sharding, given.portion.shard
-            self._learner = ShardLearner(given.settings, sharding, shard, given.site, given.epoch)
+        self._learner = self._new(given.settings, given.portion, given.site, given.epoch)
         if given.load and self._loaded is not None:
             match self._learner, self._loaded:
                 case (Learner() as learner, LearnerState() as state):
@@ -124,12 +124,41 @@ class Pupil:
                     raise ValueError("what was loaded is of another kind of learner")
             if before != given.epoch:
                 self._learner.begin_epoch(given.epoch)
+        if given.without:
+            self._change(lambda state: without(state, set(given.without)))
         self._loaded = None
         with contextlib.suppress(PermissionError):  # where the unit allows no change of priorities
             os.nice(NICENESS)  # only now, as a start is waited for
         self._stored, self._newest_stored = given.stored, max(given.stored, default=0)
         self._passed_over = False  # whether there are versions of which it is not known that the others were told
         self._newest = self._learner.topology
+
+    def _new(self, settings: Settings, portion: Portion | None, site: str, epoch: str) -> Learner | ShardLearner:
+        if portion is not None:
+            return ShardLearner(settings, portion.sharding, portion.shard, site, epoch)
+        learner = self._kind(settings, site, epoch)
+        learner.between_steps = memory.give_back
+        return learner
+
+    def _change(self, change: Callable[[LearnerState], LearnerState]) -> None:
+        """Go on with another state; only a new learner can be told what it knows."""
+        match self._learner:
+            case Learner() as learner:
+                changed = self._kind(learner.settings, learner.site, learner.epoch)
+                changed.between_steps = learner.between_steps
+                changed.load(change(learner.save()))
+                self._learner = changed
+            case ShardLearner() as shard:
+                shard.change(change)
+
+    def _rewind(self, lesson: Rewind) -> None:
+        """What is later than some moment is dropped, and an epoch begins, unless a later one has begun already."""
+        self._change(lambda state: rewound(state, lesson.to))
+        if lesson.epoch > self._learner.epoch:
+            self._stored, self._newest_stored = dict(lesson.stored), max(lesson.stored, default=0)
+            self._newest = None
+            self._learner.begin_epoch(lesson.epoch)
+            self._learner.refresh()
 
     def _teach(self, position: int, lessons: list[Lesson]) -> Taught:
         unreadable = 0
@@ -142,6 +171,8 @@ class Pupil:
                     unreadable += 1
                 else:
                     self._learner.receive(event)
+            elif isinstance(lesson, Rewind):
+                self._rewind(lesson)
             elif lesson is not None:
                 self._learner.advance(lesson)
             self._take_versions()
@@ -152,7 +183,9 @@ class Pupil:
         return self._taught(position, unreadable)
 
     def _taught(self, position: int, unreadable: int) -> Taught:
-        taught = Taught(position, self._learner.next_deadline(), self._learner.statistics(), unreadable)
+        taught = Taught(
+            position, self._learner.next_deadline(), self._learner.statistics(), unreadable, epoch=self._learner.epoch
+        )
         if isinstance(self._learner, ShardLearner):
             taught.reached, taught.neighbours = self._learner.reached(), sorted(self._learner.neighbours)
         return taught
@@ -233,3 +266,7 @@ def main(learner: type[Learner] = Learner) -> None:
         Pupil(asked, out, Board(int(sys.argv[1])), learner).work()
     except BrokenPipeError:  # the daemon has gone
         os._exit(0)
+    except MemoryError:
+        traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(messages.OUT_OF_MEMORY)

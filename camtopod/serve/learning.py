@@ -17,9 +17,11 @@ from collections.abc import Callable, Iterator
 
 from camtopod.serve import memory
 from camtopod.serve.cameras import Received
+from camtopod.serve.corrections import read_rewind
 from camtopod.serve.journal import Entry, Journal, Snapshot
 from camtopod.serve.learner_messages import (
     LESSONS_MAX,
+    OUT_OF_MEMORY,
     Answer,
     Lesson,
     Made,
@@ -73,7 +75,7 @@ class Learning:
         on_deadline: Callable[[float | None], None],
         new_epoch: Callable[[], str],
     ) -> None:
-        self.position, self.epoch, taught = recovered
+        self.position, self.epoch, taught, self.left_out = recovered
         self._process, self._journal = process, journal
         self._events_max, self._snapshot_events = events_max, snapshot_events
         self._on_version, self._on_snapshot, self._on_deadline = on_version, on_snapshot, on_deadline
@@ -104,7 +106,7 @@ class Learning:
             if self._behind:
                 return
             self._queued += len(batch)
-        self._queue.put([one.entry.raw if one.event is not None else one.advance for one in batch])
+        self._queue.put([one.entry.raw if one.event is not None else one.rewind or one.advance for one in batch])
 
     def room(self) -> int:
         """How many events may be fed at the moment."""
@@ -133,7 +135,8 @@ class Learning:
             if stopping.is_set():
                 return
             if ended.at:
-                note_failure(self._journal, ended.at, killed=ended.status == -signal.SIGKILL)
+                killed, out_of_memory = ended.status == -signal.SIGKILL, ended.status == OUT_OF_MEMORY
+                note_failure(self._journal, ended.at, killed, out_of_memory)
             raise
 
     def snapshot(self) -> Snapshot | None:
@@ -158,7 +161,7 @@ class Learning:
             if not batch:
                 self.position = number - 1
             self.damaged += entry is None
-            batch.append(None if entry is None else _lesson(entry))
+            batch.append(None if entry is None else self._lesson(number, entry))
             if len(batch) >= LESSONS_MAX or number == until:
                 self._learn(Teach(self.position, batch), stopping, beat)
                 self._tell(stopping, beat)
@@ -200,11 +203,23 @@ class Learning:
         """What there is to learn into the learner, new versions out."""
         taught = self._ask(task, stopping, beat)
         assert isinstance(taught, Taught)
-        self.position, self.statistics = taught.position, taught.statistics
+        self.position, self.statistics, self.epoch = taught.position, taught.statistics, taught.epoch
         self.reached, self.neighbours = taught.reached, frozenset(taught.neighbours)
         self._on_deadline(taught.deadline)
         if taught.unreadable:
             log.error("%d entries of the journal cannot be read any more", taught.unreadable)
+
+    def _lesson(self, number: int, entry: Entry) -> Lesson:
+        """Without what surrounds it, which is stored: thousands wait while a version is made."""
+        match entry.kind:
+            case "event" if number > self.left_out.get(entry.camera, 0):
+                return entry.raw
+            case "advance":
+                return float(entry.raw)
+            case "rewind":
+                return read_rewind(entry, self._journal.versions)
+            case _:
+                return None
 
     def _tell(self, stopping: threading.Event, beat: Beat) -> None:
         """Between batches: a snapshot if one is due."""
@@ -263,10 +278,3 @@ def _giving_way() -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(usual)
-
-
-def _lesson(entry: Entry) -> Lesson:
-    """Without what surrounds it, which is stored: thousands wait while a version is made."""
-    if entry.kind == "advance":
-        return float(entry.raw)
-    return entry.raw if entry.kind == "event" else None

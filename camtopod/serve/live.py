@@ -52,6 +52,12 @@ class Live:
             for event in events:
                 self._predictor.observe(event)
 
+    def forget(self) -> None:
+        """Event time has gone back, and what was observed with it."""
+        with self._mutex:
+            if self._predictor is not None:
+                self._predictor.forget()
+
     def prepare(self, version: Topology | bytes, hurried: bool = False) -> None:
         """A version that is about to be used, as such or as MessagePack: what takes long is done, and predictions go on
         meanwhile; none of them is held up unless it is ``hurried``. One thread.

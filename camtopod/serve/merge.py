@@ -57,6 +57,10 @@ class Merge:
             backlog.more, backlog.answered = more, now
             backlog.reached = max([backlog.reached, *times])
 
+    def rewind(self, to: float) -> None:
+        """Event time is at ``to`` again (Unix seconds)."""
+        self._released = min(self._released, to)
+
     def full(self, camera: str) -> bool:
         """Whether no more of a camera can wait."""
         backlog = self._backlogs.get(camera)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 from camtopod import codec
 from camtopod.records import Ack, Event
+from camtopod.serve import clock
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.database import StateError
 from camtopod.serve.rejects import Rejects
@@ -33,6 +34,7 @@ class Publisher:
 
     def __init__(self, spool: Spool, limit_batch_events: int, on_ack: Callable[[Ack], None] | None = None) -> None:
         self._spool, self.on_ack = spool, on_ack
+        self._box = clock.box().encode()
         self._bus: Bus | None = None
         self._batch_max = limit_batch_events
         self._pending: list[Event] = []
@@ -78,7 +80,7 @@ class Publisher:
             if self._bus is not None:
                 for event in numbered:
                     self._introduce(self._bus, event.camera)
-                    self._bus.put_raw(f"event/{event.camera}", codec.to_pack(event), "event")
+                    self._bus.put_raw(f"event/{event.camera}", codec.to_pack(event), "event", self._box)
 
     def drained(self, seconds: float, most: int = 0) -> bool:
         """Wait until at most ``most`` events are unacknowledged; False if that takes over ``seconds``."""

@@ -13,17 +13,19 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.config import Limits
+from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.intake import EventTime as LearnedTime
 from camtopod.records import CAMERA_CHARACTERS_MAX, Event
 from camtopod.serve.acks import Acks
-from camtopod.serve.bus import Bus, Ear
+from camtopod.serve.bus import Bus, Ear, Heard
 from camtopod.serve.cameras import Cameras, Received
 from camtopod.serve.clock import Clock, steady_beside
+from camtopod.serve.corrections import rewind
 from camtopod.serve.duplicates import Duplicates
 from camtopod.serve.event_time import EventTime
 from camtopod.serve.handover import Handover
@@ -55,6 +57,8 @@ _SHOWN_EVENTS = 20
 """So often it is looked whether so many wait meanwhile."""
 _HUSH_SECONDS = 1.0
 """For what is heard to be put into the inbox when nothing more comes."""
+BOX_BYTES_MAX = 64
+"""Of what a publisher says of its box."""
 BOOTS_MAX = 16
 """Incarnations of one camera's publisher that are followed; the one not heard for longest is forgotten."""
 
@@ -73,7 +77,9 @@ class Receiver:
     ``see`` is shown what is about to be stored, once, in journal order, and may take so many seconds for it; ``learn``
     takes it when it is stored, and must not block; ``room()``: how many ``learn`` takes. ``publish``: called with each
     version after it is stored. ``owns``: the cameras whose events it is for this daemon to acknowledge; ``daemon``: its
-    name; ``learned_time``: event time as the learner has it after what is stored.
+    name; ``learned_time``: event time as the learner has it after what is stored; ``boxes``: as of `Cameras`.
+    ``corrected``: called with the Unix seconds to which event time is to be taken back; returns the epoch that ends and
+    the one that begins.
     """
 
     def __init__(
@@ -90,12 +96,16 @@ class Receiver:
         owns: Callable[[str], bool] = everything,
         daemon: str = "",
         learned_time: LearnedTime | None = None,
+        boxes: Mapping[str, str] | None = None,
+        corrected: Callable[[float], tuple[str, str]] | None = None,
     ) -> None:
         self._bus, self._limits, self._clock = bus, limits, clock
         self._see, self._learn, self._learner_room, self._owns = see, learn, room, owns
         self._steady = steady or steady_beside(clock)
         self.storing = Storing(journal, clock, self._steady, publish)
-        self.cameras = Cameras(limits)
+        usual = journal.usual_stamp()
+        self.cameras = Cameras(limits, 0.0 if usual is None else usual - clock(), boxes)
+        self._learned_time, self._corrected = learned_time or LearnedTime(0.0), corrected
         self._inbox = Inbox(
             limits.inbox_events_max,
             limits.inbox_camera_events_max,
@@ -108,7 +118,7 @@ class Receiver:
         self._answers: collections.deque[Pulled] = collections.deque()
         self.merge = Merge(limits.held_events_max)
         stored = journal.streams()
-        self._acks = Acks(bus, stored, owns, daemon, learned_time or LearnedTime(0.0))
+        self._acks = Acks(bus, stored, owns, daemon, self._learned_time)
         self.duplicates = Duplicates(journal, self._steady)
         self._ready = Handover()
         self._event_time = EventTime()
@@ -165,6 +175,7 @@ class Receiver:
                 self._wait()
                 with self._turn:
                     self._round(self._take())
+                    self._take_event_time_back()
                 beat()
             if self.ear is not None:
                 self.ear.close()
@@ -199,9 +210,9 @@ class Receiver:
             ear.close()
             self._heard_all.set()
 
-    def _note_heard(self, heard: Sequence[tuple[str, bytes]] | None) -> None:
+    def _note_heard(self, heard: Sequence[Heard] | None) -> None:
         if heard:
-            self._inbox.put_all([_message(key, payload) for key, payload in heard])
+            self._inbox.put_all([_message(*one) for one in heard])
 
     def store(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Store what `work` has put in order until that has ended.
@@ -255,6 +266,24 @@ class Receiver:
         if self.streams.gaps:
             self.gap.set()
 
+    def _take_event_time_back(self) -> None:
+        """If a wrong clock had taken it along: an entry in the journal, which the learner obeys in its turn."""
+        watermark = self._learned_time.watermark_us
+        to = self.cameras.rewind_to(
+            None if watermark is None else watermark / MICROSECONDS, self._clock(), self._steady()
+        )
+        if to is None or self._corrected is None:
+            return
+        ended, begun = self._corrected(to)
+        log.error(
+            "event time was %.0f s ahead of this machine's clock: what lies ahead is dropped, and event time goes on "
+            "from that clock, in epoch %s", (watermark or 0) / MICROSECONDS - to, begun,
+        )  # fmt: skip
+        entry, lesson = rewind(to, ended, begun)
+        self._event_time.rewind()
+        self.merge.rewind(to)
+        self._ready.put([Received(entry, rewind=lesson)])
+
     def _show(self, ready: list[Received], ear: Ear | None) -> None:
         """For predictions, as long as there is time."""
         spent = 0.0
@@ -306,7 +335,7 @@ class Receiver:
             return []
         if not self._admitted(camera, now, raw):
             return []
-        return self._order(self._judge(event, raw, wall, now, fresh=True))
+        return self._order(self._judge(event, raw, wall, now, fresh=True, box=message.box))
 
     def _pulled(self, pulled: Pulled, wall: float, now: float) -> list[Received]:
         batch = pulled.batch
@@ -353,8 +382,8 @@ class Receiver:
             self.rejects.add("too-many-cameras", f"event/{camera}", "limits.cameras_max is reached", raw)
         return admitted
 
-    def _judge(self, event: Event, raw: bytes, wall: float, now: float, fresh: bool) -> Received:
-        if self.cameras.is_future(event, wall, now, fresh):
+    def _judge(self, event: Event, raw: bytes, wall: float, now: float, fresh: bool, box: str = "") -> Received:
+        if self.cameras.is_future(event, wall, now, fresh, box):
             self.counts["future"] += 1
             self.rejects.add("future", f"event/{event.camera}", "t is ahead of this machine's clock", raw)
             return Received(Entry("future", event.camera, event.boot, event.seq, raw))
@@ -407,6 +436,6 @@ class Receiver:
         return True
 
 
-def _message(key: str, payload: bytes) -> Message:
+def _message(key: str, payload: bytes, attachment: bytes = b"") -> Message:
     name = key.removeprefix("event/")[: CAMERA_CHARACTERS_MAX + 1]  # so much says that it is too long
-    return Message(name, payload[: codec.EVENT_BYTES_MAX + 1])
+    return Message(name, payload[: codec.EVENT_BYTES_MAX + 1], attachment[:BOX_BYTES_MAX].decode("ascii", "replace"))

@@ -16,6 +16,7 @@ import msgspec
 from camtopod import codec
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
+from camtopod.serve.corrections import corrections, leave_out, offender
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Journal
 from camtopod.serve.learner_messages import Begin, Load, Loaded, Portion, Show, Shown, Taught, Unusable
@@ -24,9 +25,10 @@ from camtopod.serve.learner_process import LearnerProcess
 log = logging.getLogger(__name__)
 
 FAILURES_MAX = 2
-"""When the learner has failed so often at one and the same entry it begins anew behind it ..."""
+"""When the learner has failed so often at one and the same entry, the events of the camera that has sent most are left
+out, or, if that is of no use, it begins anew behind the entry ..."""
 KILLS_MAX = 5
-"""... or when its process was killed (SIGKILL) there so often. Who kills it once or twice is somebody outside; who
+"""... and so when its process was killed (SIGKILL) there so often. Who kills it once or twice is somebody outside; who
 always does it at the same entry is the system, as there is not the memory for what has been learned."""
 RECENT_EVENTS, RECENT_SECONDS = 4_000, 600.0
 """At most so many events of the last minutes before the start, which predictions remember."""
@@ -38,6 +40,13 @@ class Failure(msgspec.Struct):
     at: int
     times: int
     kills: int = 0
+    out_of_memory: int = 0
+    """How many of the times memory had run out."""
+
+    @property
+    def of_memory(self) -> bool:
+        """Whether there is too much to learn at once, not something that cannot be learned. Who kills is the system."""
+        return self.kills + self.out_of_memory > self.times - self.out_of_memory
 
     @property
     def hopeless(self) -> bool:
@@ -46,25 +55,30 @@ class Failure(msgspec.Struct):
 
 
 class Recovered(NamedTuple):
-    """The learner has learned the journal's entries up to ``position``, and is as it says."""
+    """The learner has learned the journal's entries up to ``position``, and is as it says. ``left_out``: by camera the
+    entry up to which its events are left out of what is still to be learned.
+    """
 
     position: int
     epoch: str
     taught: Taught
+    left_out: dict[str, int] = {}  # noqa: RUF012 -- never changed
 
 
 def recover(
     journal: Journal, process: LearnerProcess, settings: Settings, site: str, new_epoch: Callable[[], str],
-    portion: Portion | None = None,
+    portion: Portion | None = None, now: float = 0.0,
 ) -> Recovered:  # fmt: skip
-    """The learner to go on with is in ``process`` then. ``new_epoch`` begins one and stores its name. Raises
-    `StateError`.
+    """The learner to go on with is in ``process`` then. ``new_epoch`` begins one and stores its name; ``now``: Unix
+    seconds. Raises `StateError`.
     """
 
     def begin(position: int, epoch: str, load: bool = False) -> Recovered:
-        taught = process.ask(Begin(settings, site, epoch, journal.versions(epoch), load, portion))
+        before, left_out, forgotten = corrections(journal, position, epoch)
+        epoch = before or epoch
+        taught = process.ask(Begin(settings, site, epoch, journal.versions(epoch), load, portion, forgotten))
         assert isinstance(taught, Taught)
-        return Recovered(position, epoch, taught)
+        return Recovered(position, epoch, taught, left_out)
 
     epoch = journal.meta("epoch")
     if epoch is None:
@@ -77,7 +91,19 @@ def recover(
     failure, found = read_failure(journal), _newest_state(journal, process, portion)
     beyond = 0 if found is None else found[0]
     if failure is not None and failure.hopeless and beyond < failure.at:
-        epoch = new_epoch()
+        ended, epoch = epoch, new_epoch()
+        camera = offender(journal, beyond, failure.at, most=failure.of_memory)
+        if camera is not None:
+            journal.commit([leave_out(camera, ended, epoch, forget=failure.of_memory)], now=now)
+            journal.set_meta("failure", codec.to_json(Failure(0, 0)).decode())
+            log.error(
+                "the learner has failed %d times at entry %d of the journal and was killed there %d times%s: what "
+                "camera %s has sent since entry %d is left out, in epoch %s; it is still in the journal, please "
+                "report this",
+                failure.times, failure.at, failure.kills, " as memory ran out" if failure.of_memory else "", camera,
+                beyond, epoch,
+            )  # fmt: skip
+            return begin(beyond, epoch, load=found is not None)
         log.error(
             "the learner has failed %d times at entry %d of the journal and was killed there %d times: it begins anew "
             "behind it, in epoch %s; the entries up to there are still in the journal, please report this",
@@ -133,8 +159,8 @@ def read_failure(journal: Journal) -> Failure | None:
     return None if kept is None else codec.read(Failure, kept.encode())
 
 
-def note_failure(journal: Journal, at: int, killed: bool = False) -> None:
-    """The learner failed at the entry ``at``, or was ``killed`` there."""
+def note_failure(journal: Journal, at: int, killed: bool = False, out_of_memory: bool = False) -> None:
+    """The learner failed at the entry ``at``, perhaps ``out_of_memory``, or was ``killed`` there."""
     failure = read_failure(journal)
     if failure is None or failure.at != at:
         failure = Failure(at, 0)
@@ -142,6 +168,7 @@ def note_failure(journal: Journal, at: int, killed: bool = False) -> None:
         failure.kills += 1
     else:
         failure.times += 1
+        failure.out_of_memory += out_of_memory
     journal.set_meta("failure", codec.to_json(failure).decode())
 
 

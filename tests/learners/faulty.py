@@ -18,6 +18,8 @@ class FaultyLearner(Learner):
         match event.track:
             case "fails":
                 raise ZeroDivisionError(f"at {event.camera}")
+            case "exhausted":
+                raise MemoryError(f"at {event.camera}")
             case "killed":
                 os.kill(os.getpid(), signal.SIGKILL)
             case "crashes":

@@ -1,0 +1,62 @@
+"""A learner's state as if nothing had been learned that is later than some moment: for when a wrong clock had taken
+event time along. What was learned from earlier events stays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec.structs import replace
+
+from camtopod.learn.alarms import AlarmState
+from camtopod.learn.intake import EventTime, EventTimeState, IntakeState, microseconds
+from camtopod.learn.scoring import ScorerState
+from camtopod.learn.snapshot import LearnerState
+from camtopod.learn.window import WindowState
+
+
+def rewound(state: LearnerState, to: float) -> LearnerState:
+    """The state with event time at ``to`` (seconds), without the events that are later."""
+    to_us, tick_us = microseconds(to), microseconds(state.settings.version_seconds)
+    reached = to_us // tick_us * tick_us
+    return replace(
+        state,
+        intake=_intake(state, to_us), window=_window(state.window, to_us), alarms=_alarms(state.alarms, to),
+        scorer=_scorer(state.scorer, to), moved=[move for move in state.moved if move[1] <= to],
+        done_us=None if state.done_us is None else min(state.done_us, reached),
+        fitted_us=None if state.fitted_us is None else min(state.fitted_us, reached),
+    )  # fmt: skip
+
+
+def _intake(state: LearnerState, to_us: int) -> IntakeState:
+    intake = state.intake
+    time = EventTime(state.settings.lateness_seconds, state.settings.ahead_seconds_max)
+    time.load(EventTimeState(intake.newest_us, intake.second_us, intake.leader, intake.watermark_us, intake.behind))
+    time.rewind(to_us)
+    return replace(
+        intake,
+        newest_us=time.newest_us, second_us=time.second_us, leader=time.leader, watermark_us=time.watermark_us,
+        held=[event for event in intake.held if microseconds(event.t) <= to_us],
+    )  # fmt: skip
+
+
+def _window(state: WindowState, to_us: int) -> WindowState:
+    """Rows are by time, so those that are later are the last."""
+    rows = int(np.searchsorted(state.columns["t"], to_us, side="right"))
+    return replace(
+        state,
+        columns={name: column[:rows].copy() for name, column in state.columns.items()},
+        open=[passage for passage in state.open if passage[2] < state.base + rows],
+    )  # fmt: skip
+
+
+def _alarms(state: AlarmState, to: float) -> AlarmState:
+    return replace(
+        state,
+        newest=[alarm for alarm in state.newest if alarm.t <= to],
+        said={subject: min(t, to) for subject, t in state.said.items()},
+    )  # fmt: skip
+
+
+def _scorer(state: ScorerState, to: float) -> ScorerState:
+    """What its predictor has observed may be later; it begins anew with the next version."""
+    return replace(state, predictor=None, guesses=[guess for guess in state.guesses if guess.t <= to])
