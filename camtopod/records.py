@@ -243,8 +243,8 @@ class Alarm(Struct, frozen=True):
     """Something changed, as found in ``version``; ``t`` is that version's ``as_of``.
 
     ``kind`` is ``link_opened``, ``link_closed``, ``link_changed``, ``zone_new``, ``zone_gone``, ``camera_silent``,
-    ``camera_back``, ``camera_moved`` or ``clock_changed``; there may be further ones. ``subject`` is a camera, a zone
-    or two zones (``lobby/1->hall/2``); ``detail`` is for people.
+    ``camera_back``, ``camera_moved``, ``camera_doubled`` or ``clock_changed``; there may be further ones. ``subject``
+    is a camera, a zone or two zones (``lobby/1->hall/2``); ``detail`` is for people.
     """
 
     version: int

@@ -12,6 +12,7 @@ from camtopod.learn.change import Change
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
+from camtopod.learn.snapshot import pack, unpack
 from camtopod.learn.topology import ALARMS_KEPT_MAX, apply_delta, make_delta
 from camtopod.records import Camera, Delta, Event, Topology
 
@@ -231,3 +232,36 @@ def test_a_scene_that_fills_tells_nothing() -> None:
         came, left = passage("a", t, 0.1, str(k), chance)
         events += [came, Event("a", "exit", left.t + 600, left.x, left.y, left.track)]
     assert versions(sorted(events, key=lambda event: event.t))[-1].alarms is None
+
+
+# --- two publishers -------------------------------------------------------------------------------
+
+
+def of_boots(*boots: str) -> list[Event]:
+    """Events of one camera, a second apart, by the boots of their publishers."""
+    return [Event("a", "entry", 1000.0 + k, boot=boot, seq=k) for k, boot in enumerate(boots)]
+
+
+@pytest.mark.parametrize(
+    ("boots", "alarms"),
+    [
+        (["one"] * 40, 0),
+        (["one"] * 20 + ["two"] * 20 + ["three"] * 20, 0),
+        (["one"] * 20 + ["two", "one", "one"] + ["two"] * 20, 0),
+        (["one", "two"] * 20, 1),
+        (["one", "two"] * 20 + ["one", "three"] * 20, 2),
+    ],
+    ids=["one", "restarts", "an overlap", "two boxes", "and a third"],
+)
+def test_a_camera_that_two_programs_publish_is_said_once(boots: list[str], alarms: int) -> None:
+    learner, halfway = Learner(), Learner()
+    for number, event in enumerate([*of_boots(*boots), Event("b", "entry", 9000.0), Event("c", "entry", 9001.0)]):
+        if number == len(boots) // 2:
+            halfway.load(unpack(pack(learner.save())))
+            learner = halfway
+        learner.receive(event)
+    assert learner.topology is not None
+    found = [alarm for alarm in learner.topology.alarms or [] if alarm.kind == "camera_doubled"]
+    assert [alarm.subject for alarm in found] == ["a"] * alarms
+    if found:
+        assert "boots two and one" in found[0].detail or "boots one and two" in found[0].detail

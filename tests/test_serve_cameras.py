@@ -21,6 +21,7 @@ from camtopod.serve import bus as buses
 from camtopod.serve.bus import BusError
 from camtopod.serve.cameras import (
     BELIEVED_SECONDS,
+    DOUBLED_SECONDS,
     EARLY_SECONDS_MAX,
     FLOOD_SECONDS_KEPT,
     IDLE_SECONDS,
@@ -122,6 +123,15 @@ def test_the_cameras_of_one_box_have_one_vote_and_the_box_is_named(boxes: dict[s
     assert f"the clock of cameras gate, shed, yard (one box: {boxes.get('gate', 'a box')}) is about 315359" in said
     assert not any(cameras.is_future(at(name, T0 + 67), T0 + 67, 67.0, True, name) for name in good)
     assert cameras.wild(67.0 + LEADS_SECONDS) == "", "only while it sends"
+
+
+def test_a_camera_that_two_programs_publish_is_named_for_a_while() -> None:
+    cameras = admitted("a", "b")
+    for n in range(8):
+        for camera, boot in (("a", f"boot-{n % 2}"), ("b", f"boot-{n}")):
+            cameras.is_future(Event(camera, "entry", T0 + n, boot=boot, seq=n), T0 + n, float(n), True)
+    assert "two programs at the same time publish camera a:" in cameras.doubled(8.0)
+    assert cameras.doubled(8.0 + DOUBLED_SECONDS) == ""
 
 
 def test_as_far_as_the_clock_is_before_what_was_stored_last_it_is_behind() -> None:

@@ -34,6 +34,8 @@ def without(state: LearnerState, gone: Set[str]) -> LearnerState:
         cameras=[camera for camera, stays in zip(state.cameras, kept.tolist(), strict=False) if stays],
         moved=[(int(number[camera]), *rest) for camera, *rest in state.moved if kept[camera]],
         followed=_followed(state.followed, number),
+        publishers={camera: one for camera, one in state.publishers.items() if camera not in gone},
+        doubled=[camera for camera in state.doubled if camera not in gone],
     )  # fmt: skip
 
 

@@ -42,6 +42,7 @@ from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.pauses import Pause, no_pause
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.predict import Predictor
+from camtopod.learn.publishers import RETURNS_MIN, Publisher
 from camtopod.learn.scene import Scene, see
 from camtopod.learn.scoring import Scorer
 from camtopod.learn.screening import Screen, place, whole
@@ -91,6 +92,8 @@ class Learner:
         self._gone: list[tuple[ZoneShape, ...]] = []  # zones that have vanished, latest first, for when they come back
         self._looked: list[int] = []  # events of the camera when it was last asked whether it has been turned
         self._moved: list[tuple[int, float, Move]] = []  # cameras turned since the last version, and since when
+        self._publishers: dict[str, Publisher] = {}
+        self._doubled: list[str] = []  # cameras found to have two publishers since the last version
         self._tick_us = microseconds(self.settings.version_seconds)
         self._done_us: int | None = None  # the last tick worked off
         self._fitted_us: int | None = None  # the tick of the newest version
@@ -131,7 +134,7 @@ class Learner:
             self.settings, self.site, self.epoch, self.topology, self._intake.save(), self._window.save(),
             self._keeper.save(), self._alarms.save(), self._scorer.save(), [CameraState(*place) for place in places],
             self._moved, self._done_us, self._fitted_us, self._learned, self._since_fit,
-            self._screen.followed,
+            self._screen.followed, self._publishers, self._doubled,
         )  # fmt: skip
 
     def load(self, state: LearnerState) -> None:
@@ -151,6 +154,7 @@ class Learner:
         self._moved, self._done_us, self._fitted_us = state.moved, state.done_us, state.fitted_us
         self._learned, self._since_fit = state.learned, state.since_fit
         self._screen.followed = state.followed
+        self._publishers, self._doubled = state.publishers, state.doubled
 
     def begin_epoch(self, epoch: str) -> None:
         """What is known stays; versions count from 1 again."""
@@ -217,6 +221,7 @@ class Learner:
         self._window.append(batch)
         self._window.forget(until_us - microseconds(self.settings.window_hours * 3600.0))
         self._look_for_moves()
+        self._look_for_doubles(batch)
         self._learned += len(batch)
         self._since_fit += len(batch)
 
@@ -228,7 +233,7 @@ class Learner:
         """Whether enough has changed for a new version."""
         if self._since_fit == 0:
             return False
-        if self._fitted_us is None or self._moved or self._since_fit >= self._enough():
+        if self._fitted_us is None or self._moved or self._doubled or self._since_fit >= self._enough():
             return True
         return tick_us - self._fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
 
@@ -273,7 +278,11 @@ class Learner:
         for camera, since, move in self._moved:
             detail = f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
             self._alarms.add(version, now, "camera_moved", cameras[camera], detail)
-        self._moved = []
+        for name in self._doubled:
+            publisher = self._publishers[name]
+            detail = f"two programs publish it at the same time, boots {publisher.before} and {publisher.boot}"
+            self._alarms.add(version, now, "camera_doubled", name, detail)
+        self._moved, self._doubled = [], []
         self.topology = stamp(
             replace(
                 topology, site=self.site, epoch=self.epoch, version=version, as_of=now, events=self._learned,
@@ -302,6 +311,15 @@ class Learner:
                 self._zoned[camera], self._gone[camera] = seen, ()
                 self._moved.append((camera, since, move))
                 rows_of_camera = window.rows_of_cameras()
+
+    def _look_for_doubles(self, batch: list[tuple[int, Event]]) -> None:
+        """Cameras that two programs publish at the same time are said once for each two."""
+        for _, event in batch:
+            if event.boot is None:
+                continue
+            publisher = self._publishers.setdefault(event.camera, Publisher(event.boot))
+            if publisher.note(event.boot) and publisher.returns == RETURNS_MIN:
+                self._doubled.append(event.camera)
 
     def _refresh_zones(self) -> None:
         """Learn the zones of every camera again whose events have changed enough."""

@@ -19,6 +19,7 @@ from camtopod.learn.alarms import AlarmState
 from camtopod.learn.clocks import ClockState
 from camtopod.learn.intake import IntakeState
 from camtopod.learn.moved import Move
+from camtopod.learn.publishers import Publisher
 from camtopod.learn.scoring import ScorerState
 from camtopod.learn.screening import Followed
 from camtopod.learn.settings import Settings
@@ -69,6 +70,8 @@ class LearnerState(Struct):
     learned: int
     since_fit: int
     followed: dict[int, Followed] = {}
+    publishers: dict[str, Publisher] = {}
+    doubled: list[str] = []
 
 
 class _Snapshot(Struct):

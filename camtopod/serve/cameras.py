@@ -25,6 +25,7 @@ from typing import Any
 from msgspec import Struct, field
 
 from camtopod.config import Limits
+from camtopod.learn.publishers import Publisher
 from camtopod.records import Event
 from camtopod.serve.journal import Entry
 from camtopod.serve.learner_messages import Rewind
@@ -46,6 +47,8 @@ BELIEVED_SECONDS = 600.0
 REWIND_SECONDS = 10.0
 """Event time that has been ahead for so long is taken back; when this machine's clock was set back it has to have been
 for `BELIEVED_SECONDS`, as that may have been the mistake."""
+DOUBLED_SECONDS = 600.0
+"""For so long the status speaks of a camera that two programs have published."""
 NAMED_MAX = 5
 """Cameras of a box that are named."""
 FLOOD_SECONDS_KEPT = 128
@@ -66,12 +69,15 @@ class Received(Struct, frozen=True, gc=False):
 class Camera(Struct):
     """``heard``: when something of it came last (steady). ``lead``: seconds by which what came fresh from it was ahead
     of this machine's clock, and ``lead_at``: when that was; ``box``: whose clock it has, "" if that is not known.
+    ``publisher``: whose events come fresh; ``doubled``: when two were last seen to publish at the same time (steady).
     """
 
     heard: float
     lead: float = 0.0
     lead_at: float = -math.inf
     box: str = ""
+    publisher: Publisher = field(default_factory=lambda: Publisher(""))
+    doubled: float = -math.inf
     events: int = 0
     newest: float = 0.0
     seconds: dict[int, int] = field(default_factory=dict)
@@ -124,6 +130,8 @@ class Cameras:
             camera = self._cameras.get(event.camera) or self._place(event.camera)
             camera.lead, camera.lead_at = event.t - wall, now
             camera.box = self._boxes.get(event.camera, box)
+            if event.boot is not None and camera.publisher.note(event.boot):
+                camera.doubled = now
         if now >= self._next_look:
             self._next_look = now + LOOK_SECONDS
             self._look(now)
@@ -213,6 +221,12 @@ class Cameras:
             "this machine's: events are set aside, not learned; set that clock"
             for (box, ahead), names in boxes.items()
         )
+
+    def doubled(self, now: float) -> str:
+        """Which cameras two programs publish at the same time; "" if none are. Any thread."""
+        names = [name for name, one in sorted(self._cameras.copy().items()) if now - one.doubled <= DOUBLED_SECONDS]
+        what = "two programs at the same time publish"
+        return f"{what} {_in_words(names)}: give what one of them sees another id" if names else ""
 
     def rewind_to(self, watermark: float | None, wall: float, now: float) -> float | None:
         """To which moment (Unix seconds) event time is to be taken back now, as it has been ahead of what this

@@ -214,7 +214,8 @@ class Daemon:
         """What ``status/daemon`` says: state, reason, counters."""
         receiver, learning, head = self._receiver, self._learning, self.newest and self.newest.head
         reason = self._reason or self._rivals.reason or "; ".join(self.failing())
-        reason = reason or receiver.duplicates.reason or receiver.cameras.wild(self._steady())
+        now, cameras = self._steady(), receiver.cameras
+        reason = reason or receiver.duplicates.reason or cameras.wild(now) or cameras.doubled(now)
         return {
             "state": "degraded" if reason else "running",
             "reason": redact(reason),
