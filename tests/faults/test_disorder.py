@@ -38,12 +38,17 @@ class Shelf:
 
     def __init__(self) -> None:
         self.entries: list[Any] = []
+        self._numbers: dict[tuple[str, str, int], Any] = {}
 
     def streams(self) -> dict[tuple[str, str], int]:
         return {}
 
     def commit(self, entries: Sequence[Any], *others: object, **more: object) -> None:
         self.entries += entries
+        self._numbers |= {(entry.camera, entry.boot, entry.seq): entry for entry in entries}
+
+    def numbered(self, camera: str, boot: str, seq: int) -> Any:
+        return self._numbers.get((camera, boot, seq))
 
     def usual_stamp(self) -> float | None:
         return None
