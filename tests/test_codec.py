@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import msgspec
 import pytest
@@ -153,13 +154,34 @@ def test_numbers_are_finite(name: str, value: float) -> None:
         (b'{"camera":"a","kind":"exit","t":1,"boot":"b","seq":' + b"9" * 4000 + b"}", "bad-value"),
         (b'{"camera":"a","kind":"exit","t":1,"more":"\\ud800"}', "malformed"),
         (b'{"camera":"a","kind":"exit","t":1,"track":"\xff"}', "not-utf8"),
-        (b'{"camera":"a","kind":"exit","t":1,"more":' + b"[" * 2000, "too-deep"),
     ],
 )
 def test_lines_that_are_no_event(line: bytes, expected: str) -> None:
     with pytest.raises(Rejected) as caught:
         event_from_json(line)
     assert caught.value.reason == expected
+
+
+@pytest.mark.parametrize(
+    ("pack", "start", "opening"), [(False, b'{"more":', b"["), (True, b"\x81\xa4more", b"\x91")], ids=["json", "pack"]
+)
+def test_what_is_nested_without_end_is_too_deep(pack: bool, start: bytes, opening: bytes) -> None:
+    with pytest.raises(Rejected) as caught:
+        read(Ack, start + opening * 1_000_000, pack)
+    assert caught.value.reason == "too-deep"
+
+
+@pytest.mark.parametrize("decode", [event_from_json, event_from_pack])
+def test_how_deep_an_event_may_be_nested_is_up_to_python(decode: Callable[[bytes], Event]) -> None:
+    """1,000 levels in 3.11, and in 3.13 more than the longest event has room for."""
+    levels = 2000
+    nested = b"[" * levels + b"]" * levels if decode is event_from_json else b"\x91" * levels + b"\xc0"
+    encode = msgspec.json.encode if decode is event_from_json else msgspec.msgpack.encode
+    line = encode(GOOD | {"more": msgspec.Raw(nested)})
+    try:
+        assert decode(line) == decode(encode(GOOD))
+    except Rejected as error:
+        assert error.reason == "too-deep"  # noqa: PT017
 
 
 @example(b"\x9f" * 4000)

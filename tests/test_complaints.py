@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from camtopod.vision.complaints import listening
+from camtopod.vision.complaints import LEVEL_NOTHING, LEVEL_VARIABLE, LEVEL_WARNINGS, listening, log_level
 
 PRINTS_AS_C_DOES = """
 import ctypes, sys
@@ -41,3 +41,18 @@ def test_what_waits_in_the_buffer_of_c_is_heard_too() -> None:
     done = subprocess.run([sys.executable, "-c", PRINTS_AS_C_DOES], capture_output=True, text=True, check=True)
     assert "nothing listens" in done.stderr
     assert done.stdout == "before\ndata\n"
+
+
+def test_the_level_ends_with_the_block_and_a_user_s_own_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or a process that is started afterwards would be silent, too."""
+    monkeypatch.delenv(LEVEL_VARIABLE, raising=False)
+    with log_level(LEVEL_NOTHING):
+        assert os.environ[LEVEL_VARIABLE] == LEVEL_NOTHING
+    assert LEVEL_VARIABLE not in os.environ
+    with listening():
+        assert os.environ[LEVEL_VARIABLE] == LEVEL_WARNINGS
+    assert LEVEL_VARIABLE not in os.environ
+
+    monkeypatch.setenv(LEVEL_VARIABLE, "56")
+    with log_level(LEVEL_NOTHING), listening():
+        assert os.environ[LEVEL_VARIABLE] == "56"

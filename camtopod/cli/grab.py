@@ -94,7 +94,7 @@ def _one(args: argparse.Namespace, told: Told) -> int:
     with contextlib.ExitStack() as stack:
         heard = None
         if args.out is not None:  # which may be standard output: FFmpeg would talk in between
-            os.environ.setdefault(complaints.LEVEL_VARIABLE, complaints.LEVEL_NOTHING)
+            stack.enter_context(complaints.log_level(complaints.LEVEL_NOTHING))
         else:
             heard = stack.enter_context(complaints.listening())
         from camtopod.vision.grabber import Grabber

@@ -80,9 +80,24 @@ def _flush() -> None:
 
 
 @contextmanager
+def log_level(level: str) -> Iterator[None]:
+    """FFmpeg's log has this level if it is opened first while the block runs; one that the user has set stays.
+
+    Afterwards the environment is as before: a process that is started then decides for itself.
+    """
+    if LEVEL_VARIABLE in os.environ:
+        yield
+        return
+    os.environ[LEVEL_VARIABLE] = level
+    try:
+        yield
+    finally:
+        del os.environ[LEVEL_VARIABLE]
+
+
+@contextmanager
 def listening() -> Iterator[Complaints]:
     """Standard output is FFmpeg's while the block runs, so only for a process that has no data for it."""
-    os.environ.setdefault(LEVEL_VARIABLE, LEVEL_WARNINGS)
     sys.stdout.flush()
     _flush()
     heard, written = os.pipe()
@@ -92,7 +107,8 @@ def listening() -> Iterator[Complaints]:
     os.dup2(written, _STANDARD_OUTPUT, inheritable=False)
     os.close(written)
     try:
-        yield Complaints(heard)
+        with log_level(LEVEL_WARNINGS):
+            yield Complaints(heard)
     finally:
         _flush()  # or it would come among what is printed next
         os.dup2(before, _STANDARD_OUTPUT)
