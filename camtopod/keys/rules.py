@@ -42,6 +42,15 @@ _EVERYTHING = (
 READABLE = ("topology", "topology/delta", "prediction/*", "predict/*", "status/*")
 """What a reader may hear and ask."""
 
+_LIMITS = (
+    ("put", "event/*", EVENT_BYTES_MAX), ("put", "status/*", STATUS_BYTES_MAX), ("query", "**", QUERY_BYTES_MAX),
+)  # fmt: skip
+"""Kind of message, key, and the most bytes that it may have."""
+MARKS = {"background": _LIMITS[0], "data_low": _LIMITS[1], "data_high": _LIMITS[2]}
+"""Priority -> the limit that a message with it is over; see `priorities`."""
+ANSWERS = "interactive_low"
+"""Priority of what readers ask, and so of the answers."""
+
 
 class Certificate(Struct, frozen=True, omit_defaults=True):
     """A certificate given out: its common name, what it is for, and when it ends (seconds since 1970)."""
@@ -105,38 +114,43 @@ def mutual_tls(ca: str, certificate: str, private_key: str) -> Settings:
 
 def sizes(site: str, pull_events_max: int) -> Settings:
     """What is larger is dropped where it comes in. Topologies go out only, so they are not limited here."""
-    limits = {
-        "event": ("put", "event/*", EVENT_BYTES_MAX),
-        "status": ("put", "status/*", STATUS_BYTES_MAX),
-        "query": ("query", "**", QUERY_BYTES_MAX),
-        "spool": ("reply", "spool/*", spool_bytes_max(pull_events_max)),
-    }
+    limits = [*_LIMITS, ("reply", "spool/*", spool_bytes_max(pull_events_max))]
     return {
         "low_pass_filter": [
-            {
-                "id": name,
-                "flows": ["ingress"],
-                "messages": [message],
-                "key_exprs": [_key(site, key)],
-                "size_limit": size,
-            }
-            for name, (message, key, size) in limits.items()
+            {"flows": ["ingress"], "messages": [message], "key_exprs": [_key(site, key)], "size_limit": size}
+            for message, key, size in limits
         ]
     }
 
 
-def answers_apart(site: str) -> Settings:
-    """What readers ask, and so the answers, has a queue of its own on every link. In that of the publications an answer
-    to a reader that has stopped reading would hold up publications to all others; nor does more than one of them wait.
+def priorities(site: str) -> Settings:
+    """Priorities that the meeting point gives to some messages, whatever those who send them ask for.
+
+    What will be dropped by `sizes` gets another one for each limit: of that zenoh writes a line to its log that says
+    which, while of a message that is dropped it says neither the key nor the reason. Answers cannot be marked so; one
+    that is too large for a spool is too large for the meeting point to receive.
+
+    What readers ask, and so the answers, gets a priority, which is a queue on every link, of its own: in that of the
+    publications an answer to a reader that has stopped reading would hold up publications to all others. Nor does more
+    than one of them wait.
     """
-    apart = {
-        "id": "answers",
-        "messages": ["query"],
+    marks = [
+        {
+            "flows": ["ingress"],
+            "messages": [message],
+            "key_exprs": [_key(site, key)],
+            "payload_size": f"{size + 1}..",
+            "overwrite": {"priority": priority},
+        }
+        for priority, (message, key, size) in MARKS.items()
+    ]
+    answers = {
         "flows": ["ingress"],
+        "messages": ["query"],
         "key_exprs": [_key(site, key) for key in READABLE],
-        "overwrite": {"priority": "data_low", "congestion_control": "block_first"},
+        "overwrite": {"priority": ANSWERS, "congestion_control": "block_first"},
     }
-    return {"qos/network": [apart]}
+    return {"qos/network": [*marks, answers]}
 
 
 def spool_bytes_max(pull_events_max: int) -> int:
@@ -162,7 +176,7 @@ def router_json5(access: Access, listen: list[str], message_bytes_max: int, pull
     """The configuration of a router of its own, to be started beside the daemon's certificate and key."""
     settings = quiet("router") | {"listen/endpoints": listen}
     settings |= mutual_tls("ca.pem", "certificate.pem", "private.key") | access_control(access)
-    settings |= sizes(access.site, pull_events_max) | answers_apart(access.site)
+    settings |= sizes(access.site, pull_events_max) | priorities(access.site)
     settings |= {"transport/link/rx/max_message_size": message_bytes_max}
     nested: dict[str, Any] = {}
     for path, value in settings.items():

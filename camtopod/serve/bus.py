@@ -46,9 +46,9 @@ _WAIT, _ONE_WAITS = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.BLOCK
 _DROP = zenoh.CongestionControl.DROP
 """What becomes of a message for a link that is full: the caller waits; one such message waits, and not the caller, and
 further ones are dropped; it is dropped."""
-_FIRST, _USUAL, _LAST = zenoh.Priority.INTERACTIVE_HIGH, zenoh.Priority.DATA, zenoh.Priority.DATA_LOW
-"""Each is a queue of its own on every link. Questions and answers are in the last; the meeting point puts those of
-readers there, whatever they ask for (`camtopod.keys.rules.answers_apart`)."""
+_FIRST, _USUAL, _ASKED = zenoh.Priority.INTERACTIVE_HIGH, zenoh.Priority.DATA, zenoh.Priority.INTERACTIVE_LOW
+"""Each is a queue of its own on every link. Questions and answers are in the third; the meeting point puts those of
+readers there, whatever they ask for (`camtopod.keys.rules.priorities`)."""
 
 OnMessage = Callable[[str, bytes], None]
 """Called with (key below the site, payload), from a thread of the bus; must not block."""
@@ -226,7 +226,7 @@ class Bus:
                 zenoh.handlers.FifoChannel(_REPLIES_MAX),
                 timeout=seconds or self._query_seconds,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                priority=_LAST,
+                priority=_ASKED,
             )
             for reply in replies:
                 if reply.ok is not None:
@@ -266,7 +266,9 @@ class Bus:
 
         def change(event: zenoh.LinkEvent) -> None:
             if event.kind == zenoh.SampleKind.PUT:
-                doorkeeper.came(event.link.auth_identifier, event.link.dst)
+                link = event.link
+                refusals.refusals.came(str(link.zid), link.auth_identifier, link.dst)
+                doorkeeper.came(link.auth_identifier, link.dst)
 
         self._doorkeeper = doorkeeper
         self._declared.append(self._session.info.declare_link_events_listener(change, history=True))

@@ -34,7 +34,7 @@ def settings(config: Config, mode: str, access: rules.Access | None = None, shar
     if mode == "router":
         if not shared:  # it receives no topology nor parts of one, so nothing large
             largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
-        values |= rules.sizes(config.site.name, config.limits.pull_events_max) | rules.answers_apart(config.site.name)
+        values |= rules.sizes(config.site.name, config.limits.pull_events_max) | rules.priorities(config.site.name)
         if access is not None:
             values |= rules.access_control(access)
     values["transport/link/rx/max_message_size"] = largest

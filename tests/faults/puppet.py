@@ -57,6 +57,10 @@ class Puppet:
 
         self._kept.append(self._session.declare_queryable(key, reply))
 
+    def hold(self, key: str) -> None:
+        """Take questions and never answer them."""
+        self._kept.append(self._session.declare_queryable(key, self._kept.append))
+
     def ask(self, key: str, seconds: float = 0.5) -> list[str]:
         channel = zenoh.handlers.FifoChannel(100)
         replies = self._session.get(

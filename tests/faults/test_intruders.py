@@ -463,6 +463,29 @@ def test_what_is_too_large_neither_arrives_nor_takes_memory(
     wait_for(lambda: status(observer)["refused"].get("too-large", 0) >= 200, "what the bus drops to be counted")
 
 
+@pytest.mark.parametrize("guarded", [False, True], ids=["open", "guarded"])
+def test_what_is_dropped_for_its_size_is_named_and_a_late_answer_is_not(
+    guarded: bool, keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack
+) -> None:
+    """The session of a box that does not answer in time says so to the daemon, in a message without a key."""
+    access = keys.folder / "daemon" / "access.json"
+    daemon = RealDaemon(tmp_path / "d", tls_table(keys, access) if guarded else '[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
+    cleanup.callback(daemon.stop)
+    box, observer = puppet(cleanup), puppet(cleanup)
+    assert box.open(**client(daemon.endpoint), **(keys.tls("camera/cam1") if guarded else {}))
+    assert observer.open(**client(daemon.endpoint), **(keys.tls("daemon") if guarded else {}))
+    box.do("hold", key=f"{HQ}/status/cam1")
+    wait_for(lambda: observer.do("ask", key=f"{HQ}/status/cam1") == ["Timeout"], "a question that is not answered")
+    observer.do("ask", key=f"{HQ}/status/cam1")  # by its end the daemon has heard of the first one from the box
+
+    box.do("put", key=f"{HQ}/event/cam1", payload="x", repeat=rules.EVENT_BYTES_MAX + 1)
+    wait_for(lambda: status(observer)["refused"].get("too-large", 0) > 0, "what is too large to be counted")
+    assert status(observer)["refused"]["too-large"] == 1
+    whose = f"cam1 on {HQ}/event/cam1" if guarded else r"tcp/127\.0\.0\.1:\d+ on event/\*"
+    named = rf"a put from {whose} was dropped at \S+Z: it has more than {rules.EVENT_BYTES_MAX} bytes \(1 so far\)"
+    wait_for(lambda: re.search(named, "".join(daemon.said)) is not None, "it to be named")
+
+
 def test_what_a_stolen_box_makes_too_large_is_counted_whatever_its_size(
     keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack
 ) -> None:
