@@ -254,6 +254,18 @@ def one_round(merger: Merger) -> None:
     merger.work(stopping, stopping.set)
 
 
+def test_a_journal_that_cannot_be_read_is_closed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_: mergers.Journal) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(mergers.Journal, "snapshots", fails)
+        with pytest.raises(sqlite3.OperationalError, match="disk I/O error"):
+            Site(tmp_path, 1)
+    with Site(tmp_path, 1) as site:  # nothing holds its lock
+        assert site.merger.topology is None
+
+
 def test_a_site_that_is_dealt_out_anew_has_every_camera_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Also while some shards have not heard of it."""
     [before], [after] = (course(1, districts).after[len(EVENTS)] for districts in (4, 2))

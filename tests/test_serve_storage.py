@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import sqlite3
@@ -246,16 +247,17 @@ def test_what_is_acknowledged_of_older_boots_is_not_forgotten_by_a_kill(tmp_path
     path = tmp_path / "spool.db"
     boots = [f"boot-{number:02}" for number in range(20)]
     for number, boot in enumerate(boots):
-        killed = Spool(path, boot, events_max=1000)
-        killed.append([event(n) for n in range(3)])
-        path = copy_of(path, tmp_path / f"after {number} kills")
-    spool = Spool(path, "newest", events_max=1000)
-    spool.append([event(1)])
-    for boot in boots:
-        spool.ack("lobby", boot, 3)
-    assert len(spool) == 1
-    again = Spool(copy_of(path, tmp_path / "at the end"), "another", events_max=1000)
-    assert len(again) == 1, "only that of the newest boot comes again"
+        with contextlib.closing(Spool(path, boot, events_max=1000)) as killed:
+            killed.append([event(n) for n in range(3)])
+            path = copy_of(path, tmp_path / f"after {number} kills")
+    with contextlib.closing(Spool(path, "newest", events_max=1000)) as spool:
+        spool.append([event(1)])
+        for boot in boots:
+            spool.ack("lobby", boot, 3)
+        assert len(spool) == 1
+        path = copy_of(path, tmp_path / "at the end")
+    with contextlib.closing(Spool(path, "another", events_max=1000)) as again:
+        assert len(again) == 1, "only that of the newest boot comes again"
 
 
 def test_a_full_spool_forgets_what_is_acknowledged_before_it_drops_anything(tmp_path: Path) -> None:
@@ -277,6 +279,24 @@ def copy_of(path: Path, to: Path) -> Path:
     for name in (path.name, f"{path.name}-wal"):
         shutil.copyfile(path.with_name(name), to / name)
     return to / path.name
+
+
+@pytest.mark.parametrize("read", ["acked", "meta"])
+def test_a_spool_that_cannot_be_read_is_closed_again(
+    read: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "spool.db"
+    with contextlib.closing(Spool(path, "boot-1", events_max=10)) as one:
+        one.append([event(1)])
+
+    def fails(*_: object) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(spool_format, read, fails)
+        with pytest.raises(StateError, match="disk I/O error"):
+            Spool(path, "boot-2", events_max=10)
+    Spool(path, "boot-3", events_max=10).close()  # nothing holds its lock
 
 
 def test_a_spool_that_was_killed_begins_a_new_boot_with_what_was_in_it(spool: Spool, tmp_path: Path) -> None:
@@ -326,14 +346,11 @@ INSERT INTO count VALUES ('lobby', 9);
 
 
 def test_a_spool_of_the_first_format_goes_on(tmp_path: Path) -> None:
-    connection = sqlite3.connect(tmp_path / "spool.db")
-    connection.executescript(FORMAT_1)
     events = [Event("lobby", "entry", float(n), boot="old", seq=n) for n in (7, 8, 9)]
-    connection.executemany(
-        "INSERT INTO event VALUES (NULL, ?, ?, ?, ?)", [(e.camera, e.boot, e.seq, codec.to_pack(e)) for e in events]
-    )
-    connection.commit()
-    connection.close()
+    rows = [(e.camera, e.boot, e.seq, codec.to_pack(e)) for e in events]
+    with contextlib.closing(sqlite3.connect(tmp_path / "spool.db")) as connection, connection:
+        connection.executescript(FORMAT_1)
+        connection.executemany("INSERT INTO event VALUES (NULL, ?, ?, ?, ?)", rows)
     spool = Spool(tmp_path / "spool.db", "new", events_max=10)
     assert [codec.event_from_pack(raw) for _, raw in spool.batch("lobby", "old", 0, 10).events] == events
     assert [(one.boot, one.seq) for one in spool.append([event(10)])] == [("new", 1)]
@@ -502,16 +519,20 @@ def test_damage_in_a_spool_too_large_to_be_scanned_is_found_out_at_the_next_star
 def test_who_reads_a_database_beside_its_process_does_not_take_the_memory_from_under_it(tmp_path: Path) -> None:
     """SQLite knows by a lock on the log's index that another process uses it; without, the reader truncates it."""
     path = tmp_path / "spool.db"
-    killed = Spool(path, "boot-1", events_max=1000)
-    killed.append([event(n) for n in range(5)])
-    again = Spool(copy_of(path, tmp_path / "killed"), "boot-2", events_max=1000)  # with a log to look at
+    with contextlib.closing(Spool(path, "boot-1", events_max=1000)) as killed:
+        killed.append([event(n) for n in range(5)])
+        path = copy_of(path, tmp_path / "killed")
+    again = Spool(path, "boot-2", events_max=1000)  # with a log to look at
     index = tmp_path / "killed" / "spool.db-shm"
     locks = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
     held = [
         words[-2] for words in locks if words[-4] == str(os.getpid()) and words[-3].endswith(f":{index.stat().st_ino}")
     ]
     assert "128" in held
-    reads = "import sqlite3, sys; print(sqlite3.connect(sys.argv[1]).execute('SELECT COUNT(*) FROM event').fetchone())"
+    reads = (
+        "import sqlite3, sys; reader = sqlite3.connect(sys.argv[1]); "
+        "print(reader.execute('SELECT COUNT(*) FROM event').fetchone()); reader.close()"
+    )
     for number in range(6, 9):
         again.append([event(number)])
         read = subprocess.run(

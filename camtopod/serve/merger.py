@@ -9,6 +9,7 @@ back.
 from __future__ import annotations
 
 import collections
+import contextlib
 import logging
 import math
 import threading
@@ -62,7 +63,10 @@ class Merger:
         self._came = threading.Condition()
         self._reached: dict[int, float | None] = {}  # event time by shard
         self._line = Line(settings, site, "")
-        self._load()
+        with contextlib.ExitStack() as undo:  # a start that fails leaves nothing open
+            undo.callback(self._journal.close)
+            self._load()
+            undo.pop_all()
         self._known = {part.district: age_of(part) for part in self._line.parts()}
         now = time.monotonic()
         self._arrivals = collections.deque((now, part.topology.as_of) for part in self._line.parts())  # of parts

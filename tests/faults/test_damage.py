@@ -7,6 +7,7 @@ log, or when a grabber says that more was acknowledged than the journal has.
 from __future__ import annotations
 
 import collections
+import contextlib
 import logging
 import random
 import shutil
@@ -254,10 +255,8 @@ def test_flipped_bits_are_never_silent(installation: Installation, quick_path: P
 def test_a_journal_whose_format_is_damaged_is_set_aside(installation: Installation, quick_path: Path) -> None:
     clear(quick_path / "image")
     put(installation.journal.content, quick_path / "image")
-    connection = sqlite3.connect(quick_path / "image" / "journal.db")
-    connection.execute("UPDATE meta SET value = '3' WHERE key = 'format'")
-    connection.commit()
-    connection.close()
+    with contextlib.closing(sqlite3.connect(quick_path / "image" / "journal.db")) as connection, connection:
+        connection.execute("UPDATE meta SET value = '3' WHERE key = 'format'")
     found = look_into_journal(files_of(quick_path / "image"), installation.grabber, quick_path / "image")
     assert any("does not say its format" in line and "a new one is begun" in line for line in found.said)
 
@@ -288,11 +287,9 @@ def test_the_harness_sees_silent_damage(
     chance = random.Random(3)
     clear(quick_path / "image")
     put(installation.spool.content, quick_path / "image")
-    connection = sqlite3.connect(quick_path / "image" / "spool.db")
-    for table in ("event", "meta", "count", "acked"):
-        connection.execute(f"UPDATE {table} SET crc = 0")
-    connection.commit()
-    connection.close()
+    with contextlib.closing(sqlite3.connect(quick_path / "image" / "spool.db")) as connection, connection:
+        for table in ("event", "meta", "count", "acked"):
+            connection.execute(f"UPDATE {table} SET crc = 0")
     before = installation.spool._replace(content={"spool.db-wal": b""} | files_of(quick_path / "image"))
     monkeypatch.setattr("camtopod.serve.database.crc", lambda *columns: 0)
     flips = (damaged(before, "spool.db", chance) for _ in range(100))

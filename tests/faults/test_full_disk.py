@@ -167,8 +167,7 @@ def fails_at(
     directory.mkdir()
     spoiler = Spoiler(directory)
     refused = 0
-    with watch.watching(spoiler):
-        one = make(directory)
+    with watch.watching(spoiler), contextlib.closing(make(directory)) as one:
         spoiler.arm(kind, first, count)
         left = STEPS_AFTER
         for number in range(1, len(states)):
@@ -179,7 +178,6 @@ def fails_at(
         spoiler.disarm()
         assert one.state() == states[number]
         assert after_power_cut(spoiler.record, make, base / "image") == states[number]
-        one.close()
     shutil.rmtree(directory)
     return refused, spoiler.spoiled > 0
 

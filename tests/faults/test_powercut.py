@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import shutil
 import sqlite3
 from pathlib import Path
@@ -157,10 +158,9 @@ def without_table(make_under_full: bool, base: Path, watch: Vfs, monkeypatch: py
     for image in images(record.ops, 3, seed=1):
         if image.done >= 0:
             put(image.content, base)
-            connection = sqlite3.connect(base / "one.db")
-            if not connection.execute("SELECT name FROM sqlite_schema").fetchall():
-                found.append(f"{image.model} after operation {image.after_op}")
-            connection.close()
+            with contextlib.closing(sqlite3.connect(base / "one.db")) as connection:
+                if not connection.execute("SELECT name FROM sqlite_schema").fetchall():
+                    found.append(f"{image.model} after operation {image.after_op}")
     return found
 
 

@@ -7,6 +7,7 @@ spool has had, and ends when everything is acknowledged. With SPOOL "-" it has n
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import sqlite3
@@ -52,9 +53,8 @@ def published_so_far(path: Path) -> int:
     """How many events a spool has ever had, also those that are gone."""
     if not path.exists():
         return 0
-    with sqlite3.connect(path) as database:
+    with contextlib.closing(sqlite3.connect(path)) as database:
         row = database.execute("SELECT seq FROM sqlite_sequence WHERE name = 'event'").fetchone()
-    database.close()
     return int(row[0]) if row else 0
 
 
