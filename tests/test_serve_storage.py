@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import shutil
 import sqlite3
@@ -514,6 +515,15 @@ def test_damage_in_a_spool_too_large_to_be_scanned_is_found_out_at_the_next_star
     assert 800 < again.rescued < 900
     again.append([event(900)])
     again.close()
+
+
+def test_a_connection_that_is_not_closed_is_reported(tmp_path: Path) -> None:
+    schema = "CREATE TABLE IF NOT EXISTS one (a)"
+    database.connect(tmp_path / "one.db", schema)
+    with pytest.warns(ResourceWarning, match="unclosed"):
+        gc.collect()
+    database.connect(tmp_path / "one.db", schema).close()
+    gc.collect()
 
 
 def test_who_reads_a_database_beside_its_process_does_not_take_the_memory_from_under_it(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import logging
 import os
 import shutil
 import sqlite3
+import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -94,6 +95,12 @@ class _Connection(sqlite3.Connection):
         if self.index is not None:
             os.close(self.index)
             self.index = None
+
+    def __del__(self) -> None:
+        """Say that nobody has closed it, as Python's own do since 3.13."""
+        with contextlib.suppress(sqlite3.ProgrammingError):  # it is closed
+            what = f"unclosed {self!r}, {self.total_changes} changes"
+            warnings.warn(what, ResourceWarning, stacklevel=2, source=self)
 
 
 def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None) -> sqlite3.Connection:
