@@ -119,6 +119,18 @@ def test_kubernetes_confines_every_container_and_starts_what_there_is() -> None:
     }
 
 
+def test_kubernetes_lets_only_the_daemons_reach_the_bus() -> None:
+    [policy], [router], [daemons], [service] = map(of_kind, ("NetworkPolicy", "Deployment", "StatefulSet", "Service"))
+    spec = policy["spec"]
+    assert spec["podSelector"]["matchLabels"] == router["spec"]["template"]["metadata"]["labels"]
+    assert (spec["policyTypes"], len(spec["ingress"])) == (["Ingress"], 1)
+    [rule] = spec["ingress"]
+    labels = daemons["spec"]["template"]["metadata"]["labels"]
+    assert labels != spec["podSelector"]["matchLabels"]
+    assert rule["from"] == [{"podSelector": {"matchLabels": labels}}]
+    assert rule["ports"] == [{"port": port["port"]} for port in service["spec"]["ports"]]
+
+
 def test_images_are_pinned() -> None:
     for image in [COMPOSE["services"]["router"]["image"], *(container["image"] for container in containers())]:
         assert image == "camtopod" or re.fullmatch(r"docker\.io/eclipse/zenoh:1\.10\.[0-9]+", image)

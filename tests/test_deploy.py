@@ -24,8 +24,10 @@ OTHERS = {
     "camtopod-shard@.service": "camtopod-shard@2-8.service",
     **{f: f for f in ("camtopod-web.service", "camtopod-bridge.service")},
 }
+DEVICE = ["PrivateDevices=no", "DevicePolicy=closed", "DeviceAllow=char-video4linux rw", "SupplementaryGroups=video"]
+"""What lets a camera of this machine in."""
 EXPOSURE_MAX = 2.0
-"""Of ten, as `systemd-analyze security` counts; what is left is the network, and cameras among the devices."""
+"""Of ten, as `systemd-analyze security` counts; what is left is the network."""
 README = (DEPLOY / "README.md").read_text()
 
 
@@ -125,19 +127,30 @@ def test_systemd_starts_again_what_hangs(file: str) -> None:
     assert float(unit["WatchdogSec"][0]) > HealthSettings().stall_seconds
 
 
-def test_readers_are_confined_as_the_daemon_is() -> None:
+def assert_confined_as_the_daemon_is(file: str) -> None:
     """Save for what the daemon's learner needs."""
+    daemon, its = directives(DEPLOY / "camtopod.service"), directives(DEPLOY / file)
+    names = list(daemon)[list(daemon).index("NoNewPrivileges") :]
+    assert {name: its[name] for name in names if name != "SystemCallFilter"} == {
+        name: daemon[name] for name in names if name != "SystemCallFilter"
+    }
+    assert its["SystemCallFilter"] == daemon["SystemCallFilter"][:2]
+    assert (its["DynamicUser"], its["StartLimitIntervalSec"]) == (["yes"], ["0"])
+
+
+def test_readers_are_confined_as_the_daemon_is() -> None:
     for reader in ("camtopod-web.service", "camtopod-bridge.service"):
-        daemon, its = directives(DEPLOY / "camtopod.service"), directives(DEPLOY / reader)
-        names = list(daemon)[list(daemon).index("NoNewPrivileges") :]
-        assert {name: its[name] for name in names if name != "SystemCallFilter"} == {
-            name: daemon[name] for name in names if name != "SystemCallFilter"
-        }
-        assert its["SystemCallFilter"] == daemon["SystemCallFilter"][:2]
-        assert (its["DynamicUser"], its["StartLimitIntervalSec"]) == (["yes"], ["0"])
+        assert_confined_as_the_daemon_is(reader)
         [keys] = (DEPLOY / f"{reader}.d").iterdir()
         name = reader.removeprefix("camtopod-").removesuffix(".service")
         assert all(f":/etc/camtopod/keys/{name}/" in value for value in directives(keys)["LoadCredential"])
+
+
+def test_grabbers_are_confined_as_the_daemon_is_but_for_a_device_that_is_let_in() -> None:
+    unit = DEPLOY / "camtopod-grab@.service"
+    assert_confined_as_the_daemon_is(unit.name)
+    assert not {"SupplementaryGroups", "DeviceAllow"} & directives(unit).keys()
+    assert re.findall(r"^#   (\w+=.*)$", unit.read_text(), re.MULTILINE) == DEVICE
 
 
 @pytest.mark.parametrize(("file", "name"), [*UNITS.items(), *OTHERS.items()])
@@ -149,6 +162,13 @@ def test_systemd_takes_the_units(file: str, name: str, tmp_path: Path) -> None:
     unit = tmp_path / name
     unit.write_text(text.replace("/opt/camtopod/bin/camtopod ", "/bin/true "))
     shutil.copytree(DEPLOY / f"{file}.d", tmp_path / f"{name}.d")
+    assert_taken(unit)
+    if "grab" in name:
+        (tmp_path / f"{name}.d" / "device.conf").write_text("\n".join(["[Service]", *DEVICE]))
+        assert_taken(unit)
+
+
+def assert_taken(unit: Path) -> None:
     done = subprocess.run(["systemd-analyze", "verify", "--man=no", str(unit)], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     threshold = f"--threshold={round(10 * EXPOSURE_MAX)}"
