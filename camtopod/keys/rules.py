@@ -128,8 +128,8 @@ def priorities(site: str) -> Settings:
 
     What will be dropped by `sizes` gets another one for each limit: of that zenoh writes a line to its log that says
     which, while of a message that is dropped it says neither the key nor the reason. Answers cannot be marked so; one
-    that is too large for a spool is too large for the meeting point to receive. Nor does an attachment count here, as it
-    does there; of events it has some tens of bytes.
+    that is too large for a spool is too large for the meeting point to receive. Nor does an attachment count here, as
+    it does there; of events it has some tens of bytes.
 
     What readers ask, and so the answers, gets a priority, which is a queue on every link, of its own: in that of the
     publications an answer to a reader that has stopped reading would hold up publications to all others. Nor does more
