@@ -10,10 +10,7 @@ import os
 import signal
 from collections.abc import Generator, Iterator
 
-# As `camtopod` does, before numpy is loaded: the matrices are small, the cores are taken.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("MKL_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded: the matrices are small, the cores are taken
 
 # Containers often set it, a user's shell does not: with it C's standard output waits for nothing, too, in all programs
 # that tests start, and what is stuck there is not seen.
@@ -25,8 +22,8 @@ from hypothesis import HealthCheck, settings
 
 DATA = "CAMTOPOD_TEST_DATA"
 """A skip for want of the data names this variable in its reason."""
-CHANGED_BY_OTHERS = ("PYTEST_CURRENT_TEST", "LD_LIBRARY_PATH")
-"""In the environment: by pytest, and by OpenCV where it is imported."""
+OURS = ("CAMTOPOD_", "OPENCV_")
+"""How the variables begin that the program reads, or sets for OpenCV."""
 
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")  # that a busy machine is slow says nothing about what is tested
@@ -50,12 +47,12 @@ def _logging_as_it_was() -> Generator[None]:
 def _environment_as_it_was() -> Generator[None]:
     """What a test, or a command inside it, leaves in the environment is found by every program of a later test."""
 
-    def environment() -> dict[str, str]:
-        return {name: value for name, value in os.environ.items() if name not in CHANGED_BY_OTHERS}
+    def ours() -> dict[str, str]:
+        return {name: value for name, value in os.environ.items() if name.startswith(OURS)}
 
-    before = environment()
+    before = ours()
     yield
-    assert environment() == before
+    assert ours() == before
 
 
 @pytest.fixture(scope="session")
