@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import deque
@@ -11,7 +12,7 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.records import Alarm, Link, Prediction, Topology
+from camtopod.records import CAMERA_PATTERN, Alarm, Link, Prediction, Topology
 
 PREDICTIONS_KEPT = 30
 ALARMS_SHOWN = 5
@@ -93,6 +94,8 @@ class Board:
     def on_status(self, key: str, payload: bytes) -> None:
         """A publication on ``status/...``. One that does not fit changes nothing."""
         name = key.removeprefix("status/")
+        if not re.match(CAMERA_PATTERN, name):
+            return
         try:
             if name == "daemon":
                 daemon = codec.read(_DaemonSaid, payload, pack=True)

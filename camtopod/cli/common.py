@@ -25,6 +25,7 @@ from camtopod.redact import redact
 from camtopod.serve import systemd
 from camtopod.serve.progress import Progress
 from camtopod.toml_tables import DEFAULT_ENDPOINT, is_endpoint
+from camtopod.visible import visible, visible_lines
 
 log = logging.getLogger(__name__)
 
@@ -89,7 +90,7 @@ def with_options(args: argparse.Namespace, loaded: config.Config) -> config.Conf
 
 
 class _Formatter(logging.Formatter):
-    """One line a record, secrets taken out. Times are UTC."""
+    """One line a record, secrets taken out; a traceback takes more, which are indented. Times are UTC."""
 
     converter = staticmethod(time.gmtime)
 
@@ -100,15 +101,18 @@ class _Formatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         stamp = f"{self.formatTime(record, '%Y-%m-%dT%H:%M:%S')}.{int(record.msecs):03d}Z"
         message = redact(record.getMessage())
-        if record.exc_info:
-            message += "\n" + redact(self.formatException(record.exc_info))
+        trace = "\n" + redact(self.formatException(record.exc_info)) if record.exc_info else ""
         level = record.levelname.lower()
         name = record.name.removeprefix("camtopod.")
+
         if self._form == "json":
-            return json.dumps({"t": stamp, "level": level, "from": name, "message": message}, ensure_ascii=False)
+            content = {"t": stamp, "level": level, "from": name, "message": message + trace}
+            return visible(json.dumps(content, ensure_ascii=False))
         if self._form == "logfmt":
-            return f"t={stamp} level={level} from={name} message={json.dumps(message, ensure_ascii=False)}"
-        return message if level == "info" else f"{level}: {message}"
+            quoted = json.dumps(message + trace, ensure_ascii=False)
+            return visible(f"t={stamp} level={level} from={name} message={quoted}")
+        line = visible(message if level == "info" else f"{level}: {message}")
+        return line + visible_lines(trace)
 
 
 def start_logging(args: argparse.Namespace) -> None:

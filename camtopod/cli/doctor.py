@@ -30,6 +30,7 @@ from camtopod.redact import redact, remember
 from camtopod.serve import clock, guard, inspection
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.database import StateError
+from camtopod.visible import visible
 
 FILES_MAX = 200
 """Of the state directory."""
@@ -68,11 +69,11 @@ def run(args: argparse.Namespace) -> int:
         "machine": machine.machine,
         "clock": lambda: machine.clock(clock.wall()),
         "video": _video,
-        "configuration": lambda: [mistakes] if mistakes else list(_configuration(config, args.config)),
+        "configuration": lambda: mistakes.splitlines() or list(_configuration(config, args.config)),
         "state": lambda: list(_state(config)),
         "bus": lambda: list(_bus(config)),
     }
-    report = {name: redact("\n".join(part())) + "\n" for name, part in parts.items()}
+    report = {name: redact("\n".join(visible(line) for line in part())) + "\n" for name, part in parts.items()}
     text = "\n".join(f"== {name} ==\n{part}" for name, part in report.items())
     if args.out is None:
         sys.stdout.write(text)

@@ -20,6 +20,7 @@ from camtopod.cli.example import table
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config import TABLES, Config
 from camtopod.redact import holds_secret, redact
+from camtopod.visible import visible
 from camtopod.vision.source import kind_of, percent_encoded
 from camtopod.web import pictures
 
@@ -86,10 +87,10 @@ def run(args: argparse.Namespace) -> int:
     width = max(map(len, cameras))
     _say(f"looking at {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'} ...")
     probes = probe_all(
-        cameras, settings.vision, lambda name, probe: _say(f"  {name:<{width}}  {'; '.join(probe.words)}"),
+        cameras, settings.vision, lambda name, probe: _say(f"  {name:<{width}}  {visible('; '.join(probe.words))}"),
         args.pictures,
     )  # fmt: skip
-    words = {name: probe.words for name, probe in probes.items()}
+    words = {name: [visible(word) for word in probe.words] for name, probe in probes.items()}
     text = written(settings, cameras, words, secrets.keys(), handed)
     try:
         _write(args.out, text, {path: _located(cameras[name]) for name, path in secrets.items()})

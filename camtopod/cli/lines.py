@@ -14,6 +14,7 @@ from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json
 from camtopod.records import Event
 from camtopod.redact import redact
+from camtopod.visible import visible
 
 QUOTE_CHARACTERS_MAX = 120
 
@@ -81,7 +82,7 @@ class LineReader:
         self.rejected[reason] += 1
         if self.rejected[reason] == 1:
             quoted = text[:QUOTE_CHARACTERS_MAX].decode("utf-8", "backslashreplace")
-            message = redact(f"{where}{': ' + quoted if quoted else ''}")
+            message = visible(redact(f"{where}{': ' + quoted if quoted else ''}"))
             print(f"camtopod: {message} (further lines of this kind are only counted)", file=sys.stderr)
 
     def summary(self) -> str | None:

@@ -28,6 +28,7 @@ from typing import Any, NoReturn
 from camtopod import __version__
 from camtopod.cli import exits
 from camtopod.redact import redact
+from camtopod.visible import visible, visible_lines
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("camtopod.cli.demo", "the whole system on made-up cameras, nothing to configure"),
@@ -123,14 +124,14 @@ def _crash_of_a_thread(crash: threading.ExceptHookArgs) -> None:
 
 def _tell(error: BaseException) -> None:
     """The traceback, which may hold a source and its password, to standard error."""
-    print(redact("".join(traceback.format_exception(error))), end="", file=sys.stderr)
+    print(visible_lines(redact("".join(traceback.format_exception(error))).rstrip("\n")), file=sys.stderr)
 
 
 class _Parser(argparse.ArgumentParser):
     """A command line that is wrong is quoted without the passwords in it."""
 
     def error(self, message: str) -> NoReturn:
-        super().error(redact(message))
+        super().error(visible(redact(message)))
 
 
 def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
@@ -219,11 +220,12 @@ def _os_error(error: OSError) -> tuple[str, int]:
 def _fail(message: str, status: int, form: str) -> int:
     message = redact(message)
     if form == "json":
-        print(json.dumps({"level": "error", "message": message}, ensure_ascii=False), file=sys.stderr)
+        line = visible(json.dumps({"level": "error", "message": message}, ensure_ascii=False))
     elif form == "logfmt":
-        print(f"level=error message={json.dumps(message, ensure_ascii=False)}", file=sys.stderr)
+        line = visible(f"level=error message={json.dumps(message, ensure_ascii=False)}")
     else:
-        print(f"camtopod: {message}", file=sys.stderr)
+        line = visible_lines(f"camtopod: {message}")
+    print(line, file=sys.stderr)
     return status
 
 

@@ -19,6 +19,7 @@ from camtopod.cli.exits import CommandError
 from camtopod.config import Config
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
+from camtopod.visible import visible
 from camtopod.vision.probe import LOOK_SECONDS, Probe, Question
 from camtopod.vision.settings import VisionSettings
 from camtopod.web import pictures
@@ -97,7 +98,7 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
         nonlocal status
         status = max(status, exits.INPUT if probe.problem else exits.DONE)
         where = f"{path}:{lines.get(('cameras', camera), 1)}: cameras.{camera}"
-        print(redact(f"{where}: {'; '.join(probe.words)}"), file=sys.stderr, flush=True)
+        print(visible(redact(f"{where}: {'; '.join(probe.words)}")), file=sys.stderr, flush=True)
 
     sources = {}
     for camera in config.cameras:
@@ -107,7 +108,7 @@ def check_site(path: Path, config: Config, folder: Path | None) -> int:
             tell(camera, Probe(f"cannot read {error.filename}: {error.strerror}"))
     probe_all(sources, config.vision, tell, folder)
     problem, found = _bus(config)
-    print(f"{path}: bus: {redact(problem or found)}", file=sys.stderr)
+    print(visible(f"{path}: bus: {redact(problem or found)}"), file=sys.stderr)
     return max(status, exits.BUS if problem else exits.DONE)
 
 

@@ -116,7 +116,7 @@ def _reloaded(daemon: Daemon, args: argparse.Namespace, config: Config) -> Confi
     try:
         new = configuration(args)
     except CommandError as error:
-        log.error("the old configuration stays: %s", error)
+        log.error("the old configuration stays: %s", " ".join(str(error).splitlines()))
         return config
     waiting = daemon.reconfigure(new)
     if waiting:

@@ -27,6 +27,7 @@ from camtopod.cli.board import (
     topology_lines,
     transit,
 )
+from camtopod.visible import visible
 
 DRAW_SECONDS = 0.25
 WIDE = 120
@@ -116,14 +117,15 @@ def _stacked(rows: int, wanted: Sequence[int], parts: Sequence[Callable[[int], T
 
 
 def _head(view: View, words: str) -> list[Text]:
-    lines = [_line(daemon_line(view), "bold" if view.state == "running" else _WRONG)]
-    lines += [_line(words, _CORNER)] if words else []
-    lines += [_line(f"! {alarm_line(alarm, view.now)}", "yellow") for alarm in newest_alarms(view.topology)]
-    return [*lines[:1], *(_line(line) for line in topology_lines(view.topology)), *lines[1:]]
+    lines = [_text(daemon_line(view), "bold" if view.state == "running" else _WRONG)]
+    lines += [_text(words, _CORNER)] if words else []
+    lines += [_text(f"! {alarm_line(alarm, view.now)}", "yellow") for alarm in newest_alarms(view.topology)]
+    return [*lines[:1], *(_text(line) for line in topology_lines(view.topology)), *lines[1:]]
 
 
-def _line(text: str, style: str = "") -> Text:
-    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
+def _text(text: str, style: str = "", whole: bool = False) -> Text:
+    """What others said, harmless to the terminal; on one line unless it is to be there as a ``whole``."""
+    return Text(visible(text), style=style, no_wrap=not whole, overflow="fold" if whole else "ellipsis")
 
 
 def _table(*columns: str, flexible: str) -> Table:
@@ -154,17 +156,19 @@ def _cameras(view: View, width: int, rows: int) -> Table:
         whole = camera.wrong and 1 < needed <= min(left, REASON_ROWS_MAX)
         style = _COLOURS.get(camera.state, _WRONG)
         cells = {
-            "CAMERA": Text(camera.name),
-            "STATE": Text(f"{'!' if camera.wrong else ' '} {camera.state}", style),
-            "EVENTS": Text(str(camera.events)),
-            "LAST": Text("" if camera.last is None else f"{camera.last:.0f} s"),
-            "REASON": Text(camera.reason, no_wrap=not whole, overflow="fold" if whole else "ellipsis"),
+            "CAMERA": _text(camera.name),
+            "STATE": _text(f"{'!' if camera.wrong else ' '} {camera.state}", style),
+            "EVENTS": _text(str(camera.events)),
+            "LAST": _text("" if camera.last is None else f"{camera.last:.0f} s"),
+            "REASON": _text(camera.reason, whole=whole),
         }
         table.add_row(*(cells[column] for column in columns))
         shown, left = shown + 1, left - (needed if whole else 1)
     if hidden := cameras[shown:]:
         wrong = sum(camera.wrong for camera in hidden)
-        table.add_row(Text(f"and {len(hidden)} more", _CORNER), Text(f"{wrong} wrong" if wrong else "  well", _CORNER))
+        table.add_row(
+            _text(f"and {len(hidden)} more", _CORNER), _text(f"{wrong} wrong" if wrong else "  well", _CORNER)
+        )
     return table
 
 
@@ -174,10 +178,12 @@ def _links(view: View, width: int, rows: int) -> Table:
     links = busiest_links(view.topology)
     shown = links if len(links) <= rows - 2 else links[: max(0, rows - 3)]
     for link in shown:
-        relation = [] if narrow else [Text(link.relation)]
-        table.add_row(Text(link.from_), Text(link.to), *relation, Text(f"{link.probability:.2f}"), Text(transit(link)))
+        relation = [] if narrow else [_text(link.relation)]
+        table.add_row(
+            _text(link.from_), _text(link.to), *relation, _text(f"{link.probability:.2f}"), _text(transit(link))
+        )
     if len(links) > len(shown):
-        table.add_row(Text(f"and {len(links) - len(shown)} more", _CORNER))
+        table.add_row(_text(f"and {len(links) - len(shown)} more", _CORNER))
     return table
 
 
@@ -185,5 +191,5 @@ def _predictions(view: View, rows: int) -> Table:
     table = _table("LEFT", "SEEN NEXT", flexible="SEEN NEXT")
     for prediction in view.predictions[: max(0, rows - 2)]:
         ago = max(0.0, view.now - prediction.t)
-        table.add_row(Text(f"{ago:.0f} s ago"), Text(prediction_line(prediction)))
+        table.add_row(_text(f"{ago:.0f} s ago"), _text(prediction_line(prediction)))
     return table

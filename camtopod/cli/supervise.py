@@ -90,7 +90,7 @@ class _Cameras:
         try:
             config, text = accepted(self._args)
         except CommandError as error:
-            log.error("the old configuration stays: %s", error)
+            log.error("the old configuration stays: %s", " ".join(str(error).splitlines()))
             self._summary = ""
             return
         now = time.monotonic()

@@ -28,6 +28,7 @@ from camtopod.cli.exits import CommandError
 from camtopod.serve import clock
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.subscriber import TopologyView
+from camtopod.visible import visible
 
 REFRESH_SECONDS = 0.5
 FOLLOW_SECONDS = 0.25
@@ -130,8 +131,8 @@ def _show(view: View) -> None:
 
 
 def lines(view: View) -> list[str]:
-    """The whole view as text."""
-    return [
+    """The whole view as text, in which nothing that others said acts on a terminal."""
+    text = [
         daemon_line(view),
         *topology_lines(view.topology),
         "",
@@ -143,6 +144,7 @@ def lines(view: View) -> list[str]:
         "PREDICTIONS",
         *(prediction_line(prediction) for prediction in view.predictions[:PREDICTIONS_SHOWN]),
     ]
+    return [visible(line) for line in text]
 
 
 def _cameras(view: View) -> list[str]:

@@ -12,6 +12,7 @@ import functools
 import json
 import logging
 import math
+import re
 import socket
 import threading
 import time
@@ -23,6 +24,7 @@ import zenoh
 from camtopod import codec
 from camtopod.config import BusSettings, Config
 from camtopod.keys.rules import PREFIX
+from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
 from camtopod.serve import clock, guard, refusals
 
@@ -245,18 +247,20 @@ class Bus:
         self._declared.append(token)
 
     def present(self, role: str) -> list[str]:
-        """The names of those of a role who are there."""
+        """The names of those of a role who are there; a name that is none by `CAMERA_PATTERN` is left out."""
         answers = self._session.liveliness().get(
             self._full(f"alive/{role}/*"), zenoh.handlers.FifoChannel(_REPLIES_MAX), timeout=self._query_seconds
         )
-        return [str(reply.ok.key_expr).rsplit("/", 1)[-1] for reply in answers if reply.ok is not None]
+        names = [str(reply.ok.key_expr).rsplit("/", 1)[-1] for reply in answers if reply.ok is not None]
+        return [name for name in names if re.match(CAMERA_PATTERN, name)]
 
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
-        """Call ``on_change(name, alive)`` for those of a role who are there, appear, and vanish."""
+        """Call ``on_change(name, alive)`` for those of a role who are there, appear, and vanish; names as `present`."""
 
         def change(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr).rsplit("/", 1)[-1]
-            on_change(name, sample.kind == zenoh.SampleKind.PUT)
+            if re.match(CAMERA_PATTERN, name):
+                on_change(name, sample.kind == zenoh.SampleKind.PUT)
 
         key = self._full(f"alive/{role}/*")
         self._declared.append(self._session.liveliness().declare_subscriber(key, change, history=True))

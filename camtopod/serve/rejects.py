@@ -32,7 +32,8 @@ class Rejects:
                 reason = "other"
             self.counts[reason] += 1
             text = raw if isinstance(raw, str) else raw[: 4 * QUOTE_CHARACTERS_MAX].decode("utf-8", "replace")
-            sample = f"{where}: {detail[:QUOTE_CHARACTERS_MAX]}: {redact(text)[:QUOTE_CHARACTERS_MAX]!r}"
+            most = QUOTE_CHARACTERS_MAX
+            sample = f"{where[:most]}: {detail[:most]}: {redact(text)[:most]!r}"
             self._samples.setdefault(reason, deque(maxlen=SAMPLES_MAX)).append(sample)
             first = self.counts[reason] == 1
         if first:

@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from camtopod.visible import visible
+
 log = logging.getLogger(__name__)
 
 SOCKET_VARIABLE = "NOTIFY_SOCKET"
@@ -42,7 +44,7 @@ def notify(*assignments: str) -> bool:
 
 def status(text: str) -> str:
     """The assignment that shows ``text`` in `systemctl status`."""
-    return "STATUS=" + " ".join(text.split())
+    return "STATUS=" + visible(" ".join(text.split()))
 
 
 def reloading() -> None:
