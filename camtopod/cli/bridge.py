@@ -10,7 +10,7 @@ import threading
 from typing import Any
 
 from camtopod import codec
-from camtopod.cli import broker, exits
+from camtopod.cli import broker, descriptors, exits
 from camtopod.cli.common import configuration, start_logging, until_signal, watched
 from camtopod.cli.exits import CommandError
 from camtopod.export import homeassistant
@@ -114,6 +114,7 @@ def run(args: argparse.Namespace) -> int:
     """Publish until SIGTERM or SIGINT."""
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
+    descriptors.raise_limit()
     config = configuration(args)
     target = broker.named(args, args.url, PREFIX)
     topics = Topics(config.site.name, target.prefix, args.discovery.strip("/"))

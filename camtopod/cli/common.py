@@ -18,7 +18,7 @@ from typing import NamedTuple
 import msgspec
 
 from camtopod import config, secret_files
-from camtopod.cli import exits
+from camtopod.cli import exits, standard_streams
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
@@ -183,6 +183,7 @@ def leaving(stop: threading.Event, seconds: float, parent: int | None = None) ->
                 stop.set()
         if not done.wait(seconds):
             log.warning("something did not end within %g s and is left as it is", seconds)
+            standard_streams.settle()
             os._exit(exits.DONE)
 
     threading.Thread(target=watch, name="leaving", daemon=True).start()

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import msgspec
 
 from camtopod import codec, redact
-from camtopod.cli import exits
+from camtopod.cli import descriptors, exits
 from camtopod.cli.child import restarted
 from camtopod.cli.common import Told, accepted, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
@@ -68,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
     """Grab until the file ends or a signal comes."""
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
+    descriptors.raise_limit()
     with signals() as told:
         if args.camera is None:
             return _all(args, told)

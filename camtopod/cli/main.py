@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import importlib
 import json
 import logging
@@ -23,10 +24,10 @@ import traceback
 import types
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO, cast
 
 from camtopod import __version__
-from camtopod.cli import exits
+from camtopod.cli import exits, standard_streams
 from camtopod.redact import redact
 from camtopod.visible import visible, visible_lines
 
@@ -56,6 +57,8 @@ _LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_T
 """Set to 1 before numpy is loaded: with another number of threads the same events give other last bits."""
 _KEEP_ON = ("run", "grab")
 """They read their configuration anew when told so by SIGHUP, and never end by it."""
+_UNTIL_TOLD = (*_KEEP_ON, "web", "bridge", "watch", "ingest")
+"""They run until they are told to end, whether or not their messages are read."""
 _WITH_VALUE = ("--config", "--site", "--connect", "--log-format")
 
 
@@ -93,6 +96,9 @@ def console() -> NoReturn:
     The interpreter's own end waits for threads, and aborts the process (status -6, "exception not rethrown") when one
     of zenoh's or OpenCV's comes back to it meanwhile. Whatever matters is closed by then, or safe on disk.
     """
+    standard_streams.open_missing()
+    if _command_in(sys.argv[1:]) in _UNTIL_TOLD:
+        sys.stderr = cast(TextIO, standard_streams.Unwaited(2))
     sys.excepthook = _crash
     threading.excepthook = _crash_of_a_thread
     try:
@@ -104,6 +110,7 @@ def console() -> NoReturn:
 
 def _end(status: int) -> NoReturn:
     logging.shutdown()
+    standard_streams.settle()
     with contextlib.suppress(OSError):  # nobody is there to read it
         sys.stdout.flush()
         sys.stderr.flush()
@@ -213,6 +220,8 @@ def _os_error(error: OSError) -> tuple[str, int]:
     """An error nobody nearer translated: with a file name it is an input that cannot be read."""
     if error.filename is not None:
         return f"cannot read {error.filename}: {error.strerror}", exits.INPUT
+    if error.errno == errno.EBADF:
+        return "standard input or output is closed", exits.FAILED
     status = exits.INPUT if type(error).__module__.startswith("camtopod.vision") else exits.FAILED
     return str(error), status
 

@@ -9,7 +9,7 @@ import re
 import sys
 from typing import Any
 
-from camtopod.cli import exits
+from camtopod.cli import descriptors, exits
 from camtopod.cli.common import Told, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.config import Config
@@ -63,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
     sys.setswitchinterval(SWITCH_SECONDS)
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
+    descriptors.raise_limit()
     with signals() as told, leaving(told.stop, LEAVE_SECONDS):
         config = configuration(args)
         if args.shard and args.shard[1] > config.shards.districts:

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from camtopod.cli import exits
+from camtopod.cli import exits, standard_streams
 from camtopod.cli.child import STOP_SECONDS, Child
 from camtopod.cli.common import Told, accepted
 from camtopod.cli.exits import CommandError
@@ -44,6 +44,7 @@ def supervise(args: argparse.Namespace, config: Config, text: bytes, told: Told)
         closed = site.end()
     status = exits.DONE if told.stop.is_set() else site.status
     if not closed:  # a bus that was not closed would keep the process from ending
+        standard_streams.settle()
         os._exit(status)
     return status
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from camtopod.cli import exits
+from camtopod.cli import descriptors, exits
 from camtopod.cli.common import configuration, leaving, start_logging, until_signal, watched
 from camtopod.cli.exits import CommandError
 from camtopod.serve import clock
@@ -55,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
     start_logging(args)
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
+    descriptors.raise_limit()
     try:
         from camtopod.web import app
     except ModuleNotFoundError as error:

@@ -1,0 +1,109 @@
+"""Standard input, output and error of a process, whatever they are: closed, or a pipe that is full and not read.
+
+A program that runs until it is told to end must not wait for the reader of its log. So its standard error becomes a
+bounded queue with a thread of its own, which alone may wait (`Unwaited`).
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import select
+import sys
+import threading
+from collections import deque
+
+WAITING_CHARACTERS_MAX = 1 << 20
+"""Text that waits for the reader of standard error; further text is dropped and counted."""
+LAST_WORDS_SECONDS = 0.5
+"""How long the end of a process waits for text to be written."""
+_PIECE_BYTES = 4096
+_LOOK_SECONDS = 0.2
+_NUMBERS = (0, 1, 2)
+
+
+def open_missing() -> None:
+    """Open the null device in place of those that are closed; otherwise the next file that is opened takes the number.
+
+    Standard input and output then fail when they are used, with EBADF, as they would without; standard error does not,
+    as there is no other place to say so.
+    """
+    modes = {0: os.O_WRONLY, 1: os.O_RDONLY, 2: os.O_WRONLY}
+    for number in _NUMBERS:
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, modes[number])  # which gives the lowest free number
+            os.set_inheritable(number, True)
+    sys.stdin = sys.stdin or os.fdopen(0, "r", closefd=False)
+    sys.stdout = sys.stdout or os.fdopen(1, "w", closefd=False)
+    sys.stderr = sys.stderr or os.fdopen(2, "w", errors="backslashreplace", closefd=False)
+
+
+class Unwaited(io.TextIOBase):
+    """A text stream to the file descriptor ``fd``. Writing never blocks; thread-safe."""
+
+    def __init__(self, fd: int, characters_max: int = WAITING_CHARACTERS_MAX) -> None:
+        self._fd, self._characters_max = fd, characters_max
+        self._changed = threading.Condition()
+        self._texts: deque[str] = deque()
+        self._waiting = 0
+        """Characters of the texts, and of the one that is being written."""
+        self._dropped = 0
+        threading.Thread(target=self._work, name="standard-error", daemon=True).start()
+
+    def write(self, text: str) -> int:
+        """Have it written; drop it if too much is waiting."""
+        with self._changed:
+            if self._waiting + len(text) > self._characters_max:
+                self._dropped += 1
+            elif text:
+                missing = f"warning: {self._dropped} messages are missing here: nothing read standard error\n"
+                self._texts.append(missing + text if self._dropped else text)
+                self._dropped, self._waiting = 0, self._waiting + len(self._texts[-1])
+                self._changed.notify_all()
+        return len(text)
+
+    def writable(self) -> bool:
+        """Whether text can be written: always."""
+        return True
+
+    def fileno(self) -> int:
+        """The file descriptor."""
+        return self._fd
+
+    def isatty(self) -> bool:
+        """Whether it is a terminal."""
+        return os.isatty(self._fd)
+
+    def settle(self, seconds: float = LAST_WORDS_SECONDS) -> bool:
+        """Wait until everything has been written; False if that takes over ``seconds``."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._waiting, seconds)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: bool(self._texts))
+                text = self._texts.popleft()
+            _write_all(self._fd, text)
+            with self._changed:
+                self._waiting -= len(text)
+                self._changed.notify_all()
+
+
+def settle(seconds: float = LAST_WORDS_SECONDS) -> bool:
+    """Wait for what has been said on standard error; False if it is not read, and must not be waited for."""
+    return not isinstance(sys.stderr, Unwaited) or sys.stderr.settle(seconds)
+
+
+def _write_all(fd: int, text: str) -> None:
+    """Waits for the reader for as long as it takes; what goes to a reader that has gone is lost."""
+    data = text.encode("utf-8", "backslashreplace")
+    while data:
+        try:
+            data = data[os.write(fd, data[:_PIECE_BYTES]) :]
+        except BlockingIOError:  # somebody else has made it non-blocking
+            select.select([], [fd], [], _LOOK_SECONDS)
+        except OSError:
+            return
