@@ -25,7 +25,8 @@ from told_systemd import Systemd
 from camtopod.config import Config, HealthSettings, parse
 from camtopod.records import Event
 from camtopod.serve import bus as buses
-from camtopod.serve import health, systemd
+from camtopod.serve import health, self_check, systemd
+from camtopod.serve.bus import Bus, BusError
 from camtopod.serve.changes import changes
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.live import Live
@@ -116,6 +117,45 @@ def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon) ->
     let_go()
     wait_for(lambda: daemon.failing() == [], "it to go on")
     assert daemon.status()["state"] == "running"
+
+
+def connections_at(endpoint: str) -> int:
+    """How many programs are connected there."""
+    port, established = f":{int(endpoint.rpartition(':')[2]):04X}", "01"
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    return sum(row[1].endswith(port) and row[3] == established for row in rows)
+
+
+def test_a_bus_that_is_dead_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(self_check, "LOOK_SECONDS", 0.1)
+    config = strict(tmp_path, stall_seconds=0.3)
+    quick = msgspec.structs.replace(config.bus, connect_seconds=0.1, query_seconds=0.5)
+    with Daemon(msgspec.structs.replace(config, bus=quick)) as daemon:
+        wait_for(lambda: connections_at(daemon.endpoint) == 1, "it to be its own client")
+        time.sleep(1.2)  # longer than it may take
+        assert (daemon.failing(), daemon.unready()) == ([], [])
+        daemon.bus._session.close()  # type: ignore[no-untyped-call]
+        wait_for(
+            lambda: any(reason.startswith("bus has not got on") for reason in daemon.failing()), "it to be noticed"
+        )
+
+
+def test_a_bus_that_never_could_be_looked_at_is_not_called_dead(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(self_check, "LOOK_SECONDS", 0.1)
+    tried = threading.Event()
+
+    def unreachable(config: Config) -> Bus:
+        tried.set()
+        raise BusError("a firewall")
+
+    monkeypatch.setattr(self_check, "dial", unreachable)
+    with Daemon(strict(tmp_path, stall_seconds=0.3)) as daemon:
+        assert tried.wait(WAIT_SECONDS)
+        monkeypatch.setattr(daemon.progress._marks["bus"], "seconds_max", 0.3)
+        time.sleep(0.7)
+        assert daemon.failing() == []
 
 
 def test_a_long_refit_has_its_own_limit(tmp_path: Path) -> None:

@@ -187,7 +187,7 @@ def test_data_that_cannot_be_written_is_no_success(tmp_path: Path) -> None:
 
 
 def test_with_too_few_files_it_says_so_and_ends(tmp_path: Path) -> None:
-    options, endpoint, _ = configured(tmp_path)
+    options, _, _ = configured(tmp_path)
     for command in (["run"], ["grab", "--camera", "lobby", "rtsp://127.0.0.1:1/x"], ["web", "--listen", "[::1]:0"]):
         line = ["sh", "-c", 'ulimit -n 32 && exec "$0" -m camtopod "$@"', sys.executable, *options, *command]
         environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
@@ -198,7 +198,7 @@ def test_with_too_few_files_it_says_so_and_ends(tmp_path: Path) -> None:
 
 
 def test_it_takes_as_many_as_it_may_have(tmp_path: Path) -> None:
-    options, endpoint, health = configured(tmp_path)
+    options, _, health = configured(tmp_path)
     line = ["sh", "-c", 'ulimit -Sn 40 && exec "$0" -m camtopod "$@"', sys.executable, *options, "run"]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
     with running(subprocess.Popen(line, env=environment)) as process:

@@ -4,7 +4,8 @@ Theory of operation. Five threads besides the bus's own. *Listen* puts what it h
 newest version; *receive* does so with what is left over, pulled or due. *Store* owns the journal: it commits what is in
 order, acknowledges it, and stores each version before it is published. *Learn* teaches the learner, which is in a
 process of its own, what is committed, in the journal's order. *Pull* asks the publishers' spools for what is missing.
-Every hand-over is a bounded queue; when one is full, events stay in the spools.
+Every hand-over is a bounded queue; when one is full, events stay in the spools. A sixth thread, *bus*, looks whether
+the bus lives, where this process is its meeting point.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from camtopod.serve.puller import Puller
 from camtopod.serve.receiver import Receiver
 from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover, told_by
 from camtopod.serve.rivals import Rivals
+from camtopod.serve.self_check import SelfCheck
 from camtopod.serve.share import Share, Whole
 from camtopod.serve.versions import Newest, Version, head_of
 
@@ -143,6 +145,9 @@ class Daemon:
         self._run("learn", lambda mark: self._learning.work(self._stopping, mark.beat), health.learn_seconds)
         self._run("pull", lambda mark: self._puller.work(self._stopping, mark), limits.pull_seconds + stall)
         self._run("status", self._tell_status, limits.status_seconds + stall)
+        if self._given_bus is None and self._share.first and config.listens:
+            self_check = SelfCheck(config, self._bus.endpoint, self._rivals.name)
+            self._run("bus", lambda mark: self_check.work(self._stopping, mark), self_check.look_seconds_max + stall)
         if (sharing := self._sharing) is not None:
             self._run("follow", lambda mark: sharing.follow(self._stopping, mark.beat), stall)
             self._run("tell", lambda mark: sharing.tell(self._stopping, mark.beat), stall)

@@ -28,7 +28,8 @@ class Rivals:
 
     def __init__(self, bus: Bus, name: str, shard: tuple[int, int] | None = None) -> None:
         self._bus, self._shard = bus, shard
-        self._name = name if shard is None else "{}of{}-{}".format(*shard, name)
+        self.name = name if shard is None else "{}of{}-{}".format(*shard, name)
+        """What the others see."""
         self._there: set[str] = set()
 
     def refuse(self, seconds: float, cancelled: threading.Event) -> None:
@@ -46,7 +47,7 @@ class Rivals:
     def appear(self) -> None:
         """Be seen as the site's daemon, and look out for others."""
         self._bus.watch_alive(ROLE, self._on_change)
-        self._bus.appear(ROLE, self._name)
+        self._bus.appear(ROLE, self.name)
 
     @property
     def reason(self) -> str:
@@ -64,7 +65,7 @@ class Rivals:
             log.error("another daemon (%s) serves site %s on this bus: stop one of them", name, self._bus.site)
 
     def _is_rival(self, name: str) -> bool:
-        if name == self._name:
+        if name == self.name:
             return False
         theirs = re.match("([0-9]{1,9})of([0-9]{1,9})-", name)
         if self._shard is None or theirs is None:
