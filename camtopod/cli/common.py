@@ -170,12 +170,19 @@ def until_signal() -> Iterator[threading.Event]:
         yield told.stop
 
 
+class Leaving:
+    """``status``: of a process that is ended because its block did not end in time."""
+
+    def __init__(self) -> None:
+        self.status = exits.DONE
+
+
 @contextlib.contextmanager
-def leaving(stop: threading.Event, seconds: float, parent: int | None = None) -> Iterator[None]:
+def leaving(stop: threading.Event, seconds: float, parent: int | None = None) -> Iterator[Leaving]:
     """Once told to stop the block has ``seconds`` to end, or the process ends as it stands: what must not be lost is
     on disk by then. It is told to stop, too, when the process ``parent`` is no longer the one above.
     """
-    done = threading.Event()
+    done, given = threading.Event(), Leaving()
 
     def watch() -> None:
         while not stop.wait(_PARENT_LOOK_SECONDS):
@@ -184,11 +191,11 @@ def leaving(stop: threading.Event, seconds: float, parent: int | None = None) ->
         if not done.wait(seconds):
             log.warning("something did not end within %g s and is left as it is", seconds)
             standard_streams.settle()
-            os._exit(exits.DONE)
+            os._exit(given.status)
 
     threading.Thread(target=watch, name="leaving", daemon=True).start()
     try:
-        yield
+        yield given
     finally:
         done.set()
         stop.set()

@@ -10,7 +10,6 @@ import math
 import os
 import re
 import signal
-import sys
 import threading
 import time
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -20,14 +19,14 @@ import msgspec
 from camtopod import codec, redact
 from camtopod.cli import descriptors, exits
 from camtopod.cli.child import restarted
-from camtopod.cli.common import Told, accepted, configuration, leaving, signals, start_logging
+from camtopod.cli.common import Leaving, Told, accepted, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.cli.heartbeat import Heart
 from camtopod.config import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve import clock, systemd
 from camtopod.vision import complaints
-from camtopod.vision.source import kind_of
+from camtopod.vision.source import AGAIN, kind_of
 
 if TYPE_CHECKING:
     from camtopod.serve.bus import Bus
@@ -73,8 +72,8 @@ def run(args: argparse.Namespace) -> int:
         if args.camera is None:
             return _all(args, told)
         faulthandler.register(signal.SIGUSR1, file=2)  # to tell where it hangs before it is killed
-        with leaving(told.stop, LEAVE_SECONDS, args.with_parent):
-            return _one(args, told)
+        with leaving(told.stop, LEAVE_SECONDS, args.with_parent) as left:
+            return _one(args, told, left)
 
 
 def _all(args: argparse.Namespace, told: Told) -> int:
@@ -88,16 +87,13 @@ def _all(args: argparse.Namespace, told: Told) -> int:
     return supervise(args, config, text, told)
 
 
-def _one(args: argparse.Namespace, told: Told) -> int:
+def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
     config = configuration(args)
     settings = _camera(args, config)
     redact.remember(settings.source)
     with contextlib.ExitStack() as stack:
-        heard = None
-        if args.out is not None:  # which may be standard output: FFmpeg would talk in between
-            stack.enter_context(complaints.log_level(complaints.LEVEL_NOTHING))
-        else:
-            heard = stack.enter_context(complaints.listening())
+        output = stack.enter_context(os.fdopen(os.dup(1), "wb")) if args.out == "-" else None
+        heard = stack.enter_context(complaints.listening())  # FFmpeg talks on standard output from here on
         from camtopod.vision.grabber import Grabber
 
         heart = Heart(args.beat_fd)
@@ -108,7 +104,7 @@ def _one(args: argparse.Namespace, told: Told) -> int:
         )  # fmt: skip
         stack.enter_context(contextlib.closing(grabber))
         if args.out is not None:
-            return _to_lines(grabber, args.out, told.stop)
+            return _to_lines(grabber, output or stack.enter_context(_file(args.out)), told.stop, left)
         return _to_bus(grabber, args, config, settings, told, heart)
 
 
@@ -130,22 +126,49 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
     return msgspec.structs.replace(known or CameraSettings(""), **given)
 
 
-def _to_lines(grabber: Grabber, path: str, stop: threading.Event) -> int:
-    """Event lines, each out at once."""
-    with contextlib.ExitStack() as stack:
-        out: BinaryIO = sys.stdout.buffer
-        if path != "-":
-            try:
-                out = stack.enter_context(open(path, "wb"))
-            except OSError as error:
-                raise CommandError(f"cannot write {path}: {error.strerror}") from None
-        for event in grabber.events():
-            if event is not None:
-                out.write(codec.to_json(event) + b"\n")
-                out.flush()
-            if stop.is_set():
-                break
-    return exits.DONE
+def _file(path: str) -> BinaryIO:
+    try:
+        return open(path, "wb")
+    except OSError as error:
+        raise CommandError(f"cannot write {path}: {error.strerror}") from None
+
+
+def _to_lines(grabber: Grabber, out: BinaryIO, stop: threading.Event, left: Leaving) -> int:
+    """Event lines, each out at once. The exit status, which is 66 if there was not one picture."""
+    said = _Said(grabber)
+    events = grabber.events()  # a name for it, as its end waits for a call of OpenCV: the status is known before that
+    for event in events:
+        said.tell()
+        if event is not None:
+            out.write(codec.to_json(event) + b"\n")
+            out.flush()
+        if stop.is_set():
+            break
+    if grabber.state == "connecting":
+        left.status = exits.INPUT
+        log.error("camera %s has given no picture: %s", grabber.camera, grabber.reason)
+    return left.status
+
+
+class _Said:
+    """Says what state a camera is in: when that changes, and each reason for a state once."""
+
+    def __init__(self, grabber: Grabber) -> None:
+        self._grabber = grabber
+        self._state = ""
+        self._reasons: set[str] = set()
+
+    def tell(self) -> None:
+        """Say it if it is new."""
+        camera, state, reason = self._grabber.camera, self._grabber.state, self._grabber.reason
+        cause = reason.partition(AGAIN)[0]  # when it is tried again is another time each time
+        if state != self._state:
+            self._state = state
+            self._reasons.clear()
+        elif cause in self._reasons:
+            return
+        self._reasons.add(cause)
+        log.info("camera %s is %s%s", camera, state, f": {reason}" if reason else "")
 
 
 def _to_bus(
@@ -195,7 +218,7 @@ def _publish_all(
     told: Told,
     heart: Heart,
 ) -> None:
-    state, next_status = "", 0.0
+    said, next_status = _Said(grabber), 0.0
     heart.beat(grabber.state, grabber.reason)
     for event in grabber.events():
         if grabber.overdue_seconds == 0.0:  # else whoever hears no beat ends this process
@@ -204,9 +227,7 @@ def _publish_all(
             publisher.publish(event)
         else:
             publisher.retry()
-        if grabber.state != state:
-            state = grabber.state
-            log.info("camera %s is %s%s", grabber.camera, state, f": {grabber.reason}" if grabber.reason else "")
+        said.tell()
         now = time.monotonic()
         if now >= next_status:
             next_status = now + config.limits.status_seconds

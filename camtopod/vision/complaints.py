@@ -14,7 +14,6 @@ from contextlib import contextmanager
 
 LEVEL_VARIABLE = "OPENCV_FFMPEG_LOGLEVEL"
 LEVEL_WARNINGS = "24"
-LEVEL_NOTHING = "-8"
 _READ_BYTES = 65536
 _LIBC = ctypes.CDLL(None)
 _STANDARD_OUTPUT = 1
@@ -97,7 +96,7 @@ def log_level(level: str) -> Iterator[None]:
 
 @contextmanager
 def listening() -> Iterator[Complaints]:
-    """Standard output is FFmpeg's while the block runs, so only for a process that has no data for it."""
+    """Standard output is FFmpeg's while the block runs; a program with data for it duplicates the descriptor before."""
     sys.stdout.flush()
     _flush()
     heard, written = os.pipe()

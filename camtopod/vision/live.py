@@ -17,6 +17,7 @@ from typing import Literal
 from camtopod.vision.capture import Cadence, Capture, Frame
 from camtopod.vision.complaints import Complaints
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source import AGAIN
 from camtopod.vision.timing import StampClock
 
 QUEUE_FRAMES = 8
@@ -116,7 +117,7 @@ class LiveSource:
             if time.monotonic() - began > HEALTHY_SECONDS:
                 wait = self._settings.backoff_min_seconds
             pause = wait * random.uniform(0.5, 1.0)
-            self.reason = f"{reason}; trying again in {pause:.1f} s"
+            self.reason = f"{reason}{AGAIN}{pause:.1f} s"
             wait = min(2 * wait, self._settings.backoff_max_seconds)
             self._stop.wait(pause)
 

@@ -6,6 +6,8 @@ import re
 from typing import Literal
 from urllib.parse import quote
 
+AGAIN = "; trying again in "
+"""Between the reason why a source gives no pictures and the seconds until it is opened anew."""
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)(:\d+)?(?=[/?]|$)")
 _ENCODED = re.compile(r"(?:[^%]|%[0-9A-Fa-f]{2})*")

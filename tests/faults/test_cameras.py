@@ -21,6 +21,7 @@ from serving import WAIT_SECONDS, camtopod, small_config, wait_for
 from streams import FaultProxy, Host, hang_up, missing, rtsp_answer, served, silent, transcode
 
 from camtopod.cli.heartbeat import Ear
+from camtopod.codec import event_from_json
 from camtopod.serve.daemon import Daemon
 from camtopod.vision import live
 from camtopod.vision.complaints import Complaints, listening, reason_in
@@ -262,6 +263,52 @@ def test_a_stream_that_flaps_is_tried_with_patience_and_comes_back(film: Path, t
         wait_for(more, "it to come back")
         grabber.close()
         proxy.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "said", "number"),
+    [
+        ("secret", "the camera refuses the user name or password (401)", signal.SIGTERM),
+        ("closed", "nothing listens at this address and port", signal.SIGINT),
+        ("silent", "the host does not answer", signal.SIGTERM),
+    ],
+)
+def test_lines_to_standard_output_say_what_is_wrong_with_the_camera(
+    kind: str, said: str, number: int, hosts: dict[str, Host], tmp_path: Path
+) -> None:
+    url = hosts[kind].url if kind in hosts else "rtsp://127.0.0.1:1/x"
+    arguments = ["grab", "--camera", "lobby", url]
+    spoken = {}
+    for out in (["--out", "-"], ["--connect", "tcp/127.0.0.1:1", "--state", str(tmp_path)]):
+        log, began = tmp_path / f"log{len(spoken)}", time.monotonic()
+        with log.open("wb") as file:
+            process = camtopod(*arguments, *out, stdout=subprocess.PIPE, stderr=file)
+        try:
+            wait_for(lambda log=log: said in log.read_text(), "the reason")  # type: ignore[misc]
+            assert time.monotonic() - began < 10.0
+            process.send_signal(number)
+            data, _ = process.communicate(timeout=10)
+        finally:
+            process.kill()
+        assert data == b""
+        lines = [line.partition("; trying")[0] for line in log.read_text().splitlines()]
+        spoken[out[0]] = [line for line in lines if line.startswith("camera lobby is ")]
+        assert process.returncode == (66 if out[0] == "--out" else 0)
+        assert ("error: camera lobby has given no picture" in log.read_text()) == (out[0] == "--out")
+        assert "p@ssw0rd" not in log.read_text()
+    assert spoken["--out"] == spoken["--connect"]
+
+
+def test_a_good_camera_is_said_to_run_and_only_its_events_are_data(film: Path, tmp_path: Path) -> None:
+    out = subprocess.run(
+        [sys.executable, "-m", "camtopod", "grab", "--camera", "good", str(film), "--out", "-"],
+        capture_output=True, text=True, check=False, timeout=60,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "OPENCV_FFMPEG_LOGLEVEL": "56"},
+    )  # fmt: skip
+    assert out.returncode == 0
+    assert "camera good is running" in out.stderr.splitlines()
+    assert all(event_from_json(line).camera == "good" for line in out.stdout.splitlines())
+    assert len(out.stdout.splitlines()) >= 4
 
 
 def test_reasons_are_recognised_and_nothing_else_is_said(capfd: pytest.CaptureFixture[str]) -> None:
