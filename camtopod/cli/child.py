@@ -90,6 +90,8 @@ class Child:
         self.camera, self.settings, self._health = camera, settings, health
         self.process: subprocess.Popen[bytes] | None = None
         self.state, self.reason = "connecting", ""
+        self.daemon: str | None = None
+        """Why its process does not reach the daemon; "" if it does, None where that is not known."""
         self.restarts = 0
         self.last_end = ""
         """Why the last process ended."""
@@ -131,6 +133,7 @@ class Child:
         if said is not None:
             self._heard, self._spoke, self._slow_starts = now, True, 0
             self.state, self.reason = said.state, said.reason
+            self.daemon = said.daemon
         if status is not None:
             self._ended(status, now)
         elif self._kill_at is not None:
@@ -200,6 +203,7 @@ class Child:
     def _ended(self, status: int, now: float) -> None:
         assert self._ear is not None
         self._ear.close()
+        self.daemon = None
         self.process, self.status = None, status if status >= 0 else exits.FAILED
         if self._told:
             self.status = 0

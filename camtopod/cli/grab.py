@@ -12,6 +12,7 @@ import re
 import signal
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import msgspec
@@ -38,8 +39,14 @@ log = logging.getLogger(__name__)
 DRAIN_SECONDS = 10.0
 """How long a file's grabber waits at the end for its last events to be acknowledged, if nobody looks after it."""
 _DRAIN_LOOK_SECONDS = 0.2
+DAEMON_SECONDS = 5.0
+"""How long after it has reached the bus a grabber waits for a daemon before it says that there is none."""
+_DAEMON_LOOK_SECONDS = 0.5
 LEAVE_SECONDS = 4.0
 """After a signal, how long a source that blocks may hold up the end."""
+HANDOVER_SECONDS = LEAVE_SECONDS + 2.0
+"""How long the processes of a grabber that was killed, and started again at once, may take to end."""
+_HANDOVER_LOOK_SECONDS = 0.2
 
 
 def add_parser(subparsers: Any) -> None:
@@ -82,9 +89,22 @@ def _all(args: argparse.Namespace, told: Told) -> int:
         raise CommandError("which camera is it? add --camera ID", exits.USAGE)
     if not config.cameras:
         raise CommandError("nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE)
+    _refuse_a_second(config, told.stop)
     from camtopod.cli.supervise import supervise
 
     return supervise(args, config, text, told)
+
+
+def _refuse_a_second(config: Config, stop: threading.Event) -> None:
+    """Raises `CommandError` if another grabber has the spool of a camera and does not end within `HANDOVER_SECONDS`."""
+    from camtopod.serve.database import held_by
+    from camtopod.serve.spool import spool_path
+
+    paths = {camera: spool_path(config.state_directory, config.site.name, camera) for camera in config.cameras}
+    deadline = time.monotonic() + HANDOVER_SECONDS
+    while held := {camera: why for camera, path in paths.items() if (why := held_by(path))}:
+        if time.monotonic() >= deadline or stop.wait(_HANDOVER_LOOK_SECONDS):
+            raise CommandError(f"{', '.join(held)}: {next(iter(held.values()))}", exits.STATE)
 
 
 def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
@@ -219,10 +239,12 @@ def _publish_all(
     heart: Heart,
 ) -> None:
     said, next_status = _Said(grabber), 0.0
-    heart.beat(grabber.state, grabber.reason)
+    heart.beat(grabber.state, grabber.reason, connection.daemon)
     for event in grabber.events():
         if grabber.overdue_seconds == 0.0:  # else whoever hears no beat ends this process
-            heart.beat(grabber.state, grabber.reason)  # before the event: from then on a file has been begun
+            heart.beat(
+                grabber.state, grabber.reason, connection.daemon
+            )  # before the event: from then on a file has been begun
         if event is not None:
             publisher.publish(event)
         else:
@@ -239,7 +261,7 @@ def _publish_all(
             return
     publisher.retry()
     connection.tell_status()
-    heart.beat(grabber.state, grabber.reason)
+    heart.beat(grabber.state, grabber.reason, connection.daemon)
 
 
 def _drain(
@@ -261,14 +283,18 @@ def _drain(
             return
         publisher.retry()
         connection.tell_status()
-        heart.beat(grabber.state, f"{publisher.unacknowledged} events wait for the daemon")
+        heart.beat(grabber.state, f"{publisher.unacknowledged} events wait for the daemon", connection.daemon)
 
 
 class _Connection:
-    """The grabber's way to the bus, which may come later than the first events."""
+    """The grabber's way to the bus, which may come later than the first events, and whether the daemon is there."""
 
     def __init__(self, config: Config, grabber: Grabber, publisher: Publisher, args: argparse.Namespace) -> None:
         self._config, self._grabber, self._publisher = config, grabber, publisher
+        self._tells = args.beat_fd is None  # else the process above does, once for all cameras
+        self._daemons: set[str] = set()
+        self.daemon: str | None = None
+        """Why the daemon is not reached; "" if it is, None where that is not known yet."""
         self._restarts, self._last_end = args.restarts or 0, args.last_end
         self._bus: Bus | None = None
         self._closed = threading.Event()
@@ -282,7 +308,10 @@ class _Connection:
                 return
             self._publisher.attach(bus, [self._grabber.camera])
             bus.answer(f"status/{self._grabber.camera}", lambda key, parameters: self.status(), "status")
+            if not self._config.bus.tls.ca:  # else only who reads the site is shown its daemon
+                bus.watch_alive("daemon", self._on_daemon)
             self._bus = bus
+        threading.Thread(target=self._look, args=[bus], name="reach", daemon=True).start()
 
     def keep_dialling(self) -> None:
         """Dial in the background until there is a bus; events wait in the spool."""
@@ -290,17 +319,41 @@ class _Connection:
         def keep() -> None:
             from camtopod.serve.bus import BusError, dial
 
-            said = False
             while not self._closed.is_set():
                 try:
                     self.use(dial(self._config))
                     return
                 except BusError as error:
-                    if not said:
-                        log.warning("%s; events wait in the spool", error)
-                    said = True
+                    self._note(str(error))
 
         threading.Thread(target=keep, daemon=True).start()
+
+    def _on_daemon(self, name: str, alive: bool) -> None:
+        (self._daemons.add if alive else self._daemons.discard)(name)
+
+    def _look(self, bus: Bus) -> None:
+        """Note whether the daemon is reached, until the end."""
+        reached_at = time.monotonic()
+        while not self._closed.wait(_DAEMON_LOOK_SECONDS):
+            if not bus.connected:
+                reached_at = math.inf
+                self._note(f"the daemon at {bus.endpoint} is not reached any more")
+            elif self._daemons or self._config.bus.tls.ca:
+                self._note("")
+            else:
+                reached_at = min(reached_at, time.monotonic())
+                if time.monotonic() - reached_at >= DAEMON_SECONDS:
+                    self._note(f"the bus at {bus.endpoint} is reached, but no daemon of site {bus.site} is there")
+
+    def _note(self, why: str) -> None:
+        """Say it when it changes; ``why`` the daemon is not reached, "" if it is."""
+        before, self.daemon = self.daemon, why
+        if not self._tells or bool(why) == bool(before):
+            return
+        if why:
+            log.warning("%s; events wait in the spool", why)
+        elif before:
+            log.info("the daemon is reached again")
 
     def status(self) -> dict[str, Any]:
         """What ``status/{camera}`` says."""

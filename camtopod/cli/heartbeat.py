@@ -20,6 +20,8 @@ class Said(Struct, frozen=True):
 
     state: str
     reason: str
+    daemon: str | None = None
+    """Why the daemon is not reached; "" if it is, None where that is not known yet."""
 
 
 class Heart:
@@ -34,10 +36,11 @@ class Heart:
             os.set_blocking(fd, False)
             os.set_inheritable(fd, False)
 
-    def beat(self, state: str, reason: str) -> None:
+    def beat(self, state: str, reason: str, daemon: str | None = None) -> None:
         """It gets on; never blocks."""
         now = time.monotonic()
-        said = Said(state, redact(reason)[:REASON_CHARACTERS_MAX])
+        reached = None if daemon is None else redact(daemon)[:REASON_CHARACTERS_MAX]
+        said = Said(state, redact(reason)[:REASON_CHARACTERS_MAX], reached)
         if now < self._next and said == self._said:
             return
         first, self._said, self._next = not self._said.state, said, now + systemd.feed_seconds()

@@ -13,6 +13,7 @@ from camtopod.cli import exits, standard_streams
 from camtopod.cli.child import STOP_SECONDS, Child
 from camtopod.cli.common import Told, accepted
 from camtopod.cli.exits import CommandError
+from camtopod.cli.reach import Reach
 from camtopod.cli.speaker import Speaker
 from camtopod.config import CameraSettings, Config
 from camtopod.serve import systemd
@@ -58,6 +59,7 @@ class _Cameras:
         self._children = {name: Child(name, _filled(config, name), config.health) for name in config.cameras}
         self._leaving: list[Child] = []
         self._speaker = Speaker(config)
+        self._reach = Reach()
         self._next_word = self._next_feeding = 0.0
         self._summary = ""
 
@@ -77,6 +79,8 @@ class _Cameras:
             child.look_after(time.monotonic(), self._command, self._config_fd)
         self._leaving = [child for child in self._leaving if not child.over]
         now = time.monotonic()
+        known = {name: child.daemon for name, child in self._children.items()}
+        self._reach.tell({name: why for name, why in known.items() if why is not None}, now)
         if now >= self._next_word:
             self._next_word = now + _SPEAK_SECONDS
             silent = [child for child in self._children.values() if child.silent]

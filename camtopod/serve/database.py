@@ -79,6 +79,17 @@ class Lock:
             self._fd = -1
 
 
+def held_by(path: Path) -> str:
+    """Why the database at ``path`` cannot be had at the moment, as another process has it; "" if it can."""
+    lock = path.with_suffix(".lock")
+    if lock.exists():
+        try:
+            Lock(lock).close()
+        except StateError as error:
+            return str(error)
+    return ""
+
+
 def crc(*columns: int | float | str | bytes | None) -> int:
     """The checksum of a row: over all of its other columns."""
     return zlib.crc32(_encode(columns))

@@ -408,11 +408,16 @@ def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
     return event.camera, event.boot, event.seq, raw, database.crc(event.camera, event.boot, event.seq, raw)
 
 
+def spool_path(directory: Path, site: str, name: str) -> Path:
+    """Where the spool ``name`` of a site is below the state directory ``directory``."""
+    return directory / f"spools-of-{site}" / f"{name}.db"
+
+
 def open_spool(directory: Path, site: str, name: str, limits: Limits) -> Spool:
     """The spool ``name`` of a publishing process for a site, with its limits, below the state directory ``directory``.
     Raises `database.StateError`.
     """
-    path = directory / f"spools-of-{site}" / f"{name}.db"
+    path = spool_path(directory, site, name)
     _adopt(directory / f"spool-{name}.db", path)
     boot = clock.ulid(clock.wall())
     return Spool(path, boot, limits.spool_events_max, limits.spool_bytes_max, limits.spool_kept_events)

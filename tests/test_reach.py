@@ -1,0 +1,162 @@
+"""A grabber says once that the daemon has gone and once that it is back; a second one on the same box ends."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+from serving import WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
+
+from camtopod.cli.reach import PARTIAL_SECONDS, SETTLE_SECONDS, Reach
+from camtopod.config import BusSettings, Config
+from camtopod.serve import bus as buses
+from camtopod.serve.daemon import Daemon
+
+CAMERAS = ("hall", "lobby", "yard")
+GONE, BACK = "events wait in the spool", "the daemon is reached again"
+
+
+class Grabber:
+    """`camtopod grab` with cameras that do not exist; ``log``: what it says."""
+
+    def __init__(self, folder: Path, endpoint: str, *arguments: str, log: str = "log") -> None:
+        config = folder / "box.toml"
+        tables = "".join(f'[cameras.{name}]\nsource = "rtsp://127.0.0.1:1/x"\n' for name in CAMERAS)
+        config.write_text(
+            f'[bus]\nconnect = ["{endpoint}"]\nconnect_seconds = 0.5\n[state]\ndirectory = "{folder}/box"\n{tables}'
+        )
+        self._log = folder / log
+        with self._log.open("wb") as file:
+            self.process = camtopod("--config", str(config), "grab", *arguments, stderr=file)
+
+    @property
+    def log(self) -> list[str]:
+        return self._log.read_text().splitlines()
+
+    def said(self, what: str) -> list[str]:
+        return [line for line in self.log if what in line]
+
+    def end(self) -> None:
+        self.process.terminate()
+        assert self.process.wait(WAIT_SECONDS) == 0
+
+
+@pytest.fixture
+def started() -> Iterator[list[Grabber]]:
+    """Those that are put here have ended in the end."""
+    grabbers: list[Grabber] = []
+    yield grabbers
+    for grabber in grabbers:
+        if grabber.process.poll() is None:
+            grabber.process.terminate()
+            grabber.process.wait(WAIT_SECONDS)
+
+
+def at(endpoint: str, folder: Path) -> Config:
+    return msgspec.structs.replace(small_config(folder / "state"), bus=BusSettings(listen=(endpoint,)))
+
+
+def present(daemon: Daemon, *cameras: str) -> bool:
+    return set(cameras) <= set(daemon.bus.present("grabber"))
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_each_way_is_one_sentence(alone: bool, tmp_path: Path, started: list[Grabber]) -> None:
+    config = at(free_endpoint(), tmp_path)
+    cameras = ("lobby",) if alone else CAMERAS
+    with Daemon(config) as daemon:
+        started.append(grabber := Grabber(tmp_path, daemon.endpoint, *(["--camera", "lobby"] if alone else [])))
+        wait_for(lambda: present(daemon, *cameras), "the cameras")
+    for count in (1, 2):
+        wait_for(lambda n=count: len(grabber.said(GONE)) == n, "word that it has gone")  # type: ignore[misc]
+        with Daemon(config) as daemon:
+            wait_for(lambda n=count: len(grabber.said(BACK)) == n, "word that it is back")  # type: ignore[misc]
+            assert present(daemon, *cameras)
+            assert len(grabber.said(GONE)) == count
+    grabber.end()
+    assert len(grabber.said(BACK)) == 2
+    assert all("is not reached any more" in line for line in grabber.said(GONE)[:2]), grabber.log
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_daemon_that_is_not_there_yet_is_one_sentence(alone: bool, tmp_path: Path, started: list[Grabber]) -> None:
+    config = at(free_endpoint(), tmp_path)
+    started.append(grabber := Grabber(tmp_path, config.bus.listen[0], *(["--camera", "lobby"] if alone else [])))
+    wait_for(lambda: len(grabber.said(GONE)) == 1, "word that there is none")
+    assert "is `camtopod run` running there" in grabber.said(GONE)[0]
+    with Daemon(config):
+        wait_for(lambda: len(grabber.said(BACK)) == 1, "word that it is there")
+    assert len(grabber.said("camtopod run")) == 1
+
+
+def test_a_bus_without_a_daemon_is_said(tmp_path: Path, started: list[Grabber]) -> None:
+    with buses.meet(small_config(tmp_path)) as bus:
+        started.append(grabber := Grabber(tmp_path, bus.endpoint))
+        wait_for(lambda: len(grabber.said("no daemon of site site is there")) == 1, "word that there is none")
+        with Daemon(small_config(tmp_path / "state"), bus):
+            wait_for(lambda: len(grabber.said(BACK)) == 1, "word that it is there")
+
+
+# --- what is said of many -------------------------------------------------------------------------
+
+
+def test_connections_that_go_and_come_at_different_moments(caplog: pytest.LogCaptureFixture) -> None:
+    reach, now = Reach(), 100.0
+
+    def hold(seconds: float, **known: str) -> list[str]:
+        nonlocal now
+        caplog.clear()
+        with caplog.at_level(logging.INFO):
+            for _ in range(round(seconds / 0.1)):
+                reach.tell(known, now)
+                now += 0.1
+        return caplog.messages
+
+    assert hold(5.0) == []
+    assert hold(5.0, a="", b="") == []
+    assert hold(2.0, a="gone", b="") == [], "the other may be late"
+    assert hold(SETTLE_SECONDS + 1, a="gone", b="gone") == ["gone; events wait in the spools of all cameras"]
+    assert hold(60.0, a="other words", b="gone") == []
+    assert hold(60.0, a="gone") == [], "one is started again"
+    assert hold(5.0) == []
+    assert hold(5.0, a="", b="gone") == []
+    assert hold(5.0, a="", b="") == ["the daemon is reached again"]
+    (said,) = hold(PARTIAL_SECONDS + 5, a="", b="no certificate", c="")
+    assert said == "1 of 3 cameras do not reach the daemon: b (no certificate)"
+    assert hold(5.0, a="", b="", c="") == ["the daemon is reached again"]
+    assert hold(0.5, a="gone", b="gone") == []
+    assert hold(5.0, a="", b="") == [], "a moment is not worth a word"
+
+
+# --- a second one ---------------------------------------------------------------------------------
+
+
+def test_a_second_one_says_so_once_and_ends(tmp_path: Path, started: list[Grabber]) -> None:
+    endpoint = free_endpoint()
+    started.append(first := Grabber(tmp_path, endpoint))
+    wait_for(lambda: len(first.said("is connecting")) == len(CAMERAS), "all cameras")
+    second = Grabber(tmp_path, endpoint, log="second")
+    assert second.process.wait(WAIT_SECONDS) == 74
+    (line,) = second.log
+    assert "spools-of-site/hall.lock is held by another camtopod process" in line
+    assert line.startswith("camtopod: hall, lobby, yard: ")
+    assert first.said("(restart ") == []
+    one = Grabber(tmp_path, endpoint, "--camera", "lobby", log="one")
+    assert one.process.wait(WAIT_SECONDS) == 74
+    assert len(one.said("spools-of-site/lobby.lock is held by another camtopod process")) == 1
+
+
+def test_one_that_is_started_again_after_a_kill_waits_for_the_processes_of_before(
+    tmp_path: Path, started: list[Grabber]
+) -> None:
+    endpoint = free_endpoint()
+    started.append(first := Grabber(tmp_path, endpoint))
+    wait_for(lambda: len(first.said("is connecting")) == len(CAMERAS), "all cameras")
+    first.process.kill()
+    first.process.wait()
+    started.append(second := Grabber(tmp_path, endpoint, log="second"))
+    wait_for(lambda: len(second.said("is connecting")) == len(CAMERAS), "all cameras again")
+    assert second.said("held by") == []
