@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import socket
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -39,6 +41,7 @@ class Server:
     """The application on a bus of its own, with two versions; pictures in ``folder``."""
 
     def __init__(self, port: int) -> None:
+        self.port = port
         self.address = f"http://127.0.0.1:{port}"
 
     def get(self, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
@@ -183,6 +186,117 @@ def test_the_stream_begins_with_what_is_and_refuses_odd_names(server: Server) ->
     assert b"event: live\n" in lines
     assert b'data: ["01J",2]\n' in lines
     assert server.get("/live?camera=*")[0] == 404
+
+
+# --- clients that are idle or slow ------------------------------------------------------------------
+
+
+@pytest.fixture
+def crowd(server: Server) -> Iterator[Callable[[int], list[socket.socket]]]:
+    """Opens so many connections to the page."""
+    opened: list[socket.socket] = []
+
+    def more(count: int) -> list[socket.socket]:
+        made = [socket.create_connection(("127.0.0.1", server.port), 20) for _ in range(count)]
+        opened.extend(made)
+        return made
+
+    yield more
+    for one in opened:
+        one.close()
+
+
+def test_idle_and_slow_clients_keep_nobody_out(
+    server: Server, crowd: Callable[[int], list[socket.socket]], caplog: pytest.LogCaptureFixture
+) -> None:
+    crowd(300)
+    slow = crowd(300)
+    head = b"GET /data/map HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"x" * 1000
+    with urllib.request.urlopen(f"{server.address}/live", timeout=20) as stream:
+        for byte in head[:50]:
+            for one in slow:
+                with contextlib.suppress(OSError):  # it has been closed
+                    one.sendall(bytes([byte]))
+            began = time.monotonic()
+            assert server.get("/data/map")[0] == 200
+            assert time.monotonic() - began < 1.0
+        assert stream.readline() == b"retry: 1000\n"
+    said = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len(said) <= 1, said
+
+
+def closed(connection: socket.socket) -> bool:
+    """Whether the other side has closed it."""
+    connection.setblocking(False)
+    try:
+        return connection.recv(1) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True
+
+
+def test_a_request_has_to_come_in_time(
+    server: Server, crowd: Callable[[int], list[socket.socket]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app, "REQUEST_SECONDS", 0.3)
+    (idle,), (slow,), (used,) = crowd(1), crowd(1), crowd(1)
+    used.sendall(b"GET /data/map HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+    assert used.recv(8) == b"HTTP/1.1"
+    used.sendall(b"G")  # and no more of the next one
+
+    def more() -> bool:
+        with contextlib.suppress(OSError):
+            slow.sendall(b"G")
+        return closed(slow)
+
+    wait_for(more, "the slow one to be closed")
+    wait_for(lambda: closed(idle), "the idle one to be closed")
+    used.setblocking(True)
+    while used.recv(65536):
+        pass
+    monkeypatch.setattr(app, "BEAT_SECONDS", 0.2)
+    with urllib.request.urlopen(f"{server.address}/live", timeout=20) as stream:
+        for _ in range(6):  # which takes longer than the request may
+            while stream.readline() != b"event: beat\n":
+                pass
+
+
+def test_a_client_that_takes_nothing_is_disconnected(
+    server: Server, crowd: Callable[[int], list[socket.socket]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app, "TAKE_SECONDS", 0.5)
+    (greedy,) = crowd(1)
+    ask = b"GET /static/map.js HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    greedy.settimeout(5)
+    with contextlib.suppress(TimeoutError, ConnectionError):
+        greedy.sendall(ask * 2000)  # more than fits in all buffers between
+    monkeypatch.setattr(app, "REQUEST_SECONDS", 0.3)
+
+    def gone() -> bool:
+        try:
+            greedy.sendall(ask)
+        except TimeoutError:
+            return False
+        except ConnectionError:
+            return True
+        return False
+
+    greedy.settimeout(0.1)
+    wait_for(gone, "it to be disconnected")
+
+
+def test_what_clients_do_wrong_is_said_once_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(app.time, "monotonic", lambda: now)
+    seldom, said = app._Seldom(), []
+    for second in range(150):
+        now = 100.0 + second
+        for text in ("a", "b") if second == 0 else ("a",):
+            record = logging.LogRecord("x", logging.WARNING, "", 0, text, (), None)
+            said += [(second, record.getMessage())] if seldom.filter(record) else []
+    more = "(59 more since this was said last)"
+    assert said == [(0, "a"), (0, "b"), (60, f"a {more}"), (120, f"a {more}")]
 
 
 # --- the command ------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ import re
 import signal
 import threading
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import msgspec

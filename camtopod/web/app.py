@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ipaddress
+import logging
 import math
 import os
 import re
 import socket
 import threading
+import time
 from collections.abc import AsyncIterator, Callable, Collection, Iterator
 from importlib import resources
 from pathlib import Path
@@ -27,6 +29,7 @@ from starlette.responses import FileResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from camtopod.records import CAMERA_PATTERN, Topology
 from camtopod.serve.bus import Bus
@@ -38,9 +41,20 @@ from camtopod.web.mailbox import Hub
 from camtopod.web.past import Past
 from camtopod.web.pictures import picture_of
 
+log = logging.getLogger(__name__)
+
 BEAT_SECONDS = 4.0
 """A page hears something at least as often."""
 CONNECTIONS_MAX = 256
+"""Further requests are answered with 503."""
+WAITING_MAX = 64
+"""Connections that have sent no whole request, or wait for the next one; beyond it the oldest of them is closed."""
+REQUEST_SECONDS = 10.0
+"""A connection that takes longer to send a request is closed."""
+TAKE_SECONDS = 30.0
+"""A client that does not take what it is sent for this long is gone."""
+SAY_SECONDS = 60.0
+"""What clients do wrong is said this often, at most."""
 CLOSE_SECONDS = 2
 _TICK_SECONDS = 0.2
 HEADERS = {
@@ -214,6 +228,109 @@ class Site:
         return StreamingResponse(stream(), media_type="text/event-stream")
 
 
+class _Seldom(logging.Filter):
+    """Lets each message through once in `SAY_SECONDS`, with how many there were meanwhile."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._said: dict[str, tuple[float, int]] = {}
+        """By message: when it was said, and how many there have been since."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether it is to be said."""
+        now = time.monotonic()
+        said, meanwhile = self._said.get(record.msg, (-math.inf, 0))
+        if now - said < SAY_SECONDS:
+            self._said[record.msg] = said, meanwhile + 1
+            return False
+        self._said[record.msg] = now, 0
+        if meanwhile:
+            record.msg += f" ({meanwhile} more since this was said last)"
+        return True
+
+
+class _Connection(H11Protocol):
+    """One that holds its place only while it is of use: clients that are idle or slow keep nobody out."""
+
+    waiting_since: float | None = None
+    """For a request, seconds of the event loop; None while one is answered."""
+    _timer: asyncio.TimerHandle | None = None
+    """For the request, or for the client to take what it is sent."""
+    _unsent = 0
+    """Bytes that the client had not taken when the timer was set."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Wait for a request."""
+        super().connection_made(transport)
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It has gone."""
+        self._stop_waiting()
+        super().connection_lost(exc)
+
+    def handle_events(self) -> None:
+        """Take in what has come, which may be a request or a piece of one."""
+        super().handle_events()
+        if self.waiting_since is not None and self._answering:
+            self._stop_waiting()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        super().on_response_complete()
+        if not self._answering and not self.transport.is_closing():
+            self._wait()
+
+    def pause_writing(self) -> None:
+        """The client takes less than it is sent."""
+        super().pause_writing()
+        self._watch_taking()
+
+    def resume_writing(self) -> None:
+        """It has caught up."""
+        super().resume_writing()
+        if self.waiting_since is None and not self.transport.is_closing():
+            self._set_timer(None)
+
+    @property
+    def _answering(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def _wait(self) -> None:
+        self.waiting_since = self.loop.time()
+        self._set_timer(REQUEST_SECONDS, self._give_up)
+        waiting = [one for one in self.connections if isinstance(one, _Connection) and one.waiting_since is not None]
+        if len(waiting) > WAITING_MAX:
+            min(waiting, key=lambda one: one.waiting_since or 0.0)._give_up()
+
+    def _stop_waiting(self) -> None:
+        self.waiting_since = None
+        self._set_timer(None)
+
+    def _give_up(self) -> None:
+        """No request has come; what has been answered before is still sent."""
+        self._stop_waiting()
+        if not self.transport.is_closing():
+            log.warning("a client was disconnected: it sent no request, or there are too many such clients")
+            self.transport.close()
+        self._watch_taking()
+
+    def _watch_taking(self) -> None:
+        self._unsent = self.transport.get_write_buffer_size()
+        self._set_timer(TAKE_SECONDS, self._look_at_taking)
+
+    def _look_at_taking(self) -> None:
+        if self.transport.get_write_buffer_size() < self._unsent:
+            self._watch_taking()
+        else:
+            self.transport.abort()
+
+    def _set_timer(self, seconds: float | None, then: Callable[[], None] = lambda: None) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = None if seconds is None else self.loop.call_later(seconds, then)
+
+
 def application(site: Site, names: Collection[str], any_address: bool, beat: Beat) -> Starlette:
     """The application; it answers to ``names`` only, and with ``any_address`` to every address. ``beat`` is called as
     long as its event loop gets on.
@@ -280,7 +397,7 @@ def serving(
     config = uvicorn.Config(
         application(Site(feed, Past(bus), hub, pictures), names, any_address, page.beat), log_config=None,
         log_level="warning", access_log=False, lifespan="on", server_header=False, limit_concurrency=CONNECTIONS_MAX,
-        timeout_graceful_shutdown=CLOSE_SECONDS,
+        timeout_graceful_shutdown=CLOSE_SECONDS, http=_Connection,
     )  # fmt: skip
     server = uvicorn.Server(config)
     threads = [
@@ -288,6 +405,9 @@ def serving(
         threading.Thread(target=feed.versions, args=[stop, versions.beat], name="versions", daemon=True),
         threading.Thread(target=feed.messages, args=[stop, messages.beat], name="messages", daemon=True),
     ]
+    seldom, loggers = _Seldom(), (log, logging.getLogger("uvicorn.error"))
+    for logger in loggers:
+        logger.addFilter(seldom)
     for thread in threads:
         thread.start()
     try:
@@ -298,6 +418,8 @@ def serving(
         server.should_exit = True
         for thread in threads:
             thread.join(CLOSE_SECONDS + 1)
+        for logger in loggers:
+            logger.removeFilter(seldom)
 
 
 def _json(content: Any, status: int = 200) -> Response:
