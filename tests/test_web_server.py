@@ -225,6 +225,23 @@ def test_idle_and_slow_clients_keep_nobody_out(
     assert len(said) <= 1, said
 
 
+def test_of_many_that_wait_the_oldest_are_closed(
+    server: Server, crowd: Callable[[int], list[socket.socket]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app, "GRACE_SECONDS", 0.0)
+    waiting = crowd(app.WAITING_MAX + 20)
+    assert server.get("/data/map")[0] == 200
+    wait_for(lambda: sum(closed(one) for one in waiting) >= 20, "the oldest to be closed")
+    assert not any(closed(one) for one in waiting[40:])
+    monkeypatch.setattr(app, "GRACE_SECONDS", 60.0)
+    more = crowd(app.WAITING_MAX)
+    assert server.get("/data/map")[0] == 200
+    for one in more:  # their requests may be on their way
+        one.setblocking(True)
+        one.sendall(b"GET /data/map HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert one.recv(15) == b"HTTP/1.1 200 OK"
+
+
 def closed(connection: socket.socket) -> bool:
     """Whether the other side has closed it."""
     connection.setblocking(False)

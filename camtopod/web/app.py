@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Collection, Iterator
 from importlib import resources
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +46,12 @@ log = logging.getLogger(__name__)
 
 BEAT_SECONDS = 4.0
 """A page hears something at least as often."""
-CONNECTIONS_MAX = 256
-"""Further requests are answered with 503."""
+CONNECTIONS_MAX = 1_024
+"""Requests on further connections are answered with 503."""
 WAITING_MAX = 64
-"""Connections that have sent no whole request, or wait for the next one; beyond it the oldest of them is closed."""
+"""Connections that have sent no whole request, or wait for the next one; beyond it the oldest of them are closed ..."""
+GRACE_SECONDS = 1.0
+"""... when they have waited for longer than this: a request that is on its way is there by then."""
 REQUEST_SECONDS = 10.0
 """A connection that takes longer to send a request is closed."""
 TAKE_SECONDS = 30.0
@@ -297,11 +300,12 @@ class _Connection(H11Protocol):
         return self.cycle is not None and not self.cycle.response_complete
 
     def _wait(self) -> None:
-        self.waiting_since = self.loop.time()
+        self.waiting_since = now = self.loop.time()
         self._set_timer(REQUEST_SECONDS, self._give_up)
         waiting = [one for one in self.connections if isinstance(one, _Connection) and one.waiting_since is not None]
-        if len(waiting) > WAITING_MAX:
-            min(waiting, key=lambda one: one.waiting_since or 0.0)._give_up()
+        old = [(one.waiting_since or now, one) for one in waiting if (one.waiting_since or now) < now - GRACE_SECONDS]
+        for _, one in sorted(old, key=itemgetter(0))[: max(0, len(waiting) - WAITING_MAX)]:
+            one._give_up()
 
     def _stop_waiting(self) -> None:
         self.waiting_since = None
