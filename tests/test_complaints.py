@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from camtopod.vision.complaints import LEVEL_NOTHING, LEVEL_VARIABLE, LEVEL_WARNINGS, listening, log_level
+from camtopod.vision.complaints import LEVEL_VARIABLE, LEVEL_WARNINGS, listening
 
 PRINTS_AS_C_DOES = """
 import ctypes, sys
@@ -46,13 +46,10 @@ def test_what_waits_in_the_buffer_of_c_is_heard_too() -> None:
 def test_the_level_ends_with_the_block_and_a_user_s_own_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     """Or a process that is started afterwards would be silent, too."""
     monkeypatch.delenv(LEVEL_VARIABLE, raising=False)
-    with log_level(LEVEL_NOTHING):
-        assert os.environ[LEVEL_VARIABLE] == LEVEL_NOTHING
-    assert LEVEL_VARIABLE not in os.environ
     with listening():
         assert os.environ[LEVEL_VARIABLE] == LEVEL_WARNINGS
     assert LEVEL_VARIABLE not in os.environ
 
     monkeypatch.setenv(LEVEL_VARIABLE, "56")
-    with log_level(LEVEL_NOTHING), listening():
+    with listening():
         assert os.environ[LEVEL_VARIABLE] == "56"

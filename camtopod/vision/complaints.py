@@ -79,7 +79,7 @@ def _flush() -> None:
 
 
 @contextmanager
-def log_level(level: str) -> Iterator[None]:
+def _log_level(level: str) -> Iterator[None]:
     """FFmpeg's log has this level if it is opened first while the block runs; one that the user has set stays.
 
     Afterwards the environment is as before: a process that is started then decides for itself.
@@ -106,7 +106,7 @@ def listening() -> Iterator[Complaints]:
     os.dup2(written, _STANDARD_OUTPUT, inheritable=False)
     os.close(written)
     try:
-        with log_level(LEVEL_WARNINGS):
+        with _log_level(LEVEL_WARNINGS):
             yield Complaints(heard)
     finally:
         _flush()  # or it would come among what is printed next

@@ -47,6 +47,8 @@ class Walks:
         """Seconds from each exit to its prediction ..."""
         self.ack_delays: list[float] = []
         """... and to its ack."""
+        self.held_up = 0.0
+        """Seconds by which this process itself was late at most: the machine has other things to do."""
         self._seqs = dict.fromkeys(SENDERS, 0)
         reader.subscribe("prediction/*", self._on_prediction)
         for camera in SENDERS:
@@ -55,7 +57,9 @@ class Walks:
     def walk(self, seconds: float) -> None:
         began = time.monotonic()
         for number in range(int(seconds * self._per_second)):
-            time.sleep(max(0.0, began + number / self._per_second - time.monotonic()))  # the rate of the traffic
+            due = began + number / self._per_second
+            time.sleep(max(0.0, due - time.monotonic()))  # the rate of the traffic
+            self.held_up = max(self.held_up, time.monotonic() - due)
             camera = SENDERS[number % len(SENDERS)]
             self._seqs[camera] += 1
             event = Event(camera, "exit", time.time(), 0.5, 0.5, boot="b", seq=self._seqs[camera])
@@ -173,12 +177,12 @@ def walks_beside(
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "tls"])
 def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene, secured: bool) -> None:
     walks, reader = walks_beside(scene, secured, readers=4, questions=QUESTIONS, per_second=5, turns=2, seconds=4)
-    assert max(walks.delays) < LATE_SECONDS_MAX
-    assert max(walks.ack_delays) < LATE_SECONDS_MAX
+    assert max(walks.delays) < LATE_SECONDS_MAX + walks.held_up
+    assert max(walks.ack_delays) < LATE_SECONDS_MAX + walks.held_up
     assert TopologyView(reader).wait_for(1, 10.0) is not None
 
 
 def test_many_that_stop_hold_up_nobody_where_many_walk(scene: Scene) -> None:
     walks, _ = walks_beside(scene, False, readers=8, questions=3, per_second=400, turns=1, seconds=6)
-    assert max(walks.delays) < LATE_SECONDS_MAX
-    assert max(walks.ack_delays) < LATE_SECONDS_MAX
+    assert max(walks.delays) < LATE_SECONDS_MAX + walks.held_up
+    assert max(walks.ack_delays) < LATE_SECONDS_MAX + walks.held_up
