@@ -14,7 +14,6 @@ from msgspec.structs import replace
 
 from camtopod.districts.dealing import Dealing, Sharding
 from camtopod.districts.district import District
-from camtopod.districts.forgetting import without
 from camtopod.districts.line import Line
 from camtopod.districts.parts import Part
 from camtopod.districts.shard import ShardLearner, pack_shard, unpack_shard
@@ -275,7 +274,8 @@ def test_forgotten_cameras_leave_nothing_behind() -> None:
         plain.receive(event)
         if event.camera not in gone:
             told.receive(event)
-    left, never = without(plain.save(), gone), told.save()
+    plain.forget(gone)
+    left, never = plain.save(), told.save()
     assert left.window.cameras == never.window.cameras
     assert left.window.seen == never.window.seen
     assert len(left.cameras) == len(never.cameras)

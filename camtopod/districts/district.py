@@ -16,7 +16,6 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.districts.dealing import Dealing
-from camtopod.districts.forgetting import without
 from camtopod.districts.parts import Part, part_of
 from camtopod.learn.intake import MICROSECONDS, microseconds
 from camtopod.learn.learner import Learner
@@ -115,13 +114,11 @@ class District(Learner):
 
     def change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Go on with another state, in which event time may have been taken back."""
-        self._go_on_with(change(self.save()))
-        if self._done_us is not None and self.hearing.turn is not None:
-            self.hearing.turn = min(self.hearing.turn, self._turn_of(self._done_us))
-
-    def _go_on_with(self, state: LearnerState) -> None:
+        state = change(self.save())
         super().__init__(self.settings, self.site, self.epoch)  # only a new learner can be told what it knows
         self.load(state)
+        if self._done_us is not None and self.hearing.turn is not None:
+            self.hearing.turn = min(self.hearing.turn, self._turn_of(self._done_us))
 
     def _turn_of(self, t_us: int) -> int:
         """The turn of an event: that of its tick, as what a tick has is learned together."""
@@ -154,7 +151,7 @@ class District(Learner):
             self.hearing.neighbours = self._find_neighbours(self.topology)
         gone = {camera for camera in foreign if not self._hears(camera, following)}
         if gone:
-            self._go_on_with(without(self.save(), gone))
+            self.forget(gone)
 
     def _find_neighbours(self, topology: Topology) -> list[str]:
         """Foreign cameras from which objects come here, by how many they send."""

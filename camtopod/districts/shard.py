@@ -7,7 +7,7 @@ the same topology however many there are.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Set
 
 import msgspec
 from msgspec import Struct
@@ -151,6 +151,11 @@ class ShardLearner:
         """Let each district go on with another state."""
         for district in self.districts:
             district.change(change)
+
+    def forget(self, names: Set[str]) -> None:
+        """Forget cameras, as `Learner.forget`."""
+        for district in self.districts:
+            district.forget(names)
 
     def begin_epoch(self, epoch: str) -> None:
         """What is known stays; versions count from 1 again."""

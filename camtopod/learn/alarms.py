@@ -6,7 +6,7 @@ was closed (`change`), so that an installation that starts says nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 
 import numpy as np
 from msgspec import Struct
@@ -65,6 +65,12 @@ class AlarmLog:
         """Go on from there."""
         self.newest, self._said, self._clock = state.newest, state.said, state.clock
         self._joined, self._silent = set(state.joined), set(state.silent)
+
+    def forget(self, names: Set[str]) -> None:
+        """Forget which of these cameras are silent, and their clocks."""
+        self._silent -= names
+        for name in names & self._clock.keys():
+            del self._clock[name]
 
     def add(self, version: int, t: float, kind: str, subject: str, detail: str) -> None:
         """Report something found outside this module."""

@@ -121,6 +121,12 @@ class ClockKeeper:
         """Go on from there."""
         self.clocks, self._looked = Clocks(state.offset, state.sd, state.identified), state.looked
 
+    def keep(self, kept: Bools) -> None:
+        """Forget all cameras but those that are ``kept`` (cameras,), which are numbered anew."""
+        offset, sd, identified = self.clocks
+        known = kept[: len(offset)]  # cameras that have come since the last look are not among them
+        self.clocks = Clocks(offset[known], sd[known], identified[known])
+
     def look(self, scene: Scene, cameras: int, learned: int) -> bool:
         """Look again if there is enough new: ``scene`` by the cameras' own clocks, ``learned`` events up to now.
 

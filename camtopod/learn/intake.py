@@ -12,6 +12,7 @@ on it is waited for. An event with (camera, boot, seq) counts once however often
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Set
 
 from msgspec import Struct
 
@@ -119,6 +120,12 @@ class EventTime:
         self.watermark_us, self.behind = state.watermark_us, state.behind
         self._wait_for_the_last()
 
+    def forget(self, names: Set[str]) -> None:
+        """Forget what is known of the clocks of these cameras."""
+        for name in names & self.behind.keys():
+            del self.behind[name]
+        self._wait_for_the_last()
+
     def _look_behind(self, t_us: int, camera: str) -> None:
         """How far an event is behind event time; one that is further than clocks may be apart tells of no clock."""
         come = self._come_to()
@@ -150,7 +157,7 @@ class EventTime:
 
 
 class IntakeState(Struct):
-    """What an `Intake` knows. ``seen``: (camera, boot, starts, ends) of every `Sequence`."""
+    """What an `Intake` knows. ``seen``: (camera, boot, starts, ends) of every `Sequence`; ``newest``: see `Intake`."""
 
     newest_us: int | None
     second_us: int | None
@@ -161,6 +168,7 @@ class IntakeState(Struct):
     cameras: list[str]
     seen: list[tuple[str, str, list[int], list[int]]]
     behind: dict[str, Behind] = {}
+    newest: dict[str, int] = {}
 
 
 class Sequence:
@@ -205,6 +213,10 @@ class Intake:
         self._held: list[Event] = []
         self._oldest_us: int | None = None  # of those held
         self._seen: dict[str, dict[str, Sequence]] = {}
+        self.newest_of: dict[str, int] = {}
+        """Time of the newest event of each camera, late ones included, in microseconds; the camera that has been heard
+        of last comes last.
+        """
 
     @property
     def newest_us(self) -> int | None:
@@ -231,7 +243,7 @@ class Intake:
         time = self.time.save()
         return IntakeState(
             time.newest_us, time.second_us, time.leader, time.watermark_us, self.counts, list(self._held),
-            list(self._seen), seen, time.behind,
+            list(self._seen), seen, time.behind, self.newest_of,
         )  # fmt: skip
 
     def load(self, state: IntakeState) -> None:
@@ -243,6 +255,7 @@ class Intake:
         for camera, boot, starts, ends in state.seen:
             sequence = self._seen[camera][boot] = Sequence()
             sequence.starts, sequence.ends = starts, ends
+        self.newest_of = state.newest
 
     def receive(self, event: Event) -> str:
         """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many
@@ -251,12 +264,15 @@ class Intake:
         self.counts[verdict] += 1
         return verdict
 
+    def has_place(self, camera: str) -> bool:
+        """Whether an event of the camera would not be refused."""
+        return camera in self._seen or len(self._seen) < self.cameras_max
+
     def _judge(self, event: Event) -> str:
-        boots = self._seen.get(event.camera)
-        if boots is None:
-            if len(self._seen) >= self.cameras_max:
-                return "refused"
-            boots = self._seen[event.camera] = {}
+        if not self.has_place(event.camera):
+            return "refused"
+        boots, t_us = self._seen.setdefault(event.camera, {}), microseconds(event.t)
+        self.newest_of[event.camera] = max(t_us, self.newest_of.pop(event.camera, t_us))
         if event.boot is not None and event.seq is not None:
             sequence = boots.get(event.boot)
             if sequence is None:
@@ -265,7 +281,6 @@ class Intake:
                     del boots[next(iter(boots))]
             if not sequence.add(event.seq):
                 return "duplicate"
-        t_us = microseconds(event.t)
         if not self.time.note(t_us, event.camera):
             return "late"
         self._held.append(event)
@@ -275,6 +290,22 @@ class Intake:
     def advance(self, now_us: int) -> None:
         """Event time has come to ``now`` although no event says so."""
         self.time.advance(now_us)
+
+    @property
+    def cameras(self) -> list[str]:
+        """Cameras that have a place."""
+        return list(self._seen)
+
+    def held_of(self) -> set[str]:
+        """Cameras of which events wait for the watermark."""
+        return {event.camera for event in self._held}
+
+    def forget(self, names: Set[str]) -> None:
+        """Forget these cameras, but for their events that wait for the watermark."""
+        for known in (self._seen, self.newest_of):
+            for name in names & known.keys():
+                del known[name]
+        self.time.forget(names)
 
     def take(self, until_us: int) -> list[tuple[int, Event]]:
         """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical

@@ -10,6 +10,8 @@ within the lateness, nor on how fast or when the program ran.
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -22,6 +24,7 @@ from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, EventTimeState, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lags import LagBins
+from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_before, renumbered
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
     WEAK_TRANSITIONS_MIN,
@@ -48,9 +51,9 @@ from camtopod.learn.scoring import Scorer
 from camtopod.learn.screening import Screen, place, whole
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
-from camtopod.learn.snapshot import CameraState, LearnerState
+from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
 from camtopod.learn.topology import stamp
-from camtopod.learn.window import Window, cells_of
+from camtopod.learn.window import GONE, Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.records import Event, Topology
 
@@ -91,6 +94,7 @@ class Learner:
         self._zoned: list[int] = []  # events of the camera when its zones were last learned
         self._gone: list[tuple[ZoneShape, ...]] = []  # zones that have vanished, latest first, for when they come back
         self._looked: list[int] = []  # events of the camera when it was last asked whether it has been turned
+        self._left: dict[str, LeftCamera] = {}  # the one that left last comes last
         self._moved: list[tuple[int, float, Move]] = []  # cameras turned since the last version, and since when
         self._publishers: dict[str, Publisher] = {}
         self._doubled: list[str] = []  # cameras found to have two publishers since the last version
@@ -103,6 +107,8 @@ class Learner:
 
     def receive(self, event: Event) -> str:
         """Take one event: ``accepted``, ``duplicate``, ``late`` or ``refused``."""
+        if not self._intake.has_place(event.camera) and (other := gives_way(self._intake, self._window)) is not None:
+            self._leave({other})
         verdict = self._intake.receive(event)
         self._work()
         return verdict
@@ -134,7 +140,7 @@ class Learner:
             self.settings, self.site, self.epoch, self.topology, self._intake.save(), self._window.save(),
             self._keeper.save(), self._alarms.save(), self._scorer.save(), [CameraState(*place) for place in places],
             self._moved, self._done_us, self._fitted_us, self._learned, self._since_fit,
-            self._screen.followed, self._publishers, self._doubled,
+            self._screen.followed, self._publishers, self._doubled, self._left,
         )  # fmt: skip
 
     def load(self, state: LearnerState) -> None:
@@ -153,8 +159,17 @@ class Learner:
         self._looked = [camera.looked for camera in state.cameras]
         self._moved, self._done_us, self._fitted_us = state.moved, state.done_us, state.fitted_us
         self._learned, self._since_fit = state.learned, state.since_fit
-        self._screen.followed = state.followed
         self._publishers, self._doubled = state.publishers, state.doubled
+        self._screen.followed, self._left = state.followed, state.left
+
+    def forget(self, names: Set[str]) -> None:
+        """Forget cameras as if they had never been heard, but for their events that wait for the watermark; what was
+        learned of others through them stays. The next version is without them.
+        """
+        self._forget(names)
+        self._alarms.forget(names)
+        for name in names & self._left.keys():
+            del self._left[name]
 
     def begin_epoch(self, epoch: str) -> None:
         """What is known stays; versions count from 1 again."""
@@ -219,7 +234,10 @@ class Learner:
         batch = self._take(until_us)
         self._scorer.watch(batch)
         self._window.append(batch)
-        self._window.forget(until_us - microseconds(self.settings.window_hours * 3600.0))
+        before_us = until_us - microseconds(self.settings.window_hours * 3600.0)
+        self._window.forget(before_us)
+        if left := left_before(self._intake, self._window, before_us):
+            self._leave(left)
         self._look_for_moves()
         self._look_for_doubles(batch)
         self._learned += len(batch)
@@ -228,6 +246,31 @@ class Learner:
     def _take(self, until_us: int) -> list[tuple[int, Event]]:
         """The events up to ``until_us``, in canonical order."""
         return self._intake.take(until_us)
+
+    def _leave(self, names: Set[str]) -> None:
+        """Forget cameras, but for what gives their zones their numbers back, and that they fell silent."""
+        for name, zones, gone in zip(self._window.cameras, self._maps, self._gone, strict=False):
+            if name in names:
+                self._left[name] = LeftCamera((zones.zones + gone)[:GONE_ZONES_MAX], zones.next_number)
+        self._forget(names)
+        while len(self._left) > LEFT_CAMERAS_MAX:
+            first = next(iter(self._left))
+            del self._left[first]
+            self._alarms.forget({first})
+
+    def _forget(self, names: Set[str]) -> None:
+        number = self._window.forget_cameras(names)
+        kept = number != GONE
+        self._intake.forget(names)
+        self._scorer.forget(names)
+        self._keeper.keep(kept)
+        stay = np.flatnonzero(kept[: len(self._maps)])
+        self._maps, self._zoned = [self._maps[k] for k in stay], [self._zoned[k] for k in stay]
+        self._gone, self._looked = [self._gone[k] for k in stay], [self._looked[k] for k in stay]
+        self._moved = [(int(number[camera]), since, move) for camera, since, move in self._moved if kept[camera]]
+        self._publishers = {name: one for name, one in self._publishers.items() if name not in names}
+        self._doubled = [name for name in self._doubled if name not in names]
+        self._screen.followed = renumbered(self._screen.followed, number)
 
     def _due(self, tick_us: int) -> bool:
         """Whether enough has changed for a new version."""
@@ -326,17 +369,16 @@ class Learner:
         for camera in range(len(self._window.cameras)):
             seen = self._window.seen[camera]
             if camera == len(self._maps):
-                self._maps.append(find_zones(self._window.cell_sums(camera)))
+                left = self._left.pop(self._window.cameras[camera], LeftCamera())
+                self._maps.append(find_zones(self._window.cell_sums(camera), left.zones, left.next_number))
                 self._zoned.append(seen)
                 self._looked.append(seen)
-                self._gone.append(())
+                self._gone.append(_vanished(left.zones, self._maps[camera]))
             elif seen - self._zoned[camera] >= ZONES_REFRESH_SHARE * self._window.placed(camera):
                 old = self._maps[camera]
                 known = old.zones + self._gone[camera]
                 new = refresh_zones(self._window.cell_sums(camera), old, self._gone[camera])
-                numbers = {zone.number for zone in new.zones}
-                gone = tuple(zone for zone in known if zone.number not in numbers)
-                self._maps[camera], self._zoned[camera], self._gone[camera] = new, seen, gone[:GONE_ZONES_MAX]
+                self._maps[camera], self._zoned[camera], self._gone[camera] = new, seen, _vanished(known, new)
 
     def _in_right_time(self, scene: Scene) -> Scene:
         """The scene by the cameras' own clocks as right ones would have shown it, as far as is known."""
@@ -392,3 +434,9 @@ class Learner:
             return fit
         pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
         return fit._replace(candidates=whole(fit.candidates, pairs, departures, arrivals, self.bins, zones))
+
+
+def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:
+    """The zones that are not in the map now."""
+    numbers = {zone.number for zone in now.zones}
+    return tuple(zone for zone in known if zone.number not in numbers)[:GONE_ZONES_MAX]

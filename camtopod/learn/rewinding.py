@@ -36,6 +36,7 @@ def _intake(state: LearnerState, to_us: int) -> IntakeState:
         intake,
         newest_us=time.newest_us, second_us=time.second_us, leader=time.leader, watermark_us=time.watermark_us,
         held=[event for event in intake.held if microseconds(event.t) <= to_us],
+        newest={camera: min(t_us, to_us) for camera, t_us in intake.newest.items()},
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -94,6 +94,10 @@ class Scorer:
         self._baseline, self._stride, self._exits = state.baseline, state.stride, state.exits
         self._guesses.extend(state.guesses)
         self._marks.extend(state.marks)
+
+    def forget(self, names: Set[str]) -> None:
+        """Forget what waits for its outcome at these cameras."""
+        self._guesses = deque((guess for guess in self._guesses if guess.camera not in names), PENDING_MAX)
 
     def watch(self, batch: Iterable[tuple[int, Event]]) -> None:
         """Events by time, each with its time in microseconds: predict some of the exits."""

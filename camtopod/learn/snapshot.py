@@ -51,6 +51,13 @@ class CameraState(Struct):
     looked: int
 
 
+class LeftCamera(Struct):
+    """What is kept of a camera that has left: its zones, and the next free number."""
+
+    zones: tuple[ZoneShape, ...] = ()
+    next_number: int = 1
+
+
 class LearnerState(Struct):
     """Everything a `Learner` knows."""
 
@@ -72,6 +79,7 @@ class LearnerState(Struct):
     followed: dict[int, Followed] = {}
     publishers: dict[str, Publisher] = {}
     doubled: list[str] = []
+    left: dict[str, LeftCamera] = {}
 
 
 class _Snapshot(Struct):

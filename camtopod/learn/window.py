@@ -1,12 +1,13 @@
 """Sliding window of event time: the events that count, and integer sums over them that are undone exactly.
 
-Rows are kept by column, oldest first; a row's absolute number changes with `forget_camera` only, so a passage (an exit
-and the entry that began it) is one number in the column ``mate``. Positions are fixed point and summed per grid cell
-and camera, so a zone's mean and covariance are exact whatever has come and gone.
+Rows are kept by column, oldest first; a row's absolute number changes with `forget_camera` and `forget_cameras` only,
+so a passage (an exit and the entry that began it) is one number in the column ``mate``. Positions are fixed point and
+summed per grid cell and camera, so a zone's mean and covariance are exact whatever has come and gone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Set
 from itertools import takewhile
 from operator import itemgetter
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from camtopod.learn.grid_sums import GridSums
 from camtopod.learn.grouping import rows_of
 from camtopod.learn.positions import POSITION_ONE
 from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
@@ -27,7 +29,8 @@ FLOOD_SHARE, FLOOD_CAMERAS_MIN = 0.75, 3
 """A camera floods that has more than this share of a full window, where there are at least so many cameras."""
 NO_CELL = -1
 NO_MATE = -1
-PLANES = ("count", "sx", "sy", "sxx", "sxy", "syy", "entries")
+GONE = -1
+"""In place of the index of a camera that is forgotten."""
 
 _COLUMNS = {"t": np.int64, "camera": np.int32, "entry": np.bool_, "px": np.int32, "py": np.int32, "mate": np.int64}
 
@@ -50,7 +53,7 @@ class Window:
         self._events = events_max if events is None else events
         self.cameras: list[str] = []
         self.base = 0
-        self.sums: list[NDArray[np.int64]] = []
+        self.sums = GridSums()
         self.unplaced: list[NDArray[np.int64]] = []
         self.seen: list[int] = []
         """Events with positions of each camera that have ever come in."""
@@ -153,6 +156,29 @@ class Window:
         gone = np.zeros(len(self), np.bool_)
         gone[: max(before - self.base, 0)] = True
         gone &= self.column("camera") == camera
+        return self._drop(gone)
+
+    def forget_cameras(self, names: Set[str]) -> NDArray[np.int64]:
+        """Forget these cameras and their events. The others are numbered anew: returns the new index of each camera by
+        its old one, `GONE` for those that are forgotten.
+        """
+        kept = np.array([name not in names for name in self.cameras], np.bool_)
+        number = np.where(kept, np.cumsum(kept) - 1, GONE)
+        gone = ~kept[self.column("camera")]
+        if gone.any():
+            self._drop(gone)
+        rows = slice(self._start, self._stop)
+        self._columns["camera"][rows] = number[self._columns["camera"][rows]]
+        self._open = {(int(number[camera]), track): row for (camera, track), row in self._open.items()}
+        stay = np.flatnonzero(kept).tolist()
+        self.sums.keep(stay)
+        self.unplaced, self.seen = [self.unplaced[camera] for camera in stay], [self.seen[camera] for camera in stay]
+        self.cameras = [self.cameras[camera] for camera in stay]
+        self._index = {name: camera for camera, name in enumerate(self.cameras)}
+        return number
+
+    def _drop(self, gone: NDArray[np.bool_]) -> int:
+        """Drop these rows (n,), whatever their age; returns how many."""
         drop = int(gone.sum())
         self._count(np.flatnonzero(gone) + self._start, -1)
         number = np.where(gone, NO_MATE, self.base + drop + np.cumsum(~gone) - 1)
@@ -174,16 +200,24 @@ class Window:
         """Rows of each camera, oldest first; for now: appending and forgetting renumber them."""
         return rows_of(self.column("camera"), len(self.cameras))
 
+    def events_of_cameras(self) -> NDArray[np.int64]:
+        """Events of each camera in the window, (cameras,)."""
+        return np.bincount(self.column("camera"), minlength=len(self.cameras))
+
+    def cameras_present(self) -> set[str]:
+        """Cameras with events in the window."""
+        return {self.cameras[camera] for camera in np.flatnonzero(self.events_of_cameras())}
+
     def placed(self, camera: int) -> int:
         """Events of the camera in the window that have positions."""
-        return int(self.sums[camera][0].sum())
+        return self.sums.count(camera)
 
     def _camera(self, name: str) -> int:
         index = self._index.get(name)
         if index is None:
             index = self._index[name] = len(self.cameras)
             self.cameras.append(name)
-            self.sums.append(np.zeros((len(PLANES), GRID_ROWS, GRID_COLUMNS), np.int64))
+            self.sums.append()
             self.unplaced.append(np.zeros(2, np.int64))
             self.seen.append(0)
         return index
@@ -210,10 +244,9 @@ class Window:
         for index, here in zip(present.tolist(), np.split(order, first)[1:], strict=True):
             placed = here[cell[here] >= 0]
             at, x, y = cell[placed], px[placed], py[placed]
-            sums = self.sums[index].reshape(len(PLANES), -1)
-            values = (np.ones_like(x), x, y, x * x, x * y, y * y, entry[placed].astype(np.int64))
-            for plane, value in zip(sums, values, strict=True):
-                np.add.at(plane, at, sign * value)
+            if len(at):
+                values = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y, entry[placed]))
+                self.sums.add(index, at, sign * values)
             self.seen[index] += len(at) if sign > 0 else 0
             came = int(entry[here].sum()) - int(entry[placed].sum())
             self.unplaced[index] += sign * np.array([came, len(here) - len(placed) - came])

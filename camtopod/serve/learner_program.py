@@ -18,7 +18,6 @@ import traceback
 from collections.abc import Callable
 
 from camtopod import codec
-from camtopod.districts.forgetting import without
 from camtopod.districts.shard import ShardLearner, ShardState, pack_shard, unpack_shard
 from camtopod.learn.learner import Learner
 from camtopod.learn.rewinding import rewound
@@ -124,8 +123,7 @@ class Pupil:
                     raise ValueError("what was loaded is of another kind of learner")
             if before != given.epoch:
                 self._learner.begin_epoch(given.epoch)
-        if given.without:
-            self._change(lambda state: without(state, set(given.without)))
+        self._learner.forget(set(given.without))
         self._loaded = None
         with contextlib.suppress(PermissionError):  # where the unit allows no change of priorities
             os.nice(NICENESS)  # only now, as a start is waited for

@@ -1,0 +1,280 @@
+"""Cameras that have left are forgotten in all respects; those that return have their zones' numbers back."""
+
+from __future__ import annotations
+
+import random
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterable
+
+import msgspec
+import numpy as np
+import pytest
+
+from camtopod.learn import learner as module
+from camtopod.learn.learner import Learner
+from camtopod.learn.leaving import GIVES_WAY_SECONDS
+from camtopod.learn.settings import Settings
+from camtopod.learn.snapshot import pack, unpack
+from camtopod.records import Event, Topology
+
+RARE = {"refit_hours": 48.0, "refit_share": 0.5}
+"""Few versions, so that a test of many days is quick."""
+T0 = 1_700_000_000.0
+HOUR, DAY = 3600.0, 86_400.0
+PLACES = {"hall": ((0.1, 0.2), (0.9, 0.8)), "yard": ((0.5, 0.1), (0.5, 0.9), (0.1, 0.9))}
+
+
+def entry(camera: str, t: float, **more: object) -> Event:
+    return Event(camera, "entry", t, 0.5, 0.5, **more)  # type: ignore[arg-type]
+
+
+def passages(start: float, cameras: Iterable[str] = PLACES, number: int = 200) -> list[Event]:
+    """Of objects that appear and leave at the places of each camera, one every 20 s."""
+    rng = np.random.default_rng(1)
+    events = []
+    for k in range(number):
+        for camera in cameras:
+            places = PLACES[camera]
+            for kind, at, later in (("entry", places[k % len(places)], 0.0), ("exit", places[-1 - k % 2], 4.0)):
+                x, y = (float(v) for v in np.clip(np.array(at) + 0.01 * rng.standard_normal(2), 0, 1))
+                events.append(Event(camera, kind, start + 20.0 * k + later, x, y, str(k)))  # type: ignore[arg-type]
+    return sorted(events, key=lambda event: event.t)
+
+
+def told(learner: Learner, events: Iterable[Event]) -> list[Topology]:
+    for event in events:
+        learner.receive(event)
+    learner.flush()
+    return learner.updates()
+
+
+def zones_of(topology: Topology, camera: str) -> dict[str, tuple[float, float]]:
+    """The zones' places, to a tenth."""
+    return {
+        zone.id: (round(zone.x or 0.0, 1), round(zone.y or 0.0, 1)) for zone in topology.zones if zone.camera == camera
+    }
+
+
+def names_known(learner: Learner) -> set[str]:
+    """Every camera that the learner has anything of but its zones' numbers."""
+    state = learner.save()
+    assert len(state.cameras) <= len(state.window.cameras) == len(state.window.seen)
+    assert len(state.clocks.offset) <= len(state.window.cameras)
+    intake = {*state.intake.cameras, *state.intake.newest, *state.intake.behind, *(row[0] for row in state.intake.seen)}
+    return {*state.window.cameras, *intake, *(event.camera for event in state.intake.held)}
+
+
+# --- names that have left ---
+
+
+def test_names_that_have_left_take_no_places() -> None:
+    learner = Learner(Settings(cameras_max=50))
+    verdicts = Counter(learner.receive(entry(f"name{k}", T0 + k, boot="b", seq=1)) for k in range(60))
+    assert verdicts == {"accepted": 50, "refused": 10}
+    told(learner, [entry("name0", T0 + day * DAY) for day in range(1, 400)])
+    assert learner.receive(entry("new", T0 + 400 * DAY)) == "accepted"
+    learner.flush()
+    assert learner.topology is not None
+    assert [camera.id for camera in learner.topology.cameras] == ["name0", "new"]
+    assert names_known(learner) == {"name0", "new"}
+    assert learner.statistics()["cameras"] == 2
+
+
+def test_a_camera_is_known_as_long_as_the_window_goes_back() -> None:
+    """Also when others are so busy that none of its events is in the window any more: it is listed without zones."""
+    learner = Learner(Settings(window_hours=24.0, window_events=50, window_camera_events=1))
+    told(learner, passages(T0, ["yard"], 20))
+    for minute in range(1, 24 * 60):
+        learner.receive(entry("hall", T0 + 60.0 * minute))
+    learner.flush()
+    assert learner.topology is not None
+    assert [(c.id, len(c.zones)) for c in learner.topology.cameras] == [("hall", 1), ("yard", 0)]
+    told(learner, [entry("hall", T0 + DAY + HOUR + 60.0 * minute) for minute in range(60)])
+    assert [(c.id, len(c.zones)) for c in learner.topology.cameras] == [("hall", 1)]
+
+
+def test_one_whose_events_are_all_late_is_known_until_they_are_old() -> None:
+    """That a clock is behind is found out from late events alone."""
+    learner = Learner(Settings(window_hours=24.0))
+    for minute in range(30):
+        t = T0 + 60.0 * minute
+        for camera in ("hall", "yard"):
+            learner.receive(entry(camera, t))
+        learner.receive(entry("slow", t - 30.0))
+    assert learner.receive(entry("slow", t - 29.0)) == "accepted"
+    assert "slow" in names_known(learner)
+    told(learner, [entry("hall", T0 + 2 * DAY), entry("hall", T0 + 2 * DAY + 600)])
+    assert names_known(learner) == {"hall"}
+
+
+def test_at_the_limit_the_camera_with_the_fewest_events_gives_its_place() -> None:
+    learner = Learner(Settings(cameras_max=4))
+    told(learner, passages(T0))
+    for k, name in enumerate(("door", "invented")):
+        learner.receive(entry(name, T0 + 4000 + k))
+    learner.receive(entry("door", T0 + 4002))
+    start = T0 + 4002 + GIVES_WAY_SECONDS
+    assert learner.receive(entry("late", start - 60)) == "refused", "none has been silent for long"
+    told(learner, [entry("hall", start + 120), entry("hall", start + 240)])
+    assert learner.receive(entry("new", start + 250)) == "accepted"
+    assert names_known(learner) == {"hall", "yard", "door", "new"}
+    assert learner.receive(entry("newer", start + 250)) == "accepted"
+    assert names_known(learner) == {"hall", "yard", "new", "newer"}
+    told(learner, passages(start + 300, ["hall"]))
+    assert learner.topology is not None
+    assert len(zones_of(learner.topology, "yard")) == 3, "what was learned of the others stays"
+
+
+def test_one_of_which_something_is_held_keeps_its_place() -> None:
+    learner, start = Learner(Settings(cameras_max=2, version_seconds=DAY)), DAY * (T0 // DAY) + 1.0
+    for camera, seconds in (("a", 0.0), ("b", 3 * HOUR), ("b", 3 * HOUR + 120)):
+        learner.receive(entry(camera, start + seconds))
+    assert learner.receive(entry("c", start + 3 * HOUR + 120)) == "refused"
+
+
+# --- what stays ---
+
+
+@pytest.mark.parametrize("days", [2.5, 20.0], ids=["weekend", "holiday"])
+def test_a_camera_that_returns_has_its_zones_back(days: float) -> None:
+    """Whether others went on meanwhile or all was closed."""
+    for busy in (False, True):
+        learner = Learner(Settings(**RARE))
+        told(learner, passages(T0))
+        assert learner.topology is not None
+        before = {camera: zones_of(learner.topology, camera) for camera in PLACES}
+        assert [len(before[camera]) for camera in PLACES] == [2, 3]
+        back = T0 + days * DAY
+        if busy:
+            told(learner, [entry("other", T0 + hour * HOUR) for hour in range(2, int(days * 24))])
+            assert ("hall" in names_known(learner)) == (days < 14)
+        told(learner, passages(back, ["yard", "hall"]))
+        assert {camera: zones_of(learner.topology, camera) for camera in PLACES} == before
+        told(learner, [msgspec.structs.replace(e, x=e.y, y=e.x) for e in passages(back + 20 * DAY, ["hall"])])
+        assert not before["hall"].keys() - {"hall/1", "hall/2"}
+
+
+def test_numbers_of_so_many_cameras_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that left last."""
+    monkeypatch.setattr(module, "LEFT_CAMERAS_MAX", 3)
+    learner = Learner(Settings())
+    for k in range(6):
+        told(learner, [entry(f"name{k}", T0 + k * 20 * DAY)])
+    assert list(learner.save().left) == ["name2", "name3", "name4"]
+
+
+def test_a_camera_that_fell_silent_is_said_to_be_so_and_to_be_back() -> None:
+    """Though it has left since."""
+    learner = Learner(Settings(**RARE))
+    told(learner, passages(T0))
+    told(learner, passages(T0 + 2 * HOUR, ["hall"], 400))
+    told(learner, [entry("hall", T0 + hour * HOUR) for hour in range(24, 20 * 24)])
+    assert names_known(learner) == {"hall"}
+    told(learner, passages(T0 + 20 * DAY))
+    assert learner.topology is not None
+    alarms = [alarm.kind for alarm in learner.topology.alarms or [] if alarm.subject == "yard"]
+    assert alarms == ["camera_silent", "camera_back"]
+
+
+def test_a_camera_can_be_forgotten_by_name() -> None:
+    """Nothing is left of it, not even its zones' numbers."""
+    learner = Learner(Settings())
+    told(learner, passages(T0))
+    learner.forget({"yard", "never heard of"})
+    assert names_known(learner) == {"hall"}
+    assert b"yard" not in msgspec.msgpack.encode(learner.save().left)
+    told(learner, passages(T0 + HOUR + 1000))
+    assert learner.topology is not None
+    assert sorted(zones_of(learner.topology, "yard")) == ["yard/1", "yard/2", "yard/3"]
+    told(learner, [entry("hall", T0 + 30 * DAY)])
+    assert list(learner.save().left) == ["yard"]
+    learner.forget({"yard"})
+    assert learner.save().left == {}
+
+
+# --- the same events, the same versions ---
+
+
+def comings_and_goings(chance: random.Random) -> list[Event]:
+    """Of seven cameras over some days; few of them at a time."""
+    events, t = [], T0
+    for _ in range(40):
+        t += chance.choice([10.0, 600.0, 2 * HOUR, 9 * HOUR])
+        camera = chance.choice("abcdefg"[: chance.randint(1, 7)])
+        for k in range(chance.choice([1, 4])):
+            x = chance.choice([0.2, 0.8])
+            kind = chance.choice(["entry", "exit"])
+            events.append(Event(camera, kind, t + k, x, x, str(k % 2), "boot", len(events)))  # type: ignore[arg-type]
+    return events
+
+
+@pytest.mark.parametrize("cameras_max", [2, 3, 5, 7])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_saved_and_loaded_in_between_the_versions_are_the_same(cameras_max: int, seed: int) -> None:
+    chance = random.Random(seed)
+    events = comings_and_goings(chance)
+    rules = Settings(window_hours=24.0, refit_hours=6.0, cameras_max=cameras_max)
+    straight, broken, made = Learner(rules, "s", "e"), Learner(rules, "s", "e"), list[Topology]()
+    for event in events:
+        assert broken.receive(event) == straight.receive(event)
+        made += broken.updates()
+        if chance.random() < 0.3:
+            saved, broken = pack(broken.save()), Learner(rules, "s", "e")
+            broken.load(unpack(saved))
+        assert len(names_known(straight)) <= cameras_max
+    made += told(broken, [])
+    assert [(v.version, v.digest) for v in made] == [(v.version, v.digest) for v in told(straight, [])]
+    assert pack(unpack(pack(broken.save()))) == pack(unpack(pack(straight.save())))
+    newest = {event.camera: event.t for event in events}
+    lately = {camera for camera, t in newest.items() if t >= events[-1].t - 24.0 * HOUR}
+    assert names_known(straight) <= lately
+    if cameras_max == 7:
+        assert names_known(straight) == lately != set(newest)
+
+
+def test_a_snapshot_of_an_older_program_is_gone_on_from() -> None:
+    """Which had kept every name: those that have nothing in the window leave with the next tick."""
+    learner = Learner(Settings(window_hours=24.0))
+    told(learner, [entry("gone", T0), *passages(T0 + 20 * HOUR)])
+    state = learner.save()
+    state.intake.newest, state.left = {}, {}
+    state.intake.cameras.append("long gone")
+    learner = Learner(Settings(window_hours=24.0))
+    learner.load(unpack(pack(state)))
+    told(learner, [entry("hall", T0 + 25 * HOUR), entry("hall", T0 + 25 * HOUR + 60)])
+    assert names_known(learner) == {"hall", "yard"}
+    assert learner.topology is not None
+    assert len(zones_of(learner.topology, "yard")) == 3
+
+
+# --- memory ---
+
+TEN_THOUSAND = """
+import resource
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
+from camtopod.records import Event
+
+def most():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+
+learner = Learner(Settings(refit_share=100.0, refit_hours=100.0))
+before, t = most(), 1_700_000_000.0
+for k in range(10_000):
+    t += 0.5
+    learner.receive(Event(f"name{k}", "entry", t, 0.5, 0.5))
+    learner.receive(Event("lobby", "entry", t, 0.5, 0.5))
+print(most() - before, len(learner.save().window.cameras))
+learner.flush()
+print(most() - before)
+"""
+
+
+def test_ten_thousand_names_take_little_memory() -> None:
+    run = subprocess.run([sys.executable, "-c", TEN_THOUSAND], capture_output=True, text=True, check=True)
+    learned, names, fitted = (int(figure) for figure in run.stdout.split())
+    assert names > 9_000
+    assert learned < 100, "MB while they are learned"
+    assert fitted < 200, "MB at most, for a version"
