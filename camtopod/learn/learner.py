@@ -24,7 +24,7 @@ from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, EventTimeState, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lags import LagBins
-from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_before, renumbered
+from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
     WEAK_TRANSITIONS_MIN,
@@ -234,9 +234,9 @@ class Learner:
         batch = self._take(until_us)
         self._scorer.watch(batch)
         self._window.append(batch)
-        before_us = until_us - microseconds(self.settings.window_hours * 3600.0)
-        self._window.forget(before_us)
-        if left := left_before(self._intake, self._window, before_us):
+        window_us = microseconds(self.settings.window_hours * 3600.0)
+        self._window.forget(until_us - window_us)
+        if left := left_by(self._intake, self._window, until_us, window_us):
             self._leave(left)
         self._look_for_moves()
         self._look_for_doubles(batch)

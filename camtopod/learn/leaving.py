@@ -1,9 +1,10 @@
 """Cameras that leave. Names may be invented, misspelled or used for a day, and every name costs a place and memory.
 
-A camera has left when it has had no event for as long as the window goes back (``window_hours``): then nothing that is
-learned depends on it any more, and it is forgotten. What is kept is little, and of so many cameras only: the shapes of
-its zones, so that one that returns, from a holiday say, has their numbers back. When all places (``cameras_max``) are
-taken, a new camera gets that of the one with the fewest events in the window, of those silent for an hour.
+A camera has left when it has had no event for a week, nor for as long as the window goes back (``window_hours``):
+nothing that is learned depends on it any more, and it is forgotten. Little is kept, and of a limited number of cameras:
+the shapes of its zones, so that one that returns, from a holiday say, has their numbers back. When all places
+(``cameras_max``) are taken, a new camera gets that of the one with the fewest events in the window, of those silent for
+an hour.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from camtopod.learn.intake import MICROSECONDS, Intake
 from camtopod.learn.screening import Followed, place
 from camtopod.learn.window import GONE, Window
 
+STAYS_SECONDS = 7 * 86_400.0
+"""Event time. A camera without events stays at least so long, listed without zones."""
 LEFT_CAMERAS_MAX = 10_000
 """Cameras that have left whose zones' numbers are kept; beyond, the one that left first is forgotten altogether."""
 GIVES_WAY_SECONDS = 3600.0
@@ -23,9 +26,9 @@ _CAMERA_SHIFT = 32
 """Of what a zone is known by, see `place`."""
 
 
-def left_before(intake: Intake, window: Window, t_us: int) -> set[str]:
-    """Cameras that have had no event since ``t_us`` (microseconds), up to which the window goes back."""
-    newest = intake.newest_of
+def left_by(intake: Intake, window: Window, now_us: int, window_us: int) -> set[str]:
+    """Cameras that have left when event time is ``now_us`` and the window goes back ``window_us`` (microseconds)."""
+    newest, t_us = intake.newest_of, now_us - max(window_us, round(STAYS_SECONDS * MICROSECONDS))
     silent = {name for name in (*intake.cameras, *window.cameras) if newest.get(name, t_us - 1) < t_us}
     if not silent:
         return silent
