@@ -20,7 +20,7 @@ from bench import _ratios
 from bench._measure import LINK_METHODS, TAKE_CANDIDATES
 from bench.baselines.crossings import candidates, crossings
 from bench.scale import EVENTS_PER_OBJECT, learn
-from camtopod.cli.predict import read_topology
+from camtopod.cli.export import load
 from camtopod.codec import to_json
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
@@ -53,7 +53,7 @@ def main(argv: Sequence[str]) -> int:
             costs[OURS].append(ours)
             for name, once in baselines(events, truth).items():
                 costs.setdefault(name, []).append(once * minutes)
-        topology = read_topology(str(learned))
+        topology = load(str(learned))
     found = score(topology, truth)
     quickest = min((name for name in costs if name != OURS), key=lambda name: sum(costs[name]))
     tables = [

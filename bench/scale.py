@@ -22,7 +22,7 @@ from msgspec import Struct, to_builtins
 
 from bench import _ratios
 from bench._ratios import Row, Table, spread
-from camtopod.cli.predict import read_topology
+from camtopod.cli.export import load
 from camtopod.codec import to_json
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import Score, score
@@ -96,7 +96,7 @@ def measure(folder: Path, cameras: int, hours: float, rate: float, rounds: int) 
     with recorded.open("wb") as out:
         out.writelines(to_json(event) + b"\n" for event in events)
     runs = [learn(recorded, learned) for _ in range(rounds)]
-    found: Score = score(read_topology(str(learned)), truth)
+    found: Score = score(load(str(learned)), truth)
     return Size(
         cameras, len(events), len(events) / (3600.0 * hours * cameras),
         [seconds / len(events) * 1e6 for seconds, _ in runs], max(memory for _, memory in runs),

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import msgspec
 from msgspec.structs import force_setattr
 
+from camtopod import soundness
 from camtopod.records import Delta, Event, Link, Model, Prediction, Topology
 
 EVENT_ENCODING = "application/msgpack;schema=camtopod.event.1"
@@ -113,7 +114,9 @@ def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
 
 
 def read_topology(raw: bytes, pack: bool = False) -> Topology:
-    """A topology in which every name stands for something in it; raises `Rejected`. Its reader need not ask again."""
+    """A topology in which every name stands for something in it, and every figure can be so; raises `Rejected`. Its
+    reader need not ask again.
+    """
     topology = read(Topology, raw, pack)
     cameras = {camera.id for camera in topology.cameras}
     zones = {zone.id for zone in topology.zones}
@@ -132,6 +135,8 @@ def read_topology(raw: bytes, pack: bool = False) -> Topology:
         for place, name in named:
             if name not in known:
                 raise Rejected("unknown-name", f"there is no {kind} {name!r} in it - at `$.{place}`")
+    for problem in soundness.problems(topology):
+        raise Rejected("bad-value", problem)
     return topology
 
 

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from camtopod.cli import exits
+from camtopod.cli.lines import open_input
 from camtopod.codec import Rejected, read_topology
 from camtopod.export import FORMATS
 from camtopod.export.aicity import camera_numbers
 from camtopod.records import Topology
+
+TOPOLOGY_BYTES_MAX = 512 * 1024**2
+"""Of a file; that of a site with a thousand cameras has some tens of millions."""
+TOO_LONG = f"it has more than {TOPOLOGY_BYTES_MAX} bytes"
+_PIECE_BYTES = 1 << 20
 
 
 def add_parser(subparsers: Any) -> None:
@@ -43,10 +51,25 @@ def run(args: argparse.Namespace) -> int:
 
 def load(path: str) -> Topology:
     """A topology from a JSON file ('-': standard input); raises `exits.InputError`."""
-    try:
-        raw = sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
-        return read_topology(raw)
-    except OSError as error:
-        raise exits.InputError(f"cannot read {path}: {error.strerror}") from None
-    except Rejected as error:
-        raise exits.InputError(f"{path} is not a topology: {error}") from None
+    file = open_input(path)
+    with contextlib.nullcontext() if path == "-" else file:
+        try:
+            if path != "-" and os.fstat(file.fileno()).st_size > TOPOLOGY_BYTES_MAX:
+                raise Rejected("too-long", TOO_LONG)
+            return read_topology(_content(file))
+        except OSError as error:
+            raise exits.InputError(f"cannot read {path}: {error.strerror}") from None
+        except Rejected as error:
+            raise exits.InputError(f"{path} is not a topology: {error}") from None
+
+
+def _content(file: BinaryIO) -> bytes:
+    """All of it. Raises `Rejected` where that is more than `TOPOLOGY_BYTES_MAX`, before it is in memory."""
+    pieces: list[bytes] = []
+    total = 0
+    while piece := file.read(_PIECE_BYTES):
+        pieces.append(piece)
+        total += len(piece)
+        if total > TOPOLOGY_BYTES_MAX:
+            raise Rejected("too-long", TOO_LONG)
+    return b"".join(pieces)

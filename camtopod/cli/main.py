@@ -87,6 +87,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(str(error), error.status, form)
     except OSError as error:
         return _fail(*_os_error(error), form)
+    except MemoryError:
+        return _fail("there is not enough memory for this", exits.FAILED, form)
     return int(status)
 
 

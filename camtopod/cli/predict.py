@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import Any
 
-from camtopod import codec
-from camtopod.cli.exits import InputError
+from camtopod.cli.export import load
 from camtopod.cli.lines import Line, LineReader
 from camtopod.cli.progress import Progress
-from camtopod.codec import Rejected, to_json
+from camtopod.codec import to_json
 from camtopod.learn.predict import Predictor
-from camtopod.records import Topology
 
 
 def add_parser(subparsers: Any) -> None:
@@ -26,7 +23,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """One prediction line for each exit line, in input order; each uses only lines with an earlier time."""
-    predictor = Predictor(read_topology(args.topology))
+    predictor = Predictor(load(args.topology))
     reader = LineReader()
     lines = list(reader.merged([args.events]))
     if reader.read and not lines:
@@ -56,13 +53,3 @@ def _observe(predictor: Predictor, lines: list[Line], waiting: list[int]) -> Non
     for k in waiting:
         predictor.observe(lines[k].event)
     waiting.clear()
-
-
-def read_topology(path: str) -> Topology:
-    """A topology file. Raises `InputError` when it cannot be read or is not one."""
-    try:
-        return codec.read_topology(Path(path).read_bytes())
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from None
-    except Rejected as error:
-        raise InputError(f"{path} is not a topology: {error}") from None

@@ -9,7 +9,8 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.export import load
+from camtopod.cli.export import TOO_LONG, TOPOLOGY_BYTES_MAX, load
+from camtopod.cli.lines import numbered
 from camtopod.cli.progress import Progress
 from camtopod.codec import Rejected, read_topology
 from camtopod.records import Topology
@@ -64,8 +65,10 @@ def _older(path: Path, topology: Topology) -> list[Topology]:
     """The versions of the same epoch before ``topology``, the newest `OLDER_MAX`."""
     found: dict[int, Topology] = {}
     with path.open("rb") as file:  # an OSError is told by the caller of every command
-        for number, line in enumerate(file, 1):
+        for number, line in numbered(file, TOPOLOGY_BYTES_MAX):
             try:
+                if len(line) > TOPOLOGY_BYTES_MAX:
+                    raise Rejected("too-long", TOO_LONG)
                 one = read_topology(line)
             except Rejected as error:
                 raise InputError(f"{path}, line {number} is not a topology: {error}") from None

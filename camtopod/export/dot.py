@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from camtopod.export.graph import edges, seconds
 from camtopod.records import Topology
+from camtopod.visible import visible
 
 
 def to_dot(topology: Topology) -> str:
@@ -35,4 +36,4 @@ def _quoted(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"')
+    return visible(text).replace("\\", "\\\\").replace('"', '\\"')

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 from camtopod.export.graph import edges
 from camtopod.records import Topology
+from camtopod.visible import visible
 
 NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
 _NODE = {"zones": "int", "clock_offset": "double"}
@@ -22,12 +23,12 @@ def to_graphml(topology: Topology) -> str:
         for name, kind in keys.items():
             key = {"id": f"{target}_{name}", "for": target, "attr.name": name, "attr.type": kind}
             ElementTree.SubElement(root, "key", key)
-    graph = ElementTree.SubElement(root, "graph", id=topology.site, edgedefault="directed")
+    graph = ElementTree.SubElement(root, "graph", id=visible(topology.site), edgedefault="directed")
     for camera in topology.cameras:
-        node = ElementTree.SubElement(graph, "node", id=camera.id)
+        node = ElementTree.SubElement(graph, "node", id=visible(camera.id))
         _data(node, "node", {"zones": len(camera.zones), "clock_offset": camera.clock_offset})
     for edge in edges(topology):
-        element = ElementTree.SubElement(graph, "edge", source=edge.from_, target=edge.to)
+        element = ElementTree.SubElement(graph, "edge", source=visible(edge.from_), target=visible(edge.to))
         values = {
             "relation": "overlapped" if edge.overlapped else "unseen_path",
             "colour": edge.colour,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from camtopod.export.graph import Edge, edges, seconds
 from camtopod.records import Topology
+from camtopod.visible import visible
 
 NODE_WIDTH, NODE_HEIGHT = 110.0, 40.0
 PART_ROWS = 64
@@ -32,14 +33,19 @@ def to_svg(topology: Topology) -> str:
     title = f"{topology.site}, version {topology.version}, {topology.events} events"
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" viewBox="0 0 {width:.0f} {height:.0f}">',
-        f"<title>{escape(title)}</title>",
+        f"<title>{_shown(title)}</title>",
         f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
-        f'<text x="16" y="24" font-size="14" fill="#333333">{escape(title)}</text>',
+        f'<text x="16" y="24" font-size="14" fill="#333333">{_shown(title)}</text>',
         _legend(height),
     ]
     parts += [_edge(place[a], place[b], ways) for (a, b), ways in sorted(both.items(), key=lambda item: item[0])]
     parts += [_node(camera.id, len(camera.zones), place[camera.id]) for camera in topology.cameras]
     return "\n".join([*parts, "</svg>", ""])
+
+
+def _shown(text: str) -> str:
+    """Text of others, as XML takes it."""
+    return escape(visible(text))
 
 
 def spring_layout(names: list[str], joined: list[tuple[str, str]], rounds: int = 200) -> NDArray[np.float64]:
@@ -79,9 +85,9 @@ def _node(name: str, zones: int, at: tuple[float, float]) -> str:
     count = f"{zones} zone" if zones == 1 else f"{zones} zones"
     shown = name if len(name) <= 14 else name[:13] + "…"
     return (
-        f'<g text-anchor="middle"><title>{escape(name)}</title>'
+        f'<g text-anchor="middle"><title>{_shown(name)}</title>'
         f'<rect {corner} {size} rx="8" fill="#eef3f8" stroke="#44617b"/>'
-        f'<text x="{x:.1f}" y="{y - 2:.1f}" font-size="13" fill="#111111">{escape(shown)}</text>'
+        f'<text x="{x:.1f}" y="{y - 2:.1f}" font-size="13" fill="#111111">{_shown(shown)}</text>'
         f'<text x="{x:.1f}" y="{y + 13:.1f}" font-size="10" fill="#666666">{count}</text></g>'
     )
 
@@ -93,7 +99,7 @@ def _edge(a: tuple[float, float], b: tuple[float, float], ways: list[Edge]) -> s
     times = " / ".join(seconds(edge.transit.mode) for edge in ways)
     x, y = (a[0] + b[0]) / 2, (a[1] + b[1]) / 2
     return (
-        f"<g><title>{escape(label)}</title>"
+        f"<g><title>{_shown(label)}</title>"
         f'<line x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}"'
         f' stroke="{STROKE[overlapped]}" stroke-width="{thick:.1f}"/>'
         f'<text x="{x:.1f}" y="{y - 5:.1f}" font-size="11" text-anchor="middle" fill="#222222"'

@@ -134,7 +134,7 @@ def _grouped(items: Iterable[_Item], cameras: Callable[[_Item], set[str]]) -> di
 
 def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
     """Histogram, fitted curve and Monte Carlo samples; None where the topology holds no histogram of it."""
-    if model is None or link.histogram is None or not link.histogram.mass:
+    if model is None or link.histogram is None or not any(link.histogram.mass):
         return None
     bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
     counts = np.zeros((1, bins.size))
