@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import shutil
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
@@ -213,6 +214,31 @@ def test_a_new_epoch_begins_with_what_is_known_though_nobody_says_anything(tmp_p
     assert first.newest.topology.epoch > before.epoch
     assert (first.newest.topology.version, first.delta) == (1, None)
     assert first.newest.topology.cameras
+
+
+def test_no_version_has_two_contents_if_the_journal_comes_back_older(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its versions would be made again, of other parts."""
+    published: list[Topology] = []
+    for events in (THIRD, 2 * THIRD, len(EVENTS)):
+        with Site(tmp_path, 1) as site:
+            site.say(course(1).after[events][0])
+            wait_for(lambda site=site: bool(site.versions), "a version")  # type: ignore[misc]
+        published += [version.newest.topology for version in site.versions]
+        if events == THIRD:
+            shutil.copyfile(tmp_path / "site" / "journal.db", tmp_path / "earlier.db")
+        elif events == 2 * THIRD:
+            shutil.copyfile(tmp_path / "earlier.db", tmp_path / "site" / "journal.db")
+    assert "has come back older than it was" in caplog.text
+    assert published[-1].epoch > published[0].epoch
+    assert len({(one.epoch, one.version) for one in published}) == len(published)
+
+
+def test_a_merger_whose_journal_is_gone_says_so(tmp_path: Path) -> None:
+    with Site(tmp_path, 1) as site:
+        (tmp_path / "site" / "journal.db").unlink()
+        wait_for(lambda: "journal.db is gone while it is in use" in site.merger.reason, "it to notice")
 
 
 def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import argparse
 import sys
 from typing import Any
 
+from camtopod.cli.exits import InputError
 from camtopod.cli.export import load
 from camtopod.cli.lines import Line, LineReader
 from camtopod.cli.progress import Progress

@@ -19,10 +19,12 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from camtopod.serve import wal
+from camtopod.serve.open_files import Identity, OpenFiles
 
 log = logging.getLogger(__name__)
 
@@ -72,6 +74,20 @@ class Lock:
                 f"{path} is held by another camtopod process; stop that one or use another state directory"
             ) from None
 
+        self._place = Identity(path, self._fd)
+
+    def check(self) -> None:
+        """Raise `Displaced` if the path leads to another file by now, which another process could hold."""
+        self._place.check()
+
+    def read(self, size: int) -> bytes:
+        """The first ``size`` bytes of the file. Raises `OSError`."""
+        return os.pread(self._fd, size, 0)
+
+    def write(self, data: bytes) -> None:
+        """Write at the beginning of the file, without syncing it. Raises `OSError`."""
+        os.pwrite(self._fd, data, 0)
+
     def close(self) -> None:
         """Let go; may be called twice."""
         if self._fd >= 0:
@@ -95,17 +111,39 @@ def crc(*columns: int | float | str | bytes | None) -> int:
     return zlib.crc32(_encode(columns))
 
 
-class _Connection(sqlite3.Connection):
-    """Closes with itself, and not before, what is open of its log's index (see `wal.open_index`)."""
+class Connection(sqlite3.Connection):
+    """Closes with itself, and not before, the descriptors of its files (see `wal.open_index`)."""
 
-    index: int | None = None
+    def __init__(self, *given: Any, **more: Any) -> None:
+        super().__init__(*given, **more)
+        self._kept: list[int] = []
+        self._files: OpenFiles | None = None
+
+    def keep(self, fd: int) -> int:
+        """Close ``fd`` after the database; returns it."""
+        self._kept.append(fd)
+        return fd
+
+    def watch(self, path: Path, index: int | None) -> None:
+        """Make `check` look at the files of ``path``; ``index``: as of `wal.open_index`, kept. Raises `OSError`."""
+        self.execute("PRAGMA page_count").fetchall()  # now SQLite has opened the log
+        database, log = (self.keep(os.open(f"{path}{suffix}", os.O_RDONLY | os.O_CLOEXEC)) for suffix in ("", "-wal"))
+        if index is None and (index := wal.open_index(path)) is not None:
+            self.keep(index)
+        if index is not None:
+            self._files = OpenFiles(path, database, log, index)
+
+    def check(self) -> None:
+        """Raise `Displaced` if a file of the database is not in place. Only outside of transactions."""
+        if self._files is not None:
+            self._files.check()
 
     def close(self) -> None:
         """Close the database; may be called twice."""
         super().close()
-        if self.index is not None:
-            os.close(self.index)
-            self.index = None
+        self._files = None
+        while self._kept:
+            os.close(self._kept.pop())
 
     def __del__(self) -> None:
         """Say that nobody has closed it, as Python's own do since 3.13."""
@@ -114,7 +152,7 @@ class _Connection(sqlite3.Connection):
             warnings.warn(what, ResourceWarning, stacklevel=2, source=self)
 
 
-def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None) -> sqlite3.Connection:
+def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None) -> Connection:
     """Open, or create with ``schema``, a database in WAL mode under synchronous=FULL.
 
     ``prepare`` sees the file before the schema and in the same transaction, to migrate it or to raise
@@ -124,22 +162,26 @@ def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], Non
     try:
         _make_private(path)
         written = wal.read(path)
+        if (written.frames or written.headless) and path.stat().st_size == 0:  # SQLite would delete the log
+            raise Damaged(f"{path} is damaged: it is empty or was missing, and its log is still there")
         database = sqlite3.connect(
-            path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False, factory=_Connection
+            path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False, factory=Connection
         )
         database.text_factory = _text
         with contextlib.ExitStack() as undo:
             undo.callback(database.close)
             database.execute("PRAGMA synchronous=EXTRA")
             _scan(database, path)
-            database.index = wal.open_index(path)
-            _report_lost(path, written, database.index)
+            if (index := wal.open_index(path)) is not None:
+                database.keep(index)
+            _report_lost(path, written, index)
             with transaction(database):
                 if prepare is not None:
                     prepare(database)
                 _create(database, schema)
             _check_shape(database, schema, path)
             _switch_to_wal(database, path)
+            database.watch(path, index)
             undo.pop_all()
             return database
     except sqlite3.Error as error:
@@ -157,7 +199,7 @@ def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], Non
 
 def connect_or_begin_anew(
     path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None
-) -> tuple[sqlite3.Connection, Path | None]:
+) -> tuple[Connection, Path | None]:
     """`connect`; if the file is damaged, it is set aside and another begun. Returns also where it is now."""
     try:
         return connect(path, schema, prepare), None
@@ -371,6 +413,8 @@ def readable(path: Path, table: str, key: str) -> Iterator[tuple[int | float | s
 
     By rising ``key`` up to the first damaged page, then from the other end. Only a row's CRC says whether it is good.
     """
+    if path.stat().st_size == 0:
+        return  # there are no rows, and SQLite would delete the log beside it
     try:
         with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
             database.text_factory = _text

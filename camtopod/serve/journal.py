@@ -25,9 +25,11 @@ from typing import Any, Literal, NamedTuple
 from msgspec import Struct
 
 from camtopod.config import KeepSettings
-from camtopod.serve import database
+from camtopod.serve import database, journal_format
 from camtopod.serve.database import crc
-from camtopod.serve.journal_format import SCHEMA, meta_row, prepare, rescue
+from camtopod.serve.journal_format import SCHEMA, last_entry, prepare, rescue
+from camtopod.serve.open_files import Displaced
+from camtopod.serve.witness import Witness
 
 log = logging.getLogger(__name__)
 
@@ -88,24 +90,31 @@ class Journal:
 
     def __init__(self, directory: Path, keep: KeepSettings | None = None) -> None:
         self._keep = keep or KeepSettings()
-        self._mutex = threading.Lock()
+        self._mutex = threading.RLock()
         self._lock = database.Lock(directory / "journal.lock")
+        self._witness = Witness(self._lock)
         self._path = directory / "journal.db"
         self._followed: set[tuple[str, str | None]] = set()  # (camera, boot) that had entries since the start
+        self._seen: dict[str, Any] = {}
+        self._sure = True  # False after a transaction that raised an error
         self.set_aside: Path | None = None
         """Where a journal that was damaged is now; this one has begun anew."""
+        self.missing = 0
+        """Entries that were lost before the journal was opened, as far as that is known."""
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
             self._db, self.set_aside = database.connect_or_begin_anew(self._path, SCHEMA, prepare)
             undo.callback(self._db.close)
             try:
                 with database.damage_noticed(self._path):
-                    if self._stored_last() == 0:
+                    if last_entry(self._db) == 0:
                         self._rescue()
-                    self._last = self._stored_last()
+                    self._last = last_entry(self._db)
+                    self._compare()
             except sqlite3.Error as error:
                 raise database.StateError(f"cannot read {self._path}: {error}; it is left as it is") from None
             undo.pop_all()
+        self.status()  # so that there are numbers from the start
 
     def _rescue(self) -> None:
         """Into a journal that is empty; the one before it may have been set aside in an earlier try."""
@@ -114,19 +123,32 @@ class Journal:
                 rescued = rescue(self._db, aside)
             log.error("%d entries were read out of the damaged journal %s", rescued, aside)
 
+    def _compare(self) -> None:
+        """Begin a new epoch, and say so, if the journal is older than it was."""
+        known, found = self._witness.known, journal_format.how_far(self._db)
+        self.missing = max(0, known.entries - found.entries)
+        if found.is_older_than(known):
+            log.error(
+                "%s has come back older than it was: it had %d entries and has %d; the others are filled in as far as "
+                "the cameras' spools still have them, and a new epoch begins",
+                self._path, found.entries + self.missing, found.entries,
+            )  # fmt: skip
+            with database.transaction(self._db):
+                journal_format.begin_behind(self._db, known)
+        self._witness.note(journal_format.how_far(self._db))
+
     def meta(self, key: str) -> str | None:
         """A value kept by `set_meta`; None also if it is damaged."""
         with self._mutex, database.damage_noticed(self._path):
-            row = self._db.execute("SELECT key, value, crc FROM meta WHERE key = ?", (key,)).fetchone()
-            if row is not None and row != meta_row(*row[:2]):
-                log.error("the journal's %s is damaged and not used", key)
-                return None
-            return None if row is None else str(row[1])
+            return journal_format.read_meta(self._db, key)
 
     def set_meta(self, key: str, value: str) -> None:
         """Keep a value. Raises `sqlite3.Error`."""
         with self._mutex, database.damage_noticed(self._path):
-            self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", meta_row(key, value))
+            self._check()
+            journal_format.write_meta(self._db, key, value)
+            self._check()
+            self._witness.note(journal_format.how_far(self._db))
 
     def commit(
         self,
@@ -138,21 +160,30 @@ class Journal:
         """Store all of it in one transaction, or none; ``now``: Unix seconds. Raises `sqlite3.Error`; the same call may
         be repeated.
 
-        A commit can fail although its rows are durable; so a repetition first asks the file.
+        A commit can fail although its rows are durable; so a repetition first asks the file. Without anything to store
+        the files are checked all the same (`Displaced`), which is cheap.
         """
         with self._mutex, database.damage_noticed(self._path):
-            if entries and self._stored_last() == self._last + len(entries):
-                self._last += len(entries)
-                entries = ()
+            self._check()
             if not entries and not versions and snapshot is None:
                 return
-            with database.transaction(self._db):
-                streams = self._add_entries(entries, int(now))
-                for version in versions:
-                    self._add_version(version, int(now))
-                if snapshot is not None:
-                    self._add_snapshot(snapshot, int(now))
+
+            streams: Iterable[tuple[str, str | None]] = ()
+            if not entries or not self._has(len(entries)):
+                self._sure = False  # an error leaves open whether the rows are there
+                with database.transaction(self._db):
+                    streams = self._add_entries(entries, int(now))
+                    for version in versions:
+                        self._add_version(version, int(now))
+                    if snapshot is not None:
+                        self._add_snapshot(snapshot, int(now))
+                self._check()  # before anything counts as stored
+            self._sure = True
             self._last += len(entries)
+
+            known = self._witness.known
+            newest = journal_format.last_version(self._db) if versions else known.versions
+            self._witness.note(known._replace(entries=self._last, versions=newest))
             if len(self._followed) > STREAMS_KEPT_MAX:
                 self._followed.clear()
             self._followed.update(streams)
@@ -173,6 +204,7 @@ class Journal:
         if there is more. Raises `sqlite3.Error`.
         """
         with self._mutex, database.damage_noticed(self._path):
+            self._check()
             keep, oldest = self._keep, self._oldest_snapshot()
             size, free, pages = (self._pragma(name) for name in ("page_size", "freelist_count", "page_count"))
             too_large = (pages - free) * size > keep.journal_bytes_max
@@ -301,12 +333,18 @@ class Journal:
             return self._pragma("page_size") * (self._pragma("page_count") - self._pragma("freelist_count"))
 
     def status(self) -> dict[str, Any]:
-        """How much there is; of a disk that cannot be read the reason."""
-        try:
-            files = [path.name for path in self.damaged_files()]
-            return {"entries": len(self), "bytes": self.size(), "damaged_files": files}
-        except (sqlite3.Error, OSError) as error:
-            return {"entries": len(self), "reason": str(error)}
+        """Entries, bytes and damaged files; of a disk that cannot be read the reason. Does not wait for a transaction
+        under way, which a disk can hold up for long: the numbers are then those of before.
+        """
+        if self._mutex.acquire(blocking=False):
+            try:
+                files = [path.name for path in self.damaged_files()]
+                self._seen = {"bytes": self.size(), "damaged_files": files}
+            except (sqlite3.Error, OSError) as error:
+                self._seen = {"reason": str(error)}
+            finally:
+                self._mutex.release()
+        return {"entries": len(self), "missing": self.missing, **self._seen}
 
     def damaged_files(self) -> list[Path]:
         """What was set aside of the database and its log and is still there, for somebody to look at."""
@@ -321,6 +359,25 @@ class Journal:
         with self._mutex, database.damage_noticed(self._path):
             self._db.close()
             self._lock.close()
+
+    def _check(self) -> None:
+        """Raise `Displaced` if a file in use is not in place."""
+        self._db.check()
+        self._lock.check()
+
+    def _has(self, count: int) -> bool:
+        """Return True if the ``count`` entries to be stored are durable already, with their whole transaction, which
+        raised an error. Raises `Displaced` if the journal has entries of another program.
+        """
+        last = last_entry(self._db)
+        if last == self._last + count and not self._sure:
+            return True
+        if last != self._last:
+            raise Displaced(
+                f"{self._path} was changed by another program, its last entry is {last} and was {self._last}: "
+                f"stop that program, and restart this one"
+            )
+        return False
 
     def _add_entries(self, entries: Sequence[Entry], stored: int) -> Iterable[tuple[str, str | None]]:
         """Returns the streams they belong to."""
@@ -356,7 +413,7 @@ class Journal:
             self._db.execute(f"{insert} SELECT {', '.join('?' * len(values))} WHERE ?1 IS NOT NULL", values)
 
     def _add_version(self, version: StoredVersion, stored: int) -> None:
-        number = self._db.execute("SELECT COALESCE(MAX(id), 0) + 1 FROM version").fetchone()[0]
+        number = journal_format.last_version(self._db) + 1
         content = zlib.compress(version.content, _COMPRESSION) if version.content else b""
         row = (number, version.epoch, version.version, stored, version.digest, len(content), content)
         self._insert_large("INSERT OR IGNORE INTO version", row)
@@ -387,15 +444,6 @@ class Journal:
 
     def _pragma(self, name: str) -> int:
         return int(self._db.execute(f"PRAGMA {name}").fetchone()[0])
-
-    def _stored_last(self) -> int:
-        """Entries may all be forgotten, but never those behind the newest snapshot."""
-        return int(
-            self._db.execute(
-                "SELECT MAX((SELECT COALESCE(MAX(id), 0) FROM entry), "
-                "(SELECT COALESCE(MAX(position), 0) FROM snapshot))"
-            ).fetchone()[0]
-        )
 
 
 @functools.cache

@@ -5,11 +5,15 @@ Every row ends with a checksum of its other columns, as SQLite does not notice a
 
 from __future__ import annotations
 
+import logging
 import sqlite3
 import zlib
 from pathlib import Path
 
 from camtopod.serve.database import Damaged, StateError, crc, readable
+from camtopod.serve.witness import Known
+
+log = logging.getLogger(__name__)
 
 FORMAT = 2
 """Of the tables; an older one is migrated, a newer one refused."""
@@ -85,6 +89,53 @@ def rescue(database: sqlite3.Connection, aside: Path) -> int:
 def meta_row(key: str, value: str) -> tuple[str, str, int]:
     """A row of ``meta``."""
     return key, value, crc(key, value)
+
+
+def read_meta(database: sqlite3.Connection, key: str) -> str | None:
+    """A value of ``meta``; None if there is none, or if it is damaged."""
+    row = database.execute("SELECT key, value, crc FROM meta WHERE key = ?", (key,)).fetchone()
+    if row is not None and row != meta_row(*row[:2]):
+        log.error("the journal's %s is damaged and not used", key)
+        return None
+    return None if row is None else str(row[1])
+
+
+def write_meta(database: sqlite3.Connection, key: str, value: str) -> None:
+    """Keep a value in ``meta``."""
+    database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", meta_row(key, value))
+
+
+def last_entry(database: sqlite3.Connection) -> int:
+    """The number of the newest entry. Entries may all be forgotten, but never those behind the newest snapshot."""
+    return int(
+        database.execute(
+            "SELECT MAX((SELECT COALESCE(MAX(id), 0) FROM entry), (SELECT COALESCE(MAX(position), 0) FROM snapshot))"
+        ).fetchone()[0]
+    )
+
+
+def last_version(database: sqlite3.Connection) -> int:
+    """The number of the newest version, counted over all epochs."""
+    return int(database.execute("SELECT COALESCE(MAX(id), 0) FROM version").fetchone()[0])
+
+
+def how_far(database: sqlite3.Connection) -> Known:
+    """How far the journal has come."""
+    epoch = max(read_meta(database, key) or "" for key in ("epoch", "epoch before"))
+    return Known(last_entry(database), last_version(database), epoch, read_meta(database, "name") or "")
+
+
+def begin_behind(database: sqlite3.Connection, known: Known) -> None:
+    """Make a journal that came back older ready for a new epoch, in a transaction of the caller's.
+
+    Its own epoch has ended, as versions that were published may be missing; the next one sorts behind it, and behind
+    the newest that is known.
+    """
+    found = how_far(database)
+    database.execute("DELETE FROM meta WHERE key = 'epoch'")
+    write_meta(database, "epoch before", max(found.epoch, known.epoch))
+    if known.name and not found.name:
+        write_meta(database, "name", known.name)
 
 
 def _from_1(database: sqlite3.Connection) -> None:

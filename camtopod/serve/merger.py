@@ -140,7 +140,7 @@ class Merger:
         newest = 0 if epoch is None else max(self._journal.versions(epoch), default=0)
         known = self._line.topology
         if epoch is None or (self._line.epoch, known.version if known else 0) != (epoch, newest):
-            epoch = clocks.ulid(self._clock(), after=epoch or "")
+            epoch = clocks.ulid(self._clock(), after=epoch or self._journal.meta("epoch before") or "")
             self._journal.set_meta("epoch", epoch)
             self._line.begin_epoch(epoch)
             log.info("the site's topology: epoch %s begins", epoch)
@@ -168,8 +168,8 @@ class Merger:
         if made:
             state = msgspec.msgpack.encode(self._line.save())
             self._storing.on_snapshot(Snapshot(made[-1].version, made[-1].epoch, state))
-            self._storing.store([], stopping, beat)
-            self._storing.forget_old()
+        self._storing.store([], stopping, beat)  # also looks whether the journal is still there
+        self._storing.forget_old()
 
     def _until(self, now: float) -> float:
         """Event time up to which nobody is waited for any more."""

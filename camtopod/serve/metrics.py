@@ -69,6 +69,7 @@ SITE = (
     Metric("journal_entries_total", "journal.entries", "Entries the journal has ever had"),
     Metric("journal_bytes", "journal.bytes", "Size of the journal"),
     Metric("journal_damaged_entries", "journal.damaged", "Damaged entries that were left out"),
+    Metric("journal_missing_entries", "journal.missing", "Entries the journal had lost when it was opened"),
     Metric("journal_damaged_files", "journal.damaged_files", "Files set aside for damage"),
     Metric("degraded", "degraded", "1 while the status gives a reason for not being well"),
     Metric("topology_version", "version", "Newest version of the topology"),

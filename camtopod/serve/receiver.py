@@ -224,7 +224,8 @@ class Receiver:
         while stored and not self._ready.over:
             stored = self._store_waiting(stopping)
             beat()
-        self._acks.put(math.inf, 0.0, beat)
+        if stored:  # else what was stored may be gone, and it is acknowledged after the next start
+            self._acks.put(math.inf, 0.0, beat)
 
     def _store_waiting(self, stopping: threading.Event) -> bool:
         """One transaction; False if it could not be stored."""

@@ -7,10 +7,12 @@ again. One thread stores; the learner's hands over versions and snapshots.
 from __future__ import annotations
 
 import collections
+import contextlib
 import logging
 import sqlite3
 import threading
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 
 from camtopod.serve.clock import Clock
 from camtopod.serve.database import StateError
@@ -21,6 +23,8 @@ from camtopod.serve.versions import Version
 log = logging.getLogger(__name__)
 
 _RETRY_SECONDS = 0.5
+SLOW_SECONDS = 5.0
+"""A transaction that takes longer shows in the status; on a slow card one can take seconds."""
 BELIEVED_SECONDS = 86_400.0
 """A wall clock that has run evenly for so long is right; until then it makes nothing older by more than that."""
 EVEN_SECONDS = 60.0
@@ -39,8 +43,17 @@ class Storing:
         self._versions: collections.deque[Version] = collections.deque()
         self._snapshots: collections.deque[Snapshot] = collections.deque(maxlen=1)
         self._too_much = False  # whether the journal may have more than is to be kept
-        self.reason = ""
-        """Why nothing is stored at the moment; "" if all is well."""
+        self._failure = ""
+        self._began: float | None = None  # the transaction under way (monotonic clock)
+
+    @property
+    def reason(self) -> str:
+        """The reason why nothing is stored at the moment; "" if all is well. Never waits for the disk."""
+        began = self._began
+        seconds = 0.0 if began is None else time.monotonic() - began
+        if seconds > SLOW_SECONDS:
+            return f"the disk of the journal does not answer: a transaction has taken {seconds:.0f} s so far"
+        return self._failure
 
     def on_version(self, version: Version) -> None:
         """A version from the learner, to be stored and then published. Never blocks."""
@@ -59,19 +72,20 @@ class Storing:
         stored = [StoredVersion(one.head.epoch, one.head.version, one.head.digest, one.content) for one in versions]
         while True:
             try:
-                self._journal.commit(entries, stored, snapshot, self._clock())
+                with self._timed():
+                    self._journal.commit(entries, stored, snapshot, self._clock())
                 break
             except sqlite3.Error as error:
-                if not self.reason:
+                if not self._failure:
                     log.error("cannot write the journal, so nothing is acknowledged: %s", error)
-                self.reason = f"cannot write the journal: {error}"
+                self._failure = f"cannot write the journal: {error}"
                 beat()  # starting again would not help
                 if stopping.wait(_RETRY_SECONDS):
                     self._versions.extendleft(reversed(versions))  # the next snapshot has them in it
                     return False
-        if self.reason:
+        if self._failure:
             log.info("the journal can be written again")
-            self.reason = ""
+            self._failure = ""
         for version in versions:
             self._publish(version)
         self._too_much = self._too_much or snapshot is not None
@@ -83,9 +97,19 @@ class Storing:
             return
         self._too_much = False
         try:
-            self._too_much = self._journal.prune(self._believable_time())
+            with self._timed():
+                self._too_much = self._journal.prune(self._believable_time())
         except sqlite3.Error as error:
             log.warning("cannot forget what is old in the journal: %s", error)
+
+    @contextlib.contextmanager
+    def _timed(self) -> Iterator[None]:
+        """Note how long the block takes, for `reason`."""
+        self._began = time.monotonic()
+        try:
+            yield
+        finally:
+            self._began = None
 
     def _believable_time(self) -> float:
         """Unix seconds: the wall clock's unless that is far ahead of what was stored before and of the time since. One

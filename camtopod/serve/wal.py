@@ -16,6 +16,8 @@ _HEADER_BYTES = 32
 _FRAME_HEADER_BYTES = 24
 _LAST_FRAME_AT = 16
 """Where the index of the log says how many frames are good."""
+INDEX_BYTES = 100
+"""The beginning of the index: its header, a copy of that, and the number of frames copied into the database."""
 
 
 class Log(NamedTuple):
@@ -89,11 +91,31 @@ def lost(path: Path, log: Log, index: int | None) -> Lost:
     `OSError`.
     """
     last = 0 if index is None else int.from_bytes(os.pread(index, 4, _LAST_FRAME_AT), sys.byteorder)
-    transactions = sum(one > last and _is_whole(path, one) for one in log.commits)  # 0 is of a log that has gone
+    transactions = sum(one > last and _is_frame_whole(path, one) for one in log.commits)  # 0 is of a log that has gone
     return Lost(sum(one > last for one in log.frames), transactions, log.headless)
 
 
-def _is_whole(path: Path, frame: int) -> bool:
+def is_whole(log: int, size: int, index: bytes) -> bool:
+    """Return True if an open log agrees with its index: its length, its beginning and its last frame.
+
+    ``log``: a descriptor of the log; ``size``: its bytes; ``index``: the first `INDEX_BYTES` of its index. Raises
+    `OSError`.
+    """
+    page_bytes, last, *sums = struct.unpack("=14xHI4x2I", index[:32])
+    salts = index[32:40]
+    if last == 0:
+        return True  # the log has begun anew and is empty
+
+    frame_bytes = _FRAME_HEADER_BYTES + (2**16 if page_bytes == 1 else page_bytes)
+    if size < _HEADER_BYTES + last * frame_bytes:
+        return False
+
+    head = os.pread(log, _HEADER_BYTES, 0)
+    frame = os.pread(log, _FRAME_HEADER_BYTES, _HEADER_BYTES + (last - 1) * frame_bytes)
+    return head[16:24] == frame[8:16] == salts and frame[16:] == struct.pack(">2I", *sums)
+
+
+def _is_frame_whole(path: Path, frame: int) -> bool:
     """Whether a frame is as it was written, going by the one before it: two that were torn can look like one."""
     with Path(f"{path}-wal").open("rb") as file:
         head = file.read(_HEADER_BYTES)

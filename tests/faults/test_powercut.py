@@ -133,7 +133,7 @@ def test_campaign_of_the_canary(quick_path: Path, disk_watch: Vfs) -> None:
     assert len(outcome.lost) > outcome.images.total() // 10
 
 
-class _MadeUnderFull(database._Connection):
+class _MadeUnderFull(database.Connection):
     def execute(self, statement: str, *parameters: Any) -> sqlite3.Cursor:
         return super().execute(statement.replace("synchronous=EXTRA", "synchronous=FULL"), *parameters)
 
@@ -151,7 +151,7 @@ def without_table(make_under_full: bool, base: Path, watch: Vfs, monkeypatch: py
     base.mkdir()
     with monkeypatch.context() as patch, watch.watching(record):
         if make_under_full:
-            patch.setattr(database, "_Connection", _MadeUnderFull)
+            patch.setattr(database, "Connection", _MadeUnderFull)
         patch.setattr(database, "_switch_to_wal", made)
         database.connect(base / "one.db", schema).close()
     found = []

@@ -1,0 +1,68 @@
+"""The numbers of the newest rows of a journal, kept in a file beside it: they show if the journal comes back older.
+
+The line is written after each transaction and never synced, so it is never ahead of the journal. After a power cut it
+may be older or unreadable; it then shows nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import zlib
+from typing import NamedTuple
+
+from camtopod.serve.database import Lock
+
+log = logging.getLogger(__name__)
+
+_LINE_BYTES = 105
+_CRC_BYTES = 9
+"""At the end of the line, with the line break."""
+
+
+class Known(NamedTuple):
+    """``entries``, ``versions``: the numbers of the newest ones. ``epoch``: the newest that was begun. ``name``: how
+    other daemons know this one.
+    """
+
+    entries: int = 0
+    versions: int = 0
+    epoch: str = ""
+    name: str = ""
+
+    def is_older_than(self, other: Known) -> bool:
+        """Return True if a journal that had come as far as ``other`` has lost something."""
+        return self.entries < other.entries or self.versions < other.versions or self.epoch < other.epoch
+
+
+class Witness:
+    """Keep one line in the lock file, which is written by its holder only."""
+
+    def __init__(self, lock: Lock) -> None:
+        self._lock = lock
+        self.known = Known()
+        """As it was read or written last; the default where no line could be read."""
+        with contextlib.suppress(OSError):
+            self.known = _decode(lock.read(_LINE_BYTES))
+
+    def note(self, known: Known) -> None:
+        """Write how far the journal has come, if that has changed. A line that cannot be written is left out."""
+        if known == self.known:
+            return
+        self.known = known
+        try:
+            self._lock.write(_encode(known))
+        except OSError as error:
+            log.debug("cannot write the lock file: %s", error)
+
+
+def _encode(known: Known) -> bytes:
+    text = f"{known.entries:20} {known.versions:20} {known.epoch:26} {known.name:26} "
+    return f"{text}{zlib.crc32(text.encode()):08x}\n".encode()
+
+
+def _decode(line: bytes) -> Known:
+    text, checksum = line[:-_CRC_BYTES], line[-_CRC_BYTES:]
+    if len(line) != _LINE_BYTES or checksum != f"{zlib.crc32(text):08x}\n".encode():
+        return Known()
+    return Known(int(text[:20]), int(text[21:41]), text[42:68].decode().strip(), text[69:95].decode().strip())
