@@ -187,6 +187,117 @@ def test_messages_that_wait_have_a_limit(tmp_path: Path, caplog: pytest.LogCaptu
     assert "90 messages of frigate/events were dropped" in caplog.text
 
 
+def test_bytes_that_wait_have_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(mqtt, "WAITING_BYTES_MAX", 1000)
+    with mosquitto(tmp_path) as broker:
+        source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/frigate")
+        with contextlib.closing(mqtt.Messages(source, "events")) as messages:
+            broker.publish([b"x" * 400] * 5)
+            wait_for(lambda: messages.dropped == 3, "the messages")
+            stop = threading.Event()
+            read = messages.read(stop)
+            assert [len(next(read)) for _ in range(2)] == [400, 400]
+            broker.publish([b"y" * 999])
+            assert next(read) == b"y" * 999
+            stop.set()
+    assert "those beyond 1000 bytes are dropped" in caplog.text
+
+
+# --- a message of 200 MB --------------------------------------------------------------------------
+
+HUGE = 200_000_000
+
+
+def packet(kind: int, content: bytes, more: int = 0) -> bytes:
+    """An MQTT packet, of whose content ``more`` bytes follow."""
+    length, head = len(content) + more, bytes([kind])
+    while True:
+        length, digit = divmod(length, 128)
+        head += bytes([digit | 0x80 if length else digit])
+        if not length:
+            return head + content
+
+
+def text(value: str) -> bytes:
+    return len(value).to_bytes(2, "big") + value.encode()
+
+
+def publish_huge(connection: socket.socket) -> None:
+    """A message of `HUGE` bytes, without having it."""
+    topic = text("frigate/events")
+    connection.sendall(packet(0x30, topic, HUGE))
+    for _ in range(HUGE // 1_000_000):
+        connection.sendall(bytes(1_000_000))
+
+
+def peak_mebibytes(process: subprocess.Popen[bytes]) -> float:
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
+
+
+def test_a_broker_that_speaks_5_does_not_send_a_huge_message(tmp_path: Path) -> None:
+    with mosquitto(tmp_path) as broker, Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest:
+        with socket.create_connection(("127.0.0.1", broker.port), 30) as other:
+            other.sendall(packet(0x10, text("MQTT") + bytes([4, 2, 0, 60]) + text("other")))
+            assert other.recv(4) == b"\x20\x02\x00\x00"
+            publish_huge(other)
+        broker.publish(says.passage(1))
+        ingest.wait_for_lines(2)
+        assert ingest.said.count("hearing") == 1, "the connection is the same"
+        assert "lost" not in ingest.said
+        assert peak_mebibytes(ingest.process) < 150
+
+
+class Old:
+    """A broker that speaks MQTT 3.1.1 only. The first who subscribes is sent a huge message, the next a passage."""
+
+    def __init__(self, answers_5: bool) -> None:
+        self._answers_5 = answers_5
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self.subscribed = 0
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                threading.Thread(target=self._serve, args=(client,), daemon=True).start()
+
+    def _serve(self, client: socket.socket) -> None:
+        with client, contextlib.suppress(OSError):
+            if client.recv(4096)[8] != 4:  # the version, behind the length and the protocol's name
+                client.sendall(b"\x20\x02\x00\x01" if self._answers_5 else b"")
+                return
+            client.sendall(b"\x20\x02\x00\x00")
+            asked = client.recv(4096)
+            client.sendall(b"\x90\x03" + asked[2:4] + b"\x01")
+            self.subscribed += 1
+            if self.subscribed == 1:
+                publish_huge(client)
+            for line in says.passage(1):
+                client.sendall(packet(0x30, text("frigate/events") + line))
+            while client.recv(4096):
+                pass
+
+
+@pytest.mark.parametrize("answers_5", [True, False])
+def test_an_older_broker_that_sends_a_huge_message_is_disconnected(answers_5: bool, tmp_path: Path) -> None:
+    with (
+        contextlib.closing(Old(answers_5)) as broker,
+        Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest,
+    ):
+        ingest.wait_for_lines(2)
+        assert f"the broker sends a packet of {HUGE + 16} bytes; at most 2097152 are taken" in ingest.said
+        assert ingest.said.count("hearing") == broker.subscribed == 2
+        assert peak_mebibytes(ingest.process) < 150
+
+
 def test_without_the_extra_it_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "paho"]:
         monkeypatch.delitem(sys.modules, name)

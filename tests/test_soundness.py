@@ -248,6 +248,16 @@ def test_what_is_believed_can_be_used() -> None:
     assert believed > 20, "not everything is refused"
 
 
+def test_where_nobody_goes_anywhere_they_leave() -> None:
+    content = copy.deepcopy(PLAIN)
+    for row in content["model"]["onward"]:
+        row["leave"] = 0
+        for outcome in row["next_"]:
+            outcome["hazard"] = {"first": 0, "mass": []}
+    content["model"]["contexts"] = []
+    use(read_topology(json.dumps(content).encode()))
+
+
 @pytest.mark.parametrize("odd", ["\x1b[2J", "\x00", "\ufffe", "\u202e", "\ud800", "<&\"'>"])
 def test_pictures_of_any_names_are_well_formed(odd: str) -> None:
     odd_name = json.dumps(f"{odd}{FIRST}")[:-1]

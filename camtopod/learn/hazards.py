@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 EXPOSURE_MIN = 0.02
 NORMAL_Q90 = 1.2816
+LEAVE_MIN = 1e-6
+"""Where every other outcome has become impossible an object has left."""
 
 
 class Outcomes(NamedTuple):
@@ -190,7 +192,8 @@ class Hazards:
                 share = np.array([outcome.share for outcome in row.next_])
                 zone, targets = index[row.zone], [index[outcome.to] for outcome in row.next_]
                 doubt = np.array([outcome.doubt for outcome in row.next_])
-                outcomes[zone] = Outcomes(targets, share, row.leave, hazard, self._exposure(zone), doubt)
+                leave = max(row.leave, LEAVE_MIN)
+                outcomes[zone] = Outcomes(targets, share, leave, hazard, self._exposure(zone), doubt)
         return outcomes
 
     def _from_links(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:

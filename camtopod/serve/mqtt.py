@@ -15,6 +15,7 @@ from camtopod.redact import redact, remember
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
+    from paho.mqtt.enums import MQTTProtocolVersion
     from paho.mqtt.reasoncodes import ReasonCode
 
 log = logging.getLogger(__name__)
@@ -22,7 +23,12 @@ log = logging.getLogger(__name__)
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 """Usual port by the URL's scheme; mqtts is TLS."""
 MESSAGES_MAX = 10_000
-"""Messages that wait to be read; what comes beyond is dropped and counted."""
+WAITING_BYTES_MAX = 32 * 1024**2
+"""Messages, and bytes, that wait to be read; what comes beyond is dropped and counted."""
+PACKET_BYTES_MAX = 2 * 1024**2
+"""A broker that speaks MQTT 5 does not send larger packets; one that does all the same is disconnected. Lines of all
+formats are shorter.
+"""
 CONNECT_SECONDS = 10.0
 """How long the first connection may take."""
 KEEPALIVE_SECONDS = 30
@@ -31,6 +37,9 @@ RETRY_SECONDS_MAX = 60
 LEAVE_SECONDS = 2.0
 """For the last message."""
 ONLINE, OFFLINE = "online", "offline"
+UNSUPPORTED = "Unsupported protocol version"
+"""The answer to MQTT 5 of a broker that does not speak it."""
+CLOSED = "the connection was closed"
 _TICK_SECONDS = 0.2
 
 
@@ -76,6 +85,20 @@ def broker(url: str, password: str | None = None, ca: str | None = None, prefix:
     return Broker(parts.hostname, parts.port or PORTS[parts.scheme], tls, prefix, user, password, ca)
 
 
+def _bounded() -> type[Client]:
+    """paho's client, which would ask the system for a packet of any length, with a limit."""
+    from paho.mqtt.client import Client
+
+    class Bounded(Client):
+        def _sock_recv(self, bufsize: int) -> bytes:
+            if bufsize > PACKET_BYTES_MAX:
+                log.warning("the broker sends a packet of %d bytes; at most %d are taken", bufsize, PACKET_BYTES_MAX)
+                raise ConnectionError("a packet is too large")
+            return super()._sock_recv(bufsize)
+
+    return Bounded
+
+
 class _Connection:
     """A client of the broker.
 
@@ -83,18 +106,11 @@ class _Connection:
     """
 
     def __init__(self, at: Broker) -> None:
-        from paho.mqtt.client import Client
-        from paho.mqtt.enums import CallbackAPIVersion
-
         self._at = at
         self._ready = threading.Event()
+        """Connected for the first time, or refused."""
         self._refused: str | None = None
-        self._client = client = Client(CallbackAPIVersion.VERSION2)
-        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
-        client.reconnect_delay_set(1, RETRY_SECONDS_MAX)
-        client.connect_timeout = CONNECT_SECONDS
-        if at.user is not None:
-            client.username_pw_set(at.user, at.password)
+        self._client: Client
 
     def close(self) -> None:
         """Disconnect."""
@@ -103,20 +119,51 @@ class _Connection:
         self._client.loop_stop()
 
     def _connect(self) -> None:
-        at = self._at
-        try:
-            if at.tls:
-                self._client.tls_set(at.ca)
-            self._client.connect(at.host, at.port, KEEPALIVE_SECONDS)
-        except (OSError, ValueError) as error:
-            raise MqttError(f"cannot reach {at.host}:{at.port}: {error}") from None
-        self._client.loop_start()
-        if not self._ready.wait(CONNECT_SECONDS):
+        """By MQTT 5, or by 3.1.1 where the broker does not speak 5."""
+        from paho.mqtt.enums import MQTTProtocolVersion
+
+        self._dial(MQTTProtocolVersion.MQTTv5)
+        if self._refused in (UNSUPPORTED, CLOSED):
             self.close()
-            raise MqttError(f"{at.host}:{at.port} does not answer as an MQTT broker")
+            self._dial(MQTTProtocolVersion.MQTTv311)
+        if not self._ready.is_set() or self._refused == CLOSED:
+            self.close()
+            raise MqttError(f"{self._at.host}:{self._at.port} does not answer as an MQTT broker")
         if self._refused is not None:
             self.close()
-            raise MqttError(f"{at.host}:{at.port} refuses: {self._refused}")
+            raise MqttError(f"{self._at.host}:{self._at.port} refuses: {self._refused}")
+
+    def _dial(self, protocol: MQTTProtocolVersion) -> None:
+        """Wait for an answer, for `CONNECT_SECONDS`."""
+        from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+        from paho.mqtt.packettypes import PacketTypes
+        from paho.mqtt.properties import Properties
+
+        at, properties = self._at, None
+        if protocol == MQTTProtocolVersion.MQTTv5:
+            properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+            properties.MaximumPacketSize = PACKET_BYTES_MAX
+        self._ready.clear()
+        self._refused = None
+        self._client = client = _bounded()(CallbackAPIVersion.VERSION2, protocol=protocol)
+        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        client.reconnect_delay_set(1, RETRY_SECONDS_MAX)
+        client.connect_timeout = CONNECT_SECONDS
+        if at.user is not None:
+            client.username_pw_set(at.user, at.password)
+        self._prepare(client)
+        try:
+            if at.tls:
+                client.tls_set(at.ca)
+            client.connect(at.host, at.port, KEEPALIVE_SECONDS, properties=properties)
+        except (OSError, ValueError) as error:
+            raise MqttError(f"cannot reach {at.host}:{at.port}: {error}") from None
+        client.loop_start()
+        self._ready.wait(CONNECT_SECONDS)
+
+    def _prepare(self, client: Client) -> None:
+        """What a client needs before it connects."""
+        raise NotImplementedError
 
     def _joined(self) -> None:
         """Connected, for the first time or again."""
@@ -137,7 +184,9 @@ class _Connection:
         self._ready.set()
 
     def _on_disconnect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
-        if self._ready.is_set() and self._refused is None:
+        if not self._ready.is_set():  # so some brokers answer to a version of MQTT that they do not speak
+            self._tell(CLOSED)
+        elif self._refused is None:
             log.warning("lost %s:%d (%s); trying again", self._at.host, self._at.port, code)
 
 
@@ -152,22 +201,29 @@ class Messages(_Connection):
         self.dropped = 0
         """Messages that found ``limit_messages`` others waiting."""
         self._waiting: queue.Queue[bytes] = queue.Queue(limit_messages)
-        self._client.on_subscribe, self._client.on_message = self._on_subscribe, self._on_message
+        self._mutex = threading.Lock()
+        self._waiting_bytes = 0
         self._connect()
 
     def read(self, stop: threading.Event) -> Iterator[bytes]:
         """The messages, until ``stop`` is set."""
         while not stop.is_set():
             try:
-                yield self._waiting.get(timeout=_TICK_SECONDS)
+                message = self._waiting.get(timeout=_TICK_SECONDS)
             except queue.Empty:
                 continue
+            with self._mutex:
+                self._waiting_bytes -= len(message)
+            yield message
 
     def close(self) -> None:
         """Disconnect, and say what was dropped."""
         super().close()
         if self.dropped:
             log.warning("%d messages of %s were dropped", self.dropped, self.topic)
+
+    def _prepare(self, client: Client) -> None:
+        client.on_subscribe, client.on_message = self._on_subscribe, self._on_message
 
     def _joined(self) -> None:
         self._client.subscribe(self.topic, qos=1)
@@ -181,14 +237,18 @@ class Messages(_Connection):
         self._ready.set()
 
     def _on_message(self, _: Client, __: Any, message: MQTTMessage) -> None:
-        try:
-            self._waiting.put_nowait(bytes(message.payload))
-        except queue.Full:
-            self.dropped += 1
-            if self.dropped == 1:
-                log.warning(
-                    "messages come faster than they are read; those beyond %d are dropped", self._waiting.maxsize
-                )
+        payload = bytes(message.payload)
+        with self._mutex:
+            full = f"{self._waiting.maxsize}" if self._waiting.full() else ""
+            if self._waiting_bytes + len(payload) > WAITING_BYTES_MAX:
+                full = f"{WAITING_BYTES_MAX} bytes"
+            if not full:
+                self._waiting.put_nowait(payload)  # nothing else puts
+                self._waiting_bytes += len(payload)
+                return
+        self.dropped += 1
+        if self.dropped == 1:
+            log.warning("messages come faster than they are read; those beyond %s are dropped", full)
 
 
 class Board(_Connection):
@@ -204,7 +264,6 @@ class Board(_Connection):
         self._availability = availability
         self._mutex = threading.Lock()
         self._said: dict[str, str] = {}
-        self._client.will_set(availability, OFFLINE, qos=1, retain=True)
         self._connect()
 
     def show(self, messages: Mapping[str, str]) -> None:
@@ -221,6 +280,9 @@ class Board(_Connection):
             told = self._client.publish(self._availability, OFFLINE, qos=1, retain=True)
             told.wait_for_publish(LEAVE_SECONDS)
         super().close()
+
+    def _prepare(self, client: Client) -> None:
+        client.will_set(self._availability, OFFLINE, qos=1, retain=True)
 
     def _joined(self) -> None:
         """Whatever the broker still has of before, it is told everything anew."""
