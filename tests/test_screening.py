@@ -164,14 +164,16 @@ def test_parts_are_joined_by_arrival_and_the_likeliest_stay(seed: int, parts: in
 # --- candidates of one zone ---
 
 
-@given(st.integers(0, 10**6), st.integers(0, 30), st.integers(1, 30), st.none() | st.floats(0, 1))
-def test_possible_ones_equal_a_double_loop(seed: int, left: int, came: int, share: float | None) -> None:
+@given(st.integers(0, 10**6), st.integers(0, 30), st.integers(1, 30), st.none() | st.floats(0, 1), st.integers(1, 99))
+def test_possible_ones_equal_a_double_loop(seed: int, left: int, came: int, share: float | None, at_once: int) -> None:
     """Those before the exit included: of another camera only, and if the passage there had begun."""
     rng = np.random.default_rng(seed)
     departures, arrivals = anything(seed, left, came)
     mine = np.flatnonzero(arrivals.zone == arrivals.zone[0])
     among = None if share is None else np.flatnonzero(rng.random(left) < share)
-    departure, at, lag = possible(departures, arrivals, SHORT, mine, among)
+    parts = list(possible(departures, arrivals, SHORT, mine, among, at_once))
+    departure, at, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
+    assert all(len(np.unique(at)) == 1 or len(at) <= at_once for _, at, _ in parts if len(at))
     slow = naive.candidates(departures, arrivals.take(mine), SHORT.lag_min, SHORT.lag_max)
     slow = [(d, a) for d, a in slow if among is None or d in among]
     assert list(zip(departure.tolist(), at.tolist(), strict=True)) == slow
@@ -187,7 +189,7 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
     sources = np.flatnonzero(np.random.default_rng(seed).random(4) < 0.6)
     if not len(sources):
         return
-    departure, arrival, lag, share = _likely(ends, zone, sources)
+    departure, arrival, lag, share = _likely(ends, zone, sources, ends.coming[zone])
     slow = naive.likely(
         departures, arrivals, zone, sources.tolist(), SHORT, ends.exposure, ends.chance.of,
         lambda seen, usual: excess(seen, usual, SHORT, module.NOISE_SD), SMOOTHING_SD_BINS,

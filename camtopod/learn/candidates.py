@@ -99,7 +99,7 @@ def newest(
 
     Both are cut at the same moment: a departure whose arrivals were left out would look like one that leads nowhere.
     """
-    low, high = in_reach(departures, arrivals, bins)
+    low, high = in_reach(departures.t, arrivals.t, bins)
     kept = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
     if kept == len(arrivals.t):
         return departures, arrivals
@@ -108,48 +108,51 @@ def newest(
     return departures.take(departures.t >= first, late), arrivals.take(late)
 
 
-def in_reach(departures: Departures, arrivals: Arrivals, bins: LagBins) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First and last-but-one departure within the lags of each arrival."""
-    low = np.searchsorted(departures.t, arrivals.t - bins.lag_max, side="left")
-    high = np.searchsorted(departures.t, arrivals.t - bins.lag_min, side="right")
+def in_reach(left: Floats, came: Floats, bins: LagBins) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last-but-one departure within the lags of each arrival: of times ``left`` and ``came``, ascending."""
+    low = np.searchsorted(left, came - bins.lag_max, side="left")
+    high = np.searchsorted(left, came - bins.lag_min, side="right")
     return low, high
 
 
 def possible(
     departures: Departures, arrivals: Arrivals, bins: LagBins, mine: NDArray[np.intp],
-    among: NDArray[np.intp] | None = None,
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:  # fmt: skip
+    among: NDArray[np.intp] | None = None, at_once: int = CANDIDATES_AT_ONCE,
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:  # fmt: skip
     """Departure, index into ``mine`` (n,) and lag in seconds of all candidates of the arrivals ``mine``; departures
-    only ``among`` these (ascending), if given.
+    only ``among`` these (ascending), if given. In parts of about ``at_once`` pairs in reach, so that memory does not
+    grow with their number.
     """
     t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
-    low = np.searchsorted(t, came - bins.lag_max, side="left")
-    n = np.searchsorted(t, came - bins.lag_min, side="right") - low
-    at = np.repeat(np.arange(len(mine)), n)
-    departure = np.arange(len(at)) + np.repeat(low - (np.cumsum(n) - n), n)
-    if among is not None:
-        departure = among[departure]
-    came = came[at]
-    lag = came - departures.t[departure]
-    # A negative lag means two views at once: another camera, and the passage there had begun.
-    ahead = (departures.camera[departure] != arrivals.camera[mine[at]]) & (came > departures.since[departure])
-    kept = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
-    return departure[kept], at[kept], lag[kept]
+    low, high = in_reach(t, came, bins)
+    reached = np.concatenate(([0], np.cumsum(high - low)))
+    first = 0
+    while first < len(mine):
+        stop = max(int(np.searchsorted(reached, reached[first] + at_once, side="right")) - 1, first + 1)
+        n = high[first:stop] - low[first:stop]
+        at = np.repeat(np.arange(first, stop), n)
+        departure = np.arange(len(at)) + np.repeat(low[first:stop] - (np.cumsum(n) - n), n)
+        if among is not None:
+            departure = among[departure]
+
+        # A negative lag means two views at once: another camera, and the passage there had begun.
+        then = came[at]
+        lag = then - departures.t[departure]
+        ahead = (departures.camera[departure] != arrivals.camera[mine[at]]) & (then > departures.since[departure])
+        kept = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
+        yield departure[kept], at[kept], lag[kept]
+        first = stop
 
 
 def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int) -> Candidates:
     """All candidates."""
-    low, high = in_reach(departures, arrivals, bins)
-    reached = np.concatenate(([0], np.cumsum(high - low)))
+    low, high = in_reach(departures.t, arrivals.t, bins)
     # Of what is not written to no memory is taken: there are fewer than are in reach.
-    departure, arrival, lag = (np.empty(reached[-1], kind) for kind in (np.int32, np.int32, np.float32))
-    n = first = 0
-    while first < len(arrivals.t):
-        stop = int(np.searchsorted(reached, reached[first] + CANDIDATES_AT_ONCE, side="right")) - 1
-        mine = np.arange(first, first := max(stop, first + 1))
-        left, at, apart = possible(departures, arrivals, bins, mine)
-        here = slice(n, n := n + len(at))
-        departure[here], arrival[here], lag[here] = left, mine[at], apart
+    departure, arrival, lag = (np.empty(int((high - low).sum()), kind) for kind in (np.int32, np.int32, np.float32))
+    n = 0
+    for left, came, apart in possible(departures, arrivals, bins, np.arange(len(arrivals.t))):
+        here = slice(n, n := n + len(left))
+        departure[here], arrival[here], lag[here] = left, came, apart
     departure, arrival, lag = departure[:n], arrival[:n], lag[:n]
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag, source, target)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, Singles, together
+from camtopod.learn.limits import context_cells_max
 
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
@@ -112,7 +113,9 @@ class Contexts:
         sure = self._sureness(c, responsibility)[self._zone]
         column, width = self._columns(c)
         levels = []
+        most = max(context_cells_max(self.cameras) // width, 1)
         for (number, keys), told in self._contexts(c, responsibility):
+            number, keys, told = _commonest(number, keys, told, most)
             mine = sure * told
             n = np.bincount(number, mine, minlength=len(keys)).astype(float)
             below = n[number] - mine + BACK_OFF_DEPARTURES
@@ -196,6 +199,19 @@ def multipliers(before: Floats, after: Floats) -> Floats:
     """By how much a context raises probabilities."""
     ratio: Floats = np.clip(after / np.maximum(before, 1e-300), 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX)
     return ratio
+
+
+def _commonest(number: Longs, keys: Longs, told: Floats, most: int) -> tuple[Longs, Longs, Floats]:
+    """Context number of each departure (n,), the keys and how sure each context is (n,) when at most so many contexts
+    count: those of the most departures.
+    """
+    if len(keys) <= most:
+        return number, keys, told
+    kept = np.sort(np.argsort(-np.bincount(number, told, minlength=len(keys)), kind="stable")[:most])
+    renamed = np.full(len(keys), -1)
+    renamed[kept] = np.arange(most)
+    number = renamed[number]
+    return np.maximum(number, 0), keys[kept], told * (number >= 0)
 
 
 def _numbered(zone: Longs, first: Longs, second: Longs) -> tuple[Longs, Longs]:

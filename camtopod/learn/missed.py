@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.learn.candidates import rows_together
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
@@ -159,7 +160,9 @@ def _inside(ways: Ways, at: Rows, pairs: int, bins: LagBins) -> NDArray[np.bool_
     """Whether each lag bin lies where one of a pair's ways can end: (pairs, bins)."""
     reach = WINDOW_SD * ways.spread + WINDOW_SECONDS
     inside = np.zeros((pairs, bins.size), bool)
-    np.logical_or.at(inside, at, np.abs(bins.centres - ways.median[:, None]) <= reach[:, None])
+    for rows in rows_together(len(at)):
+        near = np.abs(bins.centres - ways.median[rows, None]) <= reach[rows, None]
+        np.logical_or.at(inside, at[rows], near)
     return inside
 
 

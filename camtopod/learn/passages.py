@@ -6,13 +6,16 @@ by the same fit as departures and arrivals of different ones.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Departures, find_candidates, newest
+from camtopod.learn.candidates import Arrivals, Departures, find_candidates, in_reach, newest
 from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins
+from camtopod.learn.limits import fair_share
 from camtopod.learn.links import TRANSITIONS_MIN, LinkTable, Transitions, join, transitions_of
 from camtopod.learn.rates import local_rates
 from camtopod.learn.scene import Scene
@@ -22,13 +25,19 @@ Longs = NDArray[np.int64]
 
 
 def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:
-    """Transitions through every camera's view; lags are the seconds a passage lasts."""
+    """Transitions through every camera's view; lags are the seconds a passage lasts. Cameras without tracks have
+    ``candidates_max`` candidates together.
+    """
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
     tracked = scene.tracked[camera_of[scene.passages.source]] if len(scene.passages.source) else np.zeros(0, bool)
     p = scene.passages
     n = int(tracked.sum())
     parts = [Transitions(p.source[tracked], p.target[tracked], (p.left - p.entered)[tracked], np.ones(n), np.zeros(n))]
-    parts.extend(_joined(scene, int(camera), bins, candidates_max) for camera in np.flatnonzero(~scene.tracked))
+
+    views = [_view(scene, int(camera)) for camera in np.flatnonzero(~scene.tracked)]
+    reach = [in_reach(view.starts.t, view.ends.t, bins) for view in views]
+    most = fair_share(np.array([int((high - low).sum()) for low, high in reach], np.intp), candidates_max)
+    parts.extend(_joined(view, bins, most, scene.last) for view in views)
     return join(parts)
 
 
@@ -54,11 +63,20 @@ def with_usual_stays(departures: Departures, through: LinkTable) -> Departures:
     return departures._replace(since=np.where(known, departures.since, departures.t - usual[departures.zone]))
 
 
-def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Transitions:
-    """Passages through one camera without tracks, by the joint fit of its entries and exits."""
+class _View(NamedTuple):
+    """Entries and exits of a camera as departures and arrivals. Zones are counted from the camera's ``first``: what
+    others there are does not matter here.
+    """
+
+    starts: Departures
+    ends: Arrivals
+    first: int
+    zones: int
+
+
+def _view(scene: Scene, camera: int) -> _View:
     came = scene.arrivals.camera == camera
     left = scene.departures.camera == camera
-    # Zones are counted from the camera's first: what others there are does not matter here.
     of_camera = [index for index, zone in enumerate(scene.zones) if zone.camera == camera]
     first, zones = min(of_camera, default=0), len(of_camera)
     starts = Departures.untold(
@@ -67,11 +85,15 @@ def _joined(scene: Scene, camera: int, bins: LagBins, candidates_max: int) -> Tr
     )  # fmt: skip
     t, zone = scene.departures.t[left], scene.departures.zone[left] - np.int32(first)
     ends = Arrivals(t, zone, scene.departures.camera[left], local_rates(t, zone, zones), scene.departures.slow[left])
+    return _View(starts, ends, first, zones)
+
+
+def _joined(view: _View, bins: LagBins, candidates_max: int, until: float) -> Transitions:
+    """Passages through one camera without tracks, by the joint fit of its entries and exits."""
+    starts, ends = newest(view.starts, view.ends, bins, candidates_max)
     if len(starts.t) == 0 or len(ends.t) == 0:
         return join([])
-    starts, ends = newest(starts, ends, bins, candidates_max)
-    if len(starts.t) == 0 or len(ends.t) == 0:
-        return join([])
-    candidates = find_candidates(starts, ends, bins, zones)
-    found = transitions_of(fit_jointly(starts, ends, candidates, bins, zones, scene.last))
-    return found._replace(source=found.source + np.int32(first), target=found.target + np.int32(first))
+    candidates = find_candidates(starts, ends, bins, view.zones)
+    found = transitions_of(fit_jointly(starts, ends, candidates, bins, view.zones, until))
+    first = np.int32(view.first)
+    return found._replace(source=found.source + first, target=found.target + first)

@@ -28,6 +28,7 @@ from camtopod.learn.doubt import doubts
 from camtopod.learn.entering import Entering
 from camtopod.learn.joint import LEAVE_FLOOR, NOTHING, Fit, JointFitter, Tables, within
 from camtopod.learn.lags import LagBins
+from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.prior import Prior
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.screening import not_overlapping
@@ -137,10 +138,14 @@ class PosteriorFitter(JointFitter):
         self._iterate(SCOUT_ITERATIONS, contexts=False)
 
     def worth_following(self) -> NDArray[np.bool_]:
-        """The candidates (M,) that are neither negligible nor impossible."""
+        """The candidates (M,) that are neither negligible nor impossible, the likeliest `FOLLOWED_MAX` of them."""
         c = self.candidates
         impossible = not_overlapping(c, self.departures, self.arrivals, self.responsibility, self.contexts.cameras)
-        return (self.responsibility > NEGLIGIBLE) & ~impossible
+        kept = (self.responsibility > NEGLIGIBLE) & ~impossible
+        rows = np.flatnonzero(kept)
+        if len(rows) > FOLLOWED_MAX:
+            kept[rows[np.argsort(-self.responsibility[rows], kind="stable")[FOLLOWED_MAX:]]] = False
+        return kept
 
     def skip(self) -> None:
         """See to it that what appears after a skipped view is worth following, too."""

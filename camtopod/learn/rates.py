@@ -62,7 +62,9 @@ class Chance:
         bins = np.full(n, 3.0)
         bins[0] -= 1.0
         bins[-1] -= 1.0
-        self._rate = around / (CHANCE_BIN_SECONDS * np.maximum(bins, 1.0))
+        del came  # there may be thousands of zones and of bins
+        around /= CHANCE_BIN_SECONDS * np.maximum(bins, 1.0)
+        self._rate = around
         self._number = np.maximum(self._left.sum(axis=1), 1.0)
         self._table = (self._left @ self._rate.T) / self._number[:, None] if zones <= TABLE_ZONES_MAX else None
 

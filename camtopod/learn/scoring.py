@@ -174,7 +174,8 @@ def _row_of(guess: Guess, departures: Departures, cameras: list[str], ahead: Flo
     camera = cameras.index(guess.camera)
     t = guess.t - ahead[camera]
     low, high = np.searchsorted(departures.t, (t, np.nextafter(t, np.inf)))
-    return next((row for row in range(low, high) if departures.camera[row] == camera), None)
+    rows = low + np.flatnonzero(departures.camera[low:high] == camera)
+    return int(rows[0]) if len(rows) else None
 
 
 def _outcomes(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras: int) -> Floats:

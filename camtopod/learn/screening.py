@@ -14,7 +14,7 @@ looks go before the fit, each far cheaper than it:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +37,15 @@ from camtopod.learn.exposure import exposures
 from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import START_FLOOR
 from camtopod.learn.lags import LagBins, smoother
+from camtopod.learn.limits import (
+    JUDGED_MAX,
+    LOOKED_PER_EVENT_MAX,
+    WEIGHED_AT_ONCE,
+    WEIGHED_MAX,
+    ZONE_PAIRS_MAX,
+    clearest,
+    zone_pairs_max,
+)
 from camtopod.learn.rates import Chance
 from camtopod.learn.significance import RESPONSIBILITY_MAX
 from camtopod.learn.smoothing import smooth
@@ -111,32 +120,52 @@ class Screen:
         ``places`` (zones,): what zones are known by from one fit to the next; ``until``: seconds up to which events
         have come; ``learned``: events up to now.
         """
-        low, high = in_reach(departures, arrivals, bins)
+        low, high = in_reach(departures.t, arrivals.t, bins)
         if int((high - low).sum()) <= candidates_max and len(places) ** 2 <= PAIRS_FEW:
             self.followed = {}
             return find_candidates(departures, arrivals, bins, len(places))
         ends = _ends(departures, arrivals, bins, len(places), until)
         self._look(ends, places, learned, high - low)
-        row_of = {place: zone for zone, place in enumerate(places.tolist())}
+        sources_of = self._sources(places)
+
+        # Beyond the limit the clearest arrivals count.
+        reach, left = np.zeros(len(arrivals.t), np.intp), [departures.t[rows] for rows in ends.leaving]
+        for zone, sources in sources_of.items():
+            mine = ends.coming[zone]
+            reach[mine] = _reach([left[source] for source in sources], arrivals.t[mine], bins)
+        kept = clearest(reach, WEIGHED_MAX)
 
         def parts() -> Iterator[Part]:
-            for zone, place in enumerate(places.tolist()):
-                known = (row_of.get(source) for source in self.followed[place].sources.tolist())
-                sources = np.array(sorted(row for row in known if row is not None), np.int64)
-                if len(sources) and len(ends.coming[zone]):
-                    yield _likely(ends, zone, sources)
+            for zone, sources in sources_of.items():
+                mine = ends.coming[zone][kept[ends.coming[zone]]]
+                block = (np.cumsum(reach[mine]) - 1) // WEIGHED_AT_ONCE
+                for some in np.split(mine, np.flatnonzero(np.diff(block)) + 1):
+                    if len(some):
+                        yield _likely(ends, zone, sources, some)
 
         return _joined(parts(), departures, arrivals, len(places))
+
+    def _sources(self, places: Longs) -> dict[int, Longs]:
+        """The zones followed as sources of each zone that has any, ascending."""
+        row_of = {place: zone for zone, place in enumerate(places.tolist())}
+        result = {}
+        for zone, place in enumerate(places.tolist()):
+            known = (row_of.get(source) for source in self.followed[place].sources.tolist())
+            sources = np.array(sorted(row for row in known if row is not None), np.int64)
+            if len(sources):
+                result[zone] = sources
+        return result
 
     def _look(self, ends: Ends, places: Longs, learned: int, reach: Rows) -> None:
         """Look at some zones again, over all pairs, and forget zones that are no more."""
         never = Followed(np.zeros(0, np.int64), -1)
         self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
+        pairs_max = zone_pairs_max(len(np.unique(places >> 32)))
         budget = max(LOOKS_MIN, LOOKS_PER_EVENT * (len(ends.departures.t) + len(ends.arrivals.t)))
         for zone in sorted(range(len(places)), key=lambda zone: self.followed[int(places[zone])].looked):
             if budget <= 0:
                 break
-            sources = standing_out(ends, zone)
+            sources = standing_out(ends, zone, pairs_max)
             self.followed[int(places[zone])] = Followed(places[sources], learned)
             budget -= int(reach[ends.coming[zone]].sum()) + len(places) * ends.bins.size
 
@@ -145,21 +174,28 @@ def whole(
     candidates: Candidates, pairs: Rows, departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
 ) -> Candidates:
     """All candidates of the ``pairs``, likely or not, and none of the others: for judging what was found. What is left
-    of a pair after the unlikely ones have gone has the lag that was looked for, whether there is a link or not.
+    of a pair after the unlikely ones have gone has the lag that was looked for, whether there is a link or not. Beyond
+    `JUDGED_MAX` all of the clearest arrivals.
     """
     leaving, coming = rows_of(departures.zone, zones), rows_of(arrivals.zone, zones)
-    parts = []
-    for zone, rows in enumerate(rows_of(candidates.target[pairs], zones)):
-        if not len(rows):
-            continue
+    pairs_to = {zone: pairs[rows] for zone, rows in enumerate(rows_of(candidates.target[pairs], zones)) if len(rows)}
+
+    # Beyond the limit the clearest arrivals count.
+    reach = np.zeros(len(arrivals.t), np.intp)
+    for zone, here in pairs_to.items():
+        left = [departures.t[leaving[source]] for source in candidates.source[here]]
+        reach[coming[zone]] = _reach(left, arrivals.t[coming[zone]], bins)
+    clear = clearest(reach, JUDGED_MAX)
+
+    parts = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))]
+    for zone, here in pairs_to.items():
         number = np.full(zones, -1, np.int32)
-        number[candidates.source[pairs[rows]]] = pairs[rows]
-        among = np.sort(np.concatenate([leaving[source] for source in candidates.source[pairs[rows]]]))
-        departure, at, lag = possible(departures, arrivals, bins, coming[zone], among)
-        came, pair = coming[zone][at].astype(np.int32), number[departures.zone[departure]]
-        parts.append((departure.astype(np.int32), came, pair, lag.astype(np.float32)))
-    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    lefts, cames, pairings, lags = zip(nothing, *parts, strict=True)
+        number[candidates.source[here]] = here
+        among, mine = _among(leaving, candidates.source[here]), coming[zone][clear[coming[zone]]]
+        for departure, at, lag in possible(departures, arrivals, bins, mine, among):
+            came, pair = mine[at].astype(np.int32), number[departures.zone[departure]]
+            parts.append((departure.astype(np.int32), came, pair, lag.astype(np.float32)))
+    lefts, cames, pairings, lags = zip(*parts, strict=True)
     arrival = np.concatenate(cames)
     order = np.argsort(arrival, kind="stable")  # each part has arrivals of its own, by arrival and departure
     return candidates._replace(
@@ -205,25 +241,28 @@ def _ends(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int,
     )  # fmt: skip
 
 
-def standing_out(ends: Ends, zone: int) -> Rows:
+def standing_out(ends: Ends, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows:
     """Zones whose departures the arrivals at ``zone`` follow more often than by chance, at most
-    `SOURCES_PER_ZONE_MAX`, ascending.
+    `SOURCES_PER_ZONE_MAX` and as many as all zones may have with ``pairs_max``, ascending.
     """
     zones, bins = len(ends.leaving), ends.bins
     seen = np.zeros(zones * bins.size)
-    mine = ends.coming[zone]
-    low, high = in_reach(ends.departures, ends.arrivals.take(mine), bins)
-    reached = np.cumsum(high - low)
-    for k in range(0, int(reached[-1]) if len(mine) else 0, COUNTED_AT_ONCE):
-        few = mine[slice(*np.searchsorted(reached, (k, k + COUNTED_AT_ONCE), side="right"))]
-        departure, _, lag = possible(ends.departures, ends.arrivals, bins, few)
+    every = ends.coming[zone]
+    low, high = in_reach(ends.departures.t, ends.arrivals.t[every], bins)
+
+    # Of too many pairs those of every second arrival are counted, or of every third, ...
+    most = LOOKED_PER_EVENT_MAX * (len(ends.departures.t) + len(ends.arrivals.t))
+    mine = every[:: -(-int((high - low).sum()) // most) or 1]
+    for departure, _, lag in possible(ends.departures, ends.arrivals, bins, mine, at_once=COUNTED_AT_ONCE):
         cell = ends.departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
         seen += np.bincount(cell, minlength=len(seen))
+
     counts = seen.reshape(zones, bins.size)
     some = np.flatnonzero(counts.sum(axis=1) >= SEEN_MIN)
-    usual = ends.chance.of(some, np.full(len(some), zone))[:, None] * ends.exposure[some] * bins.widths
+    rate = ends.chance.of(some, np.full(len(some), zone)) * (len(mine) / max(len(every), 1))
+    usual = rate[:, None] * ends.exposure[some] * bins.widths
     above = _above(counts[some], usual, bins)
-    best = np.argsort(-above, kind="stable")[:SOURCES_PER_ZONE_MAX]
+    best = np.argsort(-above, kind="stable")[: min(SOURCES_PER_ZONE_MAX, pairs_max // zones)]
     return np.sort(some[best[above[best] > STANDS_OUT_SD]])
 
 
@@ -237,14 +276,35 @@ def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
     return most
 
 
-def _likely(ends: Ends, zone: int, sources: Longs) -> Part:
-    """Departure, arrival, lag and probability of the likely candidates for the arrivals at one zone."""
-    bins, mine = ends.bins, ends.coming[zone]
-    among = np.sort(np.concatenate([ends.leaving[source] for source in sources]))
-    departure, at, lag = possible(ends.departures, ends.arrivals, bins, mine, among)
+def _reach(left: list[Floats], came: Floats, bins: LagBins) -> Rows:
+    """Departures in reach of each arrival (n,), ``left`` being the times of those of several zones."""
+    reach = np.zeros(len(came), np.intp)
+    for times in left:
+        low, high = in_reach(times, came, bins)
+        reach += high - low
+    return reach
+
+
+def _among(leaving: list[Rows], sources: Longs | Ints) -> Rows:
+    """Rows of the departures of several zones, ascending."""
+    return np.sort(np.concatenate([leaving[source] for source in sources]), kind="stable")
+
+
+def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
+    """Departure, arrival, lag and probability of the likely candidates for the arrivals ``mine`` at one zone."""
+    bins = ends.bins
+    among = _among(ends.leaving, sources)
     number = np.zeros(len(ends.leaving), np.int64)
     number[sources] = np.arange(len(sources))
-    cell = number[ends.departures.zone[departure]] * bins.size + bins.index(lag)
+
+    # Only what is needed of each pair is kept of each part: departure, index into ``mine``, source and lag bin, lag.
+    parts = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))]
+    for left, came, apart in possible(ends.departures, ends.arrivals, bins, mine, among):
+        at_bin = (number[ends.departures.zone[left]] * bins.size + bins.index(apart)).astype(np.int32)
+        parts.append((left.astype(np.int32), came.astype(np.int32), at_bin, apart.astype(np.float32)))
+    departure, at, cell, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
+    del parts
+
     size = len(sources) * bins.size
     exposed = ends.exposure[sources] * bins.widths
     usual = ends.chance.of(sources, np.full(len(sources), zone))[:, None] * exposed
@@ -258,23 +318,33 @@ def _likely(ends: Ends, zone: int, sources: Longs) -> Part:
         moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
         hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
     kept = share > LIKELY_MIN
-    left, came = departure[kept].astype(np.int32), mine[at[kept]].astype(np.int32)
-    return left, came, lag[kept].astype(np.float32), share[kept].astype(np.float32)
+    return departure[kept], mine[at[kept]].astype(np.int32), lag[kept], share[kept].astype(np.float32)
 
 
-def _joined(parts: Iterator[Part], departures: Departures, arrivals: Arrivals, zones: int) -> Candidates:
+def _joined(parts: Iterable[Part], departures: Departures, arrivals: Arrivals, zones: int) -> Candidates:
     """The likeliest candidates of all parts, by arrival."""
-    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32))
-    columns = [list(column) for column in zip(nothing, *parts, strict=True)]
-    # One at a time, as they are gone when they are joined.
-    share, lag, arrival, departure = (np.concatenate(columns.pop()) for _ in nothing)
     most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
-    if len(share) > most:
-        least = np.partition(share, len(share) - most)[len(share) - most]
-        likeliest = np.flatnonzero(share >= least)[:most]
-        departure, arrival, lag = departure[likeliest], arrival[likeliest], lag[likeliest]
-    del share
+    held: list[Part] = []
+    n = 0
+    for part in parts:
+        held.append(part)
+        n += len(part[0])
+        if n > 2 * most:  # what is not among the likeliest by now will not be in the end
+            held = [_likeliest(held, most, most + most // 2)]
+            n = len(held[0][0])
+    departure, arrival, lag, _ = _likeliest(held, most, most)
     order = np.argsort(arrival, kind="stable")  # each part has arrivals of its own, by arrival and departure
     departure, arrival, lag = departure[order], arrival[order], lag[order]
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag, source, target)
+
+
+def _likeliest(parts: list[Part], most: int, room: int) -> Part:
+    """The likeliest ``most`` of all parts and those that are as likely as the last of them, in all at most ``room``."""
+    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32))
+    departure, arrival, lag, share = (np.concatenate(column) for column in zip(nothing, *parts, strict=True))
+    if len(share) <= most:
+        return departure, arrival, lag, share
+    least = np.partition(share, len(share) - most)[len(share) - most]
+    kept = np.flatnonzero(share >= least)[:room]
+    return departure[kept], arrival[kept], lag[kept], share[kept]

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.learn.clutter import clutter_rates
+from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.mixture import classify_cells
 from camtopod.learn.partition import Cells, partition
 from camtopod.learn.positions import POSITION_ONE
@@ -111,7 +112,7 @@ def find_zones(
     filled = flat[:, occupied]
     so_far = None if held is None else held.ravel()[occupied].astype(np.intp)
     rates = clutter_rates(np.asarray(sums.count))
-    labels = partition(Cells.of(filled / _SCALE, occupied), np.asarray(sums.count), rates, so_far)
+    labels = _largest(partition(Cells.of(filled / _SCALE, occupied), np.asarray(sums.count), rates, so_far), filled[0])
     groups = (labels == np.arange(labels.max() + 1)[:, None]).astype(np.int64) @ filled.T
     events, total = int(filled[0].sum()), int(groups[:, 0].sum())
     zones, next_number = match_zones(previous, [_shape(group, total) for group in groups.tolist()], next_number)
@@ -127,6 +128,17 @@ def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()
     if events >= 2 * old.events and old.events < ANEW_EVENTS_MAX:
         return find_zones(sums, known, old.next_number)
     return replace(find_zones(sums, known, old.next_number, old.cells), events=old.events)
+
+
+def _largest(labels: NDArray[np.intp], events: Integers) -> NDArray[np.intp]:
+    """The zone of each cell (m,), -1 for clutter, when only the `ZONES_PER_CAMERA_MAX` with the most ``events`` stay."""
+    number = np.bincount(labels + 1, events)[1:]
+    if len(number) <= ZONES_PER_CAMERA_MAX:
+        return labels
+    kept = np.sort(np.argsort(-number, kind="stable")[:ZONES_PER_CAMERA_MAX])
+    renamed = np.full(len(number) + 1, -1, np.intp)  # the last is for clutter
+    renamed[kept] = np.arange(len(kept))
+    return renamed[labels]
 
 
 def _shape(sums: list[int], total: int) -> ZoneShape:
