@@ -26,6 +26,7 @@ from camtopod.serve.cameras import (
     FLOOD_SECONDS_KEPT,
     IDLE_SECONDS,
     LEADS_SECONDS,
+    REFUSED_SECONDS,
     REWIND_SECONDS,
     Cameras,
     Received,
@@ -409,6 +410,54 @@ def test_too_many_cameras_are_refused_until_one_has_been_silent_for_long() -> No
     assert ("a" in cameras, "b" in cameras, "c" in cameras) == (True, False, True)
 
 
+def test_a_camera_whose_grabber_was_seen_takes_the_place_of_a_name_that_merely_sends() -> None:
+    """That of the one with the fewest events; it never loses its own to such a one before all of these."""
+    cameras, grabbers = admitted("good", "busy", "one", "two", cameras_max=4), {"good", "new", "newer"}
+    for name, events in (("busy", 5), ("one", 1), ("two", 2)):
+        for second in range(events):
+            cameras.note(at(name, T0 + second))
+    assert not cameras.admit("other", 1.0, grabbers)
+    assert cameras.admit("new", 1.0, grabbers)
+    assert ("one" in cameras, "good" in cameras) == (False, True)
+    cameras.in_time([received(at("two", T0 + 50))], T0, 1.0)
+    assert cameras.admit("newer", 2.0, grabbers)
+    assert ("two" in cameras, "busy" in cameras) == (True, False), "of one something waits for its time"
+    assert not cameras.admit("late", 2.0, {*grabbers, "late", "two"}), "all that are left have a grabber"
+    assert cameras.admit("other", IDLE_SECONDS + 0.5, grabbers)
+    assert {name for name in ("good", "new", "newer", "two", "other") if name in cameras} == {
+        "other", "new", "newer", "two",
+    }  # fmt: skip
+
+
+def test_who_takes_the_places_is_said_as_long_as_a_camera_is_refused() -> None:
+    cameras = admitted("good", "lobby", *(f"name{k}" for k in range(20)), cameras_max=22)
+    for name in ("lobby", "lobby", "name1"):
+        cameras.note(at(name, T0))
+    assert cameras.crowded(0.0) == ""
+    assert not cameras.admit("gate", 10.0)
+    said = cameras.crowded(10.0, {"good"})
+    assert "camera gate is refused, as limits.cameras_max (22) is reached" in said
+    assert "the fewest events are those of name0 (0), name10 (0), name11 (0):" in said
+    assert "raise limits.cameras_max" in said
+    for k in range(1000):
+        assert not cameras.admit(f"further{k}", 11.0)
+    assert "camera further999 and at least 99 others are refused" in cameras.crowded(11.0)
+    assert not cameras.admit("gate", 65.0)
+    assert "camera gate and at least 99 others are" in cameras.crowded(70.0)
+    assert "camera gate is" in cameras.crowded(72.0)
+    assert cameras.crowded(65.0 + REFUSED_SECONDS) != ""
+    assert cameras.crowded(66.0 + REFUSED_SECONDS) == ""
+
+
+def test_a_refusal_is_quick_however_many_cameras_there_are() -> None:
+    """A refused name may send thousands of events: it is not looked each time which camera has been silent for long."""
+    cameras = admitted(*(f"name{k}" for k in range(3)), cameras_max=3)
+    assert not cameras.admit("other", 10.0)
+    cameras._cameras["name1"].heard = -IDLE_SECONDS  # nobody's clock goes back: so it would not be looked at
+    assert not cameras.admit("other", IDLE_SECONDS - 1.0)
+    assert cameras.admit("other", IDLE_SECONDS)
+
+
 def test_the_longest_queue_gives_way() -> None:
     inbox = Inbox(6, 4, 2, known=lambda camera: camera in "abcd")
     for n in range(6):
@@ -449,6 +498,23 @@ def test_a_few_of_each_reason_are_kept() -> None:
 def meeting_point(tmp_path: Path) -> Iterator[buses.Bus]:
     with buses.meet(small_config(tmp_path)) as bus:
         yield bus
+
+
+def test_more_cameras_than_the_learner_takes_are_said(tmp_path: Path) -> None:
+    """They are stored and acknowledged, so that nothing else tells that they are not learned."""
+    config = small_config(tmp_path)
+    config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, cameras_max=2))
+    with Daemon(config) as daemon, buses.dial(small_config(tmp_path / "other", daemon.endpoint)) as bus:
+        for camera in "ab":
+            bus.put(f"event/{camera}", at(camera, T0), "event")
+        wait_for(lambda: daemon.status()["learner"]["accepted"] == 2, "two cameras to be learned")
+        assert daemon.unready() == []
+        bus.put("event/c", at("c", T0), "event")
+        wait_for(lambda: "more cameras than learn.cameras_max" in daemon.status()["reason"], "the third to be missed")
+        assert daemon.unready() == [daemon.status()["reason"]]
+        assert daemon.status()["events"]["stored"] == 3
+    with Daemon(config) as daemon:
+        assert daemon.status()["reason"] == "", "nothing has been refused since"
 
 
 def test_a_daemon_does_not_start_beside_another(meeting_point: buses.Bus, tmp_path: Path) -> None:

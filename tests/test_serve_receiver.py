@@ -393,6 +393,7 @@ def test_after_a_start_the_cameras_heard_last_have_their_places(tmp_path: Path) 
         bench.round()
     bench.journal.close()
     again = Bench(tmp_path, cameras_max=2, streams_max=2)
+    assert again.receiver.crowded == "", "those that found no place have not been refused"
     assert "new" in again.receiver.cameras
     assert "newer" in again.receiver.cameras
     again.hear(*events(1, 2, "newer"))
@@ -400,6 +401,23 @@ def test_after_a_start_the_cameras_heard_last_have_their_places(tmp_path: Path) 
     assert again.receiver.counts["duplicate"] == 1
     assert again.receiver.counts["stored"] == 1
     again.journal.close()
+
+
+def test_a_camera_with_a_grabber_is_stored_beside_any_number_of_names(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, cameras_max=3)
+    for k in range(5):
+        bench.hear(*events(1, 2, f"name{k}"))
+        bench.round()
+    bench.hear(*events(1, 1, "plain"))
+    bench.round()
+    assert bench.receiver.rejects.counts == {"too-many-cameras": 5}
+    assert "camera plain and 2 others are refused" in bench.receiver.crowded
+    bench.receiver.with_spool.add("lobby")
+    bench.hear(*events(1, 3, "lobby"))
+    bench.round()
+    assert [received.entry.seq for received in bench.learned if received.entry.camera == "lobby"] == [1, 2, 3]
+    assert bench.receiver.rejects.counts == {"too-many-cameras": 5}
+    bench.journal.close()
 
 
 def test_a_journal_over_its_size_is_back_within_it_however_much_is_stored_between_two_snapshots(

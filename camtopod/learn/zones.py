@@ -131,7 +131,7 @@ def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()
 
 
 def _largest(labels: NDArray[np.intp], events: Integers) -> NDArray[np.intp]:
-    """The zone of each cell (m,), -1 for clutter, when only the `ZONES_PER_CAMERA_MAX` with the most ``events`` stay."""
+    """The zone of each cell (m,), -1 for clutter, if only the `ZONES_PER_CAMERA_MAX` with the most ``events`` stay."""
     number = np.bincount(labels + 1, events)[1:]
     if len(number) <= ZONES_PER_CAMERA_MAX:
         return labels

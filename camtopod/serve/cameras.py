@@ -11,6 +11,9 @@ forward, so are the clocks of cameras on this machine, and event time would go w
 lasted, or at once as far as cameras were ahead already. Where event time is ahead all the same it is taken back.
 
 A camera that has more events within a second than any view can show floods; what is too much is not learned.
+
+Names can be invented, so places are limited. When all are taken, one that has been silent for an hour is given away,
+and to a camera whose grabber has been seen alive that of one that merely sends.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import collections
 import logging
 import math
 import statistics
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import Any
 
 from msgspec import Struct, field
@@ -49,12 +52,16 @@ REWIND_SECONDS = 10.0
 for `BELIEVED_SECONDS`, as that may have been the mistake."""
 DOUBLED_SECONDS = 600.0
 """For so long the status speaks of a camera that two programs have published."""
-NAMED_MAX = 5
-"""Cameras of a box that are named."""
 FLOOD_SECONDS_KEPT = 128
 """Seconds of event time in which a camera's events are counted."""
 IDLE_SECONDS = 3600.0
 """When there are too many cameras, one silent for longer gives its place to another."""
+REFUSED_SECONDS = 60.0
+"""It is said that a camera is refused for so long after its last event, ..."""
+REFUSED_MAX = 100
+"""... and of so many cameras, those refused last."""
+NAMED_MAX = 3
+"""Cameras that are named in a sentence."""
 
 
 class Received(Struct, frozen=True, gc=False):
@@ -96,6 +103,8 @@ class Cameras:
         self._boxes = boxes or {}
         self._cameras: dict[str, Camera] = {}
         self._waiting: set[str] = set()
+        self._refused: dict[str, float] = {}  # when each was refused last
+        self._full_until = -math.inf  # until then no camera will have been silent for long
         self._next_look = 0.0
         self._beside: float | None = None  # this machine's clock less the one that does not step
         self._noticed = -math.inf  # when that was looked at last
@@ -111,15 +120,55 @@ class Cameras:
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
 
-    def admit(self, name: str, now: float) -> bool:
-        """Whether there is room for this camera, of which something came; it has a place from now on."""
+    def admit(self, name: str, now: float, with_publisher: Set[str] = frozenset()) -> bool:
+        """Whether there is room for this camera, of which something came; it has a place from now on.
+
+        ``with_publisher``: cameras whose publisher has been seen alive.
+        """
         if name not in self._cameras and len(self._cameras) >= self.limits.cameras_max:
-            silent = min(self._cameras, key=lambda other: self._cameras[other].heard)
-            if now - self._cameras[silent].heard < IDLE_SECONDS or silent in self._waiting:
+            other = self._gives_way(now, with_publisher, name in with_publisher)
+            if other is None:
+                self._refused.pop(name, None)  # the one refused last comes last
+                self._refused[name] = now
+                if len(self._refused) > REFUSED_MAX:
+                    del self._refused[next(iter(self._refused))]
                 return False
-            del self._cameras[silent]
+            del self._cameras[other]
         (self._cameras.get(name) or self._place(name)).heard = now
         return True
+
+    def _gives_way(self, now: float, with_publisher: Set[str], preferred: bool) -> str | None:
+        """The camera whose place may be given to another, to one without a publisher unless that is ``preferred``."""
+        if now < self._full_until and not preferred:
+            return None
+        may = [
+            (name in with_publisher, one.events, one.heard, name)
+            for name, one in self._cameras.items()
+            if now - one.heard >= IDLE_SECONDS or (preferred and name not in with_publisher)
+        ]
+        may = [row for row in may if row[-1] not in self._waiting]
+        if not may:
+            self._full_until = min(one.heard for one in self._cameras.values()) + IDLE_SECONDS
+            return None
+        return min(may)[-1]
+
+    def crowded(self, now: float, with_publisher: Set[str] = frozenset()) -> str:
+        """Which cameras are refused as there are too many, and what to do; "" if none is. Any thread."""
+        cameras, lately = self._cameras.copy(), now - REFUSED_SECONDS
+        refused = [name for name, at in self._refused.copy().items() if at >= lately and name not in cameras]
+        if not refused:
+            return ""
+        who, others = f"camera {refused[-1]} is", len(refused) - 1
+        if others:
+            least = "at least " if len(refused) == REFUSED_MAX else ""
+            who = f"camera {refused[-1]} and {least}{others} other{'s' * (others > 1)} are"
+        fewest = sorted(cameras, key=lambda name: (name in with_publisher, cameras[name].events, name))[:NAMED_MAX]
+        named, most = ", ".join(f"{name} ({cameras[name].events})" for name in fewest), self.limits.cameras_max
+        return (
+            f"{who} refused, as limits.cameras_max ({most}) is reached; the fewest events are those of {named}: if "
+            "they are no cameras of this site, stop what sends them, and their places are free within an hour; "
+            "otherwise raise limits.cameras_max"
+        )
 
     def is_future(self, event: Event, wall: float, now: float, fresh: bool, box: str = "") -> bool:
         """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too far ahead to be

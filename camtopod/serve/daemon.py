@@ -257,12 +257,13 @@ class Daemon:
 
     @property
     def _reason(self) -> str:
-        """Why nothing is stored, or learned, at the moment; "" if all is well."""
+        """Why what comes is not stored, or not learned, at the moment; "" if all is well."""
         receiver, watermark = self._receiver, self._learning.statistics["watermark"]
         seconds, key = self._bus.hanging if self._bus is not None else (0.0, "")
         hanging = f"publishing on {key} takes {seconds:.0f} s" if seconds > HANGS_SECONDS else ""
         reason = receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason) or hanging
-        return reason or receiver.cameras.reason(watermark, self._clock())
+        reason = reason or receiver.cameras.reason(watermark, self._clock())
+        return reason or receiver.crowded or self._learning.crowded
 
     def __enter__(self) -> Daemon:
         self.start()

@@ -254,19 +254,14 @@ class Journal:
     def senders(self, after: int, up_to: int) -> dict[str, int]:
         """How many events each camera has among the entries behind ``after``. Raises `sqlite3.Error`."""
         with self._mutex, database.damage_noticed(self._path):
-            return dict(
-                self._db.execute(
-                    "SELECT camera, COUNT(*) FROM entry WHERE id > ? AND id <= ? AND kind = 'event' GROUP BY camera",
-                    (after, up_to),
-                ).fetchall()
-            )
+            counted = "SELECT camera, COUNT(*) FROM entry WHERE id > ? AND id <= ? AND kind = 'event' GROUP BY camera"
+            return dict(self._db.execute(counted, (after, up_to)).fetchall())
 
     def numbered(self, camera: str, boot: str, seq: int) -> Entry | None:
         """The entry with this number; None if it is not kept any more, or damaged. Raises `sqlite3.Error`."""
         with self._mutex, database.damage_noticed(self._path):
-            row = self._db.execute(
-                "SELECT * FROM entry WHERE camera = ? AND boot = ? AND seq = ?", (camera, boot, seq)
-            ).fetchone()
+            numbered = "SELECT * FROM entry WHERE camera = ? AND boot = ? AND seq = ?"
+            row = self._db.execute(numbered, (camera, boot, seq)).fetchone()
         return Entry(*row[2:7]) if row is not None and crc(*row[:7]) == row[7] else None
 
     def streams(self) -> dict[tuple[str, str], int]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import queue
 import signal
 import sys
@@ -53,6 +54,8 @@ THOROUGH_EVERY = 250
 """Versions until it is looked for what would otherwise stay in memory for ever; it holds everything up for a moment."""
 GIVE_WAY_SECONDS = 0.0001
 """Whoever wants the interpreter while a version is made ready has it after this; a prediction wants it often."""
+REFUSED_SECONDS = 60.0
+"""It is said that cameras are refused for so long after an event of one."""
 _TICK_SECONDS = 0.2
 _PROGRESS_ENTRIES = 200_000
 
@@ -94,6 +97,7 @@ class Learning:
         """The learner's, as of its last step."""
         self.reached, self.neighbours = taught.reached, frozenset(taught.neighbours)
         """Of a shard: event time up to which all versions before `made` have everything, and whom it wants to hear."""
+        self._refused_at = -math.inf
         self.made = 0
         """Versions handed over."""
         on_deadline(taught.deadline)
@@ -121,6 +125,16 @@ class Learning:
     def replaying(self) -> int:
         """Entries of before the start that are not learned yet."""
         return max(0, self._replay_until - self.position)
+
+    @property
+    def crowded(self) -> str:
+        """Why some cameras are stored and not learned, and what to do; "" if none is. Any thread."""
+        if time.monotonic() - self._refused_at > REFUSED_SECONDS:
+            return ""
+        return (
+            "there are more cameras than learn.cameras_max: events of further ones are stored and not learned until "
+            "another has been silent for an hour; if all are cameras of this site, raise learn.cameras_max"
+        )
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
         """Teach until ``stopping``; what is not learned by then is in the journal. Raises `LearnerEnded`."""
@@ -203,6 +217,8 @@ class Learning:
         """What there is to learn into the learner, new versions out."""
         taught = self._ask(task, stopping, beat)
         assert isinstance(taught, Taught)
+        if taught.statistics.get("refused", 0) > self.statistics.get("refused", 0):
+            self._refused_at = time.monotonic()
         self.position, self.statistics, self.epoch = taught.position, taught.statistics, taught.epoch
         self.reached, self.neighbours = taught.reached, frozenset(taught.neighbours)
         self._on_deadline(taught.deadline)

@@ -123,7 +123,8 @@ class Receiver:
         self._ready = Handover()
         self._event_time = EventTime()
         self.streams: Streams[Received] = Streams(stored, limits.held_events_max, limits.streams_max, BOOTS_MAX, owns)
-        for camera, _ in reversed(stored):  # those heard last first, should there be too many
+        heard = dict.fromkeys(camera for camera, _ in reversed(stored))  # those heard last first
+        for camera in list(heard)[: limits.cameras_max]:
             self.cameras.admit(camera, self._steady())
         self.with_spool: set[str] = set()
         """Cameras whose publisher has been seen alive, so that it has a spool."""
@@ -161,6 +162,11 @@ class Receiver:
     def use(self, limits: Limits) -> None:
         """Obey other limits from now on, as far as they are not the sizes of what exists. Any thread."""
         self._limits = self.cameras.limits = limits
+
+    @property
+    def crowded(self) -> str:
+        """Which cameras are refused as there are too many, and what to do; "" if none is. Any thread."""
+        return self.cameras.crowded(self._steady(), self.with_spool)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -378,7 +384,7 @@ class Receiver:
             self.counts["refilled"] += missing
 
     def _admitted(self, camera: str, now: float, raw: bytes) -> bool:
-        admitted = self.cameras.admit(camera, now)
+        admitted = self.cameras.admit(camera, now, self.with_spool)
         if not admitted:
             self.rejects.add("too-many-cameras", f"event/{camera}", "limits.cameras_max is reached", raw)
         return admitted

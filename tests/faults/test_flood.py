@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import http.client
+import json
 import os
 import queue
 import subprocess
@@ -23,6 +25,8 @@ from camtopod.config import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.inbox import Inbox, Message
+from camtopod.serve.publisher import Publisher
+from camtopod.serve.spool import Spool
 
 QUIET = [f"quiet{number}" for number in range(19)]
 PER_SECOND = 10_000
@@ -41,10 +45,10 @@ class Flooded:
     """The real daemon, a camera that floods it, and quiet ones that just put, without a spool to fall back on."""
 
     def __init__(self, directory: Path, settings: str = "") -> None:
-        self.endpoint = free_endpoint()
+        self.endpoint, self.health = free_endpoint(), free_endpoint().removeprefix("tcp/")
         config = directory / "camtopod.toml"
         bus_and_state = f'[bus]\nlisten = ["{self.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n'
-        config.write_text(bus_and_state + settings)
+        config.write_text(f'{bus_and_state}[health]\nlisten = "{self.health}"\n{settings}')
         self.daemon = camtopod("--config", str(config), "run", stderr=subprocess.PIPE)
         self.said: list[bytes] = []
         ready: queue.SimpleQueue[None] = queue.SimpleQueue()
@@ -182,6 +186,52 @@ def test_a_long_flood(flooded: Flooded) -> None:
     print(outcome.said)
     assert outcome.put >= FLOODED_SHARE * PER_SECOND * seconds, "it was no such flood"
     assert outcome.growth <= GROWTH_MAX
+
+
+def readiness(address: str) -> tuple[int, list[str]]:
+    """The answer of ``/readyz``: its status, and the reasons."""
+    host, _, port = address.rpartition(":")
+    connection = http.client.HTTPConnection(host, int(port), timeout=30)
+    try:
+        connection.request("GET", "/readyz")
+        answer = connection.getresponse()
+        return answer.status, json.loads(answer.read())["reasons"]
+    finally:
+        connection.close()
+
+
+NAMES = 5_000
+
+
+def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> None:
+    """One that merely sends, as they do, is refused, and it is said why; one with a grabber has a place at once."""
+    flooded.quiet()
+    wait_for(lambda: flooded.stored(QUIET[-1]) == 1, "the quiet cameras to be known")
+    for number in range(NAMES):
+        flooded.bus.put(f"event/name{number}", Event(f"name{number}", "entry", time.time(), 0.5, 0.5), "event")
+    wait_for(lambda: flooded.status()["rejects"].get("too-many-cameras", 0) > 0, "the places to be taken")
+
+    def refused() -> bool:
+        flooded.bus.put("event/gate", Event("gate", "entry", time.time(), 0.5, 0.5), "event")
+        return "camera gate and " in flooded.status()["reason"]
+
+    wait_for(refused, "the status to name the camera that is refused")
+    status = flooded.status()
+    assert status["state"] == "degraded"
+    assert "refused, as limits.cameras_max (1000) is reached; the fewest events are those of name" in status["reason"]
+    said, reasons = readiness(flooded.health)
+    assert (said, len(reasons)) == (503, 1)
+    assert "raise limits.cameras_max" in reasons[0]
+
+    spool = Spool(tmp_path / "spool.db", "boot", 1_000)
+    publisher = Publisher(spool, 100)
+    publisher.attach(flooded.bus, ["lobby"])
+    publisher.publish(*(Event("lobby", "entry", time.time(), 0.5, 0.5) for _ in range(10)))
+    assert publisher.drained(30.0), "all are acknowledged"
+    wait_for(lambda: flooded.stored("lobby") == 10, "the camera with a grabber to be stored")
+    flooded.quiet()
+    wait_for(lambda: flooded.stored(QUIET[-1]) == 2, "the quiet cameras to be stored as before")
+    spool.close()
 
 
 def quiet_events_lost(known: bool) -> int:
