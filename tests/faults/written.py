@@ -53,7 +53,8 @@ class WrittenJournal:
 
     def __init__(self, directory: Path) -> None:
         self.journal = Journal(directory, KEEP)
-        self.damaged = self.journal.set_aside is not None or bool(damaged_files(directory / "journal.db-wal"))
+        log_damaged = bool(damaged_files(directory / "journal.db-wal"))
+        self.damaged = log_damaged or self.journal.set_aside is not None or self.journal.missing > 0
 
     def step(self, number: int) -> None:
         if number % PRUNE_EVERY == PRUNE_AT:
