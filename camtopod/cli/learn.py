@@ -14,6 +14,7 @@ from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.lines import LineReader
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
+from camtopod.learn.intake import EVENTS_PER_SECOND_MAX
 from camtopod.learn.learner import Learner
 from camtopod.records import Topology
 
@@ -42,6 +43,9 @@ def run(args: argparse.Namespace) -> int:
         _feed(learner, reader, args.events, updates)
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
+    if surplus := learner.statistics()["surplus"]:
+        most = f"more than {EVENTS_PER_SECOND_MAX:.0f} events a second of one camera"
+        print(f"camtopod: {surplus} events are not learned from: {most}, of which the newest count", file=sys.stderr)
     topology = learner.topology
     if topology is None:
         raise InputError("no event lines in " + ", ".join(args.events) + ": nothing to learn from")

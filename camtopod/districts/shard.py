@@ -181,7 +181,7 @@ class ShardLearner:
         each = [district.statistics() for district in self.districts]
         return {
             **self.counts,
-            **{name: sum(one[name] for one in each) for name in ("held", "window")},
+            **{name: sum(one[name] for one in each) for name in ("surplus", "held", "window")},
             "learned": sum(district.hearing.learned for district in self.districts),
             "cameras": sum(district.cameras_own for district in self.districts),
             "neighbours": sum(len(district.hearing.neighbours) for district in self.districts),

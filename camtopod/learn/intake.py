@@ -7,6 +7,9 @@ lateness gives the same sequence out. Event time is where a second camera has co
 clock is ahead makes nobody else late; but it is at most ``apart`` behind the first, so that silent cameras hold
 nobody up. A camera whose events are mostly late, but by no more than ``apart``, has a clock that is behind: from then
 on it is waited for. An event with (camera, boot, seq) counts once however often it comes.
+
+What is held is limited: of each camera and tick of event time the newest events count, up to a rate that nothing that
+is seen by a camera has. Which these are does not depend on the order of arrival either.
 """
 
 from __future__ import annotations
@@ -22,6 +25,11 @@ BOOTS_PER_CAMERA_MAX = 16
 """Incarnations of one publisher that are remembered; the oldest is forgotten."""
 GAPS_PER_BOOT_MAX = 1024
 """Gaps in one incarnation's count that are remembered; beyond, the oldest gap counts as delivered."""
+
+EVENTS_PER_SECOND_MAX = 50.0
+"""Events that are learned from in a tick of event time, by camera and second: of more, the newest of the tick."""
+TICK_EVENTS_MIN = 1000
+"""So many are in any case, however short the tick is."""
 
 BEHIND_EVENTS = 20
 """Of so many events in a row, most have to be late to tell of a clock that is behind."""
@@ -169,6 +177,7 @@ class IntakeState(Struct):
     seen: list[tuple[str, str, list[int], list[int]]]
     behind: dict[str, Behind] = {}
     newest: dict[str, int] = {}
+    surplus: int = 0
 
 
 class Sequence:
@@ -205,12 +214,18 @@ class Sequence:
 class Intake:
     """Events in any order in, events by time out."""
 
-    def __init__(self, lateness_seconds: float, cameras_max: int, clocks_apart_seconds: float = 0.0) -> None:
+    def __init__(
+        self, lateness_seconds: float, cameras_max: int, clocks_apart_seconds: float = 0.0, tick_seconds: float = 60.0
+    ) -> None:
         self.time = EventTime(lateness_seconds, clocks_apart_seconds)
         """How far event time has come."""
+        self._tick_us = microseconds(tick_seconds)
+        self._tick_events_max = max(int(EVENTS_PER_SECOND_MAX * tick_seconds), TICK_EVENTS_MIN)
         self.cameras_max = cameras_max
         self.counts = {"accepted": 0, "duplicate": 0, "late": 0, "refused": 0}
-        self._held: list[Event] = []
+        self.surplus = 0
+        """Events of those accepted that are not learned from, see `EVENTS_PER_SECOND_MAX`."""
+        self._held: dict[tuple[int, str], list[Event]] = {}  # by tick and camera
         self._oldest_us: int | None = None  # of those held
         self._seen: dict[str, dict[str, Sequence]] = {}
         self.newest_of: dict[str, int] = {}
@@ -242,15 +257,16 @@ class Intake:
         ]
         time = self.time.save()
         return IntakeState(
-            time.newest_us, time.second_us, time.leader, time.watermark_us, self.counts, list(self._held),
-            list(self._seen), seen, time.behind, self.newest_of,
+            time.newest_us, time.second_us, time.leader, time.watermark_us, self.counts, self._all_held(),
+            list(self._seen), seen, time.behind, self.newest_of, self.surplus,
         )  # fmt: skip
 
     def load(self, state: IntakeState) -> None:
         """Go on from there."""
         self.time.load(EventTimeState(state.newest_us, state.second_us, state.leader, state.watermark_us, state.behind))
-        self.counts = state.counts
-        self._hold(state.held)
+        self.counts, self.surplus = state.counts, state.surplus
+        for event in state.held:
+            self._hold(event, microseconds(event.t))
         self._seen = {camera: {} for camera in state.cameras}
         for camera, boot, starts, ends in state.seen:
             sequence = self._seen[camera][boot] = Sequence()
@@ -283,8 +299,7 @@ class Intake:
                 return "duplicate"
         if not self.time.note(t_us, event.camera):
             return "late"
-        self._held.append(event)
-        self._oldest_us = t_us if self._oldest_us is None else min(self._oldest_us, t_us)
+        self._hold(event, t_us)
         return "accepted"
 
     def advance(self, now_us: int) -> None:
@@ -298,7 +313,7 @@ class Intake:
 
     def held_of(self) -> set[str]:
         """Cameras of which events wait for the watermark."""
-        return {event.camera for event in self._held}
+        return {camera for _, camera in self._held}
 
     def forget(self, names: Set[str]) -> None:
         """Forget these cameras, but for their events that wait for the watermark."""
@@ -310,14 +325,35 @@ class Intake:
     def take(self, until_us: int) -> list[tuple[int, Event]]:
         """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical
         order."""
-        due = [event for event in self._held if microseconds(event.t) <= until_us]
-        self._hold([event for event in self._held if microseconds(event.t) > until_us])
+        held = [event for waiting in self._held.values() for event in self._newest(waiting)]
+        self._held, self._oldest_us = {}, None
+        due = []
+        for event in held:
+            t_us = microseconds(event.t)
+            if t_us <= until_us:
+                due.append(event)
+            else:
+                self._hold(event, t_us)
         due.sort(key=_order)
         return [(microseconds(event.t), event) for event in due]
 
-    def _hold(self, events: list[Event]) -> None:
-        self._held = events
-        self._oldest_us = min((microseconds(event.t) for event in events), default=None)
+    def _hold(self, event: Event, t_us: int) -> None:
+        key = -(-t_us // self._tick_us), event.camera
+        waiting = self._held.setdefault(key, [])
+        waiting.append(event)
+        if 4 * len(waiting) > 5 * self._tick_events_max:  # a few more than count, as sorting takes its time
+            self._held[key] = self._newest(waiting)
+        self._oldest_us = t_us if self._oldest_us is None else min(self._oldest_us, t_us)
+
+    def _newest(self, waiting: list[Event]) -> list[Event]:
+        """Those of one camera and tick that count."""
+        if len(waiting) <= self._tick_events_max:
+            return waiting
+        self.surplus += len(waiting) - self._tick_events_max
+        return sorted(waiting, key=_order)[-self._tick_events_max :]
+
+    def _all_held(self) -> list[Event]:
+        return [event for waiting in self._held.values() for event in waiting]
 
     @property
     def oldest_held_us(self) -> int | None:
@@ -327,7 +363,7 @@ class Intake:
     @property
     def held(self) -> int:
         """Number of events waiting for the watermark."""
-        return len(self._held)
+        return sum(map(len, self._held.values()))
 
 
 def _order(event: Event) -> _Key:

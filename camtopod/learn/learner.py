@@ -81,8 +81,9 @@ class Learner:
         self.bins = LagBins(-self.settings.overlap_max_seconds, self.settings.transit_max_seconds)
         self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
         self._intake = Intake(
-            self.settings.lateness_seconds, self.settings.cameras_max, self.settings.ahead_seconds_max
-        )
+            self.settings.lateness_seconds, self.settings.cameras_max, self.settings.ahead_seconds_max,
+            self.settings.version_seconds,
+        )  # fmt: skip
         self._window = Window(
             self.settings.window_events_max, self.settings.window_events, self.settings.window_camera_events
         )
@@ -204,6 +205,7 @@ class Learner:
         watermark = self._intake.watermark_us
         return {
             **self._intake.counts,
+            "surplus": self._intake.surplus,
             "held": self._intake.held,
             "learned": self._learned,
             "window": len(self._window),

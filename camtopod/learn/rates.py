@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from camtopod.learn.grouping import rows_of
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+"""Of numbers of events, which are exact in it."""
 
 RATE_HALF_WINDOW_SECONDS = 600.0
 RATE_PRIOR_EVENTS = 2.0
@@ -20,7 +22,7 @@ RATE_PRIOR_EVENTS = 2.0
 CHANCE_BIN_SECONDS = 300.0
 TABLE_ZONES_MAX = 2000
 """Of so many zones the rates of all pairs are worked out at once (32 MB); of more, those asked for ..."""
-PAIRS_AT_ONCE = 10_000
+PAIRS_AT_ONCE = 500
 """... so many at a time."""
 
 
@@ -56,17 +58,18 @@ class Chance:
         n = int((max(left_t[-1], came_t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
         self._left = _per_bin(left_t, left_zone, first, n, zones)
         came = _per_bin(came_t, came_zone, first, n, zones)
-        around = np.copy(came)
-        around[:, 1:] += came[:, :-1]
-        around[:, :-1] += came[:, 1:]
+        self._around = np.copy(came)
+        self._around[:, 1:] += came[:, :-1]
+        self._around[:, :-1] += came[:, 1:]
         bins = np.full(n, 3.0)
         bins[0] -= 1.0
         bins[-1] -= 1.0
-        del came  # there may be thousands of zones and of bins
-        around /= CHANCE_BIN_SECONDS * np.maximum(bins, 1.0)
-        self._rate = around
-        self._number = np.maximum(self._left.sum(axis=1), 1.0)
-        self._table = (self._left @ self._rate.T) / self._number[:, None] if zones <= TABLE_ZONES_MAX else None
+        self._seconds = CHANCE_BIN_SECONDS * np.maximum(bins, 1.0)
+        self._number = np.maximum(self._left.sum(axis=1, dtype=float), 1.0)
+        self._table = None
+        if zones <= TABLE_ZONES_MAX:
+            rate = self._around / self._seconds
+            self._table = (self._left.astype(float) @ rate.T) / self._number[:, None]
 
     def of(self, source: NDArray[np.signedinteger[Any]], target: NDArray[np.signedinteger[Any]]) -> Floats:
         """Rates (P,) in 1/s at zones ``target`` (P,) around departures from ``source`` (P,)."""
@@ -76,12 +79,15 @@ class Chance:
         rates: Floats = np.zeros(len(source))
         for k in range(0, len(source), PAIRS_AT_ONCE):
             some = slice(k, k + PAIRS_AT_ONCE)
-            rates[some] = np.einsum("pn,pn->p", self._left[source[some]], self._rate[target[some]])
+            left, rate = self._left[source[some]].astype(float), self._around[target[some]] / self._seconds
+            rates[some] = np.einsum("pn,pn->p", left, rate)
         rates /= self._number[source]
         return rates
 
 
-def _per_bin(t: Floats, zone: NDArray[np.int32], first: float, n: int, zones: int) -> Floats:
+def _per_bin(t: Floats, zone: NDArray[np.int32], first: float, n: int, zones: int) -> Singles:
     """Events in each of ``n`` bins of time from ``first`` on, (zones, n)."""
     when = ((t - first) // CHANCE_BIN_SECONDS).astype(np.int64)
-    return np.bincount(zone.astype(np.int64) * n + when, minlength=zones * n).reshape(zones, n).astype(float)
+    events = np.zeros(zones * n, np.float32)
+    np.add.at(events, zone.astype(np.int64) * n + when, 1.0)
+    return events.reshape(zones, n)
