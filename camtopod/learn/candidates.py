@@ -147,8 +147,9 @@ def possible(
 def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int) -> Candidates:
     """All candidates."""
     low, high = in_reach(departures.t, arrivals.t, bins)
+    most = int((high - low).sum())
     # Of what is not written to no memory is taken: there are fewer than are in reach.
-    departure, arrival, lag = (np.empty(int((high - low).sum()), kind) for kind in (np.int32, np.int32, np.float32))
+    departure, arrival, lag = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32)
     n = 0
     for left, came, apart in possible(departures, arrivals, bins, np.arange(len(arrivals.t))):
         here = slice(n, n := n + len(left))
