@@ -51,7 +51,7 @@ REWIND_SECONDS = 10.0
 """Event time that has been ahead for so long is taken back; when this machine's clock was set back it has to have been
 for `BELIEVED_SECONDS`, as that may have been the mistake."""
 DOUBLED_SECONDS = 600.0
-"""For so long the status speaks of a camera that two programs have published."""
+"""How long the status mentions a camera after two programs were seen to publish it."""
 FLOOD_SECONDS_KEPT = 128
 """Seconds of event time in which a camera's events are counted."""
 IDLE_SECONDS = 3600.0

@@ -23,7 +23,7 @@ WAITING_MAX = 50_000
 COMPARED_MAX = 2_000
 """At a time."""
 SAID_SECONDS = 600.0
-"""For so long the status speaks of it."""
+"""How long the status mentions a contradiction."""
 NAMED_MAX = 1_000
 """Streams that are named in the log, each once."""
 

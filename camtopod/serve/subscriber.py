@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 WAITING_MAX = 1000
 """Deltas that wait for `TopologyView.update`; beyond it they are dropped and the whole is fetched."""
 BEHIND_SECONDS = 1.0
-"""When the daemon has had a newer version for so long, its delta was lost on the way."""
+"""A delta is taken for lost when the daemon has had a newer version for this long."""
 _ASK_AGAIN_SECONDS = 0.5
 _TICK_SECONDS = 0.1
 
