@@ -1,7 +1,7 @@
-"""Whether a topology that somebody else wrote makes sense: names, ranges, shapes and sizes.
+"""Whether a topology from another program makes sense: names, ranges, shapes and sizes.
 
-Its readers (prediction, the page, reports, exports) rely on it; otherwise they would end in the middle, or ask for more
-memory than there is. The ranges are those of any site, not of a likely one.
+Prediction, the page, reports and exports rely on it; otherwise they would end with a traceback, or ask for more memory
+than there is. The ranges are those of any possible site, not of a likely one.
 """
 
 from __future__ import annotations

@@ -155,7 +155,7 @@ def _file(path: str) -> BinaryIO:
 def _to_lines(grabber: Grabber, out: BinaryIO, stop: threading.Event, left: Leaving) -> int:
     """Event lines, each out at once. The exit status, which is 66 if there was not one picture."""
     said = _Said(grabber)
-    events = grabber.events()  # a name for it, as its end waits for a call of OpenCV: the status is known before that
+    events = grabber.events()  # kept until the return, as closing it may wait for OpenCV longer than there is time
     for event in events:
         said.tell()
         if event is not None:
@@ -241,9 +241,8 @@ def _publish_all(
     heart.beat(grabber.state, grabber.reason, connection.daemon)
     for event in grabber.events():
         if grabber.overdue_seconds == 0.0:  # else whoever hears no beat ends this process
-            heart.beat(
-                grabber.state, grabber.reason, connection.daemon
-            )  # before the event: from then on a file has been begun
+            # Before the event: from then on a file has been begun.
+            heart.beat(grabber.state, grabber.reason, connection.daemon)
         if event is not None:
             publisher.publish(event)
         else:
@@ -290,7 +289,7 @@ class _Connection:
 
     def __init__(self, config: Config, grabber: Grabber, publisher: Publisher, args: argparse.Namespace) -> None:
         self._config, self._grabber, self._publisher = config, grabber, publisher
-        self._tells = args.beat_fd is None  # else the process above does, once for all cameras
+        self._tells = args.beat_fd is None  # otherwise the process above tells it, once for all cameras
         self._daemons: set[str] = set()
         self.daemon: str | None = None
         """Why the daemon is not reached; "" if it is, None where that is not known yet."""
@@ -307,7 +306,7 @@ class _Connection:
                 return
             self._publisher.attach(bus, [self._grabber.camera])
             bus.answer(f"status/{self._grabber.camera}", lambda key, parameters: self.status(), "status")
-            if not self._config.bus.tls.ca:  # else only who reads the site is shown its daemon
+            if not self._config.bus.tls.ca:  # a camera's certificate does not allow this
                 bus.watch_alive("daemon", self._on_daemon)
             self._bus = bus
         threading.Thread(target=self._look, args=[bus], name="reach", daemon=True).start()

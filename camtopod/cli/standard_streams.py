@@ -103,7 +103,7 @@ def _write_all(fd: int, text: str) -> None:
     while data:
         try:
             data = data[os.write(fd, data[:_PIECE_BYTES]) :]
-        except BlockingIOError:  # somebody else has made it non-blocking
+        except BlockingIOError:  # another process may have made it non-blocking
             select.select([], [fd], [], _LOOK_SECONDS)
         except OSError:
             return

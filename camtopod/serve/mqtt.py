@@ -24,7 +24,7 @@ PORTS = {"mqtt": 1883, "mqtts": 8883}
 """Usual port by the URL's scheme; mqtts is TLS."""
 MESSAGES_MAX = 10_000
 WAITING_BYTES_MAX = 32 * 1024**2
-"""Messages, and bytes, that wait to be read; what comes beyond is dropped and counted."""
+"""Messages, and bytes, that wait to be read; further messages are dropped and counted."""
 PACKET_BYTES_MAX = 2 * 1024**2
 """A broker that speaks MQTT 5 does not send larger packets; one that does all the same is disconnected. Lines of all
 formats are shorter.

@@ -253,7 +253,7 @@ class _Seldom(logging.Filter):
 
 
 class _Connection(H11Protocol):
-    """One that holds its place only while it is of use: clients that are idle or slow keep nobody out."""
+    """A connection with deadlines: clients that are idle or slow do not take the places of others."""
 
     waiting_since: float | None = None
     """For a request, seconds of the event loop; None while one is answered."""
