@@ -12,6 +12,7 @@ import functools
 import json
 import logging
 import math
+import os
 import re
 import socket
 import threading
@@ -41,6 +42,9 @@ _PROMPT = ("prediction", "ack", "status")
 """Small and urgent: these never wait behind a topology on their way to the same program."""
 _UNREPEATED = ("event", "part")
 """Published once, by programs that may wait: a full link is waited for."""
+WINDOW_SECONDS_MAX = 4.0
+"""A program that has read nothing for so long, while there was something for it, is disconnected; it may come back."""
+_LISTENS = (socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
 HANGS_SECONDS = 1.0
 """A publication that takes longer than this shows in the status."""
 
@@ -369,6 +373,7 @@ def meet(config: Config, shared: bool = False) -> Bus:
             f"cannot listen at {', '.join(endpoints)}: another daemon may be running there; "
             f"stop it or set other endpoints in [bus] ({_short(error)})"
         ) from None
+    _limit_waiting(endpoints)
     bus = Bus(session, config.site.name, endpoints[0], config.bus)
     bus.watch_door(guard.Doorkeeper(access))
     return bus
@@ -403,6 +408,23 @@ def _with_port(endpoint: str) -> str:
     with socket.socket(family) as probe:
         probe.bind((host.strip("[]"), 0))
         return f"{endpoint.removesuffix('0')}{probe.getsockname()[1]}"
+
+
+def _limit_waiting(endpoints: Sequence[str]) -> None:
+    """Let the kernel end connections to these endpoints that have taken nothing for `WINDOW_SECONDS_MAX`.
+
+    Zenoh itself ends one whose program has stopped when its lease is over, after ten seconds, and may then wait for ten
+    more, in which nothing at all gets through (1.10). A connection has this option from the socket that listens.
+    """
+    ports = {int(port) for port in (endpoint.rpartition(":")[2] for endpoint in endpoints) if port.isdecimal()}
+    for fd in map(int, os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else []):
+        try:
+            with socket.socket(fileno=os.dup(fd)) as one:
+                listens = one.family in (socket.AF_INET, socket.AF_INET6) and one.getsockopt(*_LISTENS)
+                if listens and one.getsockname()[1] in ports:
+                    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * WINDOW_SECONDS_MAX))
+        except OSError:  # no socket, or closed meanwhile
+            continue
 
 
 @functools.cache
