@@ -15,6 +15,7 @@ import math
 import os
 import re
 import socket
+import stat
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -418,13 +419,13 @@ def _limit_waiting(endpoints: Sequence[str]) -> None:
     """
     ports = {int(port) for port in (endpoint.rpartition(":")[2] for endpoint in endpoints) if port.isdecimal()}
     for fd in map(int, os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else []):
-        try:
+        with contextlib.suppress(OSError):  # closed meanwhile
+            if not stat.S_ISSOCK(os.fstat(fd).st_mode):
+                continue
             with socket.socket(fileno=os.dup(fd)) as one:
                 listens = one.family in (socket.AF_INET, socket.AF_INET6) and one.getsockopt(*_LISTENS)
                 if listens and one.getsockname()[1] in ports:
                     one.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * WINDOW_SECONDS_MAX))
-        except OSError:  # no socket, or closed meanwhile
-            continue
 
 
 @functools.cache
