@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, first_hazards, rows_together
 from camtopod.learn.joint import START_FLOOR
 from camtopod.learn.lags import LagBins
-from camtopod.learn.limits import zone_pairs_max
+from camtopod.learn.limits import entry_pairs_max
 from camtopod.learn.passages import in_view
 from camtopod.learn.rates import Chance
 from camtopod.learn.smoothing import smooth
@@ -37,7 +37,7 @@ class Entering:
         early, at = early[at >= 0], at[at >= 0]
         key = entry[c.departure[early]] * zones + a.zone[c.arrival[early]]
         present, number, often = np.unique(key, return_inverse=True, return_counts=True)
-        most = zone_pairs_max(int(a.camera.max(initial=0)) + 1)
+        most = entry_pairs_max(int(a.camera.max(initial=0)) + 1)
         if len(present) > most:  # the rarest have no kernel: their lags count from the exit
             usual = np.sort(np.argsort(-often, kind="stable")[:most])
             kept = np.isin(number, usual)

@@ -24,11 +24,13 @@ WEIGHED_AT_ONCE = 8_000_000
 """... and those of one zone of arrival that it weighs together: 50 bytes each."""
 JUDGED_MAX = 6_000_000
 """Pairs by which the links that were found are judged in one fit (`crossfit`)."""
-FOLLOWED_MAX = 4_000_000
+FOLLOWED_MAX = 5_000_000
 """Candidates that the fit for prediction follows (`posterior`)."""
 ZONES_PER_CAMERA_MAX = 32
-ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX = 20_000, 200
-"""Pairs of zones with a row of their own in a table, at least, and for each camera if that is more."""
+ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX = 20_000, 250
+"""Pairs of zones that are followed, at least, and for each camera if that is more."""
+ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX = 20_000, 600
+"""Pairs of a zone of entry and one of the next appearance (`entering`), likewise."""
 CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX = 8_000_000, 40_000
 """Cells of a table with a row for each context of a departure (`contexts`), at least, and for each camera if that is
 more."""
@@ -57,8 +59,13 @@ def fair_share(wanted: Counts, most: int) -> int:
 
 
 def zone_pairs_max(cameras: int) -> int:
-    """Pairs of zones with a row of their own in a table, on a site with so many cameras."""
+    """Pairs of zones that are followed on a site of ``cameras``."""
     return max(ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX * cameras)
+
+
+def entry_pairs_max(cameras: int) -> int:
+    """Pairs of a zone of entry and one of the next appearance on a site of ``cameras``."""
+    return max(ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX * cameras)
 
 
 def context_cells_max(cameras: int) -> int:
