@@ -27,7 +27,7 @@ LEARN = {
     QUIET: "refit_share = 1e9\nrefit_hours = 1e9",
     REFITTING: "refit_share = 1e-9\nrefit_hours = 1e9\nversion_seconds = 1.0",
 }
-P50_MAX, P99_MAX, REFIT_P99_MAX = 2.0, 5.0, 2.0
+P50_MAX, P99_MAX, REFIT_P99_MAX = 3.0, 5.0, 2.0
 
 
 class Round(NamedTuple):

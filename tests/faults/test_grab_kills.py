@@ -27,7 +27,7 @@ from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.spool import Spool, spool_path
 
 CAMERA = "lobby"
 FILM_SECONDS = 120.0
@@ -60,9 +60,10 @@ class Box:
 
     def __init__(self, directory: Path, endpoint: str, port: int) -> None:
         self._log, self._config = directory / "log", directory / "box.toml"
-        self.spool = directory / "box" / f"spool-{CAMERA}.db"
+        state = directory / "box"
+        self.spool = spool_path(state, "default", CAMERA)
         self._config.write_text(
-            f'[bus]\nconnect = ["{endpoint}"]\n[state]\ndirectory = "{self.spool.parent}"\n'
+            f'[bus]\nconnect = ["{endpoint}"]\n[state]\ndirectory = "{state}"\n'
             "[health]\nrestart_seconds_min = 0.1\nrestart_seconds_max = 0.2\n"
             f'[cameras.{CAMERA}]\nsource = "rtsp://127.0.0.1:{port}/camera"\n'
         )
