@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -33,13 +34,15 @@ SENDERS = [f"cam{number:04d}" for number in range(12)]
 LATE_SECONDS_MAX = 0.5
 SMALL_BUFFER_BYTES = 4096
 QUESTIONS = 60
+PAGE_SECONDS = 0.02
+"""Between two looks at how busy the machine is."""
 
 
 class Walks:
     """Exits at a steady rate, with what became of each: a prediction and an ack, and when."""
 
-    def __init__(self, publisher: Bus, reader: Bus, per_second: float) -> None:
-        self._publisher, self._per_second = publisher, per_second
+    def __init__(self, publisher: Bus, reader: Bus, per_second: float, folder: Path) -> None:
+        self._publisher, self._per_second, self._folder = publisher, per_second, folder
         self._mutex = threading.Lock()
         self._put: dict[tuple[str, float], float] = {}
         self._unacknowledged: dict[tuple[str, int], float] = {}
@@ -48,13 +51,36 @@ class Walks:
         self.ack_delays: list[float] = []
         """... and to its ack."""
         self.held_up = 0.0
-        """Seconds by which this process itself was late at most: the machine has other things to do."""
+        """Seconds by which this process itself was late at most, or a page of its own was late on the disk: the machine
+        has other things to do.
+        """
         self._seqs = dict.fromkeys(SENDERS, 0)
         reader.subscribe("prediction/*", self._on_prediction)
         for camera in SENDERS:
             publisher.subscribe(f"ack/{camera}", self._on_ack)
 
     def walk(self, seconds: float) -> None:
+        done = threading.Event()
+        writer = threading.Thread(target=self._write_pages, args=(done,))
+        writer.start()
+        try:
+            self._walk(seconds)
+        finally:
+            done.set()
+            writer.join()
+
+    def _write_pages(self, done: threading.Event) -> None:
+        """What a commit needs of the machine, beside no bus and no reader: what it takes is nobody's fault."""
+        with tempfile.TemporaryFile(dir=self._folder) as page:
+            while not done.is_set():
+                due = time.monotonic() + PAGE_SECONDS
+                time.sleep(PAGE_SECONDS)
+                page.write(b"page" * 1024)
+                page.flush()
+                os.fsync(page.fileno())
+                self.held_up = max(self.held_up, time.monotonic() - due)
+
+    def _walk(self, seconds: float) -> None:
         began = time.monotonic()
         for number in range(int(seconds * self._per_second)):
             due = began + number / self._per_second
@@ -121,17 +147,17 @@ class Stopping:
         self._puppets.clear()
 
 
-Scene = Callable[[bool], tuple[Bus, Bus, dict[str, Any]]]
+Scene = Callable[[bool], tuple[Bus, Bus, dict[str, Any], Path]]
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Iterator[Scene]:
     """Makes a daemon with a large topology, over TLS or not; gives a publisher's session, a reader's, and what those
-    who stop are told.
+    who stop are told, and the daemon's folder.
     """
     with contextlib.ExitStack() as stack:
 
-        def make(secured: bool) -> tuple[Bus, Bus, dict[str, Any]]:
+        def make(secured: bool) -> tuple[Bus, Bus, dict[str, Any], Path]:
             folder = tmp_path / "daemon"
             learned_state(tmp_path / "daemon" / "state")
             if not secured:
@@ -148,7 +174,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
                 buses = [keys.bus(name, daemon.endpoint) for name in ("camera/box", "reader/wall")]
                 stopping = client(daemon.endpoint) | keys.tls("reader/wall")
             publisher, reader = (stack.enter_context(dial(Config(bus=bus, site=SiteSettings("hq")))) for bus in buses)
-            return publisher, reader, stopping
+            return publisher, reader, stopping, folder
 
         yield make
 
@@ -157,8 +183,8 @@ def walks_beside(
     scene: Scene, secured: bool, readers: int, questions: int, per_second: float, turns: int, seconds: float
 ) -> tuple[Walks, Bus]:
     """Exits while readers stop, are killed and come back."""
-    publisher, reader, settings = scene(secured)
-    walks = Walks(publisher, reader, per_second)
+    publisher, reader, settings, folder = scene(secured)
+    walks = Walks(publisher, reader, per_second, folder)
     walks.walk(1.0)
     wait_for(lambda: walks.missing == 0, "the first predictions and acks")
     stopping = Stopping(settings)
