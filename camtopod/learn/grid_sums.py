@@ -47,15 +47,17 @@ class GridSums:
         """Add ``values`` (planes, n) of events in the cells ``cell`` (n,); those of events that are taken back are
         negative.
         """
-        known, sums = self._cells[camera], self._sums[camera]
-        cells = np.union1d(known, cell)
-        if len(cells) > len(known):
+        cells, sums = self._cells[camera], self._sums[camera]
+        at = np.searchsorted(cells, cell)
+        if not np.array_equal(cells.take(at, mode="clip") if len(cells) else cells, cell):
+            known, cells = cells, np.union1d(cells, cell)
             wider = np.zeros((len(PLANES), len(cells)), np.int64)
             wider[:, np.searchsorted(cells, known)] = sums
-            sums = wider
-        at = np.searchsorted(cells, cell)
+            sums, at = wider, np.searchsorted(cells, cell)
+
         for plane, value in zip(sums, values, strict=True):
             np.add.at(plane, at, value)
+
         some = sums[0] > 0
         if not some.all():
             cells, sums = cells[some], sums[:, some]

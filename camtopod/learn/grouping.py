@@ -11,11 +11,13 @@ Floats = NDArray[np.float64]
 Labels = NDArray[np.signedinteger[Any]]
 
 ALL_KEYS_MAX = 1000
+SHORT_MAX = np.iinfo(np.int16).max
+"""Labels up to this are sorted as 16 bits, which NumPy does by radix: ten times as fast as longer ones."""
 
 
 def rows_of(label: Labels, groups: int) -> list[NDArray[np.intp]]:
     """The rows of each group, ascending; ``label`` (n,): group of each row, 0 to ``groups`` - 1."""
-    order = np.argsort(label, kind="stable")
+    order = np.argsort(label.astype(np.int16) if groups <= SHORT_MAX else label, kind="stable")
     return np.split(order, np.cumsum(np.bincount(label, minlength=groups))[:-1]) if groups else []
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Set
+from operator import itemgetter
 
 from msgspec import Struct
 
@@ -331,11 +332,10 @@ class Intake:
         for event in held:
             t_us = microseconds(event.t)
             if t_us <= until_us:
-                due.append(event)
+                due.append((t_us, event))
             else:
                 self._hold(event, t_us)
-        due.sort(key=_order)
-        return [(microseconds(event.t), event) for event in due]
+        return _in_order(due)
 
     def _hold(self, event: Event, t_us: int) -> None:
         key = -(-t_us // self._tick_us), event.camera
@@ -364,6 +364,18 @@ class Intake:
     def held(self) -> int:
         """Number of events waiting for the watermark."""
         return sum(map(len, self._held.values()))
+
+
+def _in_order(timed: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
+    """Events with their times (microseconds) in canonical order; whole keys are made only of those at one time."""
+    timed.sort(key=itemgetter(0))
+    first = 0
+    for k in range(1, len(timed) + 1):
+        if k == len(timed) or timed[k][0] != timed[first][0]:
+            if k - first > 1:
+                timed[first:k] = sorted(timed[first:k], key=lambda one: _order(one[1]))
+            first = k
+    return timed
 
 
 def _order(event: Event) -> _Key:

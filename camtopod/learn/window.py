@@ -102,17 +102,19 @@ class Window:
         n = len(batch)
         self._room(n)
         rows = slice(self._stop, self._stop + n)
+        camera = [self._camera(event.camera) for _, event in batch]
         first = self.base + len(self)
-        for k, (t_us, event) in enumerate(batch):
-            at = self._stop + k
-            camera = self._camera(event.camera)
-            self._columns["t"][at] = t_us
-            self._columns["camera"][at] = camera
-            self._columns["entry"][at] = event.kind == "entry"
-            placed = event.x is not None and event.y is not None
-            self._columns["px"][at] = round((event.x or 0.0) * POSITION_ONE) if placed else -1
-            self._columns["py"][at] = round((event.y or 0.0) * POSITION_ONE) if placed else -1
-            self._columns["mate"][at] = self._mate(camera, event, first + k)
+        fresh: dict[str, list[Any]] = {
+            "t": [t_us for t_us, _ in batch],
+            "camera": camera,
+            "entry": [event.kind == "entry" for _, event in batch],
+            "px": [_fixed_point(event.x, event.y) for _, event in batch],
+            "py": [_fixed_point(event.y, event.x) for _, event in batch],
+            "mate": [self._mate(camera[k], event, first + k) for k, (_, event) in enumerate(batch)],
+        }
+
+        for name, values in fresh.items():
+            self._columns[name][rows] = values
         self._stop += n
         self._count(rows, 1)
 
@@ -263,6 +265,11 @@ class Window:
             fresh[:kept] = old[self._start : self._stop]
             self._columns[name] = fresh
         self._start, self._stop = 0, kept
+
+
+def _fixed_point(value: float | None, other: float | None) -> int:
+    """One coordinate of a position; `NO_CELL` if either is missing."""
+    return NO_CELL if value is None or other is None else round(value * POSITION_ONE)
 
 
 def cells_of(px: NDArray[np.int64], py: NDArray[np.int64]) -> NDArray[np.int64]:
