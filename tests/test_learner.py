@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camtopod.codec import read, to_json
-from camtopod.learn.learner import GONE_ZONES_MAX, REFIT_EVENTS_MIN, Learner
+from camtopod.learn.learner import GONE_ZONES_MAX, REFIT_EVENTS_MIN, STEPS, Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.topology import apply_delta, digest_of, make_delta
 from camtopod.records import Event, Link, Topology
@@ -134,16 +134,16 @@ def test_versions_of_a_recording() -> None:
         assert (version.site, version.epoch) == ("hq", "01J")
 
 
-def test_there_is_a_break_between_the_steps_of_every_version() -> None:
+def test_the_steps_of_every_version_are_said_as_they_begin() -> None:
     learner = Learner(AT_THE_END)
-    before: list[int] = []
-    learner.between_steps = lambda: before.append(0 if learner.topology is None else learner.topology.version)
+    steps: list[str] = []
+    learner.on_step = steps.append
     for event in walk(50):
         learner.receive(event)
     learner.flush()
     learner.begin_epoch("1")
     learner.refresh()
-    assert before == [0, 0, 0, 0]
+    assert steps == [*STEPS, *STEPS]
     assert learner.topology is not None
     assert learner.topology.epoch == "1"
 

@@ -72,6 +72,10 @@ class AlarmLog:
         for name in names & self._clock.keys():
             del self._clock[name]
 
+    def join(self, zones: list[str], links: set[tuple[int, int]]) -> None:
+        """Links that were there without having been published. ``zones``: ids."""
+        self._joined |= {f"{zones[source]}->{zones[target]}" for source, target in links}
+
     def add(self, version: int, t: float, kind: str, subject: str, detail: str) -> None:
         """Report something found outside this module."""
         self.newest = [*self.newest, Alarm(version, t, kind, subject, detail)][-ALARMS_KEPT_MAX:]

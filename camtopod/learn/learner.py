@@ -6,11 +6,16 @@ Theory of operation. `receive` puts an event into the reorder buffer. Event time
 taken back out, and if enough has changed the zones, the joint fit and the links are refreshed and a version is made.
 What a version says therefore depends on the events up to its tick and on nothing else: not on how they were ordered
 within the lateness, nor on how fast or when the program ran.
+
+Of a recording often the last version alone is wanted. With ``only_last`` the events are followed as usual, but the
+zones alone are learned again when a version is due; `flush` makes the one version. It is not the one that the versions
+on the way lead to: it has the number 1, looks at every zone of a large site at once instead of at a part in each fit,
+and says nothing of what would have been said between versions (its own marks, clocks that changed).
 """
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 
 import numpy as np
 from msgspec.structs import replace
@@ -31,6 +36,7 @@ from camtopod.learn.links import (
     LinkTable,
     beside,
     join,
+    joined_by,
     leaving,
     pace_of,
     refresh_monte_carlo,
@@ -42,7 +48,6 @@ from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
 from camtopod.learn.passages import visible_transitions, with_usual_stays
-from camtopod.learn.pauses import Pause, no_pause
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.predict import Predictor
 from camtopod.learn.publishers import RETURNS_MIN, Publisher
@@ -65,19 +70,23 @@ MOVE_EVENTS = 25
 """After so many events of a camera it is asked again whether it has been turned."""
 ZONES_REFRESH_SHARE = 0.1
 """A camera's zones are learned again when this share of its events is new."""
+STEPS = ("zones", "clocks", "candidates", "joint fit", "evidence", "changes", "prediction", "topology")
+"""What a version takes, in this order."""
 
 
 class Learner:
     """The whole chain of the thesis, incremental over a sliding window of event time."""
 
-    def __init__(self, settings: Settings | None = None, site: str = "default", epoch: str = "0") -> None:
+    def __init__(
+        self, settings: Settings | None = None, site: str = "default", epoch: str = "0", only_last: bool = False
+    ) -> None:
         self.settings = settings or Settings()
         self.site, self.epoch = site, epoch
+        self.only_last = only_last
+        """Whether only `flush` makes a version."""
         self.topology: Topology | None = None
-        self.between_steps: Pause = no_pause
-        """Called twice for each version, when the candidates are found and when all is fitted: what that took is free
-        again, and the next step may take as much anew.
-        """
+        self.on_step: Callable[[str], None] = lambda step: None
+        """Called with each of `STEPS` as it begins: what the one before took is free again."""
         self.bins = LagBins(-self.settings.overlap_max_seconds, self.settings.transit_max_seconds)
         self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
         self._intake = Intake(
@@ -227,14 +236,20 @@ class Learner:
             if tick > reached:
                 break
             self._learn(tick)
-            if self._due(tick):
+            if not self._due(tick):
+                continue
+            if self.only_last:
+                self._refresh_zones()
+                self._fitted_us, self._since_fit = tick, 0
+            else:
                 self._refit(tick)
         self._done_us = reached
 
     def _learn(self, until_us: int) -> None:
         """Move the events up to ``until_us`` into the window and forget what is too old."""
         batch = self._take(until_us)
-        self._scorer.watch(batch)
+        if not self.only_last:
+            self._scorer.watch(batch)
         self._window.append(batch)
         window_us = microseconds(self.settings.window_hours * 3600.0)
         self._window.forget(until_us - window_us)
@@ -278,7 +293,9 @@ class Learner:
         """Whether enough has changed for a new version."""
         if self._since_fit == 0:
             return False
-        if self._fitted_us is None or self._moved or self._doubled or self._since_fit >= self._enough():
+        if self._fitted_us is None or self._since_fit >= self._enough():
+            return True
+        if (self._moved or self._doubled) and not self.only_last:
             return True
         return tick_us - self._fitted_us >= microseconds(self.settings.refit_hours * 3600.0)
 
@@ -288,18 +305,22 @@ class Learner:
 
     def _refit(self, tick_us: int) -> None:
         """Zones, joint fit, links: one new version as of ``tick_us``."""
+        self.on_step("zones")
         self._refresh_zones()
+        self.on_step("clocks")
         scene = self._in_right_time(see(self._window, self._maps))
         through = self._through_views(scene)
         scene = scene._replace(departures=with_usual_stays(scene.departures, through))
         silences = find_silences(
             self._window.column("t") / MICROSECONDS, self._window.column("camera"), len(self._window.cameras)
         )
-        posterior, between, likely, changes = self._between_views(scene, silences)
+        posterior, ever, likely, changes = self._between_views(scene, silences)
         cameras = self._window.cameras
         model = model_of(cameras, scene, posterior, self.bins, self._window, changes, self.settings.correct_clocks)
         del posterior  # it takes as much as the version will
-        self.between_steps()
+        self.on_step("topology")
+        zones, share_min = len(scene.zones), self.settings.publish_probability_min
+        between, likely = (present(table, changes, zones, share_min) for table in (ever, likely))
         camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
         found = without_missed(between, through, significant(between, self.settings), camera_of, self.settings)
         published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
@@ -310,15 +331,14 @@ class Learner:
             links=link_records(cameras, scene, published, self.bins)
             + link_records(cameras, scene, visible, self.stay_bins, "visible"),
             weak_links=link_records(
-                cameras, scene, beside(likely, published, len(scene.zones)), self.bins, histograms=False
+                cameras, scene, beside(likely, published, zones), self.bins, histograms=False
             ),
         )  # fmt: skip
         version, now = 1 if self.topology is None else self.topology.version + 1, tick_us / MICROSECONDS
-        joined = set(zip(published.source.tolist(), published.target.tolist(), strict=True))
-        self._alarms.report(
-            version, now, scene, [zone_id(cameras, zone) for zone in scene.zones], cameras, silences, changes, joined,
-            self.settings.publish_probability_min,
-        )  # fmt: skip
+        ids = [zone_id(cameras, zone) for zone in scene.zones]
+        if self.only_last:  # what has closed was published in no version before
+            self._alarms.join(ids, joined_by(ever.rows(np.flatnonzero(significant(ever, self.settings)))))
+        self._alarms.report(version, now, scene, ids, cameras, silences, changes, joined_by(published), share_min)
         self._alarms.clocks(version, now, topology.cameras)
         for camera, since, move in self._moved:
             detail = f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
@@ -396,7 +416,9 @@ class Learner:
     def _between_views(
         self, scene: Scene, silences: list[Silences]
     ) -> tuple[Posterior | None, LinkTable, LinkTable, list[Change]]:
-        """Links that leave a view: the joint fit of departures and arrivals, and what in it has changed."""
+        """Links that leave a view, over the whole window: the joint fit of departures and arrivals; and what in it has
+        changed.
+        """
         zones = len(scene.zones)
         departures, arrivals = scene.departures, scene.arrivals
         if len(departures.t) == 0 or len(arrivals.t) == 0:
@@ -404,20 +426,25 @@ class Learner:
             return None, empty, empty, []
         first = float(min(departures.t[0], arrivals.t[0]))
         places = np.array([place(zone.camera, zone.number) for zone in scene.zones])
+        self.on_step("candidates")
         candidates = self._screen.find(
-            departures, arrivals, self.bins, places, scene.last, self._learned, self.settings.candidates_max
-        )
-        self.between_steps()
+            departures, arrivals, self.bins, places, scene.last, self._learned, self.settings.candidates_max,
+            everywhere=self.only_last,
+        )  # fmt: skip
+        self.on_step("joint fit")
         problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
         fit = fit_jointly(*problem)
+        self.on_step("evidence")
         ratio = cross_evidence(
             departures, arrivals, self._all_of(fit, departures, arrivals, zones), self.bins, zones, first, scene.last
         )
         left, pace = leaving(departures, self.bins, zones, scene.last), pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), left, self.bins, zones, pace).with_evidence(ratio, zones * zones)
         over = scene.last - self.bins.lag_max
+        self.on_step("changes")
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
         del fit  # what follows takes the most memory, ...
+        self.on_step("prediction")
         followed = followed_of(*problem)
         del candidates, problem  # ... and then these would take as much as the rest
         screened = bool(self._screen.followed)
@@ -425,10 +452,7 @@ class Learner:
         likely = tabulate(transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN), left, self.bins, zones).without_counts()
         likely = likely.with_evidence(likely.ratio, len(posterior.share))
         self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
-        share_min = self.settings.publish_probability_min
-        return (
-            posterior, present(between, changes, zones, share_min), present(likely, changes, zones, share_min), changes,
-        )  # fmt: skip
+        return posterior, between, likely, changes
 
     def _all_of(self, fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) -> Fit:
         """The fit with all candidates of what might be a link, where unlikely ones had been left out."""

@@ -170,6 +170,11 @@ def significant(table: LinkTable, settings: Settings) -> NDArray[np.bool_]:
     )
 
 
+def joined_by(table: LinkTable) -> set[tuple[int, int]]:
+    """The pairs of zones of the table."""
+    return set(zip(table.source.tolist(), table.target.tolist(), strict=True))
+
+
 def beside(likely: LinkTable, published: LinkTable, zones: int) -> LinkTable:
     """Weak links for prediction: rows of the posterior that are not published, the likeliest few of each source.
 

@@ -113,19 +113,19 @@ class Screen:
 
     def find(
         self, departures: Departures, arrivals: Arrivals, bins: LagBins, places: Longs, until: float, learned: int,
-        candidates_max: int,
+        candidates_max: int, everywhere: bool = False,
     ) -> Candidates:  # fmt: skip
         """The candidates of a window: all of them while there are at most ``candidates_max``, and few pairs of zones.
 
         ``places`` (zones,): what zones are known by from one fit to the next; ``until``: seconds up to which events
-        have come; ``learned``: events up to now.
+        have come; ``learned``: events up to now; ``everywhere``: look at every zone now, as there is no other fit.
         """
         low, high = in_reach(departures.t, arrivals.t, bins)
         if int((high - low).sum()) <= candidates_max and len(places) ** 2 <= PAIRS_FEW:
             self.followed = {}
             return find_candidates(departures, arrivals, bins, len(places))
         ends = _ends(departures, arrivals, bins, len(places), until)
-        self._look(ends, places, learned, high - low)
+        self._look(ends, places, learned, high - low, everywhere)
         sources_of = self._sources(places)
 
         # Beyond the limit the clearest arrivals count.
@@ -156,14 +156,14 @@ class Screen:
                 result[zone] = sources
         return result
 
-    def _look(self, ends: Ends, places: Longs, learned: int, reach: Rows) -> None:
-        """Look at some zones again, over all pairs, and forget zones that are no more."""
+    def _look(self, ends: Ends, places: Longs, learned: int, reach: Rows, everywhere: bool) -> None:
+        """Look at some zones again, or at all, over all pairs, and forget zones that are no more."""
         never = Followed(np.zeros(0, np.int64), -1)
         self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
         pairs_max = zone_pairs_max(len(np.unique(places >> 32)))
         budget = max(LOOKS_MIN, LOOKS_PER_EVENT * (len(ends.departures.t) + len(ends.arrivals.t)))
         for zone in sorted(range(len(places)), key=lambda zone: self.followed[int(places[zone])].looked):
-            if budget <= 0:
+            if budget <= 0 and not everywhere:
                 break
             sources = standing_out(ends, zone, pairs_max)
             self.followed[int(places[zone])] = Followed(places[sources], learned)

@@ -135,7 +135,7 @@ class Pupil:
         if portion is not None:
             return ShardLearner(settings, portion.sharding, portion.shard, site, epoch)
         learner = self._kind(settings, site, epoch)
-        learner.between_steps = memory.give_back
+        learner.on_step = lambda step: memory.give_back()
         return learner
 
     def _change(self, change: Callable[[LearnerState], LearnerState]) -> None:
@@ -143,7 +143,7 @@ class Pupil:
         match self._learner:
             case Learner() as learner:
                 changed = self._kind(learner.settings, learner.site, learner.epoch)
-                changed.between_steps = learner.between_steps
+                changed.on_step = learner.on_step
                 changed.load(change(learner.save()))
                 self._learner = changed
             case ShardLearner() as shard:
