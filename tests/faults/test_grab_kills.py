@@ -22,7 +22,7 @@ from sizes import size
 from streams import missing, served, transcode
 from test_cameras import children_of
 
-from camtopod.config import KeepSettings
+from camtopod.config import KeepSettings, SiteSettings
 from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal
@@ -61,7 +61,7 @@ class Box:
     def __init__(self, directory: Path, endpoint: str, port: int) -> None:
         self._log, self._config = directory / "log", directory / "box.toml"
         state = directory / "box"
-        self.spool = spool_path(state, "default", CAMERA)
+        self.spool = spool_path(state, SiteSettings().name, CAMERA)
         self._config.write_text(
             f'[bus]\nconnect = ["{endpoint}"]\n[state]\ndirectory = "{state}"\n'
             "[health]\nrestart_seconds_min = 0.1\nrestart_seconds_max = 0.2\n"

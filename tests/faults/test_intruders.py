@@ -204,7 +204,8 @@ def client(endpoint: str, mode: str = "client") -> dict[str, Any]:
 
 
 def status(observer: Puppet) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(observer.do("ask", key=f"{HQ}/status/daemon?format=application/json")[0])
+    answers = observer.do("ask", key=f"{HQ}/status/daemon?format=application/json", seconds=WAIT_SECONDS)
+    found: dict[str, Any] = json.loads(answers[0])
     return found
 
 
@@ -219,8 +220,10 @@ STOLEN = [
 ]  # fmt: skip
 
 
-def attack(thief: Puppet, observer: Puppet, hears: tuple[str, ...] = ("ack/cam1",)) -> set[str]:
-    """Everything a stolen box of cam1 might try; returns what of it had an effect. ``hears``: what to wait for."""
+def attack(thief: Puppet, observer: Puppet, hears: tuple[str, ...] = ("ack/cam1",), seconds: float = 0.5) -> set[str]:
+    """Everything a stolen box of cam1 might try; returns what of it had an effect. ``hears``: what to wait for;
+    ``seconds``: for an answer, which a question that is not allowed waits out.
+    """
     observer.do("subscribe", key=f"{HQ}/**")
     observer.do("watch", key=f"{HQ}/alive/**")
     observer.do("answer", key=f"{HQ}/spool/cam2", payload="the real one")
@@ -243,10 +246,10 @@ def attack(thief: Puppet, observer: Puppet, hears: tuple[str, ...] = ("ack/cam1"
     thief.hears(*(f"put {HQ}/{key}" for key in hears))
     wait_for(lambda: "from the thief" in observer.do("ask", key=f"{HQ}/spool/cam1"), "its own spool")
     for key in ("spool/cam2", "topology"):
-        if "from the thief" in observer.do("ask", key=f"{HQ}/{key}"):
+        if "from the thief" in observer.do("ask", key=f"{HQ}/{key}", seconds=seconds):
             effects.add(f"answered {key}")
     for key in ("topology", "predict/cam1?zone=cam1/1", "status/daemon", "spool/cam2", "**"):
-        if thief.do("ask", key=f"{HQ}/{key}"):
+        if thief.do("ask", key=f"{HQ}/{key}", seconds=seconds):
             effects.add(f"asked {key}")
     # what was heard is looked at last: it comes in another order than it was sent in
     effects |= {line for line in observer.do("heard") if not re.search("daemon|cam3", line)}
@@ -337,7 +340,7 @@ def test_the_same_box_allowed_everything_does_all_of_it(
     assert thief.open(**client(daemon.endpoint), **keys.tls("camera/cam1"))
     assert observer.open(**client(daemon.endpoint), **keys.tls("daemon"))
     hears = ("ack/cam1", "ack/cam2", "event/cam2", "alive/grabber/cam3")
-    effects = attack(thief, observer, hears)
+    effects = attack(thief, observer, hears, seconds=WAIT_SECONDS)
     assert effects >= OWN
     assert effects >= {f"{what} {key}" for what, key in STOLEN if HQ in key and not re.search(r"daemon|\*", key)}
     assert effects >= {f"put {HQ}/alive/grabber/cam2", "answered spool/cam2", "answered topology"}
