@@ -46,12 +46,10 @@ class Walks:
         self._mutex = threading.Lock()
         self._put: dict[tuple[str, float], float] = {}
         self._unacknowledged: dict[tuple[str, int], float] = {}
-        self.delays: list[float] = []
-        """Seconds from each exit to its prediction ..."""
-        self.ack_delays: list[float] = []
+        self.delays: list[tuple[float, float]] = []
+        """When each exit was put (monotonic), and seconds to its prediction ..."""
+        self.ack_delays: list[tuple[float, float]] = []
         """... and to its ack."""
-        self.delayed_at: list[float] = []
-        self.acked_at: list[float] = []
         self._began = time.monotonic()
         self.held_up = 0.0
         """Seconds by which this process itself was late at most, or a page of its own was late on the disk: the machine
@@ -64,16 +62,13 @@ class Walks:
 
     def late(self) -> str:
         """What came late, and how many seconds after the first exit that had been."""
-        allowed = LATE_SECONDS_MAX + self.held_up
-        each = {"predictions": (self.delays, self.delayed_at), "acks": (self.ack_delays, self.acked_at)}
-        said = [
-            f"{sum(delay >= allowed for delay in delays)} {what} late, by {max(delays):.2f} s at most, "
-            f"those put {min(put for put, delay in zip(at, delays, strict=True) if delay >= allowed) - self._began:.2f} "
-            f"to {max(put for put, delay in zip(at, delays, strict=True) if delay >= allowed) - self._began:.2f} s in"
-            for what, (delays, at) in each.items()
-            if max(delays) >= allowed
-        ]
-        return "; ".join(said) + (f" (allowed {allowed:.2f} s)" if said else "")
+        allowed, said = LATE_SECONDS_MAX + self.held_up, []
+        for what, delays in ("predictions", self.delays), ("acks", self.ack_delays):
+            late = [(put - self._began, delay) for put, delay in delays if delay >= allowed]
+            if late:
+                first, last, most = late[0][0], late[-1][0], max(delay for _, delay in late)
+                said.append(f"{len(late)} {what}, put {first:.2f} to {last:.2f} s in, late by {most:.2f} s")
+        return "; ".join(said)
 
     def walk(self, seconds: float) -> None:
         done = threading.Event()
@@ -120,16 +115,14 @@ class Walks:
         with self._mutex:
             put = self._put.pop((prediction.camera, prediction.t), None)
             if put is not None:
-                self.delays.append(now - put)
-                self.delayed_at.append(put)
+                self.delays.append((put, now - put))
 
     def _on_ack(self, key: str, payload: bytes) -> None:
         now, ack = time.monotonic(), codec.read(Ack, payload, pack=True)
         with self._mutex:
             for camera, seq in [one for one in self._unacknowledged if one[0] == ack.camera and one[1] <= ack.seq]:
                 put = self._unacknowledged.pop((camera, seq))
-                self.ack_delays.append(now - put)
-                self.acked_at.append(put)
+                self.ack_delays.append((put, now - put))
 
 
 def learned_state(directory: Path) -> None:
