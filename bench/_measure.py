@@ -86,9 +86,7 @@ def measure(
     if group == "live":
         topology, predicted, seconds = serve(events, settings)
     else:
-        if group == "batch":
-            settings = msgspec.structs.replace(settings, refit_share=1e9, refit_hours=1e9)
-        topology, head, seconds = learn(events, settings)
+        topology, head, seconds = learn(events, Learner(settings, only_last=group == "batch"))
         predicted = predict(head, events)
     figures = network_figures(topology, truth, events)
     figures |= prediction_figures(predicted, events, truth)
@@ -96,10 +94,10 @@ def measure(
     return [Record(regime, seed, group, seconds, _plain(figures))]
 
 
-def learn(events: Sequence[Event], settings: Settings) -> tuple[Topology, Topology, float]:
+def learn(events: Sequence[Event], learner: Learner) -> tuple[Topology, Topology, float]:
     """The last version, what the last version would have been at `TRAIN_SHARE` of the events, and the seconds for the
     former. Events are fed as `camtopod learn` feeds them."""
-    learner, head = Learner(settings), None
+    head = None
     cut = int(TRAIN_SHARE * len(events))
     aside, started = 0.0, time.process_time()
     for index, event in enumerate(events):

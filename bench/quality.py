@@ -3,12 +3,12 @@
     python -m bench quality [--seeds N] [--first-seed S] [--regimes a,b] [--jobs 2] [--json FILE] [--data FOLDER]
                             [--no-baselines]
 
-Ours three times: ``online``, fed as `camtopod learn` is, with a version of all there is at 70 % (for the predictions
-of the rest) and at the end; ``live``, where each exit of the rest is predicted by the newest version that had been made
-by itself, as the daemon does; and ``batch``, one fit of everything. Every network is made up from its seed
-(`bench.regimes`); the learner was developed with seeds 0 to 9, so ``--first-seed 1000`` gives networks it has never
-seen. ``campus-auditorium`` is a real recording, skipped where it is not at hand (``--data`` or CAMTOPOD_TEST_DATA name
-the folder it lies in). Each figure is a mean over networks with its standard error.
+Ours three times: ``online``, fed as `camtopod learn --updates` is, with a version of all there is at 70 % (for the
+predictions of the rest) and at the end; ``live``, where each exit of the rest is predicted by the newest version that
+had been made by itself, as the daemon does; and ``batch``, the one fit of `camtopod learn` without ``--updates``. Each
+network is made from its seed (`bench.regimes`); the learner was developed with seeds 0 to 9, so ``--first-seed 1000``
+gives networks it has never seen. ``campus-auditorium`` is a real recording, skipped where it is not at hand (``--data``
+or CAMTOPOD_TEST_DATA name the folder it lies in). Each figure is a mean over networks with its standard error.
 
 With ``--json`` every result is appended to a file as it comes; a run that finds results there goes on where it was
 left, and with nothing left to do only prints the table. Results of an older learner have to be deleted by hand.

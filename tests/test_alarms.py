@@ -190,6 +190,18 @@ def test_a_way_that_changes_is_told_and_published(rerouted: list[Topology]) -> N
     assert not any(link.to == left and link.from_.startswith("a") for link in last.weak_links or [])
 
 
+def test_one_fit_tells_of_a_way_that_changed_within_its_window(rerouted: list[Topology]) -> None:
+    learner = Learner(only_last=True)
+    for event in walkers(0, 10_800, "b/left", 1) + walkers(10_800, 18_000, "b/right", 2):
+        learner.receive(event)
+        assert learner.topology is None
+    learner.flush()
+    [only] = learner.updates()
+    kinds = sorted(alarm.kind for alarm in only.alarms or [] if "link" in alarm.kind)
+    assert (only.version, kinds, only.score) == (1, ["link_closed", "link_opened"], None)
+    assert [link.relation for link in only.links] == [link.relation for link in rerouted[-1].links]
+
+
 def test_the_start_tells_nothing(rerouted: list[Topology]) -> None:
     early = [version for version in rerouted if version.as_of <= 10_800]
     assert len(early) > 5

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import random
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from camtopod.cli import exits, main
+from camtopod.cli import exits, main, progress
 from camtopod.cli.learn import EPOCH
 from camtopod.cli.lines import LineReader
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
@@ -74,6 +75,21 @@ def test_learn_writes_the_topology_and_every_version(run: Run, recording: Path, 
     assert (last.epoch, last.events, last.digest) == (EPOCH, len(EVENTS), digest_of(last))
     assert apply_delta(versions[-2], make_delta(versions[-2], last)) == last
     assert f"version {last.version}: {len(EVENTS)} events, 3 cameras" in said
+
+
+def test_without_updates_there_is_one_version(run: Run, topology: Path) -> None:
+    last = read(Topology, topology.read_bytes())
+    assert (last.version, last.epoch, last.events, last.digest) == (1, EPOCH, len(EVENTS), digest_of(last))
+    assert last.score is None, "it takes versions on the way"
+
+
+def test_learn_says_in_a_pipe_how_far_it_has_come(run: Run, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "PIPED_SECONDS", 0.0)
+    _, _, said = run("learn", recording)
+    assert re.search(r"^camtopod: \d+ lines, \d+ %, \d+ s until all are read$", said, re.M)
+    assert re.search(r"^camtopod: version 1, step 4 of 8: joint fit$", said, re.M)
+    _, _, said = run("learn", "-", stdin=recording.read_bytes())
+    assert re.search(r"^camtopod: \d+ lines$", said, re.M), "nobody knows how much is to come"
 
 
 def test_learn_prints_the_topology_when_no_file_is_named(run: Run, recording: Path, topology: Path) -> None:

@@ -44,6 +44,18 @@ def test_it_is_said_now_and_then(capsys: pytest.CaptureFixture[str], monkeypatch
         assert capsys.readouterr().err.count("x") == 1
 
 
+def test_of_work_that_is_waited_for_a_pipe_hears_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [10.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    with Progress(piped=True) as shown:
+        for second in range(12):
+            now[0] = 10.0 + second
+            shown.show("%d s", second)
+    assert capsys.readouterr().err == "camtopod: 5 s\ncamtopod: 10 s\n"
+
+
 @pytest.mark.usefixtures("_at_once")
 def test_a_recording_of_which_all_events_come_at_the_end(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -65,7 +77,9 @@ def test_learn_and_predict(
     lines = tmp_path / "e.jsonl"
     lines.write_bytes(b"".join(to_json(event) + b"\n" for event in events))
     assert main(["learn", str(lines), "--topology", str(tmp_path / "t.json")]) == 0
-    assert f"\r\x1b[K{len(events)} lines, version " in capfdbinary.readouterr().err.decode()
+    said = capfdbinary.readouterr().err.decode()
+    assert f"\r\x1b[K{len(events)} lines, 100 %, 0 s until all are read\r" in said
+    assert re.findall(r"step (\d) of 8", said) == list("12345678"), "and how far the fit has come"
     assert main(["predict", str(tmp_path / "t.json"), str(lines)]) == 0
     out, err = capfdbinary.readouterr()
     assert f"\r\x1b[K120 exits predicted of {len(events)} lines" in err.decode()

@@ -1,4 +1,8 @@
-"""`camtopod learn`: the daemon's learner over recorded event lines."""
+"""`camtopod learn`: the daemon's learner over recorded event lines.
+
+With ``--updates`` every version that the daemon would have published is made, each with a fit of its own. Without, the
+last one alone, in one fit of the last window.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from camtopod.cli.lines import LineReader
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
 from camtopod.learn.intake import EVENTS_PER_SECOND_MAX
-from camtopod.learn.learner import Learner
+from camtopod.learn.learner import STEPS, Learner
 from camtopod.records import Topology
 
 EPOCH = "recording"
@@ -25,7 +29,13 @@ EPOCH = "recording"
 def add_parser(subparsers: Any) -> None:
     """Add `learn`."""
     summary = "the same learner over recorded event lines"
-    parser = subparsers.add_parser("learn", help=summary, description=summary.capitalize() + ".")
+    about = (
+        f"{summary.capitalize()}: in one fit of the last window or, with --updates, with every version that the daemon "
+        "would have published on the way, which takes many times as long. The one fit has a version count and zone "
+        "numbers of its own, and leaves out the score of its own predictions and clocks that changed, which only "
+        "several versions tell."
+    )
+    parser = subparsers.add_parser("learn", help=summary, description=about)
     parser.add_argument("events", nargs="+", metavar="EVENTS", help="files of event lines ('-': standard input)")
     parser.add_argument("--topology", metavar="OUT.json", help="the final topology goes here ('-': standard output)")
     parser.add_argument("--updates", metavar="OUT.jsonl", help="every version on the way, one a line")
@@ -34,7 +44,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Learn; the topology goes to a file, or to standard output when no file is named."""
     config = configuration(args)
-    learner = Learner(config.learn, site=config.site.name, epoch=EPOCH)
+    learner = Learner(config.learn, site=config.site.name, epoch=EPOCH, only_last=args.updates is None)
     reader = LineReader()
     if args.topology:
         check_output(args.topology)
@@ -57,17 +67,30 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None) -> None:
-    """Every line through the learner; versions go out as they are made; progress to a terminal."""
-    with Progress() as progress:
+    """Every line through the learner; versions go out as they are made; progress to whoever waits."""
+    with Progress(piped=True) as progress:
+
+        def say_step(step: str) -> None:
+            number = 1 if learner.topology is None else learner.topology.version + 1
+            progress.show("version %d, step %d of %d: %s", number, STEPS.index(step) + 1, len(STEPS), step)
+
+        learner.on_step = say_step
         for line in reader.merged(paths):
             verdict = learner.receive(line.event)
             if verdict != "accepted":
                 reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")
-            progress.show("%d lines, version %d", reader.read, learner.topology.version if learner.topology else 0)
+            if progress.due:
+                progress.show("%d lines%s", reader.read, _left(reader.share(), progress.seconds))
             _write(learner, updates)
-        progress.show("%d lines, the last version is being learned", reader.read)
         learner.flush()
         _write(learner, updates)
+
+
+def _left(share: float | None, seconds: float) -> str:
+    """How much has been read in so many seconds, and how long the rest takes."""
+    if not share:
+        return ""
+    return f", {100 * share:.0f} %, {seconds * (1 / share - 1):.0f} s until all are read"
 
 
 _WHY = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import os
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -34,6 +35,7 @@ class LineReader:
         self.rejected: Counter[str] = Counter()
         self.read = 0
         self.events = 0
+        self._files: list[BinaryIO] = []
 
     def merged(self, paths: list[str]) -> Iterator[Line]:
         """Lines of several files in one stream by time; each file may be out of order as far as its lateness goes.
@@ -42,11 +44,20 @@ class LineReader:
         """
         with ExitStack() as stack:
             files = [(path, stack.enter_context(open_input(path))) for path in paths]
+            self._files = [file for _, file in files]
             streams = [self.lines(path, file) for path, file in files]
             if len(streams) == 1:
                 yield from streams[0]
             else:
                 yield from heapq.merge(*streams, key=lambda line: line.event.t)
+
+    def share(self) -> float | None:
+        """How much of the files has been read, 0 to 1; None where that is not known, as of a pipe."""
+        try:
+            size = sum(os.fstat(file.fileno()).st_size for file in self._files if file.seekable())
+            return sum(file.tell() for file in self._files) / size if size else None
+        except (OSError, ValueError):  # not seekable; closed, or no file of the system
+            return None
 
     def lines(self, path: str, file: BinaryIO) -> Iterator[Line]:
         """Events of one file in the order of its lines; blank lines are skipped."""
