@@ -60,6 +60,18 @@ class Walks:
         for camera in SENDERS:
             publisher.subscribe(f"ack/{camera}", self._on_ack)
 
+    def be_heard(self) -> None:
+        """Until the bus knows that the reader wants to hear of predictions; what was put before that does not count."""
+
+        def heard() -> bool:
+            self._walk(1.01 / self._per_second)
+            return bool(self.delays)
+
+        wait_for(heard, "the first prediction")
+        with self._mutex:
+            for noted in (self._put, self._unacknowledged, self.delays, self.ack_delays):
+                noted.clear()
+
     def late(self) -> str:
         """What came late, and how many seconds after the first exit that had been."""
         allowed, said = LATE_SECONDS_MAX + self.held_up, []
@@ -197,6 +209,7 @@ def walks_beside(
     """Exits while readers stop, are killed and come back."""
     publisher, reader, settings, folder = scene(secured)
     walks = Walks(publisher, reader, per_second, folder)
+    walks.be_heard()
     walks.walk(1.0)
     wait_for(lambda: walks.missing == 0, "the first predictions and acks")
     stopping = Stopping(settings)
