@@ -266,6 +266,14 @@ def test_looks_go_round(monkeypatch: pytest.MonkeyPatch) -> None:
     assert looked(screen, 6) == list(range(7, 13))
 
 
+def test_where_there_is_no_other_fit_every_zone_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LOOKS_MIN", 1)
+    monkeypatch.setattr(module, "LOOKS_PER_EVENT", 0)
+    (departures, arrivals), screen = anything(10, 200, 200), Screen()
+    screen.find(departures, arrivals, BINS, places_of(6), 1e9, 1, 100, everywhere=True)
+    assert looked(screen, 6) == [1] * 6
+
+
 def test_as_many_looks_as_the_events_allow(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = anything(11, 200, 200)
     work = in_reach(*ends) + 6 * 6 * BINS.size
