@@ -289,9 +289,11 @@ def check(site: Site) -> None:
     assert site.lost_and_doubled() == (0, 0)
     expected = site.expected()
     assert status["version"] == max(expected)
+    newest = max(expected)
+    wait_for(lambda: any(version == newest for _, version in site.versions), "the newest version to be heard")
     epochs = {epoch for epoch, _ in site.versions}
     assert len(epochs) == 1
     assert site.newest == sorted(site.newest), "versions only go up"
     for (_, version), digest in site.versions.items():
         assert expected[version] == digest
-    assert (*epochs, max(expected)) in site.versions
+    assert (*epochs, newest) in site.versions
