@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None) -> None:
-    """Every line through the learner; versions go out as they are made; progress to whoever waits."""
+    """Pass every line to the learner, write each version as it is made, and report progress."""
     with Progress(piped=True) as progress:
 
         def say_step(step: str) -> None:
@@ -87,7 +87,7 @@ def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: Binar
 
 
 def _left(share: float | None, seconds: float) -> str:
-    """How much has been read in so many seconds, and how long the rest takes."""
+    """The share of the input read in ``seconds``, and the time left, as text."""
     if not share:
         return ""
     return f", {100 * share:.0f} %, {seconds * (1 / share - 1):.0f} s until all are read"

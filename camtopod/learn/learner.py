@@ -336,7 +336,7 @@ class Learner:
         )  # fmt: skip
         version, now = 1 if self.topology is None else self.topology.version + 1, tick_us / MICROSECONDS
         ids = [zone_id(cameras, zone) for zone in scene.zones]
-        if self.only_last:  # what has closed was published in no version before
+        if self.only_last:  # there is no earlier version that published the links which have closed
             self._alarms.join(ids, joined_by(ever.rows(np.flatnonzero(significant(ever, self.settings)))))
         self._alarms.report(version, now, scene, ids, cameras, silences, changes, joined_by(published), share_min)
         self._alarms.clocks(version, now, topology.cameras)
