@@ -1,7 +1,7 @@
 """`camtopod learn`: the daemon's learner over recorded event lines.
 
 With ``--updates`` every version that the daemon would have published is made, each with a fit of its own. Without, the
-last one alone, in one fit of the last window.
+last one alone, in one fit of the last window. With ``--state`` a daemon can go on from there.
 """
 
 from __future__ import annotations
@@ -9,18 +9,22 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from camtopod.cli.common import configuration
-from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.exits import STATE, CommandError, InputError
 from camtopod.cli.lines import LineReader
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
+from camtopod.config import Config
 from camtopod.learn.intake import EVENTS_PER_SECOND_MAX
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.records import Topology
+from camtopod.serve.database import StateError
+from camtopod.serve.recorded import RecordedState
 
 EPOCH = "recording"
 """Epoch of a topology learned from files: the same files give the same bytes."""
@@ -39,18 +43,25 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("events", nargs="+", metavar="EVENTS", help="files of event lines ('-': standard input)")
     parser.add_argument("--topology", metavar="OUT.json", help="the final topology goes here ('-': standard output)")
     parser.add_argument("--updates", metavar="OUT.jsonl", help="every version on the way, one a line")
+    state = "a new state directory, for a daemon that goes on from there (its [state] directory)"
+    parser.add_argument("--state", metavar="DIR", type=Path, help=state)
 
 
 def run(args: argparse.Namespace) -> int:
     """Learn; the topology goes to a file, or to standard output when no file is named."""
     config = configuration(args)
-    learner = Learner(config.learn, site=config.site.name, epoch=EPOCH, only_last=args.updates is None)
     reader = LineReader()
     if args.topology:
         check_output(args.topology)
     with ExitStack() as stack:
+        state = stack.enter_context(_new_state(args.state, config)) if args.state else None
+        epoch = EPOCH if state is None else state.epoch
+        learner = Learner(config.learn, site=config.site.name, epoch=epoch, only_last=args.updates is None)
         updates = stack.enter_context(open_output(args.updates)) if args.updates else None
-        _feed(learner, reader, args.events, updates)
+        try:
+            _feed(learner, reader, args.events, updates, state)
+        except StateError as error:
+            raise CommandError(str(error), STATE) from None
     if (summary := reader.summary()) is not None:
         print(f"camtopod: {summary}", file=sys.stderr)
     if surplus := learner.statistics()["surplus"]:
@@ -59,15 +70,25 @@ def run(args: argparse.Namespace) -> int:
     topology = learner.topology
     if topology is None:
         raise InputError("no event lines in " + ", ".join(args.events) + ": nothing to learn from")
-    if args.topology or not args.updates:
+    if args.topology or not (args.updates or args.state):
         with open_output(args.topology or "-") as out:
             out.write(to_json(topology) + b"\n")
     print(f"camtopod: {describe(topology)}", file=sys.stderr)
     return 0
 
 
-def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None) -> None:
-    """Pass every line to the learner, write each version as it is made, and report progress."""
+def _new_state(directory: Path, config: Config) -> RecordedState:
+    """Raises `CommandError`."""
+    try:
+        return RecordedState(directory, config.keep, time.time())
+    except StateError as error:
+        raise CommandError(str(error), STATE) from None
+
+
+def _feed(
+    learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None, state: RecordedState | None
+) -> None:
+    """Pass every line to the learner, write each version and each event of the state, and report progress."""
     with Progress(piped=True) as progress:
 
         def say_step(step: str) -> None:
@@ -79,10 +100,16 @@ def _feed(learner: Learner, reader: LineReader, paths: list[str], updates: Binar
             verdict = learner.receive(line.event)
             if verdict != "accepted":
                 reader.reject(verdict, f"{line.file}:{line.number}: {_WHY[verdict]}")
+            elif state is not None:
+                state.add(line.event)
             if progress.due:
                 progress.show("%d lines%s", reader.read, _left(reader.share(), progress.seconds))
             _write(learner, updates)
-        learner.flush()
+        if state is None:
+            learner.flush()
+        else:  # what the lateness still holds back is learned by the daemon, with the events that come then
+            learner.refresh()
+            state.finish(learner)
         _write(learner, updates)
 
 

@@ -108,6 +108,7 @@ complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -
 complete -c camtopod -n '_shtab_camtopod_using learn' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using learn' -l topology -xka "(__fish_complete_path (commandline -ct))" -d 'the final topology goes here ('"'"'-'"'"': standard output)'
 complete -c camtopod -n '_shtab_camtopod_using learn' -l updates -xka "(__fish_complete_path (commandline -ct))" -d 'every version on the way, one a line'
+complete -c camtopod -n '_shtab_camtopod_using learn' -l state -xka "(__fish_complete_directories)" -d 'a new state directory, for a daemon that goes on from there (its [state] directory)'
 complete -c camtopod -n '_shtab_camtopod_using learn' -l config -xka "(__fish_complete_path (commandline -ct))" -d 'configuration, a TOML file'
 complete -c camtopod -n '_shtab_camtopod_using learn' -l site -x -d 'name of the site, second part of every key'
 complete -c camtopod -n '_shtab_camtopod_using learn' -l connect -x -d 'zenoh endpoint to dial, for example tcp/192.168.1.5:7447; may be repeated'

@@ -302,6 +302,7 @@ _shtab_camtopod_learn_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--topology[the final topology goes here (\'-\'\: standard output)]:OUT.json:_files"
   "--updates[every version on the way, one a line]:OUT.jsonl:_files"
+  "--state[a new state directory, for a daemon that goes on from there (its \[state\] directory)]:DIR:_files -/"
   "--config[configuration, a TOML file]:FILE:_files"
   "--site[name of the site, second part of every key]:NAME:"
   "*--connect[zenoh endpoint to dial, for example tcp\/192.168.1.5\:7447\; may be repeated]:ENDPOINT:"
