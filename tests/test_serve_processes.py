@@ -79,7 +79,7 @@ class Installation:
         return bus
 
     def status(self, bus: Bus) -> dict[str, Any]:
-        answers = bus.ask("status/daemon")
+        answers = bus.ask("status/daemon", one=True)
         return msgspec.msgpack.decode(answers[0][1]) if answers else {"events": {"stored": -1}, "version": -1}
 
     def rows(self) -> list[tuple[str, str | None, int | None]]:

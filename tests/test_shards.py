@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from camtopod.districts.dealing import Dealing, Sharding
-from camtopod.districts.district import District
+from camtopod.districts.district import NEWCOMERS_MAX, District
 from camtopod.districts.line import Line
 from camtopod.districts.parts import Part
 from camtopod.districts.shard import ShardLearner, pack_shard, unpack_shard
@@ -27,7 +27,7 @@ from camtopod.sim.score import score, score_predictions
 from camtopod.sim.truth import Truth
 
 SETTINGS = Settings(refit_share=1.0)
-SHARDING = Sharding(districts=4, guest_turns=3, turn_hours=0.1)
+SHARDING = Sharding(districts=4, guest_turns=3, turn_hours=0.05)
 NUMBERS = range(SHARDING.districts)
 Steps = list[tuple[list[Part], float | None]]
 
@@ -250,20 +250,77 @@ def test_a_guest_that_sends_people_becomes_a_neighbour() -> None:
 
 def test_what_is_not_heard_changes_nothing() -> None:
     """A district given all events learns what it learns when given those alone that it listens to."""
-    events = site()[0]
-    dealing = Dealing(SHARDING)
-    district = District(SETTINGS, "s", "e", dealing, 1)
-    given = unheard = 0
-    for event in events:
-        if district.listens(event.camera, event.t):
-            district.receive(event)
-            given += 1
+    dealing = Dealing(Sharding(districts=4, guest_turns=4, turn_hours=0.02))
+    everything, some = (District(SETTINGS, "s", "e", dealing, 3) for _ in range(2))
+    heard = unheard = 0
+    for event in site()[0]:
+        if some.listens(event.camera, event.t):
+            some.receive(event)
+            everything.receive(event)
+            heard += 1
         else:
-            assert district.receive(event) == "unheard"
+            assert everything.receive(event) == "unheard"
             unheard += 1
+    some.flush()
+    everything.flush()
+    assert unheard > 100 < heard
+    parts = some.parts()
+    assert len(parts) >= 4
+    assert everything.parts() == parts
+
+
+def test_a_new_site_is_known_in_its_first_turn() -> None:
+    """As well as one learner knows it, though nearly all cameras are in districts of their own."""
+    events, truth = site()
+    plain = Learner(SETTINGS)
+    for event in events:
+        plain.receive(event)
+    plain.flush()
+    assert plain.topology is not None
+    merged = fed(ShardLearner(SETTINGS, Sharding()), events).topology
+    assert merged is not None
+    one, several = score(plain.topology, truth), score(merged, truth)
+    assert several.links_found >= 0.89 * one.links_found > 8
+    assert several.link_precision >= 0.9
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_camera_that_comes_later_is_found_as_soon(own: bool) -> None:
+    """Whether it is the own one or that from which people come, and whoever is a guest at the time."""
+    late = "b" if own else "a"
+    sharding = Sharding(districts=3, together=("b", "a", "c"), guest_turns=50, turn_hours=0.5)
+    district = District(Settings(refit_share=0.5), "s", "e", Dealing(sharding), 0)
+    events = [*walked(300.0, 20.0, 8.0)]
+    comes = events[0].t + 3 * 3600.0
+    for event in events:
+        if event.t < comes and event.camera == late:
+            continue
+        if own and event.t < comes - 600.0 and event.camera == "a":
+            event = replace(event, camera="e")  # the district knows its cameras, and that it hears nothing of a
+        if event.t < comes + 1800.0:
+            district.receive(event)
     district.flush()
-    assert unheard > 100 < given
-    assert district.parts() == expected()[1][1]
+    links = district.parts()[-1].topology.links
+    assert [link for link in links if link.from_.startswith("a/") and link.to.startswith("b/")]
+
+
+def test_made_up_names_open_no_district() -> None:
+    """But for a few at a time; own cameras are learned as ever."""
+    sharding = Sharding(districts=3, together=("b", "a", "c"), guest_turns=1000, turn_hours=0.1)
+    district = District(SETTINGS, "s", "e", Dealing(sharding), 0)
+    events = walked(60.0, 20.0, 8.0)
+    for number, event in enumerate(events):
+        district.receive(event)
+        if event.t > events[0].t + 1800.0:  # the own camera is not new any more
+            district.receive(replace(event, camera=f"made-up-{number}", track=None))
+    heard = set(district.save().window.cameras)
+    known = [name for name in district.hearing.met if name.startswith("made-up")]
+    assert len(events) / 2 > 400
+    others = [name for name in known if not district.owns(name)]
+    assert 0 < len(others) <= NEWCOMERS_MAX < len(known) / 2
+    assert "c" in district.strangers()
+    assert "c" not in heard
+    assert {"a", "b"} <= heard
 
 
 def test_forgotten_cameras_leave_nothing_behind() -> None:

@@ -10,15 +10,17 @@ its own cameras, its neighbours and the guests, and what it learns from the even
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Set
 
 import numpy as np
 from msgspec import Struct
 
 from camtopod.districts.dealing import Dealing
+from camtopod.districts.nearby import find_nearby, with_cameras
 from camtopod.districts.parts import Part, part_of
 from camtopod.learn.intake import MICROSECONDS, microseconds
 from camtopod.learn.learner import Learner
+from camtopod.learn.scene import Scene
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState
 from camtopod.records import Event, Topology
@@ -32,6 +34,26 @@ NEIGHBOUR_DEPARTURES_SHARE = 0.1
 NEIGHBOURS_PER_CAMERA_MAX = 12
 """Neighbours are at most so many for each camera here, those that send most."""
 
+REGULAR_EVENTS_MIN = 20
+"""A camera with fewer events stays new, but no longer than a round of guests takes; and if it is an own one, no others
+are heard because of it: names can be made up.
+"""
+NEWCOMERS_MAX = 8
+"""Foreign cameras with fewer events that are new at a time, after the first turn of a district."""
+
+MET_MAX = 10_000
+"""Cameras that are remembered; the first is forgotten, and new when it is heard again."""
+
+
+class Newcomer(Struct):
+    """A camera that is new until the end of the turn that it is in a turn after its first event, or a later one."""
+
+    since_us: int
+    """Its first event."""
+    events: int = 0
+    longer: int = 0
+    """Turns for which it stays new beyond that."""
+
 
 class Hearing(Struct):
     """What a `District` knows beside what its learner does."""
@@ -43,6 +65,8 @@ class Hearing(Struct):
     """Events of own cameras."""
     owner: bool = False
     """Whether an own camera has ever been heard. Until then there is nothing to wait for."""
+    met: dict[str, Newcomer] = {}
+    """Every camera that has ever been heard."""
 
 
 class DistrictState(Struct):
@@ -61,25 +85,28 @@ class District(Learner):
         self.hearing = Hearing()
         self._dealing = dealing
         self._parts: list[Part] = []
+        self._new: dict[str, Newcomer] = {}  # those of `Hearing.met` that may be new
 
     def owns(self, camera: str) -> bool:
         """Whether the camera is one of this district's."""
         return self._dealing.district(camera) == self.number
 
     def listens(self, camera: str, t: float) -> bool:
-        """Whether an event at ``t`` (seconds) of the camera is of use. Until the turn has come those count that may be
-        neighbours then: today's neighbours and guests.
+        """Whether an event at ``t`` (seconds) of the camera may be of use. Until a turn has come those count that were
+        of use before: they may be neighbours then.
         """
-        turn = self._turn_of(microseconds(t))
-        if self._hears(camera, turn):
+        turn, decided = self._turn_of(microseconds(t)), self.hearing.turn
+        searching = any(self._is_new(one, turn) for name, one in self._new.items() if self.owns(name))
+        if self._hears(camera, turn, searching):
             return True
-        decided = self.hearing.turn
-        return decided is not None and turn > decided and self._dealing.guest(camera, decided)
+        return decided is not None and turn > decided and self._hears(camera, decided, searching)
 
     def receive(self, event: Event) -> str:
         """As `Learner.receive`; ``unheard`` for one that is of no use."""
         if self.owns(event.camera):
             self.hearing.owner = True
+            met = self._meet(event.camera, microseconds(event.t))
+            met.since_us = min(met.since_us, microseconds(event.t))
         return super().receive(event) if self.listens(event.camera, event.t) else "unheard"
 
     @property
@@ -98,6 +125,17 @@ class District(Learner):
         oldest = self._intake.oldest_held_us
         return None if oldest is None else (oldest - 1) // self._tick_us * self._tick_us
 
+    @property
+    def phase(self) -> tuple[int | None, int, bool]:
+        """Who is a stranger changes with this only."""
+        regular = any(one.events >= REGULAR_EVENTS_MIN and self.owns(name) for name, one in self._new.items())
+        return self.hearing.turn, len(self._new), regular
+
+    def strangers(self) -> set[str]:
+        """The cameras met that are of use as guests only: none while all cameras are heard."""
+        _, _, searching = self.phase
+        return set() if searching else self.hearing.met.keys() - self._new.keys() - {*self.hearing.neighbours}
+
     def parts(self) -> list[Part]:
         """The part of each version made since the last call, oldest first."""
         made, self._parts = self._parts, []
@@ -111,6 +149,8 @@ class District(Learner):
         """Go on from there; this district must be new."""
         self.load(state.learner)
         self.hearing = state.hearing
+        turn = self.hearing.turn
+        self._new = {name: one for name, one in self.hearing.met.items() if turn is None or self._is_new(one, turn)}
 
     def change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Go on with another state, in which event time may have been taken back."""
@@ -119,6 +159,18 @@ class District(Learner):
         self.load(state)
         if self._done_us is not None and self.hearing.turn is not None:
             self.hearing.turn = min(self.hearing.turn, self._turn_of(self._done_us))
+            # Cameras that were met later, by a wrong clock, are met again.
+            met = self.hearing.met
+            for name in [name for name, one in met.items() if one.since_us > self._done_us]:
+                del met[name]
+                self._new.pop(name, None)
+
+    def forget(self, names: Set[str]) -> None:
+        """As `Learner.forget`."""
+        super().forget(names)
+        for name in names & self.hearing.met.keys():
+            del self.hearing.met[name]
+            self._new.pop(name, None)
 
     def _turn_of(self, t_us: int) -> int:
         """The turn of an event: that of its tick, as what a tick has is learned together."""
@@ -129,29 +181,80 @@ class District(Learner):
         batch = super()._take(until_us)
         turn = self._turn_of(until_us)
         if self.hearing.turn is not None and turn > self.hearing.turn:
-            self._end_turn(turn, until_us)
+            self._end_turn(self.hearing.turn, turn, until_us)
         self.hearing.turn = turn
-        heard = [(t_us, event) for t_us, event in batch if self._hears(event.camera, turn)]
+        searching = self._searches(until_us, turn)
+        heard = [(t_us, event) for t_us, event in batch if self._admit(event.camera, t_us, turn, searching)]
         self.hearing.learned += sum(self.owns(event.camera) for _, event in heard)
         return heard if self.hearing.learned else []  # without cameras of its own it has nothing to learn
 
-    def _hears(self, camera: str, turn: int) -> bool:
-        return self.owns(camera) or self._dealing.guest(camera, turn) or camera in self.hearing.neighbours
+    def _hears(self, camera: str, turn: int, searching: bool) -> bool:
+        """Whether events of the camera are of use in a turn: those of own cameras, neighbours, guests and new cameras,
+        and when ``searching`` all.
+        """
+        if searching or self.owns(camera) or camera in self.hearing.neighbours or self._dealing.guest(camera, turn):
+            return True
+        met = self.hearing.met.get(camera)
+        return met is None or self._is_new(met, turn)
 
-    def _end_turn(self, following: int, tick_us: int) -> None:
+    def _is_new(self, camera: Newcomer, turn: int) -> bool:
+        return turn <= self._turn_of(camera.since_us + self._dealing.turn_us) + camera.longer
+
+    def _searches(self, tick_us: int, turn: int) -> bool:
+        """Whether in this tick all cameras are heard: an own one is new. It has been there for so long that nothing of
+        the tick has come before it, in whatever order.
+        """
+        before = tick_us - self._tick_us - 2 * self._intake.lateness_us
+        return any(
+            one.events >= REGULAR_EVENTS_MIN and one.since_us <= before and self._is_new(one, turn)
+            for name, one in self._new.items()
+            if self.owns(name)
+        )
+
+    def _admit(self, camera: str, t_us: int, turn: int, searching: bool) -> bool:
+        """Whether an event is learned from."""
+        if not self._hears(camera, turn, searching):
+            return False
+        met = self.hearing.met
+        if camera not in met and not (searching or self.owns(camera) or self._dealing.guest(camera, turn)):
+            begun = next(iter(met.values())).since_us if met else t_us
+            few = sum(one.events < REGULAR_EVENTS_MIN and not self.owns(name) for name, one in self._new.items())
+            if few >= NEWCOMERS_MAX and t_us > begun + self._dealing.turn_us:
+                return False
+        self._meet(camera, t_us).events += 1
+        return True
+
+    def _meet(self, camera: str, t_us: int) -> Newcomer:
+        """What is known of the camera, which has an event at ``t``."""
+        met = self.hearing.met.get(camera)
+        if met is None:
+            met = self.hearing.met[camera] = self._new[camera] = Newcomer(t_us)
+            if len(self.hearing.met) > MET_MAX:
+                first = next(iter(self.hearing.met))
+                del self.hearing.met[first]
+                self._new.pop(first, None)
+        return met
+
+    def _end_turn(self, ended: int, following: int, tick_us: int) -> None:
         """Who is a neighbour from now on, and who is forgotten? By a version as of the tick where that is found out:
         the others may have come to any moment before by then.
         """
         foreign = [camera for camera in self._window.cameras if not self.owns(camera)]
-        if not foreign:
-            return
-        if self._since_fit:
+        if foreign and self._since_fit:
             self._refit(tick_us)
-        if self.topology is not None:
+        if foreign and self.topology is not None:
             self.hearing.neighbours = self._find_neighbours(self.topology)
-        gone = {camera for camera in foreign if not self._hears(camera, following)}
+
+        # Cameras with few events stay new.
+        for one in self._new.values():
+            if one.events < REGULAR_EVENTS_MIN and not self._is_new(one, following):
+                one.longer = min(one.longer + following - ended, self._dealing.sharding.guest_turns)
+        self._new = {name: one for name, one in self._new.items() if self._is_new(one, following)}
+
+        searching = self._searches(tick_us, following)
+        gone = {camera for camera in foreign if not self._hears(camera, following, searching)}
         if gone:
-            self.forget(gone)
+            super().forget(gone)
 
     def _find_neighbours(self, topology: Topology) -> list[str]:
         """Foreign cameras from which objects come here, by how many they send."""
@@ -187,6 +290,18 @@ class District(Learner):
             return
         super()._refit(tick_us)
         self._parts += [self._part(topology) for topology in self.updates()]
+
+    def _to_fit(self, scene: Scene) -> Scene:
+        """Own cameras, neighbours, the cameras that sent objects by the newest version, and those nearby."""
+        cameras = self._window.cameras
+        own = np.array([self.owns(camera) for camera in cameras], np.bool_)
+        known = {*self.hearing.neighbours}
+        if self.topology is not None:
+            known |= {source for source, target in linked_cameras(self.topology) if self.owns(target)}
+        kept = own | np.array([camera in known for camera in cameras], np.bool_)
+        if kept.all() or not own.any():
+            return scene
+        return with_cameras(scene, kept | find_nearby(scene, own, self.bins))
 
     def _part(self, topology: Topology) -> Part:
         t = self._window.column("t")

@@ -54,6 +54,8 @@ class ShardLearner:
         self.counts = dict.fromkeys(VERDICTS, 0)
         self._line = Line(self.settings, site, epoch)
         self._parts: list[Part] = []
+        self._phases: list[tuple[int | None, int, bool]] = []  # those in which the strangers were found
+        self._strangers: frozenset[str] = frozenset()
 
     @property
     def topology(self) -> Topology | None:
@@ -113,11 +115,14 @@ class ShardLearner:
         return self._line.parts()
 
     @property
-    def neighbours(self) -> set[str]:
-        """Cameras of other shards that its districts hear all the time."""
-        return {
-            camera for district in self.districts for camera in district.hearing.neighbours if not self.owns(camera)
-        }
+    def strangers(self) -> frozenset[str]:
+        """Cameras that none of its districts that have cameras of their own has use for, but as guests."""
+        owners = [district for district in self.districts if district.hearing.owner]
+        phases = [district.phase for district in owners]
+        if phases != self._phases:
+            each = [district.strangers() for district in owners]
+            self._phases, self._strangers = phases, frozenset(set.intersection(*each))
+        return self._strangers
 
     def reached(self) -> float | None:
         """Event time (seconds) up to which all parts have been made; None before anything has come. A district that

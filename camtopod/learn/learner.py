@@ -308,7 +308,7 @@ class Learner:
         self.on_step("zones")
         self._refresh_zones()
         self.on_step("clocks")
-        scene = self._in_right_time(see(self._window, self._maps))
+        scene = self._to_fit(self._in_right_time(see(self._window, self._maps)))
         through = self._through_views(scene)
         scene = scene._replace(departures=with_usual_stays(scene.departures, through))
         silences = find_silences(
@@ -407,6 +407,10 @@ class Learner:
         self._keeper.look(scene, len(self._window.cameras), self._learned)
         ahead = self._keeper.clocks.offset
         return see(self._window, self._maps, ahead) if ahead.any() else scene
+
+    def _to_fit(self, scene: Scene) -> Scene:
+        """What of the scene goes into the joint fit: here all of it."""
+        return scene
 
     def _through_views(self, scene: Scene) -> LinkTable:
         """Visible links: passages through one view."""

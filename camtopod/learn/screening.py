@@ -124,7 +124,7 @@ class Screen:
         if int((high - low).sum()) <= candidates_max and len(places) ** 2 <= PAIRS_FEW:
             self.followed = {}
             return find_candidates(departures, arrivals, bins, len(places))
-        ends = _ends(departures, arrivals, bins, len(places), until)
+        ends = ends_of(departures, arrivals, bins, len(places), until)
         self._look(ends, places, learned, high - low, everywhere)
         sources_of = self._sources(places)
 
@@ -233,7 +233,8 @@ def place(camera: int, number: int) -> int:
     return camera << 32 | number
 
 
-def _ends(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, until: float) -> Ends:
+def ends_of(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, until: float) -> Ends:
+    """Departures and arrivals until a moment (seconds), made ready to be looked at."""
     return Ends(
         departures, arrivals, rows_of(departures.zone, zones), rows_of(arrivals.zone, zones),
         exposures(departures, bins, zones, until),
@@ -244,6 +245,15 @@ def _ends(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int,
 def standing_out(ends: Ends, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows:
     """Zones whose departures the arrivals at ``zone`` follow more often than by chance, at most
     `SOURCES_PER_ZONE_MAX` and as many as all zones may have with ``pairs_max``, ascending.
+    """
+    above = followed_above_chance(ends, zone)
+    best = np.argsort(-above, kind="stable")[: min(SOURCES_PER_ZONE_MAX, pairs_max // len(above))]
+    return np.sort(best[above[best] > STANDS_OUT_SD])
+
+
+def followed_above_chance(ends: Ends, zone: int) -> Floats:
+    """How far what the arrivals at ``zone`` follow stands out of chance at the lag where it does most, by the zone of
+    departure (zones,), in standard deviations; -inf where too little was seen.
     """
     zones, bins = len(ends.leaving), ends.bins
     seen = np.zeros(zones * bins.size)
@@ -261,9 +271,9 @@ def standing_out(ends: Ends, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows
     some = np.flatnonzero(counts.sum(axis=1) >= SEEN_MIN)
     rate = ends.chance.of(some, np.full(len(some), zone)) * (len(mine) / max(len(every), 1))
     usual = rate[:, None] * ends.exposure[some] * bins.widths
-    above = _above(counts[some], usual, bins)
-    best = np.argsort(-above, kind="stable")[: min(SOURCES_PER_ZONE_MAX, pairs_max // zones)]
-    return np.sort(some[best[above[best] > STANDS_OUT_SD]])
+    result = np.full(zones, -np.inf)
+    result[some] = _above(counts[some], usual, bins)
+    return result
 
 
 def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:

@@ -1,4 +1,4 @@
-"""Which cameras' events a shard subscribes to: its own, its neighbours', and the guests' of the turn.
+"""Which cameras' events a shard subscribes to: all but strangers', which it hears as guests in their turns.
 
 So what comes over the bus grows with the shard's own cameras, not with the site. On a small site everything is heard:
 it costs little, and then it does not matter how fast recorded events are replayed.

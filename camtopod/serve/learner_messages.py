@@ -138,9 +138,9 @@ class Otherwise(Struct, tag=True):
 class Taught(Struct, tag=True):
     """Everything up to ``position`` is learned, which is less than was asked if there was no time. ``deadline``: event
     time at which time may have to be said to have gone on; ``unreadable``: events that could not be read any more;
-    ``epoch``: that of the versions to come. Of a
-    shard: what it has ``reached`` and whom it has for ``neighbours``. At the beginning: how far ``event_time`` has
-    come, in a shard in the district that has come furthest.
+    ``epoch``: that of the versions to come. Of a shard: what it has ``reached``, and its ``strangers``, None if they
+    are those it said last. At the beginning: how far ``event_time`` has come, in a shard in the district that has come
+    furthest.
     """
 
     position: int
@@ -148,7 +148,7 @@ class Taught(Struct, tag=True):
     statistics: dict[str, int | float]
     unreadable: int
     reached: float | None = None
-    neighbours: list[str] = []
+    strangers: list[str] | None = None
     event_time: EventTimeState = msgspec.field(default_factory=EventTimeState)
     epoch: str = ""
 

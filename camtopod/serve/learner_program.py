@@ -63,6 +63,7 @@ class Pupil:
         self._asked, self._out, self._board, self._kind = asked, out, board, learner
         self._loaded: LearnerState | ShardState | None = None
         self._learner: Learner | ShardLearner
+        self._strangers: frozenset[str] | None = None  # those said last
 
     def work(self) -> None:
         """Answer for ever."""
@@ -185,7 +186,9 @@ class Pupil:
             position, self._learner.next_deadline(), self._learner.statistics(), unreadable, epoch=self._learner.epoch
         )
         if isinstance(self._learner, ShardLearner):
-            taught.reached, taught.neighbours = self._learner.reached(), sorted(self._learner.neighbours)
+            taught.reached, strangers = self._learner.reached(), self._learner.strangers
+            if strangers != self._strangers:
+                self._strangers, taught.strangers = strangers, sorted(strangers)
         return taught
 
     def _told(self, everything: bool = False) -> bytes | None:

@@ -95,8 +95,10 @@ class Learning:
         """Damaged entries of the journal that were left out."""
         self.statistics = taught.statistics
         """The learner's, as of its last step."""
-        self.reached, self.neighbours = taught.reached, frozenset(taught.neighbours)
-        """Of a shard: event time up to which all versions before `made` have everything, and whom it wants to hear."""
+        self.reached = taught.reached
+        """Of a shard: event time up to which all versions before `made` have everything."""
+        self.strangers = frozenset(taught.strangers or ())
+        """Of a shard: cameras of other shards that it need not hear, but as guests."""
         self._refused_at = -math.inf
         self.made = 0
         """Versions handed over."""
@@ -220,7 +222,9 @@ class Learning:
         if taught.statistics.get("refused", 0) > self.statistics.get("refused", 0):
             self._refused_at = time.monotonic()
         self.position, self.statistics, self.epoch = taught.position, taught.statistics, taught.epoch
-        self.reached, self.neighbours = taught.reached, frozenset(taught.neighbours)
+        self.reached = taught.reached
+        if taught.strangers is not None:
+            self.strangers = frozenset(taught.strangers)
         self._on_deadline(taught.deadline)
         if taught.unreadable:
             log.error("%d entries of the journal cannot be read any more", taught.unreadable)

@@ -33,8 +33,8 @@ class Share:
 
     def __init__(self, sharding: Sharding, shard: tuple[int, int]) -> None:
         self.sharding, self.shard = sharding, shard
-        self.neighbours: frozenset[str] = frozenset()
-        """Other shards' cameras from which objects come to own ones, as the learner said last."""
+        self.strangers: frozenset[str] = frozenset()
+        """Other shards' cameras that are of use as guests only, as the learner said last."""
         self._dealing = Dealing(sharding)
         self._districts = frozenset(districts_of(*shard, sharding.districts))
 
@@ -71,7 +71,7 @@ class Share:
         """Whether the camera's events at about ``now`` (seconds) are of use. The guests of the turn before are, too:
         they may be neighbours, and the learner not have said so yet.
         """
-        if self.owns(camera) or camera in self.neighbours:
+        if self.owns(camera) or camera not in self.strangers:
             return True
         turn = microseconds(now + SOON_SECONDS) // self._dealing.turn_us
         return any(self._dealing.guest(camera, one) for one in (turn - 2, turn - 1, turn))

@@ -81,14 +81,14 @@ class Sharing:
         self._bus.put_raw(f"part/{self._share.shard[0]}", version.told, "part")
 
     def tell(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
-        """Say how far this shard has come until ``stopping``; and hear its neighbours. Shard 0 asks what the others
+        """Say how far this shard has come until ``stopping``; and hear who is of use. Shard 0 asks what the others
         know when one has appeared: it may have said it while it was cut off, or while nobody put it together.
         """
         while not stopping.wait(TELL_SECONDS):
             if self.merger is not None and self._came.is_set():
                 self._came.clear()
                 self._ask(self.merger)
-            self._share.neighbours = self._learning.neighbours
+            self._share.strangers = self._learning.strangers
             reached = self._learning.reached
             if self._learning.made == self._published:  # else not everything up to there has been told
                 self._reached = reached

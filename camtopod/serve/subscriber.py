@@ -123,7 +123,7 @@ class TopologyView:
         self._ask_after = time.monotonic() + _ASK_AGAIN_SECONDS
         self._stale = False  # before asking: a daemon may come back meanwhile
         try:
-            answers = self._bus.ask("topology")
+            answers = self._bus.ask("topology", one=True)
         except QueryError:  # nothing learned yet
             answers = []
         found: list[Topology] = []

@@ -61,7 +61,7 @@ class Past:
 
     def _ask(self, key: tuple[str, int]) -> Topology | None:
         try:
-            answers = self._bus.ask("topology", {"epoch": key[0], "version": key[1]})
+            answers = self._bus.ask("topology", {"epoch": key[0], "version": key[1]}, one=True)
         except QueryError:
             return None
         for _, payload in answers:

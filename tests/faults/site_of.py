@@ -156,7 +156,7 @@ class Site:
         assert self._bus is not None
         deadline = time.monotonic() + READY_SECONDS
         while time.monotonic() < deadline:
-            answers = self._bus.ask("status/daemon", seconds=1.0)
+            answers = self._bus.ask("status/daemon", seconds=1.0, one=True)
             if answers:
                 found: dict[str, Any] = msgspec.msgpack.decode(answers[0][1])
                 return found
