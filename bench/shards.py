@@ -4,7 +4,8 @@
 
 One shard learns a made-up site of so many cameras; then each of ``--shards`` learns its share of a site that is as many
 times as large, in districts of the same size and at the same traffic per camera. Compared are processor time per event
-of a shard's own cameras (to reach: within 10 %) and the events it hears for each of its own. Cameras are dealt by
+of a shard's own cameras (to reach: within 10 %) and the events it hears for each of its own, in all and from the fourth
+turn on, when no camera is new any more. Cameras are dealt by
 building (``together``), as somebody who shards a site would, and by the hash of their names, as happens without a word.
 Each camera is a guest in so many turns that the guests of a shard are a quarter of its own cameras.
 """
@@ -44,6 +45,9 @@ class Work(Struct):
     """Events of its own cameras."""
     heard: int
     """All that it had use for."""
+    known_own: int
+    """Of both, those from the fourth turn on, when nearly all neighbours are known."""
+    known_heard: int
     site: int
     seconds: float
     """Processor time."""
@@ -69,6 +73,7 @@ def main(argv: Sequence[str]) -> int:
         print(*_ratios.lines(tables[-1]), sep="\n")
         for run in runs:
             heard = f"heard {run.heard / run.own:.2f} times as many"
+            heard += f", {run.known_heard / run.known_own:.2f} times once neighbours are known"
             print(f"    {run.name}: {run.own} own events, {heard}; {run.site} on the whole site")
     if arguments.json is not None:
         _ratios.write(arguments.json, "shards", tables, work=to_builtins(done))
@@ -90,15 +95,18 @@ def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
         sharding=Sharding(districts=districts, together=places, guest_turns=4 * shard[1], turn_hours=TURN_HOURS),
         shard=shard,
     )
-    own = heard = 0
+    own = heard = known_own = known_heard = 0
+    known = events[0].t + 3 * TURN_HOURS * 3600.0
     began = time.process_time()
     for event in events:
-        own += learner.owns(event.camera)
-        if learner.listens(event.camera, event.t):
-            heard += 1
+        is_own, is_heard = learner.owns(event.camera), learner.listens(event.camera, event.t)
+        own, heard = own + is_own, heard + is_heard
+        if event.t >= known:
+            known_own, known_heard = known_own + is_own, known_heard + is_heard
+        if is_heard:
             learner.receive(event)
     learner.flush()
-    return Work(name, own, heard, len(events), time.process_time() - began)
+    return Work(name, own, heard, known_own, known_heard, len(events), time.process_time() - began)
 
 
 def by_place(truth: Truth, districts: int) -> tuple[str, ...]:

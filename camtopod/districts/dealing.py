@@ -4,9 +4,9 @@ The joint fit couples whatever it sees, so it cannot be split between machines a
 one piece is therefore a *district*: the cameras that a stable rule puts into it, the same ones on however many machines
 the districts run. Shard i of n works the districts d with d % n = i, so that 1, 2 and 4 shards learn the same.
 
-Each district hears its own cameras, its neighbours (`district`), and, so that it finds new ones, *guests*: in each turn
-of event time one part of all the site's cameras is heard by every district. Who is a guest when follows from the
-camera's name and the time alone; no list of cameras has to be agreed on.
+Each district hears its own cameras, its neighbours and new cameras (`district`), and, so that it finds a way that opens
+later, *guests*: in each turn of event time one part of all the site's cameras is heard by every district. Who is a
+guest when follows from the camera's name and the time alone; no list of cameras has to be agreed on.
 """
 
 from __future__ import annotations

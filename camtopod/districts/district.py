@@ -1,10 +1,12 @@
 """A district: a learner of the links into its own cameras.
 
-It hears its own cameras, the *neighbours* from which objects come to them, and the guests of the turn (`dealing`).
-What objects do at its neighbours and guests is part of the fit, as it explains arrivals away, but only what belongs to
-its own cameras is published (`parts`). As a turn of event time ends, whoever of those heard turned out to send objects
-here is a neighbour in the next, and what was heard of the others is forgotten. So what a district costs follows from
-its own cameras, its neighbours and the guests, and what it learns from the events of those alone.
+It hears its own cameras, the *neighbours* from which objects come to them, and the guests of the turn (`dealing`); new
+cameras, too, and while one of its own is new all cameras there are. Of those that are no neighbours a coarse look finds
+the few that are worth a joint fit (`nearby`). What objects do at these and at the neighbours is part of the fit, as it
+explains arrivals away, but only what belongs to its own cameras is published (`parts`). As a turn of event time ends,
+the cameras that turned out to send objects here are neighbours in the next, and what was heard of the others is
+forgotten. So what a district costs in the long run follows from its own cameras, its neighbours and the guests, and
+what it learns from the events of those alone.
 """
 
 from __future__ import annotations
