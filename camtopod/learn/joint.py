@@ -386,4 +386,5 @@ class JointFitter:
 
 def within(some: Indices, part: slice) -> slice:
     """Which of ``some`` (n,), ascending, belong to a part of all."""
-    return slice(*np.searchsorted(some, (part.start, part.stop)).tolist())
+    ends = np.array((part.start, part.stop), some.dtype)  # of another type all of them would be copied
+    return slice(*np.searchsorted(some, ends).tolist())
