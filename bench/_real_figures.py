@@ -1,0 +1,295 @@
+"""How well a real recording was learned and foretold, beside a chain that is told identities.
+
+The chain counts where identities go next from each zone before the cut, backed by its camera's counts and those by all,
+and takes its transit times from their lags. It has the same zones.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from bench._recordings import SPURIOUS_TRANSITIONS_MAX, Passage, Recording, pairs_of
+from camtopod.client import Gate
+from camtopod.records import Event, Prediction, Topology
+
+Floats = NDArray[np.float64]
+
+LEAVE = "leave"
+"""Beside the cameras an outcome."""
+TELLABLE_NATS = (6.0, 20.0)
+BACKING = 2.0
+"""What the chain's camera weighs beside the zone, in transitions, and all beside the camera."""
+LAGS_MIN = 9
+"""A zone's transit times are its own when it has so many, else its camera's, else everybody's."""
+LOSS_FLOOR = 1e-3
+"""Added to every outcome's probability before its logarithm is taken."""
+CALIBRATION_BINS = 10
+REACH_SECONDS = 180
+"""So long after the exit every camera is searched, second by second."""
+UNIFORM_SHARE = 0.05
+"""Of each camera's density, spread over all of the reach."""
+SEARCH_RECALLS = (0.8, 0.9, 0.95)
+
+
+class LinkFigures(Struct):
+    """Links between cameras against the truth."""
+
+    published: int
+    right: int
+    """Of those published."""
+    false: int
+    true: int
+    found: dict[float, int]
+    """By nats, the right ones among those that the events can tell."""
+    can_be_told: dict[float, int]
+    relations_right: int
+    relations: int
+    """Pairs of cameras whose relation is published and clear in truth."""
+    transit_error: float
+    """Median over the right links of the error of their median, in seconds; nan if there is none."""
+
+
+class PredictionFigures(Struct):
+    """Predictions of the exits after the cut whose lag window is over."""
+
+    exits: int
+    log_loss: float
+    leave_loss: float
+    """The part of it that is whether the object leaves."""
+    top1: float
+    """All exits, leaving an outcome like the others."""
+    top3: float
+    confidence: list[float]
+    """Of the first guess, exit by exit ..."""
+    right: list[bool]
+    """... and whether it was right."""
+    coverage: float
+    """Share of those seen again within q10 to q90; nan if none is."""
+    saved: dict[float, float]
+    """By recall, how many times fewer camera-seconds are searched; empty if nobody is to be found."""
+
+    @property
+    def calibration_error(self) -> float:
+        """Of the first guess."""
+        return calibration_error(self.confidence, self.right)
+
+
+def link_figures(topology: Topology, recording: Recording, nats: Mapping[tuple[str, str], float]) -> LinkFigures:
+    """``nats``: what the events can tell of each true link (`tellable`)."""
+    true = recording.links()
+    some = {pair for pair, lags in recording.transitions().items() if len(lags) > SPURIOUS_TRANSITIONS_MAX}
+    camera_of = {zone.id: zone.camera for zone in topology.zones}
+    medians: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
+    for link in topology.links:
+        pair = camera_of[link.from_], camera_of[link.to]
+        if pair[0] != pair[1]:
+            medians[pair].append((link.transitions + 1e-9, link.transit.q50))
+    published, told = set(medians), {least: {p for p, n in nats.items() if n >= least} for least in TELLABLE_NATS}
+    errors = []
+    for pair in published & true.keys():
+        weight, median = zip(*medians[pair], strict=True)
+        errors.append(abs(np.average(median, weights=weight) - np.median(true[pair])))
+
+    ahead: dict[frozenset[str], list[bool]] = defaultdict(list)
+    for pair, lags in true.items():
+        ahead[frozenset(pair)] += [lag < 0 for lag in lags]
+    clear = {pair: np.mean(each) >= 0.5 for pair, each in ahead.items() if not 0.25 < np.mean(each) < 0.75}
+    relation = {frozenset(pair.cameras): pair.relation == "overlapped" for pair in topology.pairs}
+    both = [bool(relation[pair] == clear[pair]) for pair in relation.keys() & clear.keys() & pairs_of([*true])]
+    return LinkFigures(
+        len(published), len(published & true.keys()), len(published - some), len(true),
+        {least: len(published & one) for least, one in told.items()}, {least: len(one) for least, one in told.items()},
+        sum(both), len(both), float(np.median(errors)) if errors else float("nan"),
+    )  # fmt: skip
+
+
+class Guess(Struct):
+    """What is said of one exit: the probability of each outcome, and of each way its camera, probability and quantiles
+    of the lag.
+    """
+
+    outcomes: dict[str, float]
+    ways: list[tuple[str, float, tuple[float, float, float]]]
+
+
+class ToldChain:
+    """A Markov chain that is told identities."""
+
+    def __init__(self, outcomes: Sequence[str]) -> None:
+        self._outcomes = outcomes
+        self._counts: dict[str, Counter[str]] = defaultdict(Counter)
+        self._lags: dict[tuple[str, str], list[float]] = defaultdict(list)
+
+    def learn(self, zone: str, camera: str, outcome: str, lag: float) -> None:
+        """One exit and what became of it."""
+        for place in (zone, f"{camera}/", ""):
+            self._counts[place][outcome] += 1
+            if outcome != LEAVE:
+                self._lags[place, outcome].append(lag)
+        if outcome != LEAVE:
+            self._lags["", ""].append(lag)
+
+    def guess(self, zone: str, camera: str) -> Guess:
+        """Where who leaves there goes."""
+        shares = {name: 1.0 / len(self._outcomes) for name in self._outcomes}
+        for place in ("", f"{camera}/", zone):
+            counts, total = self._counts[place], self._counts[place].total()
+            shares = {name: (counts[name] + BACKING * share) / (total + BACKING) for name, share in shares.items()}
+        ways = [(name, share, self._quantiles(zone, camera, name)) for name, share in shares.items() if name != LEAVE]
+        return Guess(shares, ways)
+
+    def _quantiles(self, zone: str, camera: str, outcome: str) -> tuple[float, float, float]:
+        known = ((zone, outcome), (f"{camera}/", outcome), ("", outcome))
+        lags = next((self._lags[key] for key in known if len(self._lags.get(key, ())) >= LAGS_MIN), None)
+        q10, q50, q90 = np.quantile(lags or self._lags.get(("", "")) or [0.0, 60.0], (0.1, 0.5, 0.9), method="weibull")
+        return float(q10), float(q50), float(q90)
+
+
+def prediction_figures(
+    predictions: Sequence[Prediction], recording: Recording
+) -> tuple[PredictionFigures, PredictionFigures] | None:
+    """Ours and the told chain's; None if no exit is left to judge. ``predictions``: of every exit, in order."""
+    outcomes = [*recording.cameras, LEAVE]
+    chain, ours, told, happened = ToldChain(outcomes), list[Guess](), list[Guess](), list[Passage]()
+    for one in predictions:
+        zone, passage = one.zone or f"{one.camera}/1", recording.passages[str(one.track)]
+        if one.t <= recording.cut - recording.window:
+            following = passage.next_
+            known = following is not None and following.came < recording.cut
+            chain.learn(zone, one.camera, following.camera if known and following else LEAVE, passage.lag)
+        elif recording.cut <= one.t <= recording.end - recording.window:
+            happened.append(passage)
+            ways = [(way.camera, way.probability) for way in one.next_]
+            ours.append(
+                Guess(
+                    {LEAVE: one.leave} | _added_up(ways),
+                    [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in one.next_],
+                )
+            )
+            told.append(chain.guess(zone, one.camera))
+    if not happened:
+        return None
+    return _judged(ours, happened, outcomes), _judged(told, happened, outcomes)
+
+
+def _judged(guesses: Sequence[Guess], happened: Sequence[Passage], outcomes: Sequence[str]) -> PredictionFigures:
+    losses, leave_losses, confidence, right, third, covered, cost = [], [], [], list[bool](), [], [], []
+    floor = 1.0 + LOSS_FLOOR * len(outcomes)
+    for guess, passage in zip(guesses, happened, strict=True):
+        outcome = LEAVE if passage.next_ is None else passage.next_.camera
+        shares = {name: guess.outcomes.get(name, 0.0) for name in outcomes}
+        losses.append(-np.log((shares[outcome] + LOSS_FLOOR) / floor))
+        leaves = (shares[LEAVE] + LOSS_FLOOR) / floor
+        leave_losses.append(-np.log(leaves if outcome == LEAVE else 1.0 - leaves))
+        first = sorted(outcomes, key=lambda name: -shares[name])[:3]
+        confidence.append(shares[first[0]])
+        right.append(first[0] == outcome)
+        third.append(outcome in first)
+        if outcome == LEAVE:
+            continue
+        mine = [(share, quantiles) for camera, share, quantiles in guess.ways if camera == outcome]
+        total = sum(share for share, _ in mine)
+        if total > 0:
+            reached = sum(share * float(_reached(np.array(passage.lag), *q)) for share, q in mine) / total
+            covered.append(0.1 - 1e-9 <= reached <= 0.9 + 1e-9)
+        if outcome != passage.camera and passage.lag <= REACH_SECONDS - 1:
+            cost.append(_searched(guess, passage.camera, outcome, passage.lag, outcomes))
+    everything = (len(outcomes) - 2) * REACH_SECONDS
+    saved = {recall: everything / max(1.0, float(np.quantile(cost, recall))) for recall in SEARCH_RECALLS if cost}
+    return PredictionFigures(
+        len(happened), float(np.mean(losses)), float(np.mean(leave_losses)), float(np.mean(right)),
+        float(np.mean(third)), confidence, right, float(np.mean(covered)) if covered else float("nan"), saved,
+    )  # fmt: skip
+
+
+def _reached(x: Floats, q10: float, q50: float, q90: float) -> Floats:
+    """Probability that the lag is at most ``x``: linear between the quantiles, exponential beyond them."""
+    q50 = max(q50, q10 + 0.05)
+    q90 = max(q90, q50 + 0.05)
+    before, after = max((q50 - q10) / 2, 0.1), max((q90 - q50) / 2, 0.1)
+    early = 0.1 * np.exp(np.minimum(x - q10, 0.0) / before)
+    late = 1.0 - 0.1 * np.exp(-np.maximum(x - q90, 0.0) / after)
+    return np.where(x < q10, early, np.where(x > q90, late, np.interp(x, (q10, q50, q90), (0.1, 0.5, 0.9))))
+
+
+def _searched(guess: Guess, left: str, found: str, lag: float, outcomes: Sequence[str]) -> float:
+    """Camera-seconds that are searched in order of their density until the object is found."""
+    seconds = np.arange(REACH_SECONDS + 1.0)
+    density = {camera: np.zeros(REACH_SECONDS) for camera in outcomes if camera not in (left, LEAVE)}
+    for camera, share, quantiles in guess.ways:
+        if camera in density:
+            reached = _reached(seconds, *quantiles)
+            each = np.diff(reached)
+            each[0] += reached[0]
+            density[camera] += share * ((1.0 - UNIFORM_SHARE) * each + UNIFORM_SHARE / REACH_SECONDS)
+    here = density[found][int(max(0.0, lag))]
+    every = np.concatenate([*density.values()])
+    return float(np.sum(every > here) + 0.5 * (np.sum(every == here) - 1) + 1)
+
+
+def calibration_error(confidence: Sequence[float], right: Sequence[bool]) -> float:
+    """How far confidence is from the share that is right, in bins of equal mass."""
+    order = np.argsort(confidence, kind="stable")
+    apart = [
+        abs(np.sum(np.take(confidence, rows)) - np.sum(np.take(right, rows)))
+        for rows in np.array_split(order, CALIBRATION_BINS)
+    ]
+    return float(sum(apart) / max(1, len(right)))
+
+
+def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tuple[float, float]:
+    """Share of the exits after the cut where the camera to look at first is right: ours, and the most frequent one of
+    the zone, told identities before the cut.
+    """
+    seen = recording.in_view()
+    of_zone: dict[str, Counter[str]] = defaultdict(Counter)
+    ours, told = list[bool](), list[bool]()
+    for one in sorted(predictions, key=lambda one: one.t):
+        right = seen[str(one.track)]
+        if not right:
+            continue
+        if one.t < recording.cut:
+            for camera in sorted(right):
+                of_zone[one.zone or ""][camera] += 1
+                of_zone[f"{one.camera}/"][camera] += 1
+            continue
+        shares = _added_up((way.camera, way.probability) for way in one.next_ if way.camera != one.camera)
+        frequent = of_zone.get(one.zone or "") or of_zone[f"{one.camera}/"]
+        ours.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)
+        told.append(bool(frequent) and frequent.most_common(1)[0][0] in right)
+    return (float(np.mean(ours)), float(np.mean(told))) if ours else (float("nan"), float("nan"))
+
+
+def who_figure(topology: Topology, recording: Recording) -> float:
+    """F1 of who is who after the cut: the edges of an assignment by `Gate.affinity` against true transitions."""
+    late = [event for event in recording.events if event.t >= recording.cut]
+    exits = [event for event in late if event.kind == "exit"]
+    entries = [event for event in late if event.kind == "entry"]
+    odds = np.maximum(np.asarray(Gate(topology).affinity(exits, entries)), 0.0)
+    edges = {(i, j) for i, j in zip(*linear_sum_assignment(odds, maximize=True), strict=True) if odds[i, j] > 0}
+    row, column = _numbered(exits), _numbered(entries)
+    true = {
+        (row[passage.track], column[passage.next_.track])
+        for passage in recording.passages.values()
+        if passage.next_ is not None and passage.next_.camera != passage.camera
+        if passage.track in row and passage.next_.track in column
+    }
+    return 2.0 * len(edges & true) / max(1, len(edges) + len(true))
+
+
+def _added_up(ways: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """The probability of each camera."""
+    total: dict[str, float] = {}
+    for camera, probability in ways:
+        total[camera] = total.get(camera, 0.0) + probability
+    return total
+
+
+def _numbered(events: Sequence[Event]) -> dict[str, int]:
+    return {str(event.track): k for k, event in enumerate(events)}

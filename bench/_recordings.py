@@ -1,0 +1,242 @@
+"""Real recordings with identities: who was where when, and what a learner could have been told.
+
+A recording is a folder with ``events.jsonl`` and ``identities.csv`` (track, identity). Identities judge; the learner
+never sees them. An identity's passages are taken in order of entry, exit and camera; where the one after a passage is,
+there the identity appears next.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from camtopod.codec import event_from_json
+from camtopod.records import Event
+
+Floats = NDArray[np.float64]
+CameraPair = tuple[str, str]
+
+TRAIN_SHARE = 0.7
+"""Of the events; the rest is predicted."""
+WINDOW_SECONDS_MAX = 180.0
+"""An exit counts when its lag window is over: this long after it, or a tenth of the recording."""
+TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN = 5, 0.03
+"""A true link has at least so many transitions, and this share of those from its camera."""
+SPURIOUS_TRANSITIONS_MAX = 2
+"""A published link between cameras with at most so many is false; with more, neither true nor false."""
+
+
+class Passage(Struct, eq=False):
+    """One identity in one view: its track, when it came and left (seconds), and its next passage if it has one."""
+
+    track: str
+    camera: str
+    came: float
+    left: float
+    next_: Passage | None = None
+
+    @property
+    def lag(self) -> float:
+        """Seconds from leaving to the next passage; negative where views overlap."""
+        return float("nan") if self.next_ is None else self.next_.came - self.left
+
+
+class Recording(Struct):
+    """A recording, cut in two."""
+
+    name: str
+    events: list[Event]
+    """By time."""
+    passages: dict[str, Passage]
+    """By track."""
+    by_identity: list[list[Passage]]
+    """Each identity's, in order."""
+    cut: float
+    """Events before this moment are learned from."""
+    end: float
+    window: float
+    """Seconds."""
+
+    @property
+    def cameras(self) -> list[str]:
+        """Sorted."""
+        return sorted({event.camera for event in self.events})
+
+    def transitions(self) -> dict[CameraPair, list[float]]:
+        """Lags from each camera to each other one, of the transitions that end before the cut."""
+        lags: dict[CameraPair, list[float]] = defaultdict(list)
+        for passage in self.passages.values():
+            following = passage.next_
+            if following is not None and following.camera != passage.camera and following.came < self.cut:
+                lags[passage.camera, following.camera].append(passage.lag)
+        return dict(lags)
+
+    def links(self) -> dict[CameraPair, list[float]]:
+        """The true links between cameras, with the lags of their transitions."""
+        lags = self.transitions()
+        left = Counter[str]()
+        for (source, _), each in lags.items():
+            left[source] += len(each)
+        least = {pair: max(TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN * left[pair[0]]) for pair in lags}
+        return {pair: each for pair, each in lags.items() if len(each) >= least[pair]}
+
+    def in_view(self) -> dict[str, set[str]]:
+        """By track, the other cameras that see the identity as the passage ends, or if none does the next one."""
+        seen: dict[str, set[str]] = {}
+        for passages in self.by_identity:
+            for one in passages:
+                others = [other for other in passages if other.camera != one.camera]
+                now = {other.camera for other in others if other.came <= one.left < other.left}
+                later = [other for other in others if other.came >= one.left]
+                first = min(later, key=lambda other: (other.came, other.left, other.camera), default=None)
+                seen[one.track] = now or ({first.camera} if first else set())
+        return seen
+
+
+def load(folder: Path) -> Recording:
+    """Raises OSError where there is none, `camtopod.codec.Rejected` where a line is no event."""
+    with (folder / "events.jsonl").open("rb") as lines:
+        events = sorted((event_from_json(line) for line in lines), key=lambda event: event.t)
+    with (folder / "identities.csv").open(newline="") as rows:
+        identity = {row["track"]: row["identity"] for row in csv.DictReader(rows)}
+    cut, end = events[int(TRAIN_SHARE * len(events))].t, events[-1].t
+    passages: dict[str, Passage] = {}
+    for event in events:
+        track = str(event.track)
+        passage = passages.setdefault(track, Passage(track, event.camera, event.t, event.t))
+        if event.kind == "entry":
+            passage.came = event.t
+        else:
+            passage.left = event.t
+    return Recording(
+        folder.name, events, passages, _in_order(passages, identity), cut, end,
+        min(WINDOW_SECONDS_MAX, (end - events[0].t) / 10),
+    )  # fmt: skip
+
+
+def _in_order(passages: dict[str, Passage], identity: dict[str, str]) -> list[list[Passage]]:
+    """Each identity's passages in order, each with the one after it."""
+    groups: dict[str, list[Passage]] = defaultdict(list)
+    for track, passage in passages.items():
+        groups[identity[track]].append(passage)
+    for group in groups.values():
+        group.sort(key=lambda one: (one.came, one.left, one.camera, one.track))
+        for one, following in pairwise(group):
+            one.next_ = following
+    return list(groups.values())
+
+
+def tellable(recording: Recording, low: float = -60.0, high: float = 600.0) -> dict[CameraPair, float]:
+    """What the events can tell of each true link at all, in nats: the log likelihood ratio of its arrivals with and
+    without it, where every kernel is made of the true lags.
+
+    A kernel is Gaussian around each lag, ``low`` to ``high`` seconds; arrivals from outside come at the local rate
+    times their true share; who came from where is shared by a few sweeps of a one-to-one assignment. In sample, so
+    generous.
+    """
+    lags, true = recording.transitions(), recording.links()
+    seen = [one for one in recording.passages.values() if one.left < recording.cut]
+    number = {camera: k for k, camera in enumerate(sorted({one.camera for one in seen}))}
+    camera = np.array([number[one.camera] for one in seen])
+    came, left = np.array([one.came for one in seen]), np.array([one.left for one in seen])
+    passages = np.bincount(camera, minlength=len(number))
+
+    # Arrivals by time, and their rate from outside.
+    order = np.argsort(came, kind="stable")
+    at, arrived = came[order], camera[order]
+    arrivals_of = [np.flatnonzero(arrived == k) for k in range(len(number))]
+    rate = np.zeros(len(at))
+    for rows in arrivals_of:
+        rate[rows] = _local_rate(at[rows], at[0], at[-1])
+    expected = Counter[str]()
+    for (_, target), each in lags.items():
+        expected[target] += len(each)
+    outside = np.array([max(0.02, 1.0 - expected[name] / max(1, passages[k])) for name, k in number.items()])
+    background = outside[arrived] * np.maximum(rate, 1e-6)
+
+    # Candidates of every pair of cameras, and their hazards.
+    every = np.concatenate([np.array(each) for each in lags.values()] or [np.zeros(1)])
+    low, high = min(low, every.min() - 2), min(high, every.max() + 5)
+    grid = np.arange(low - 10, high + 10, GRID_SECONDS)
+    pairs, columns, appears = [], [], np.zeros(len(number))
+    for (source, target), each in lags.items():
+        if source not in number or target not in number:
+            continue
+        share = len(each) / passages[number[source]]
+        appears[number[source]] += share
+        mine, there = np.flatnonzero(camera == number[source]), arrivals_of[number[target]]
+        columns.append(_candidates(share * _kernel(np.array(each), grid), grid, came[mine], left[mine], at[there]))
+        columns[-1] = (mine[columns[-1][0]], there[columns[-1][1]], columns[-1][2])
+        pairs.append((source, target))
+    first = np.cumsum([0, *(len(one[0]) for one in columns)])
+    departure, arrival, hazard = (np.concatenate([np.asarray(one[k]) for one in columns]) for k in range(3))
+    gone = np.maximum(1.0 - appears, 0.02)[camera]
+
+    # One-to-one: each departure goes to one arrival or leaves, each arrival comes from one departure or from outside.
+    message, share_of = np.ones(len(hazard)), np.zeros(len(hazard))
+    for _ in range(SWEEPS):
+        taken = np.bincount(departure, hazard * message, minlength=len(seen))
+        offer = hazard / np.maximum(gone[departure] + taken[departure] - hazard * message, 1e-9)
+        demand = background[arrival] + np.bincount(arrival, offer, minlength=len(seen))[arrival]
+        message, share_of = 1.0 / np.maximum(demand - offer, 1e-12), offer / demand
+    nats = {}
+    for k, pair in enumerate(pairs):
+        if pair in true:
+            part = share_of[first[k] : first[k + 1]]
+            nats[pair] = float(-np.log1p(-np.minimum(part, 1 - 1e-6)).sum() - len(lags[pair]))
+    return nats
+
+
+GRID_SECONDS = 0.25
+SWEEPS = 4
+HAZARD_MIN = 1e-7
+
+
+def _kernel(lags: Floats, grid: Floats) -> Floats:
+    """A density over the grid: Gaussian around each lag."""
+    quartiles = np.subtract(*np.percentile(lags, [75, 25])) / 1.34
+    width = max(0.75, 0.9 * min(np.std(lags), quartiles or 1.0) * len(lags) ** -0.2)
+    counts = np.histogram(lags, bins=np.append(grid, grid[-1] + GRID_SECONDS) - GRID_SECONDS / 2)[0]
+    bump = np.arange(-4 * width, 4 * width + GRID_SECONDS, GRID_SECONDS)
+    return _spread(counts, np.exp(-0.5 * (bump / width) ** 2) / (width * np.sqrt(2 * np.pi))) / len(lags)
+
+
+def _candidates(
+    density: Floats, grid: Floats, came: Floats, left: Floats, arrivals: Floats
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
+    """Departures and arrivals whose lag is possible, and its density; none arrives before the passage has begun."""
+    live = np.flatnonzero(density > HAZARD_MIN)
+    shortest, longest = (grid[live[0]], grid[live[-1]]) if len(live) else (grid[0], grid[0])
+    low = np.searchsorted(arrivals, np.maximum(left + shortest, came))
+    n = np.maximum(np.searchsorted(arrivals, left + longest, side="right") - low, 0)
+    departure = np.repeat(np.arange(len(left)), n)
+    arrival = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n) + np.repeat(low, n)
+    value = np.interp(arrivals[arrival] - left[departure], grid, density)
+    kept = value > HAZARD_MIN
+    return departure[kept], arrival[kept], value[kept]
+
+
+def _local_rate(t: Floats, first: float, last: float) -> Floats:
+    """Events a second around each of the times (n,), within two minutes or so."""
+    edges = np.arange(first, last + 60.0, 30.0)
+    bump = np.exp(-0.5 * (np.arange(-16, 17) / 4) ** 2) / (4 * np.sqrt(2 * np.pi))
+    rate: Floats = np.interp(t, edges[:-1] + 15.0, _spread(np.histogram(t, edges)[0], bump) / 30.0)
+    return rate
+
+
+def _spread(counts: NDArray[np.int64], bump: Floats) -> Floats:
+    half = len(bump) // 2
+    spread: Floats = np.convolve(counts, bump)[half : half + len(counts)]
+    return spread
+
+
+def pairs_of(links: Sequence[CameraPair]) -> set[frozenset[str]]:
+    """Unordered."""
+    return {frozenset(pair) for pair in links}
