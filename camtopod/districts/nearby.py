@@ -16,7 +16,7 @@ STANDS_OUT_SD = 3.0
 so many standard deviations more often than by chance ...
 """
 NEARBY_PER_CAMERA_MAX = 4
-"""... and few cameras more clearly: at most so many for each own camera."""
+"""... and it is among so many cameras, own ones included, that the own camera follows most clearly."""
 
 
 def find_nearby(scene: Scene, own: Bools, bins: LagBins) -> Bools:
@@ -29,10 +29,11 @@ def find_nearby(scene: Scene, own: Bools, bins: LagBins) -> Bools:
 
     nearby = np.zeros(len(own), np.bool_)
     for here in np.flatnonzero(own):
-        others = np.where(own, -np.inf, clearest[:, here])
+        others = clearest[:, here]
+        others[here] = -np.inf
         first = np.argsort(-others, kind="stable")[:NEARBY_PER_CAMERA_MAX]
         nearby[first[others[first] > STANDS_OUT_SD]] = True
-    return nearby
+    return nearby & ~own
 
 
 def with_cameras(scene: Scene, kept: Bools) -> Scene:
