@@ -22,7 +22,7 @@ from camtopod.learn.joint import START_FLOOR
 from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.rates import local_rates
-from camtopod.learn.screening import Screen, _joined, _likely, ends_of, place, standing_out, whole
+from camtopod.learn.screening import Screen, _joined, _likely, place, standing_out, whole
 from camtopod.learn.settings import Settings
 from camtopod.learn.smoothing import SMOOTHING_SD_BINS
 from camtopod.sim.network import SimSettings, simulate
@@ -184,7 +184,7 @@ def test_possible_ones_equal_a_double_loop(seed: int, left: int, came: int, shar
 @given(st.integers(0, 10**6), st.integers(1, 25), st.integers(1, 25))
 def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> None:
     departures, arrivals = anything(seed, left, came, zones=4, span=30.0)
-    ends = ends_of(departures, arrivals, SHORT, 4, 40.0)
+    ends = made_ready(departures, arrivals, SHORT, 4, 40.0)
     zone = int(arrivals.zone[0])
     sources = np.flatnonzero(np.random.default_rng(seed).random(4) < 0.6)
     if not len(sources):
@@ -204,15 +204,15 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
 # --- looks over all pairs ---
 
 
-def ends_of(departures: Departures, arrivals: Arrivals, zones: int) -> module.Ends:
-    return ends_of(departures, arrivals, BINS, zones, float(max(departures.t[-1], arrivals.t[-1])))
+def made_ready(departures: Departures, arrivals: Arrivals, zones: int) -> module.Ends:
+    return module.ends_of(departures, arrivals, BINS, zones, float(max(departures.t[-1], arrivals.t[-1])))
 
 
 @settings(max_examples=20)
 @given(st.integers(0, 10**6), st.integers(1, 60), st.integers(1, 60), st.sampled_from([1, 7, 10**6]), st.booleans())
 def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, at_once: int, all_seen: bool) -> None:
     departures, arrivals = anything(seed, left, came)
-    ends = ends_of(departures, arrivals, SHORT, 6, 60.0)
+    ends = made_ready(departures, arrivals, SHORT, 6, 60.0)
     seen_min = 1 if all_seen else module.SEEN_MIN
     above = [naive.standing_out(departures, arrivals, zone, SHORT, ends.exposure, ends.chance.of, seen_min,
                                 EXCESS_SMOOTHING_SD_BINS) for zone in range(6)]  # fmt: skip
@@ -237,14 +237,14 @@ def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, a
 
 def test_the_sources_of_a_link_stand_out() -> None:
     for seed in range(4, 8):
-        ends = ends_of(*site(seed), 40)
+        ends = made_ready(*site(seed), 40)
         sources = standing_out(ends, 0)
         assert {3, 17} <= set(sources.tolist())
         assert len(sources) <= module.SOURCES_PER_ZONE_MAX
 
 
 def test_at_most_so_many_stand_out_and_those_that_do_most(monkeypatch: pytest.MonkeyPatch) -> None:
-    ends = ends_of(*site(9), 40)
+    ends = made_ready(*site(9), 40)
     monkeypatch.setattr(module, "STANDS_OUT_SD", -np.inf)
     assert len(standing_out(ends, 0)) == module.SOURCES_PER_ZONE_MAX < 40
     monkeypatch.setattr(module, "SOURCES_PER_ZONE_MAX", 2)
