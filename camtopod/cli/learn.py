@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,6 +22,7 @@ from camtopod.config import Config
 from camtopod.learn.intake import EVENTS_PER_SECOND_MAX
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.records import Topology
+from camtopod.serve.clock import wall
 from camtopod.serve.database import StateError
 from camtopod.serve.recorded import RecordedState
 
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 def _new_state(directory: Path, config: Config) -> RecordedState:
     """Raises `CommandError`."""
     try:
-        return RecordedState(directory, config.keep, time.time())
+        return RecordedState(directory, config.keep, wall())
     except StateError as error:
         raise CommandError(str(error), STATE) from None
 
