@@ -663,7 +663,7 @@ class Answering:
     def watch_alive(self, role: str, on_change: Any) -> None:
         self.on_daemon = on_change
 
-    def ask(self, key: str) -> list[tuple[str, bytes]]:
+    def ask(self, key: str, one: bool = False) -> list[tuple[str, bytes]]:
         answer = self._versions.pop(0)
         if self._versions:
             self.on_daemon("daemon", True)
