@@ -73,7 +73,7 @@ def main(argv: Sequence[str]) -> int:
         print(*_ratios.lines(tables[-1]), sep="\n")
         for run in runs:
             heard = f"heard {run.heard / run.own:.2f} times as many"
-            heard += f", {run.known_heard / run.known_own:.2f} times once neighbours are known"
+            heard += f", {run.known_heard / max(run.known_own, 1):.2f} times once neighbours are known"
             print(f"    {run.name}: {run.own} own events, {heard}; {run.site} on the whole site")
     if arguments.json is not None:
         _ratios.write(arguments.json, "shards", tables, work=to_builtins(done))

@@ -32,7 +32,7 @@ def test_links_counts_a_version_a_minute_for_the_others(tmp_path: Path) -> None:
     assert ours["ratio"]["median"] == pytest.approx(ours["cost"]["median"] / least)
 
 
-def test_shards_hear_more_than_their_own_and_less_than_all(tmp_path: Path) -> None:
+def test_shards_hear_more_than_their_own_and_no_more_than_all(tmp_path: Path) -> None:
     figures = tmp_path / "shards.json"
     assert shards.main(["--cameras", "6", "--shards", "2", "--hours", "0.08", "--json", str(figures)]) == 0
     written = json.loads(figures.read_text())
@@ -40,4 +40,4 @@ def test_shards_hear_more_than_their_own_and_less_than_all(tmp_path: Path) -> No
     alone, *shared = written["work"][:3]
     assert alone["own"] == alone["heard"] == alone["site"]
     assert sum(one["own"] for one in shared) == shared[0]["site"] == shared[1]["site"]
-    assert all(one["own"] < one["heard"] < one["site"] for one in shared)
+    assert all(one["own"] < one["heard"] <= one["site"] for one in shared)  # the whole site while cameras are new

@@ -184,7 +184,7 @@ def test_possible_ones_equal_a_double_loop(seed: int, left: int, came: int, shar
 @given(st.integers(0, 10**6), st.integers(1, 25), st.integers(1, 25))
 def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> None:
     departures, arrivals = anything(seed, left, came, zones=4, span=30.0)
-    ends = made_ready(departures, arrivals, SHORT, 4, 40.0)
+    ends = module.ends_of(departures, arrivals, SHORT, 4, 40.0)
     zone = int(arrivals.zone[0])
     sources = np.flatnonzero(np.random.default_rng(seed).random(4) < 0.6)
     if not len(sources):
@@ -212,7 +212,7 @@ def made_ready(departures: Departures, arrivals: Arrivals, zones: int) -> module
 @given(st.integers(0, 10**6), st.integers(1, 60), st.integers(1, 60), st.sampled_from([1, 7, 10**6]), st.booleans())
 def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, at_once: int, all_seen: bool) -> None:
     departures, arrivals = anything(seed, left, came)
-    ends = made_ready(departures, arrivals, SHORT, 6, 60.0)
+    ends = module.ends_of(departures, arrivals, SHORT, 6, 60.0)
     seen_min = 1 if all_seen else module.SEEN_MIN
     above = [naive.standing_out(departures, arrivals, zone, SHORT, ends.exposure, ends.chance.of, seen_min,
                                 EXCESS_SMOOTHING_SD_BINS) for zone in range(6)]  # fmt: skip
