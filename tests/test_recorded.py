@@ -138,3 +138,13 @@ def test_ended_half_way_the_daemon_learns_what_is_there(
         plain.receive(event)
     with closing(Journal(tmp_path / "state")) as journal:
         assert journal.versions(daemon.epoch) == {one.version: one.digest for one in plain.updates()}
+
+
+def test_a_recording_too_short_to_learn_is_kept_for_the_daemon(
+    recording: Path, site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording.write_bytes(to_json(RECORDED[0]) + b"\n")
+    assert learn(recording, site, tmp_path / "state") == 0
+    assert "nothing learned yet" in capsys.readouterr().err
+    with closing(Journal(tmp_path / "state")) as journal:
+        assert len(journal) == 1

@@ -68,6 +68,13 @@ def run(args: argparse.Namespace) -> int:
         most = f"more than {EVENTS_PER_SECOND_MAX:.0f} events a second of one camera"
         print(f"camtopod: {surplus} events are not learned from: {most}, of which the newest count", file=sys.stderr)
     topology = learner.topology
+    if topology is None and args.state and learner.statistics()["accepted"]:
+        print(
+            "camtopod: nothing learned yet: all events are of the last moments, in which earlier ones may still come "
+            f"(learn.lateness_seconds). The daemon that starts in {args.state} learns them with its next events",
+            file=sys.stderr,
+        )
+        return 0
     if topology is None:
         raise InputError("no event lines in " + ", ".join(args.events) + ": nothing to learn from")
     if args.topology or not (args.updates or args.state):

@@ -1,12 +1,15 @@
 """A district: a learner of the links into its own cameras.
 
-It hears its own cameras, the *neighbours* from which objects come to them, and the guests of the turn (`dealing`); new
-cameras, too, and while one of its own is new all cameras there are. Of those that are no neighbours a coarse look finds
-the few that are worth a joint fit (`nearby`). What objects do at these and at the neighbours is part of the fit, as it
-explains arrivals away, but only what belongs to its own cameras is published (`parts`). As a turn of event time ends,
-the cameras that turned out to send objects here are neighbours in the next, and what was heard of the others is
-forgotten. So what a district costs in the long run follows from its own cameras, its neighbours and the guests, and
-what it learns from the events of those alone.
+A district hears four kinds of cameras: its own; its *neighbours*, from which objects come to its own; the guests of the
+turn (`dealing`); and new cameras. While one of its own cameras is new, it hears every camera of the site.
+
+The joint fit is made with the district's own cameras, its neighbours, and the few others that a coarse look finds
+(`nearby`): their departures explain arrivals that would be credited to a neighbour otherwise. Only what belongs to the
+district's own cameras is published (`parts`).
+
+When a turn of event time ends, the newest version decides which cameras are neighbours in the next turn, and events of
+all other foreign cameras are dropped. In the long run the cost of a district therefore depends on its own cameras, its
+neighbours and the guests, and not on the size of the site.
 """
 
 from __future__ import annotations
@@ -44,7 +47,7 @@ NEWCOMERS_MAX = 8
 """Foreign cameras with fewer events that are new at a time, after the first turn of a district."""
 
 MET_MAX = 10_000
-"""Cameras that are remembered; the first is forgotten, and new when it is heard again."""
+"""Foreign cameras that are remembered. The one that was met first is forgotten; it is new when it is heard again."""
 
 
 class Newcomer(Struct):
@@ -203,8 +206,10 @@ class District(Learner):
         return turn <= self._turn_of(camera.since_us + self._dealing.turn_us) + camera.longer
 
     def _searches(self, tick_us: int, turn: int) -> bool:
-        """Whether in this tick all cameras are heard: an own one is new. It has been there for so long that nothing of
-        the tick has come before it, in whatever order.
+        """Whether all cameras are heard in this tick, because an own camera is new.
+
+        Its first event must lie more than the lateness before the tick: whatever the order in which events arrive, none
+        of the tick was then refused before that camera was known.
         """
         before = tick_us - self._tick_us - 2 * self._intake.lateness_us
         return any(
@@ -227,14 +232,15 @@ class District(Learner):
         return True
 
     def _meet(self, camera: str, t_us: int) -> Newcomer:
-        """What is known of the camera, which has an event at ``t``."""
+        """Remember a camera that has an event at ``t_us``."""
         met = self.hearing.met.get(camera)
         if met is None:
+            if len(self.hearing.met) >= MET_MAX:
+                first = next((name for name in self.hearing.met if not self.owns(name)), None)
+                if first is not None:
+                    del self.hearing.met[first]
+                    self._new.pop(first, None)
             met = self.hearing.met[camera] = self._new[camera] = Newcomer(t_us)
-            if len(self.hearing.met) > MET_MAX:
-                first = next(iter(self.hearing.met))
-                del self.hearing.met[first]
-                self._new.pop(first, None)
         return met
 
     def _end_turn(self, ended: int, following: int, tick_us: int) -> None:

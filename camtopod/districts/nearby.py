@@ -12,11 +12,11 @@ from camtopod.learn.screening import ends_of, followed_above_chance
 Bools = NDArray[np.bool_]
 
 STANDS_OUT_SD = 3.0
-"""A camera is nearby when the arrivals at an own camera follow its departures, at some lag from one zone to another,
-so many standard deviations more often than by chance ...
+"""Least excess of arrivals at an own camera that follow a camera's departures, at the best lag of any pair of their
+zones, in standard deviations of what chance gives. A camera with less is not nearby.
 """
 NEARBY_PER_CAMERA_MAX = 4
-"""... and it is among so many cameras, own ones included, that the own camera follows most clearly."""
+"""Cameras, own ones included, that can be nearby to one own camera: those with the clearest excess."""
 
 
 def find_nearby(scene: Scene, own: Bools, bins: LagBins) -> Bools:

@@ -409,7 +409,7 @@ class Learner:
         return see(self._window, self._maps, ahead) if ahead.any() else scene
 
     def _to_fit(self, scene: Scene) -> Scene:
-        """What of the scene goes into the joint fit: here all of it."""
+        """The part of the scene that the joint fit is made with: all of it. A `District` leaves cameras out."""
         return scene
 
     def _through_views(self, scene: Scene) -> LinkTable:

@@ -219,9 +219,10 @@ class Bus:
         self, key: str, parameters: Mapping[str, object] | None = None, seconds: float | None = None,
         one: bool = False,
     ) -> list[tuple[str, bytes]]:  # fmt: skip
-        """All answers to a query as (key below the site, payload); none if nobody answers in time. With ``one`` the
-        first answer alone: on a busy machine zenoh (1.10.2) now and then loses that there are no more, and the query
-        ends by its time limit.
+        """All answers to a query as (key below the site, payload). The list is empty when the time is over first.
+
+        ``one``: return as soon as there is one answer. On a busy machine zenoh (1.10.2) sometimes loses the message
+        that ends a query, which then lasts for its whole time limit.
 
         Raises `QueryError` if the only answer is that it cannot be answered.
         """

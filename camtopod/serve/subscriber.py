@@ -126,18 +126,16 @@ class TopologyView:
             answers = self._bus.ask("topology", one=True)
         except QueryError:  # nothing learned yet
             answers = []
-        found: list[Topology] = []
-        for _, payload in answers:
-            try:
-                found.append(codec.read_topology(payload, pack=True))
-            except codec.Rejected as error:
-                log.warning("a topology that cannot be read: %s", error)
-                continue
-            self.fetched += 1
-        if not found:
+        try:
+            newest = codec.read_topology(answers[0][1], pack=True) if answers else None
+        except codec.Rejected as error:
+            log.warning("a topology that cannot be read: %s", error)
+            newest = None
+        if newest is None:
             self._stale = True
             return
-        newest, held = max(found, key=lambda one: (one.epoch, one.version)), self.topology
+        self.fetched += 1
+        held = self.topology
         # An epoch before the one held: a daemon has lost its state while its clock was behind. A version before
         # the one held, in the same epoch: the delta was faster than the answer.
         if held is None or newest.epoch != held.epoch or newest.version > held.version:

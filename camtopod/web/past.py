@@ -64,14 +64,11 @@ class Past:
             answers = self._bus.ask("topology", {"epoch": key[0], "version": key[1]}, one=True)
         except QueryError:
             return None
-        for _, payload in answers:
-            try:
-                found = codec.read_topology(payload, pack=True)
-            except codec.Rejected:
-                continue
-            if (found.epoch, found.version) == key:
-                return found
-        return None
+        try:
+            found = codec.read_topology(answers[0][1], pack=True) if answers else None
+        except codec.Rejected:
+            return None
+        return found if found is not None and (found.epoch, found.version) == key else None
 
     def _note(self, topology: Topology) -> None:
         with self._mutex:
