@@ -201,12 +201,17 @@ def chance_rates(left_t, left_zone, came_t, came_zone, zones, width):
 
 
 def candidates(departures, arrivals, lag_min, lag_max):
-    """(departure, arrival) of every candidate, by arrival, then by departure."""
+    """(departure, arrival) of every candidate, by arrival, then by departure. Of passages that begin together the one
+    that ends first comes first.
+    """
     found = []
     for a in range(len(arrivals.t)):
+        ends = [d for d in range(len(departures.t)) if departures.own[d] == a]
         for d in range(len(departures.t)):
             lag = arrivals.t[a] - departures.t[d]
-            inside = departures.camera[d] != arrivals.camera[a] and arrivals.t[a] > departures.since[d]
+            begun = arrivals.t[a] > departures.since[d]
+            together = arrivals.t[a] == departures.since[d] and all(d < end for end in ends)
+            inside = departures.camera[d] != arrivals.camera[a] and (begun or together)
             if lag_min <= lag <= lag_max and (lag > 0 or inside):
                 found.append((d, a))
     return found

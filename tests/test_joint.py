@@ -50,6 +50,20 @@ def made(seed: int, left: int, came: int, zones: int = 3, span: float = 60.0) ->
     return departures, Arrivals(t, zone, zone, local_rates(t, zone, zones), np.full(came, np.nan))
 
 
+def in_whole_seconds(departures: Departures, arrivals: Arrivals) -> tuple[Departures, Arrivals]:
+    """The same by cameras that look once a second: much happens at one instant. A departure whose passage began with
+    an arrival of its camera is tied to it.
+    """
+    t, came = np.floor(departures.t), np.floor(arrivals.t)
+    since, own, free = np.floor(departures.since), departures.own.copy(), set(range(len(came)))
+    for d in range(len(t)):
+        began = [a for a in sorted(free) if came[a] <= t[d] and arrivals.camera[a] == departures.camera[d]]
+        if began:
+            own[d], since[d] = began[-1], came[began[-1]]
+            free.remove(began[-1])
+    return departures._replace(t=t, since=since, own=own), arrivals._replace(t=came)
+
+
 def listed(found: Candidates) -> list[tuple[int, int]]:
     return list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True))
 
@@ -57,9 +71,11 @@ def listed(found: Candidates) -> list[tuple[int, int]]:
 # --- candidates ---
 
 
-@given(st.integers(0, 10**6), st.integers(0, 25), st.integers(0, 25))
-def test_candidates_equal_a_double_loop(seed: int, left: int, came: int) -> None:
+@given(st.integers(0, 10**6), st.integers(0, 25), st.integers(0, 25), st.booleans())
+def test_candidates_equal_a_double_loop(seed: int, left: int, came: int, in_step: bool) -> None:
     departures, arrivals = made(seed, left, came)
+    if in_step:
+        departures, arrivals = in_whole_seconds(departures, arrivals)
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(candidates_module, "CANDIDATES_AT_ONCE", 7)
         found = find_candidates(departures, arrivals, SHORT, 3)

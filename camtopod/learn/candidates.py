@@ -126,6 +126,8 @@ def possible(
     t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
     low, high = in_reach(t, came, bins)
     reached = np.concatenate(([0], np.cumsum(high - low)))
+    ends = np.full(len(arrivals.t) + 1, len(departures.t), np.intp)  # where the passage of each arrival ends
+    ends[departures.own] = np.arange(len(departures.t))
     first = 0
     while first < len(mine):
         stop = max(int(np.searchsorted(reached, reached[first] + at_once, side="right")) - 1, first + 1)
@@ -135,10 +137,12 @@ def possible(
         if among is not None:
             departure = among[departure]
 
-        # A negative lag means two views at once: another camera, and the passage there had begun.
-        then = came[at]
+        # A negative lag means two views at once: another camera, and the passage here had begun. Of two passages that
+        # begin at the same instant the one that ends first comes first.
+        then, since = came[at], departures.since[departure]
         lag = then - departures.t[departure]
-        ahead = (departures.camera[departure] != arrivals.camera[mine[at]]) & (then > departures.since[departure])
+        begun = (then > since) | ((then == since) & (departure < ends[mine[at]]))
+        ahead = begun & (departures.camera[departure] != arrivals.camera[mine[at]])
         kept = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
         yield departure[kept], at[kept], lag[kept]
         first = stop

@@ -169,7 +169,7 @@ class Hazards:
         and is still in it appears at another zone.
         """
         row = self._entered.get(entry, {}).get(target) if entry is not None else None
-        return 0.0 if row is None or elapsed <= 0.0 or (at := self.bin_of(elapsed)) < 0 else row[at]
+        return 0.0 if row is None or elapsed < 0.0 or (at := self.bin_of(elapsed)) < 0 else row[at]
 
     def kernels_to(self, target: int) -> Set[int]:
         """Zones of entry for which `rate_entered` knows something of the target."""

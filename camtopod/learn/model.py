@@ -146,7 +146,7 @@ def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Flo
                     to[ids[v]] = short(moved)
             result.append(
                 Context(
-                    ids[zone], short(departures), dict(sorted(to.items())),
+                    ids[zone], short(max(departures, 0.0)), dict(sorted(to.items())),
                     ids[first] if "entry" in name else None, block if "block" in name else None,
                     cameras[first] if name == "previous" else None,
                 )

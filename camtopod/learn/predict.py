@@ -153,6 +153,7 @@ class Predictor:
                 sure = causes[previous] / rate if previous is not None else 0.0
                 passage = Passage(t, event.camera, zone, previous, sure)
                 self._under_way.begin(event.camera, str(event.track), passage)
+                self._share_with_simultaneous(passage)
                 self._under_way.forget_stale(t)
             return
         left = None if event.track is None else self._under_way.end(event.camera, str(event.track), event.t)
@@ -248,8 +249,10 @@ class Predictor:
             for came, number in reversed(arrivals.of_zone.get(target, ())):
                 if came < reach:
                     break
-                if came <= since or came + later >= t or number < counts:
+                if came < since or came + later >= t or number < counts:
                     continue
+                if came == since and not self._in_view(target, came, t):
+                    continue  # of two who came at the same instant, that one has left first
                 at = hazards.bin_of(came - t)
                 here = hazard.get(at, 0.0)
                 if at < 0 or not (here or entered):
@@ -345,7 +348,10 @@ class Predictor:
         if len(found):
             came = arrivals.t[found]
             later = self._ahead_of[arrivals.zone[found]] - self._ahead[self.zones[zone].camera]
-            found = found[(came + later < t) & (came > since) & (came >= oldest)]
+            found = found[(came + later < t) & (came >= since) & (came >= oldest)]
+            tied = found[arrivals.t[found] == since].tolist()
+            gone = [row for row in tied if not self._in_view(int(arrivals.zone[row]), since, t)]
+            found = found[~np.isin(found, gone)]
         return found
 
     def _share_causes(self, zone: int, t: float, passage: Passage | None) -> None:
@@ -359,8 +365,24 @@ class Predictor:
             for came, number in reversed(arrivals.of_zone.get(target, ())):
                 if came < reach:
                     break
-                if came > since and came + later < t and number >= counts:
+                if came >= since and came + later < t and number >= counts:
                     arrivals.rate[number - arrivals.dropped] += hazard.get(bin_of(came - t), 0.0) - in_view
+
+    def _in_view(self, zone: int, came: float, t: float) -> bool:
+        """Whether somebody who came to a zone at ``came`` was still in the view at ``t``, seconds in right time."""
+        camera = self.zones[zone].camera
+        return self._under_way.was_in_view(camera, zone, came, t + self._ahead[camera])
+
+    def _share_with_simultaneous(self, passage: Passage) -> None:
+        """A passage that has just begun is among the causes of what came at the same instant elsewhere."""
+        arrivals, hazards = self._arrivals, self._hazards
+        for row in range(arrivals.stop - 1, arrivals.first - 1, -1):
+            if arrivals.t[row] != passage.t:
+                break
+            target = int(arrivals.zone[row])
+            if self.zones[target].camera != passage.camera:
+                entered = hazards.rate_entered(passage.entry, target, 0.0)
+                arrivals.rate[row] += hazards.rate_ahead(passage.camera, target) + entered
 
     def _causes(self, zone: int, t: float) -> dict[str, float]:
         """Rate (1/s) at which those who have left each camera and those still in its view could cause an arrival now.

@@ -68,6 +68,12 @@ class UnderWay:
         """Those at a camera, each with its place among all."""
         return self._in_view.get(camera, {}).values()
 
+    def was_in_view(self, camera: str, entry: int, began: float, t: float) -> bool:
+        """Whether a passage that ``began`` at the zone ``entry`` was not over before ``t`` by the camera's clock."""
+        going_on = (passage for _, passage in self.in_view(camera))
+        over = (one for (of, _), (left, one) in self._ended.items() if of == camera and one is not None and left >= t)
+        return any(passage.t == began and passage.entry == entry for passage in (*going_on, *over))
+
     def forget_stale(self, now: float) -> None:
         """Forget the oldest: those that have lasted too long, and any beyond the limit."""
         while self._passages:
