@@ -211,6 +211,19 @@ class Pace(Struct, frozen=True):
     ways: list[Way]
 
 
+class Overlap(Struct, frozen=True):
+    """Two views that overlap. Of the objects that leave the view of ``camera``, ``share`` are in that of ``to`` at that
+    moment. ``same``: their passages there, ``others``: passages of others under way there, both for each exit and by
+    how many seconds later than the one that ends they began, on lag bins.
+    """
+
+    camera: str
+    to: str
+    share: float
+    same: Histogram
+    others: Histogram
+
+
 class Model(Struct, frozen=True):
     """What `predict` needs beyond the links. Lag bin ``k`` starts at ``lag_scale * sinh(lag_step * k)`` seconds."""
 
@@ -227,6 +240,8 @@ class Model(Struct, frozen=True):
     entered: list[EntryKernel] | None = None
     contexts: list[Context] | None = None
     pace: Pace | None = None
+    overlaps: list[Overlap] | None = None
+    """Views that overlap; none were looked for if there is no list."""
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
@@ -338,8 +353,32 @@ class NextCamera(Struct, frozen=True):
     q90: float
 
 
-class Prediction(Struct, frozen=True, rename={"next_": "next"}):
-    """Where an object that has just left will appear next. ``next`` (falling probability) and ``leave`` sum to 1."""
+class Look(Struct, frozen=True):
+    """``probability`` that a camera sees an object at the moment it leaves another view or, if none does, is the next
+    to see it.
+    """
+
+    camera: str
+    probability: float
+
+
+class InView(Struct, frozen=True):
+    """A passage under way in the view of ``camera``, ``since`` Unix seconds, that is of the object that leaves with
+    this ``probability``.
+    """
+
+    camera: str
+    track: str
+    since: float
+    probability: float
+
+
+class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next"}):
+    """Where an object that has just left will appear next. ``next`` (falling probability) and ``leave`` sum to 1.
+
+    ``look`` and ``in_view`` are there where other views overlap the one that was left, with falling probability. The
+    probabilities of ``look`` may sum to more than 1, as several cameras may see the object at once.
+    """
 
     camera: str
     zone: str | None
@@ -348,6 +387,8 @@ class Prediction(Struct, frozen=True, rename={"next_": "next"}):
     version: int
     leave: float
     next_: list[NextCamera]
+    look: list[Look] | None = None
+    in_view: list[InView] | None = None
 
 
 class Ack(Struct, frozen=True, omit_defaults=True):

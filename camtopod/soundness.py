@@ -118,6 +118,7 @@ def _repeated(topology: Topology) -> Iterator[str]:
             ("model.cameras", (camera.camera for camera in model.cameras)),
             ("model.onward", (row.zone for row in model.onward or [])),
             ("model.entered", ((kernel.zone, kernel.to) for kernel in model.entered or [])),
+            ("model.overlaps", ((row.camera, row.to) for row in model.overlaps or [])),
         ]
         keyed += [(f"model.onward[{k}].next_", (o.to for o in row.next_)) for k, row in enumerate(model.onward or [])]
     for place, keys in keyed:

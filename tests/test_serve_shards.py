@@ -490,6 +490,10 @@ def test_daemons_that_share_a_site_have_one_topology(tmp_path: Path, monkeypatch
         assert seen.topology is not None
         assert content(seen.topology) == content(expected[-1])
         wait_for(lambda: daemons[1].topology == seen.topology, "the other shard to know it, too")
+        said = [daemon.status() for daemon in daemons]
+        assert [status["shard"] for status in said] == ["0/2", "1/2"]
+        assert {(one["epoch"], one["version"]) for one in said} == {(seen.topology.epoch, seen.topology.version)}
+
         predictions: list[str] = []
         bus.subscribe("prediction/*", lambda key, payload: predictions.append(key))
         later = [Event(camera, "exit", T0 + 30_000.0, 0.9, 0.5, boot="b2", seq=1) for camera in "abc"]
@@ -500,9 +504,6 @@ def test_daemons_that_share_a_site_have_one_topology(tmp_path: Path, monkeypatch
         for camera in "abc":
             assert len(bus.ask(f"predict/{camera}", {"x": 0.9, "y": 0.5})) == 1
         assert len(bus.ask("topology")) == 1
-        said = [daemon.status() for daemon in daemons]
-        assert [status["shard"] for status in said] == ["0/2", "1/2"]
-        assert {(one["epoch"], one["version"]) for one in said} == {(seen.topology.epoch, seen.topology.version)}
 
 
 def _cameras(seen: TopologyView) -> set[str]:

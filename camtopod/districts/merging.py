@@ -118,8 +118,10 @@ def _model(parts: Sequence[Part], known: Sequence[Topology], zones: Sequence[Zon
         CameraModel(row.camera, short(rates[row.camera]), row.last_event) for model in models for row in model.cameras
     ]
     fitted = [model for model in models if model.onward is not None]
+    overlaps = [row for one in models for row in one.overlaps or []]
     model = replace(
-        models[0], zones=sorted((row for one in models for row in one.zones), key=lambda row: row.zone),
+        models[0], overlaps=sorted(overlaps, key=lambda row: (row.camera, row.to)),
+        zones=sorted((row for one in models for row in one.zones), key=lambda row: row.zone),
         cameras=sorted(cameras, key=lambda row: row.camera),
     )  # fmt: skip
     if not fitted:

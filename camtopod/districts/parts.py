@@ -71,6 +71,7 @@ def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:
         onward=None if model.onward is None else onward,
         entered=None if model.entered is None else [kernel for kernel in model.entered if kernel.to in zones],
         contexts=None if model.contexts is None else contexts,
+        overlaps=None if model.overlaps is None else [row for row in model.overlaps if row.to in cameras],
         pace=None if model.pace is None else replace(model.pace, ways=ways),
     )  # fmt: skip
 

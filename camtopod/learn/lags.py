@@ -7,6 +7,7 @@ an end bin they would look like a peak there.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -32,6 +33,12 @@ class LagBins:
         """Bin edges in seconds, (size + 1,)."""
         self.widths: NDArray[np.float64] = np.diff(self.edges)
         self.centres: NDArray[np.float64] = scale * np.sinh(step * (np.arange(self.first, last + 1) + 0.5))
+
+    def bin_of(self, lag: float) -> int:
+        """`index` of one lag."""
+        if not self.lag_min <= lag <= self.lag_max:
+            return -1
+        return math.floor(math.asinh(lag / self.scale) / self.step) - self.first
 
     def index(self, lag: NDArray[np.float64]) -> NDArray[np.int32]:
         """Bin of each lag (seconds); -1 outside the range."""

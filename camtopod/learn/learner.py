@@ -47,6 +47,7 @@ from camtopod.learn.links import (
 from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
+from camtopod.learn.overlapping import find_overlapping, offset_bins, views_of
 from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.predict import Predictor
@@ -316,7 +317,10 @@ class Learner:
         )
         posterior, ever, likely, changes = self._between_views(scene, silences)
         cameras = self._window.cameras
-        model = model_of(cameras, scene, posterior, self.bins, self._window, changes, self.settings.correct_clocks)
+        overlapping = find_overlapping(views_of(scene), len(cameras), offset_bins(self.bins))
+        model = model_of(
+            cameras, scene, posterior, self.bins, self._window, changes, self.settings.correct_clocks, overlapping
+        )
         del posterior  # it takes as much as the version will
         self.on_step("topology")
         zones, share_min = len(scene.zones), self.settings.publish_probability_min

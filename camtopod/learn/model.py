@@ -13,12 +13,13 @@ from camtopod.learn.grouping import rows_of
 from camtopod.learn.histograms import in_steps
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.lags import LagBins
+from camtopod.learn.overlapping import Overlapping, offset_bins
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.rounding import short
 from camtopod.learn.scene import Scene
 from camtopod.learn.slowness import Persistence, usual_stays
 from camtopod.learn.window import Window
-from camtopod.records import CameraModel, Context, EntryKernel, Model, Onward, Outcome, Pace, Way, ZoneModel
+from camtopod.records import CameraModel, Context, EntryKernel, Model, Onward, Outcome, Overlap, Pace, Way, ZoneModel
 
 Floats = NDArray[np.float64]
 
@@ -35,14 +36,15 @@ SHARE_FLOOR = 1e-3
 
 def model_of(
     cameras: list[str], scene: Scene, posterior: Posterior | None, bins: LagBins, window: Window,
-    changes: list[Change], clocks_corrected: bool,
+    changes: list[Change], clocks_corrected: bool, overlapping: list[Overlapping],
 ) -> Model:  # fmt: skip
     """Everything beside the links that prediction reads."""
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     zones = sorted(_zone_models(ids, scene, posterior), key=lambda zone: zone.zone)
     model = Model(
-        bins.scale, bins.step, bins.lag_min, bins.lag_max, zones, _camera_models(cameras, window), clocks_corrected
-    )
+        bins.scale, bins.step, bins.lag_min, bins.lag_max, zones, _camera_models(cameras, window), clocks_corrected,
+        overlaps=_overlaps(cameras, overlapping, offset_bins(bins)),
+    )  # fmt: skip
     if posterior is None:
         return model
     now = _presently(posterior, changes)
@@ -128,6 +130,17 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
         pairs = pairs[np.argsort(-total[pairs], kind="stable")][:ENTRY_KERNELS_PER_ZONE_MAX]
         rows += [EntryKernel(ids[zone], ids[p.entry_target[k]], in_steps(mass[k], bins)) for k in pairs.tolist()]
     return sorted(rows, key=lambda row: (row.zone, row.to))
+
+
+def _overlaps(cameras: list[str], overlapping: list[Overlapping], bins: LagBins) -> list[Overlap]:
+    rows = [
+        Overlap(
+            cameras[one.source], cameras[one.target], short(min(float(one.same.sum()), 1.0)),
+            in_steps(one.same, bins), in_steps(one.others, bins),
+        )
+        for one in overlapping
+    ]  # fmt: skip
+    return sorted(rows, key=lambda row: (row.camera, row.to))
 
 
 def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Floats) -> list[Context]:

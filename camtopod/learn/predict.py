@@ -26,6 +26,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from camtopod.learn.hand_over import HandOver, look
 from camtopod.learn.hazards import Hazards
 from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lag_odds import paced, quantiles, unknown
@@ -38,7 +39,7 @@ from camtopod.learn.recent import RECENT_MAX, Arrival, Recent, RecentArrivals
 from camtopod.learn.succession import renumbered, take_over_arrivals, take_over_exits
 from camtopod.learn.surroundings import Surroundings
 from camtopod.learn.under_way import Passage, UnderWay
-from camtopod.records import Event, NextCamera, Prediction, Topology
+from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
 
 Floats = NDArray[np.float64]
 
@@ -78,6 +79,7 @@ class Predictor:
         self._paces = Paces(topology)
         site = Site(topology, self._hazards, self._paces)
         self._ready = ReadyZones(site)
+        self._hand_over = HandOver(topology)
         self._places = Places(self.zones)
         self._of_camera = self._places.of_camera
         self._ahead, self._clocks_apart = site.ahead, site.clocks_apart
@@ -198,7 +200,7 @@ class Predictor:
         _check(t, now)
         here, ready = self.zones[zone], self._ready.of(zone)
         if ready is None:
-            return Prediction(here.camera, here.id, t, track, self.version, 1.0, [])
+            return self._prediction(here, t, track, 1.0, [], passage)
         left, outcomes, edges = t - self._ahead[here.camera], ready.outcomes, self._hazards.bins.edges
         entry, previous, sure, stay = None, None, 0.0, None
         if passage is not None:
@@ -234,7 +236,18 @@ class Predictor:
             NextCamera(ready.targets[k].camera, ready.targets[k].id, odds[k] / kept, *times)
             for k, times in zip(order, windows, strict=True)
         ]
-        return Prediction(here.camera, here.id, t, track, self.version, leave / kept, following)
+        return self._prediction(here, t, track, leave / kept, following, passage if now is None else None)
+
+    def _prediction(
+        self, here: Zone, t: float, track: str | None, leave: float, following: list[NextCamera],
+        passage: Passage | None,
+    ) -> Prediction:  # fmt: skip
+        """With who sees the object at the exit, where its ``passage`` is known and other views overlap."""
+        if passage is None or not self._hand_over.overlaps(here.camera):
+            return Prediction(here.camera, here.id, t, track, self.version, leave, following)
+        in_view = self._hand_over.in_view(passage, self._under_way, self._ahead)
+        seen = look(in_view, following)
+        return Prediction(here.camera, here.id, t, track, self.version, leave, following, seen, in_view)
 
     def _at_exit(self, ready: Ready, t: float, passage: Passage | None) -> AtExit:
         """`_odds` for an exit that has not been observed, by what is known then."""

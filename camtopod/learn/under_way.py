@@ -74,6 +74,10 @@ class UnderWay:
         over = (one for (of, _), (left, one) in self._ended.items() if of == camera and one is not None and left >= t)
         return any(passage.t == began and passage.entry == entry for passage in (*going_on, *over))
 
+    def tracks(self, camera: str) -> list[tuple[str, Passage]]:
+        """Those at a camera by their tracks, in the order they began."""
+        return [(track, passage) for track, (_, passage) in self._in_view.get(camera, {}).items()]
+
     def forget_stale(self, now: float) -> None:
         """Forget the oldest: those that have lasted too long, and any beyond the limit."""
         while self._passages:
