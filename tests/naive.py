@@ -217,6 +217,12 @@ def candidates(departures, arrivals, lag_min, lag_max):
     return found
 
 
+def coexisting(camera, entered, left, shift):
+    """`camtopod.learn.overlapping`: (exit, passage) of other cameras under way ``shift`` seconds after the exit."""
+    every = range(len(left))
+    return {(i, k) for i in every for k in every if camera[i] != camera[k] and entered[k] <= left[i] + shift < left[k]}
+
+
 def exposures(departures, bins, zones, until):
     """`camtopod.learn.joint.exposures` by looking at every departure and bin."""
     exposed = np.zeros((zones, bins.size))

@@ -2,12 +2,13 @@
 
 At each exit the passages under way in the views of other cameras are counted, by how much later than this one they
 began. Passages of the same object begin after each other by seconds, always alike; those of others come as they come.
-What chance gives is counted in the same way with the exits moved by half a minute to some minutes: rhythms and platoons
-are the same then, and nobody meets himself. The rest is the *same object*, as in the cross-correlation of Makris, Ellis
-and Black (2004), but of passages that last instead of moments.
+What chance gives is counted in the same way with the exits moved by some seconds: rhythms and platoons are the same
+then, and nobody meets himself. The rest is the *same object*, as in the cross-correlation of Makris, Ellis and Black
+(2004), but of passages that last instead of moments.
 
-Whether two views overlap at all is asked of each half of the time: does what it says of the offsets foretell the
-passages of the other half?
+Whether two views overlap at all is asked of each half of the time: does what it says foretell the passages of the other
+half, both better than chance does and better than the offsets of chance do, however many there are? Platoons alone make
+more passages coexist, but not at certain offsets.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Rows = NDArray[np.intp]
 
 OFFSET_SECONDS_MAX = 600.0
 """Largest difference between the beginnings of two passages that are compared, seconds."""
-SHIFTS_SECONDS = (-240.0, -120.0, -60.0, -30.0, 30.0, 60.0, 120.0, 240.0)
+SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)
 """The exits are moved by each of these to see what chance gives."""
 CHANCE_SD_BINS = 2.8
 """What chance gives is spread over so many bins of offsets."""
@@ -39,8 +40,8 @@ STANDS_OUT_SD = 3.0
 """Pairs of cameras whose passages coexist less clearly more often than by chance are not looked at, ..."""
 LOOKED_AT_MAX = 16
 """... and of those of a camera no more than so many, the clearest."""
-FALSE_SHARE = 0.05
-"""Probability that any two cameras that do not overlap are said to."""
+FALSE_PROBABILITY = 0.001
+"""Probability that any two cameras of a site are said to overlap though none do, if passages were independent."""
 COEXISTING_MAX = 3_000_000
 """Pairs of an exit and a passage under way that are counted: those of the newest exits."""
 AT_ONCE = 1 << 18
@@ -112,13 +113,16 @@ def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapp
     ]
     exits = [np.bincount(views.camera[half], minlength=cameras)[source][:, None] for half in halves]
 
-    # Does either half foretell the other?
-    nats = np.zeros(len(source))
+    # Does either half foretell the other, better than chance and better than the offsets of chance?
+    nats = np.zeros((2, len(source)))
     for here, there in ((0, 1), (1, 0)):
         same, others = _same_and_others(counted[here], by_chance[here])
         expected = same * (exits[there] / np.maximum(exits[here], 1))
-        nats += (counted[there] * np.log1p(same / others)).sum(axis=1) - expected.sum(axis=1)
-    overlap = np.flatnonzero(nats > np.log(max(cameras * (cameras - 1), 1) / FALSE_SHARE))
+        above = np.log1p(same / others)
+        more = (others + same).sum(axis=1) / others.sum(axis=1)
+        nats[0] += (counted[there] * above).sum(axis=1) - expected.sum(axis=1)
+        nats[1] += (counted[there] * (above - np.log(more)[:, None])).sum(axis=1)
+    overlap = np.flatnonzero(nats.min(axis=0) > np.log(max(cameras * (cameras - 1), 1) / FALSE_PROBABILITY))
 
     same, others = _same_and_others(counted[0] + counted[1], by_chance[0] + by_chance[1])
     left = np.maximum(exits[0] + exits[1], 1)
