@@ -45,8 +45,8 @@ def test_equals_the_operator_over_points(seed: int, sizes: list[int], sd: float,
     spectrum = data_spectroscopy(grid_of(points), width)
     values, vectors, labels = naive.data_spectroscopy(points.astype(float), width)
     gaps = np.abs(np.diff(values, append=0))
-    if (gaps < 1e-7).any():
-        return  # eigenvectors of equal eigenvalues are not determined
+    if (gaps < 1e-4).any():
+        return  # eigenvectors of nearly equal eigenvalues are hardly determined
     assert np.allclose(spectrum.values, values, atol=1e-10)
     position = {int(cell): i for i, cell in enumerate(spectrum.cells)}
     at = [position[int(r * SHAPE[1] + c)] for r, c in points]

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from camtopod.codec import read_topology, to_json
 from camtopod.learn import overlapping
 from camtopod.learn.hand_over import HandOver, look
-from camtopod.learn.lags import LagBins
+from camtopod.learn.lags import LagBins, offset_bins
 from camtopod.learn.learner import Learner
-from camtopod.learn.overlapping import Views, find_overlapping, offset_bins
+from camtopod.learn.overlapping import Views, find_overlapping
 from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, InView, NextCamera, Prediction, Topology

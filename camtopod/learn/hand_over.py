@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.learn.histograms import STEPS, on_bins
-from camtopod.learn.lags import LagBins
-from camtopod.learn.overlapping import offset_bins
+from camtopod.learn.lags import LagBins, offset_bins
 from camtopod.learn.under_way import Passage, UnderWay
 from camtopod.records import InView, Look, NextCamera, Topology
 

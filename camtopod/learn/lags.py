@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 LAG_SCALE_SECONDS = 4.0
 LAG_STEP = 0.1
+OFFSET_SECONDS_MAX = 600.0
+"""Largest difference between the beginnings of two passages that are compared, seconds."""
 
 
 class LagBins:
@@ -45,6 +47,11 @@ class LagBins:
         k = np.floor(np.arcsinh(lag / self.scale) / self.step).astype(np.int32) - np.int32(self.first)
         k[(lag < self.lag_min) | (lag > self.lag_max)] = -1
         return k
+
+
+def offset_bins(bins: LagBins) -> LagBins:
+    """The bins for offsets between the beginnings of two passages that go with those of lags."""
+    return LagBins(-OFFSET_SECONDS_MAX, OFFSET_SECONDS_MAX, bins.scale, bins.step)
 
 
 @lru_cache(maxsize=64)

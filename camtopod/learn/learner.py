@@ -28,7 +28,7 @@ from camtopod.learn.clocks import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, EventTimeState, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
-from camtopod.learn.lags import LagBins
+from camtopod.learn.lags import LagBins, offset_bins
 from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
@@ -47,7 +47,7 @@ from camtopod.learn.links import (
 from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
-from camtopod.learn.overlapping import find_overlapping, offset_bins, views_of
+from camtopod.learn.overlapping import find_overlapping, views_of
 from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.predict import Predictor

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
@@ -12,8 +14,8 @@ from camtopod.learn.contexts import LEVELS
 from camtopod.learn.grouping import rows_of
 from camtopod.learn.histograms import in_steps
 from camtopod.learn.intake import MICROSECONDS
-from camtopod.learn.lags import LagBins
-from camtopod.learn.overlapping import Overlapping, offset_bins
+from camtopod.learn.lags import LagBins, offset_bins
+from camtopod.learn.overlapping import Overlapping
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.rounding import short
 from camtopod.learn.scene import Scene
@@ -36,7 +38,7 @@ SHARE_FLOOR = 1e-3
 
 def model_of(
     cameras: list[str], scene: Scene, posterior: Posterior | None, bins: LagBins, window: Window,
-    changes: list[Change], clocks_corrected: bool, overlapping: list[Overlapping],
+    changes: list[Change], clocks_corrected: bool, overlapping: Sequence[Overlapping] = (),
 ) -> Model:  # fmt: skip
     """Everything beside the links that prediction reads."""
     ids = [zone_id(cameras, zone) for zone in scene.zones]
@@ -132,7 +134,7 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
     return sorted(rows, key=lambda row: (row.zone, row.to))
 
 
-def _overlaps(cameras: list[str], overlapping: list[Overlapping], bins: LagBins) -> list[Overlap]:
+def _overlaps(cameras: list[str], overlapping: Sequence[Overlapping], bins: LagBins) -> list[Overlap]:
     rows = [
         Overlap(
             cameras[one.source], cameras[one.target], short(min(float(one.same.sum()), 1.0)),

@@ -26,8 +26,6 @@ from camtopod.learn.smoothing import smooth
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-OFFSET_SECONDS_MAX = 600.0
-"""Largest difference between the beginnings of two passages that are compared, seconds."""
 SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)
 """The exits are moved by each of these to see what chance gives."""
 CHANCE_SD_BINS = 2.8
@@ -67,11 +65,6 @@ class Views(NamedTuple):
     camera: NDArray[np.int64]
     entered: Floats
     left: Floats
-
-
-def offset_bins(bins: LagBins) -> LagBins:
-    """The bins of offsets that go with those of lags."""
-    return LagBins(-OFFSET_SECONDS_MAX, OFFSET_SECONDS_MAX, bins.scale, bins.step)
 
 
 def views_of(scene: Scene) -> Views:
