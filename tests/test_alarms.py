@@ -117,11 +117,20 @@ def test_few_events_say_nothing() -> None:
     assert heard(poisson(0.1, 0, 40_000, 1), np.array([1.0, 2.0]))[1] == Silences([], False)
 
 
+def test_a_camera_that_stops_while_an_installation_starts_is_not_said_to_be_silent() -> None:
+    """Whoever was about has yet to be seen: of the first half hour nothing is told."""
+    log, silent = AlarmLog(), Silences([(100.0, np.inf)], True)
+    log.cameras(1, 900.0, [silent], ["a"], 1800.0)
+    assert said(log) == []
+    log.cameras(2, 9000.0, [Silences([(1900.0, np.inf)], True)], ["a"], 1800.0)
+    assert said(log) == [(2, "camera_silent", "a")]
+
+
 def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
     log = AlarmLog()
     gone, back = Silences([(5.0, np.inf)], True), Silences([(5.0, 90.0)], False)
     for version, silence in enumerate([Silences([], False), gone, gone, back, back], start=1):
-        log.cameras(version, 10.0 * version, [Silences([], False), silence], ["a", "b"])
+        log.cameras(version, 10.0 * version, [Silences([], False), silence], ["a", "b"], 0.0)
     assert said(log) == [(2, "camera_silent", "b"), (4, "camera_back", "b")]
 
 

@@ -87,8 +87,8 @@ class AlarmLog:
         """Everything that this version shows. ``zones``, ``cameras``: their ids; ``published``: the pairs of zones its
         links join; ``share_min``: a smaller share makes no link.
         """
-        self.cameras(version, t, silences, cameras)
         begun = scene.first + STARTING_SECONDS
+        self.cameras(version, t, silences, cameras, begun)
         for index, change in zone_changes(scene).items():
             if change[2] >= begun:
                 self.zone(version, t, zones[index], *change)
@@ -124,11 +124,11 @@ class AlarmLog:
         detail = f"{before:.2f} of the camera's entries or exits until {since:.0f}, {after:.2f} since"
         self._once(version, t, kind, subject, detail, since)
 
-    def cameras(self, version: int, t: float, silences: list[Silences], cameras: list[str]) -> None:
-        """Cameras that fell silent, and those that are back."""
+    def cameras(self, version: int, t: float, silences: list[Silences], cameras: list[str], begun: float) -> None:
+        """Cameras that fell silent after ``begun`` (seconds), and those that are back."""
         for name, silence in zip(cameras, silences, strict=True):
             ongoing = bool(silence.intervals) and silence.intervals[-1][1] == np.inf
-            if silence.lasts and name not in self._silent:
+            if silence.lasts and name not in self._silent and silence.intervals[-1][0] >= begun:
                 self._silent.add(name)
                 self.add(version, t, "camera_silent", name, f"nothing since {silence.intervals[-1][0]:.0f}")
             elif name in self._silent and not ongoing:
