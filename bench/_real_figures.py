@@ -259,11 +259,22 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
                 of_zone[one.zone or ""][camera] += 1
                 of_zone[f"{one.camera}/"][camera] += 1
             continue
-        shares = _added_up((way.camera, way.probability) for way in one.next_ if way.camera != one.camera)
+        looks = one.next_ if one.look is None else one.look
+        shares = _added_up((way.camera, way.probability) for way in looks if way.camera != one.camera)
         frequent = of_zone.get(one.zone or "") or of_zone[f"{one.camera}/"]
         ours.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)
         told.append(bool(frequent) and frequent.most_common(1)[0][0] in right)
     return (float(np.mean(ours)), float(np.mean(told))) if ours else (float("nan"), float("nan"))
+
+
+def hand_over_figure(predictions: Sequence[Prediction], recording: Recording) -> float:
+    """Of the exits after the cut at which another camera sees the object, the share where the passage named first is
+    the object's; nan if there are none.
+    """
+    same = recording.under_way()
+    late = [one for one in predictions if one.t >= recording.cut and same[str(one.track)]]
+    right = [one.in_view[0].track in same[str(one.track)] for one in late if one.in_view]
+    return sum(right) / len(late) if late else float("nan")
 
 
 def who_figure(topology: Topology, recording: Recording) -> float:

@@ -99,6 +99,16 @@ class Recording(Struct):
                 seen[one.track] = now or ({first.camera} if first else set())
         return seen
 
+    def under_way(self) -> dict[str, set[str]]:
+        """By track, the tracks of the identity that other cameras see as the passage ends."""
+        return {
+            one.track: {
+                other.track for other in passages if other.camera != one.camera and other.came <= one.left < other.left
+            }
+            for passages in self.by_identity
+            for one in passages
+        }
+
 
 def load(folder: Path) -> Recording:
     """Raises OSError where there is none, `camtopod.codec.Rejected` where a line is no event."""

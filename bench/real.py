@@ -30,6 +30,7 @@ from bench._real_figures import (
     LinkFigures,
     PredictionFigures,
     calibration_error,
+    hand_over_figure,
     link_figures,
     look_figures,
     prediction_figures,
@@ -55,6 +56,7 @@ class Result(Struct):
     told: PredictionFigures | None
     look: float
     told_look: float
+    hand_over: float
     who: float
     correlated: list[list[tuple[float, bool, bool]]]
     """By bin width, of every pair of cameras the score, whether it is a true link, whether it counts as false."""
@@ -101,10 +103,18 @@ def measure(folder: Path) -> Result:
     ours, told = prediction_figures(predictions, recording) or (None, None)
     look, told_look = look_figures(predictions, recording)
     return Result(
-        recording.name, link_figures(learner.topology, recording, tellable(recording)), ours, told, look, told_look,
-        who_figure(learner.topology, recording), [correlated(recording, width) for width in WIDTHS_SECONDS],
-        learned - started, predicted - learned,
-    )  # fmt: skip
+        recording.name,
+        link_figures(learner.topology, recording, tellable(recording)),
+        ours,
+        told,
+        look,
+        told_look,
+        hand_over_figure(predictions, recording),
+        who_figure(learner.topology, recording),
+        [correlated(recording, width) for width in WIDTHS_SECONDS],
+        learned - started,
+        predicted - learned,
+    )
 
 
 def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bool]]:
@@ -176,13 +186,13 @@ def _links(results: Sequence[Result]) -> list[str]:
 def _predictions(results: Sequence[Result]) -> list[str]:
     """The table of predictions: ours / told."""
     titles = ("log loss", "its leave part", "top-1", "top-3", "calibration error", "coverage", "look")
-    lines = [_row("ours / told", "exits", *titles, "saved at .9", "who (ours)")]
+    lines = [_row("ours / told", "exits", *titles, "hand-over (ours)", "saved at .9", "who (ours)")]
     judged = [(one, one.ours, one.told) for one in results if one.ours is not None and one.told is not None]
     for one, ours, told in judged:
         figures = [f"{getattr(ours, name):.2f}/{getattr(told, name):.2f}" for name in _COMPARED]
         saved = f"{ours.saved[0.9]:.1f}/{told.saved[0.9]:.1f}" if ours.saved else ""
         look = f"{one.look:.2f}/{one.told_look:.2f}"
-        lines.append(_row(one.name, ours.exits, *figures, look, saved, f"{one.who:.2f}"))
+        lines.append(_row(one.name, ours.exits, *figures, look, f"{one.hand_over:.2f}", saved, f"{one.who:.2f}"))
 
     above, leave = (
         np.mean([getattr(ours, name) - getattr(told, name) for _, ours, told in judged])

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from bench import real
-from bench._real_figures import LEAVE, ToldChain, calibration_error, link_figures, look_figures, prediction_figures
+from bench._real_figures import (
+    LEAVE,
+    ToldChain,
+    calibration_error,
+    hand_over_figure,
+    link_figures,
+    look_figures,
+    prediction_figures,
+)
 from bench._recordings import Recording, load, tellable
 from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
@@ -93,6 +101,9 @@ def test_what_is_found_and_foretold_of_it(recording: Recording) -> None:
     assert all(told.saved[recall] > 10.0 for recall in (0.8, 0.9, 0.95))
     look, told_look = look_figures(predictions, recording)
     assert look > 0.95 < told_look
+    overlapping = {track: others for track, others in recording.under_way().items() if others}
+    assert overlapping["e0"] == {"c0"}
+    assert hand_over_figure(predictions, recording) > 0.9
 
 
 def test_a_chain_that_is_told_falls_back() -> None:
