@@ -24,11 +24,11 @@ from serving import camtopod, free_endpoint, small_config, wait_for
 
 from camtopod import codec
 from camtopod.cli import screen, watch
-from camtopod.cli.board import ALARMS_SHOWN, SILENT_SECONDS, Board, View
+from camtopod.cli.board import ALARMS_SHOWN, SILENT_SECONDS, Board, View, prediction_line
 from camtopod.cli.screen import REASON_ROWS_MAX, drawn
 from camtopod.cli.watch import lines
 from camtopod.config import BusSettings
-from camtopod.records import TOPOLOGY_SCHEMA, Alarm, Link, NextCamera, Prediction, SelfScore, Topology, Transit
+from camtopod.records import TOPOLOGY_SCHEMA, Alarm, InView, Link, NextCamera, Prediction, SelfScore, Topology, Transit
 from camtopod.serve.daemon import Daemon
 
 NOW = 1_700_007_200.0
@@ -98,6 +98,13 @@ def test_the_newest_alarms_are_shown_newest_first() -> None:
     assert "60 min ago, version 6: link_closed lobby/6->hall/2, share 0.60 until 5, 0.00 since" in text
     assert text.index("lobby/6->") < text.index("lobby/2->")
     assert "lobby/1->" not in text
+
+
+def test_who_sees_somebody_now_is_said_first() -> None:
+    """If it is likely; of several passages in one view it counts that one of them is the object's."""
+    in_view = [InView("hall", "1", NOW, 0.5), InView("stairs", "2", NOW, 0.1), InView("hall", "3", NOW, 0.25)]
+    said = Prediction("lobby", "lobby/1", NOW, "17", 9, 1.0, [], [], in_view)
+    assert prediction_line(said) == "lobby/1 -> now in view of hall 0.75; nobody knows"
 
 
 def test_the_score_is_shown_beside_its_baseline() -> None:

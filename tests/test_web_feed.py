@@ -12,7 +12,7 @@ from made_site import made_site
 from one_bus import OneBus
 from serving import wait_for
 
-from camtopod.records import Event, NextCamera, Prediction
+from camtopod.records import Event, InView, Look, NextCamera, Prediction
 from camtopod.serve.bus import Bus
 from camtopod.web import feed, mailbox
 from camtopod.web.feed import Feed
@@ -61,7 +61,8 @@ class Rig:
 
 def prediction(camera: str, *probabilities: float) -> Prediction:
     following = [NextCamera(f"c{k}", f"c{k}/1", p, 1.0, 2.0, 3.0) for k, p in enumerate(probabilities)]
-    return Prediction(camera, f"{camera}/1", 1.0, "somebody", 1, 0.1, following)
+    seen = [InView("c0", "somebody else", 0.5, 0.9)]
+    return Prediction(camera, f"{camera}/1", 1.0, "somebody", 1, 0.1, following, [Look("c0", 0.9)], seen)
 
 
 # --- the feed ---------------------------------------------------------------------------------------

@@ -202,7 +202,8 @@ class Feed:
             prediction = codec.read(Prediction, payload, pack=True)
         except codec.Rejected:
             return
-        content = codec.to_json(msgspec.structs.replace(prediction, next_=prediction.next_[:3], track=None))
+        anonymous = msgspec.structs.replace(prediction, next_=prediction.next_[:3], track=None, in_view=None)
+        content = codec.to_json(anonymous)
         with self._mutex:
             self._predictions.append(content)
         self._hub.tell("prediction", content, passing=True)
