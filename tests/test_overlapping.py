@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from camtopod.codec import read_topology, to_json
+from camtopod.districts.parts import part_of
 from camtopod.learn import overlapping
 from camtopod.learn.hand_over import HandOver, look
 from camtopod.learn.lags import LagBins, offset_bins
@@ -167,3 +168,9 @@ def test_where_nobody_sees_an_object_the_next_camera_counts() -> None:
 def test_a_topology_without_overlaps_says_nothing() -> None:
     topology = topology_of(walkers(1, 30, 0.0))
     assert not HandOver(topology).overlaps("a")
+
+
+@pytest.mark.parametrize(("camera", "rows"), [("b", [("a", "b")]), ("a", [])])
+def test_a_district_tells_of_the_overlaps_with_its_own_cameras(camera: str, rows: list[tuple[str, str]]) -> None:
+    part = part_of(topology_of(walkers(1, 200)), 0, {camera: 1.0}, 10)
+    assert list(overlaps(part.topology)) == rows
