@@ -543,11 +543,12 @@ def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(site: Site, monkeyp
     with monkeypatch.context() as disk:
         for name in ("size", "version"):
             disk.setattr(daemon._journal, name, unreadable)
-        assert daemon.status()["journal"]["reason"] == "disk I/O error"
+        # The disk is read beside the status, which says what was found last.
+        wait_for(lambda: daemon.status()["journal"].get("reason") == "disk I/O error", "what is wrong")
         assert not daemon.wait(1.0), "no part of it has failed"
         with pytest.raises(QueryError, match="disk I/O error"):
             bus.ask("topology", older)
-    assert daemon.status()["journal"]["bytes"] > 0
+    wait_for(lambda: daemon.status()["journal"].get("bytes", 0) > 0, "the disk to be read again")
     assert bus.ask("topology", older)
 
 
