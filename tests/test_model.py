@@ -84,6 +84,20 @@ def test_a_way_that_has_closed_is_not_expected(learned: tuple[Scene, Posterior],
     assert found["c"] == pytest.approx(0.3 / 0.4, abs=0.07)
 
 
+def test_where_every_way_has_closed_no_context_has_fewer_departures_than_none(learned: tuple[Scene, Posterior]) -> None:
+    """Transitions are counted in single precision, and may come to more than the departures they are of."""
+    scene, posterior = learned
+    levels = [
+        level._replace(departures=np.ones(len(level.departures)), transitions=np.full(len(level.transitions), 1 + 1e-6))
+        for level in posterior.levels
+    ]
+    c = posterior.fit.candidates
+    closed = [Change(int(u), int(v), 20_000.0, 0.9, 0.0, 50.0) for u, v in zip(c.source, c.target, strict=True)]
+    rows = made((scene, posterior._replace(levels=levels)), closed).contexts or []
+    assert rows
+    assert min(row.departures for row in rows) == 0.0
+
+
 @pytest.mark.parametrize("known", [False, True])
 def test_a_way_less_walked_is_expected_less(learned: tuple[Scene, Posterior], known: bool) -> None:
     found = chances(made(learned, [Change(0, 1, 20_000.0, 0.9, 0.05, 50.0)]), known)
