@@ -7,7 +7,7 @@ and takes its transit times from their lags. It has the same zones.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -16,6 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from bench._recordings import SPURIOUS_TRANSITIONS_MAX, Passage, Recording, pairs_of
 from camtopod.client import Gate
+from camtopod.learn.hand_over import added_up
 from camtopod.records import Event, Prediction, Topology
 
 Floats = NDArray[np.float64]
@@ -168,7 +169,7 @@ def prediction_figures(
             ways = [(way.camera, way.probability) for way in one.next_]
             ours.append(
                 Guess(
-                    {LEAVE: one.leave} | _added_up(ways),
+                    {LEAVE: one.leave} | added_up(ways),
                     [(w.camera, w.probability, (w.q10, w.q50, w.q90)) for w in one.next_],
                 )
             )
@@ -260,7 +261,7 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
                 of_zone[f"{one.camera}/"][camera] += 1
             continue
         looks = one.next_ if one.look is None else one.look
-        shares = _added_up((way.camera, way.probability) for way in looks if way.camera != one.camera)
+        shares = added_up((way.camera, way.probability) for way in looks if way.camera != one.camera)
         frequent = of_zone.get(one.zone or "") or of_zone[f"{one.camera}/"]
         ours.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)
         told.append(bool(frequent) and frequent.most_common(1)[0][0] in right)
@@ -292,14 +293,6 @@ def who_figure(topology: Topology, recording: Recording) -> float:
         if passage.track in row and passage.next_.track in column
     }
     return 2.0 * len(edges & true) / max(1, len(edges) + len(true))
-
-
-def _added_up(ways: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """The probability of each camera."""
-    total: dict[str, float] = {}
-    for camera, probability in ways:
-        total[camera] = total.get(camera, 0.0) + probability
-    return total
 
 
 def _numbered(events: Sequence[Event]) -> dict[str, int]:

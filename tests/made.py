@@ -5,9 +5,10 @@ from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures
 from camtopod.learn.lags import LagBins
+from camtopod.learn.learner import Learner
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.rates import local_rates
-from camtopod.records import TOPOLOGY_SCHEMA, Camera, Link, Topology, Zone
+from camtopod.records import TOPOLOGY_SCHEMA, Camera, Event, Link, Topology, Zone
 from camtopod.sim.truth import Truth
 
 LINKED = np.array([100.0])
@@ -45,6 +46,21 @@ def topology_of(truth: Truth) -> Topology:
         links=links,
         pairs=truth.pairs,
     )
+
+
+def passage(camera: str, entered: float, stay: float, track: str) -> list[Event]:
+    """The two events of somebody who is in view for ``stay`` seconds."""
+    return [Event(camera, "entry", entered, track=track), Event(camera, "exit", entered + stay, track=track)]
+
+
+def learned_from(events: list[Event]) -> Topology:
+    """The one version that `camtopod learn` makes of a recording."""
+    learner = Learner(only_last=True)
+    for event in events:
+        learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+    return learner.topology
 
 
 class Views:

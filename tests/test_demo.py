@@ -29,7 +29,7 @@ demo.LATENESS_SECONDS = 100.0
 sys.executable = sys.argv.pop(1)
 main.console()
 """
-"""The demo with another interpreter for its grabbers; more than half of the three minutes apart is late."""
+"""The demo with another interpreter for its grabbers; a third of the five minutes apart is late."""
 
 
 def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: Path) -> None:
@@ -38,7 +38,7 @@ def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: P
     slow.chmod(0o755)
     empty.mkdir()
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent), "TMPDIR": str(empty)}
-    command = [sys.executable, "-c", UNEVEN, str(slow), "demo", "--minutes", "3", "--out", "here"]
+    command = [sys.executable, "-c", UNEVEN, str(slow), "demo", "--minutes", "5", "--out", "here"]
     done = subprocess.run(command, cwd=empty, env=environment, capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
     assert [path.name for path in empty.iterdir()] == ["here"], "nothing is left over"
@@ -47,7 +47,7 @@ def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: P
     result = score(topology, truth)
     assert result.text() in done.stdout
     assert result.zones_matched >= 12
-    assert result.pairs_right >= 1  # three minutes tell of few ways, and of fewer where the machine is busy
+    assert result.pair_recall >= 0.5  # a few minutes tell of few ways
     assert topology.as_of < time.time()
     assert topology.events > 100
     assert re.search(r"^entrance - hall +overlapped +-\d", done.stdout, re.M)

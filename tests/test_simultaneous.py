@@ -6,11 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from made import learned_from, passage
 
-from camtopod.learn.learner import Learner
 from camtopod.learn.predict import Predictor
-from camtopod.learn.settings import Settings
-from camtopod.records import Event, Topology
+from camtopod.records import Event
 
 Line = Callable[[Event], object]
 
@@ -20,31 +19,19 @@ def in_step(objects: int, seed: int) -> list[Event]:
     with them. Pictures are taken twice a second.
     """
     rng = np.random.default_rng(seed)
-    events = []
+    events: list[Event] = []
     for number in range(objects):
         t = np.floor(2 * rng.uniform(0, 20.0 * objects)) / 2
         stay = np.floor(2 * rng.uniform(2, 5)) / 2
         longer = stay + np.floor(2 * rng.uniform(2, 8)) / 2
-        for camera, left in (("a", t + stay), ("b", t + longer)):
-            events.append(Event(camera, "entry", float(t), track=str(number)))
-            events.append(Event(camera, "exit", float(left), track=str(number)))
         other = np.floor(2 * rng.uniform(0, 20.0 * objects)) / 2
-        events.append(Event("c", "entry", float(other), track=str(number)))
-        events.append(Event("c", "exit", float(other + 4.0), track=str(number)))
+        for camera, entered, seconds in (("a", t, stay), ("b", t, longer), ("c", other, 4.0)):
+            events += passage(camera, float(entered), float(seconds), str(number))
     return sorted(events, key=lambda event: event.t)
 
 
-def learned(events: list[Event]) -> Learner:
-    learner = Learner(Settings(), only_last=True)
-    for event in events:
-        learner.receive(event)
-    learner.flush()
-    return learner
-
-
 def test_views_entered_at_the_same_instant_are_linked() -> None:
-    topology = learned(in_step(150, 1)).topology
-    assert topology is not None
+    topology = learned_from(in_step(150, 1))
     camera_of = {zone.id: zone.camera for zone in topology.zones}
     links = [link for link in topology.links if link.relation != "visible"]
     between = {(camera_of[link.from_], camera_of[link.to], link.relation) for link in links}
@@ -54,7 +41,7 @@ def test_views_entered_at_the_same_instant_are_linked() -> None:
 # Lines of one instant come in any order.
 @pytest.mark.parametrize("line", [lambda event: event.camera, lambda event: [-ord(event.camera)]])
 def test_who_is_in_the_other_view_since_the_same_instant_is_expected_there(line: Line) -> None:
-    predictor, told = Predictor(_topology(in_step(150, 1))), []
+    predictor, told = Predictor(learned_from(in_step(150, 1))), []
     for event in sorted(in_step(60, 2), key=lambda event: (event.t, line(event))):
         if event.kind == "exit" and event.camera == "a":
             told += [choice.probability for choice in predictor.predict(event).next_ if choice.camera == "b"]
@@ -64,7 +51,7 @@ def test_who_is_in_the_other_view_since_the_same_instant_is_expected_there(line:
 
 def test_one_who_came_at_the_same_instant_and_has_left_is_not() -> None:
     """It has left first, so it came before, as far as anybody can tell."""
-    topology, said = _topology(in_step(150, 1)), []
+    topology, said = learned_from(in_step(150, 1)), []
     for gone in (2.0, 7.0):
         predictor = Predictor(topology)
         for t, camera, kind in ((0.0, "a", "entry"), (0.0, "b", "entry"), (gone, "b", "exit")):
@@ -73,9 +60,3 @@ def test_one_who_came_at_the_same_instant_and_has_left_is_not() -> None:
         next_ = predictor.predict(Event("a", "exit", 1e6 + 4.0, track="x")).next_
         said.append(sum(choice.probability for choice in next_ if choice.camera == "b"))
     assert said[0] < 0.3 < 0.9 < said[1]
-
-
-def _topology(events: list[Event]) -> Topology:
-    topology = learned(events).topology
-    assert topology is not None
-    return topology

@@ -104,7 +104,7 @@ def test_who_sees_somebody_now_is_said_first() -> None:
     """If it is likely; of several passages in one view it counts that one of them is the object's."""
     in_view = [InView("hall", "1", NOW, 0.5), InView("stairs", "2", NOW, 0.1), InView("hall", "3", NOW, 0.25)]
     said = Prediction("lobby", "lobby/1", NOW, "17", 9, 1.0, [], [], in_view)
-    assert prediction_line(said) == "lobby/1 -> now in view of hall 0.75; nobody knows"
+    assert prediction_line(said) == "lobby/1 -> now in view of hall 0.75"
 
 
 def test_the_score_is_shown_beside_its_baseline() -> None:

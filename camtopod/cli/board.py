@@ -12,13 +12,14 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from camtopod import codec
+from camtopod.learn.hand_over import added_up
 from camtopod.records import CAMERA_PATTERN, Alarm, Link, Prediction, Topology
 
 PREDICTIONS_KEPT = 30
 ALARMS_SHOWN = 5
 NEXT_SHOWN = 3
 SEEN_NOW_MIN = 0.3
-"""Cameras that see somebody with a smaller probability are not named in a line."""
+"""Least probability with which a camera is named as seeing the object now."""
 SILENT_SECONDS = 5.0
 """Who has not been heard for longer has gone, whatever the last word was; they speak every second."""
 _FINE = ("running", "ended", "no grabber", "unknown")
@@ -207,13 +208,12 @@ def transit(link: Link) -> str:
 
 def prediction_line(prediction: Prediction) -> str:
     """Where somebody has left, which cameras see them at that moment, and where to look next."""
-    now: dict[str, float] = {}
-    for one in prediction.in_view or []:
-        now[one.camera] = now.get(one.camera, 0.0) + one.probability
+    now = added_up((one.camera, one.probability) for one in prediction.in_view or [])
     seen = [f"now in view of {camera} {share:.2f}" for camera, share in now.items() if share >= SEEN_NOW_MIN]
     following = ", ".join(
         f"{following.zone} {following.probability:.2f} in {following.q10:.0f} to {following.q90:.0f} s"
         for following in prediction.next_[:NEXT_SHOWN]
     )
-    said = "; ".join([*seen, following or "nobody knows"])
-    return f"{prediction.zone or prediction.camera} -> {said}"
+    if not seen and not following:
+        return f"{prediction.zone or prediction.camera} -> next camera unknown"
+    return f"{prediction.zone or prediction.camera} -> {'; '.join([*seen, following] if following else seen)}"

@@ -1,7 +1,8 @@
-"""Who sees an object at the moment it leaves a view: passages under way elsewhere, read off a topology version.
+"""Hand-over: the open passages in other views that may be of the object that is leaving one.
 
-Of the passages under way in a view that overlaps at most one is of the same object. Each is weighed by how many of the
-same object would have begun so much later than this one, beside how many of others (`overlapping`).
+Of the open passages in an overlapping view at most one is of the same object. Each is weighed by its offset, the
+seconds by which it began later than the passage that ends: the rate of passages of the same object at that offset over
+the rate of others (`overlapping`), as the topology version has them.
 """
 
 from __future__ import annotations
@@ -12,21 +13,25 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.learn.histograms import STEPS, on_bins
-from camtopod.learn.lags import LagBins, offset_bins
+from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
 from camtopod.learn.under_way import Passage, UnderWay
 from camtopod.records import InView, Look, NextCamera, Topology
 
 SHARE_MAX = 0.98
-"""Nobody is surer than this to be seen by another camera while leaving one."""
+"""Largest probability that another camera sees the object, before its open passages are looked at."""
 PROBABILITY_MIN = 1e-3
-"""Passages and cameras less likely than this are left out."""
+"""Passages and cameras with a smaller probability are left out."""
+RATE_MIN = 1e-9
+"""Least rate of passages of other objects in a bin, for each exit."""
 
 
 class _Overlap(NamedTuple):
+    """A view that overlaps the one that is left."""
+
     camera: str
     share: float
     odds: list[float]
-    """(bins,) of being the same object over being another one, by offset."""
+    """(bins + 1,) same object over another one, by offset; 0 beyond the bins."""
 
 
 class HandOver:
@@ -34,52 +39,55 @@ class HandOver:
 
     def __init__(self, topology: Topology) -> None:
         model = topology.model
-        rows = (model.overlaps if model else None) or []
-        self._bins: LagBins | None = None
+        scale, step = (model.lag_scale, model.lag_step) if model else (LAG_SCALE_SECONDS, LAG_STEP)
+        self._bins = offset_bins(scale, step)
         self._from: dict[str, list[_Overlap]] = {}
-        if model is None or not rows:
-            return
-        self._bins = offset_bins(LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step))
-        for row in rows:
+        for row in (model.overlaps if model else None) or []:
             same, others = on_bins(row.same, self._bins), on_bins(row.others, self._bins)
-            least = max(float(others.max()) / STEPS, 1e-9)  # where there are fewer a version does not say how many
-            overlap = _Overlap(row.to, min(row.share, SHARE_MAX), (same / np.maximum(others, least)).tolist())
-            self._from.setdefault(row.camera, []).append(overlap)
+            resolution = max(float(others.max()) / STEPS, RATE_MIN)  # smaller rates are 0 in a version
+            odds = np.append(same / np.maximum(others, resolution), 0.0)
+            self._from.setdefault(row.camera, []).append(_Overlap(row.to, min(row.share, SHARE_MAX), odds.tolist()))
 
     def overlaps(self, camera: str) -> bool:
-        """Whether any view overlaps that of a camera."""
+        """Whether any view overlaps the camera's."""
         return camera in self._from
 
-    def in_view(self, passage: Passage, under_way: UnderWay, ahead: dict[str, float]) -> list[InView]:
-        """Passages under way that may be of the object whose ``passage`` ends, the likeliest first. ``ahead``: by how
-        many seconds each camera's clock is.
+    def in_view(self, passage: Passage, t: float, under_way: UnderWay, ahead: dict[str, float]) -> list[InView]:
+        """Open passages that may be of the object whose ``passage`` ends at ``t`` (seconds in right time), the most
+        probable first. ``ahead``: by how many seconds each camera's clock is fast.
         """
         found: list[InView] = []
         for camera, share, odds in self._from.get(passage.camera, ()):
-            tracks = under_way.tracks(camera)
-            weights = [self._odds(odds, other.t - passage.t) for _, other in tracks]
+            fast = ahead.get(camera, 0.0)
+            tracks = under_way.open_at(camera, t, t + fast)
+            weights = [odds[self._bins.bin_of(other.t - passage.t)] for _, other in tracks]
             total = 1.0 - share + sum(weights)
             for (track, other), weight in zip(tracks, weights, strict=True):
                 if weight > PROBABILITY_MIN * total:
-                    found.append(InView(camera, track, other.t + ahead.get(camera, 0.0), weight / total))
+                    found.append(InView(camera, track, other.t + fast, weight / total))
         return sorted(found, key=lambda one: (-one.probability, one.camera, one.track))
-
-    def _odds(self, odds: list[float], offset: float) -> float:
-        assert self._bins is not None
-        at = self._bins.bin_of(offset)
-        return odds[at] if at >= 0 else 0.0
 
 
 def look(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Look]:
-    """Cameras by the probability that they see the object now or, if none does, are the next to see it."""
-    now: dict[str, float] = {}
-    for one in in_view:
-        now[one.camera] = now.get(one.camera, 0.0) + one.probability
+    """Cameras by the probability that they see the object now or, if none does, are the next to see it. Views are
+    taken as independent of each other.
+    """
+    # Who sees the object now?
+    now = added_up((one.camera, one.probability) for one in in_view)
     unseen = 1.0
-    for seen in now.values():
-        unseen *= 1.0 - min(seen, 1.0)
-    probability = dict(now)
-    for choice in following:
-        probability[choice.camera] = probability.get(choice.camera, 0.0) + unseen * choice.probability
-    looks = [Look(camera, min(p, 1.0)) for camera, p in probability.items() if p >= PROBABILITY_MIN]
+    for probability in now.values():
+        unseen *= 1.0 - min(probability, 1.0)
+
+    # If nobody does, who is next?
+    following_unseen = ((one.camera, unseen * one.probability) for one in following)
+    seen = added_up([*now.items(), *following_unseen])
+    looks = [Look(camera, min(p, 1.0)) for camera, p in seen.items() if p >= PROBABILITY_MIN]
     return sorted(looks, key=lambda one: (-one.probability, one.camera))
+
+
+def added_up(shares: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """The sum of each camera's probabilities."""
+    total: dict[str, float] = {}
+    for camera, probability in shares:
+        total[camera] = total.get(camera, 0.0) + probability
+    return total

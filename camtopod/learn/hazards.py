@@ -5,7 +5,6 @@ Read off the posterior that the version carries; where it carries none, off its 
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Iterable, Set
 from typing import NamedTuple
 
@@ -83,9 +82,9 @@ class Hazards:
             rows = self._rows[self._first_row[zone] :][: len(o.targets), :-1]
             rows[:] = o.hazard
             self.outcomes[zone] = o._replace(hazard=rows)
-        self._edges = self.bins.edges.copy()
-        self._edges[[0, -1]] = self.bins.lag_min, np.nextafter(self.bins.lag_max, np.inf)
-        self._edge_list: list[float] = self._edges.tolist()
+        self._limits = np.array(self.bins.limits)
+        self.bin_of = self.bins.bin_of
+        """As of `LagBins`."""
         into: dict[int, list[tuple[int, int]]] = {}
         pairs = [(zone, target) for zone, outcomes in every for target in outcomes.targets]
         for row, (zone, target) in enumerate(unhurried(pairs, pause), start=1):
@@ -123,7 +122,7 @@ class Hazards:
         """Hazards (n,) of rows (n,) at lags (n,) in seconds. What is before the first bin is counted as -1, behind the
         last as one more: both are in the last column, of this row or the one before.
         """
-        at = self._edges.searchsorted(lag, "right")
+        at = self._limits.searchsorted(lag, "right")
         at += row * np.intp(self._rows.shape[1])
         at -= 1
         return self._rows.take(at).astype(float)
@@ -143,11 +142,6 @@ class Hazards:
         """Share (bins,) of each bin of lags that a passage of ``stay`` seconds is exposed to."""
         begun = np.clip((self.bins.edges[1:] + stay) / self.bins.widths, 0.0, 1.0)
         return np.where(self.past, begun, 1.0)
-
-    def bin_of(self, lag: float) -> int:
-        """`LagBins.index` of one lag."""
-        at = bisect_right(self._edge_list, lag) - 1
-        return at if at < self.bins.size else -1
 
     def before(self, hazard: Singles, later: float | Floats) -> NDArray[np.bool_]:
         """In which bins (..., bins) objects of these hazards may have appeared by the time they leave, where the clock

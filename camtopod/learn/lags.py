@@ -8,6 +8,7 @@ an end bin they would look like a peak there.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from functools import lru_cache
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 LAG_SCALE_SECONDS = 4.0
 LAG_STEP = 0.1
 OFFSET_SECONDS_MAX = 600.0
-"""Largest difference between the beginnings of two passages that are compared, seconds."""
+"""Largest offset between the beginnings of two passages that are compared."""
 
 
 class LagBins:
@@ -35,12 +36,13 @@ class LagBins:
         """Bin edges in seconds, (size + 1,)."""
         self.widths: NDArray[np.float64] = np.diff(self.edges)
         self.centres: NDArray[np.float64] = scale * np.sinh(step * (np.arange(self.first, last + 1) + 0.5))
+        self.limits: list[float] = [lag_min, *self.edges[1:-1].tolist(), math.nextafter(lag_max, math.inf)]
+        """Edges within the range, seconds: bin ``k`` holds lags from ``limits[k]`` to below ``limits[k + 1]``."""
 
     def bin_of(self, lag: float) -> int:
         """`index` of one lag."""
-        if not self.lag_min <= lag <= self.lag_max:
-            return -1
-        return math.floor(math.asinh(lag / self.scale) / self.step) - self.first
+        at = bisect_right(self.limits, lag) - 1
+        return at if at < self.size else -1
 
     def index(self, lag: NDArray[np.float64]) -> NDArray[np.int32]:
         """Bin of each lag (seconds); -1 outside the range."""
@@ -49,9 +51,9 @@ class LagBins:
         return k
 
 
-def offset_bins(bins: LagBins) -> LagBins:
-    """The bins for offsets between the beginnings of two passages that go with those of lags."""
-    return LagBins(-OFFSET_SECONDS_MAX, OFFSET_SECONDS_MAX, bins.scale, bins.step)
+def offset_bins(scale: float, step: float) -> LagBins:
+    """Bins for the offset between the beginnings of two passages."""
+    return LagBins(-OFFSET_SECONDS_MAX, OFFSET_SECONDS_MAX, scale, step)
 
 
 @lru_cache(maxsize=64)

@@ -317,7 +317,7 @@ class Learner:
         )
         posterior, ever, likely, changes = self._between_views(scene, silences)
         cameras = self._window.cameras
-        overlapping = find_overlapping(views_of(scene), len(cameras), offset_bins(self.bins))
+        overlapping = find_overlapping(views_of(scene), len(cameras), offset_bins(self.bins.scale, self.bins.step))
         model = model_of(
             cameras, scene, posterior, self.bins, self._window, changes, self.settings.correct_clocks, overlapping
         )

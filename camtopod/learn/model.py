@@ -45,7 +45,7 @@ def model_of(
     zones = sorted(_zone_models(ids, scene, posterior), key=lambda zone: zone.zone)
     model = Model(
         bins.scale, bins.step, bins.lag_min, bins.lag_max, zones, _camera_models(cameras, window), clocks_corrected,
-        overlaps=_overlaps(cameras, overlapping, offset_bins(bins)),
+        overlaps=_overlaps(cameras, overlapping, offset_bins(bins.scale, bins.step)),
     )  # fmt: skip
     if posterior is None:
         return model

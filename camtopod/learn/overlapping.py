@@ -1,20 +1,20 @@
-"""Views that overlap: who leaves one view, and is seen by another at that moment.
+"""Overlapping views: which cameras see an object at the moment it leaves the view of another.
 
-At each exit the passages under way in the views of other cameras are counted, by how much later than this one they
-began. Passages of the same object begin after each other by seconds, always alike; those of others come as they come.
-What chance gives is counted in the same way with the exits moved by some seconds: rhythms and platoons are the same
-then, and nobody meets himself. The rest is the *same object*, as in the cross-correlation of Makris, Ellis and Black
-(2004), but of passages that last instead of moments.
+At each exit the passages that are open in other views are counted by *offset*: the seconds by which they began later
+than the passage that ends. Passages of one object begin at nearly constant offsets. The null model is the same count
+with all exits shifted by some seconds, which keeps rhythms and platoons and breaks identities. What exceeds it is
+attributed to the same object. This is the cross-correlation of Makris, Ellis and Black (2004), for intervals instead of
+instants.
 
-Whether two views overlap at all is asked of each half of the time: does what it says foretell the passages of the other
-half, both better than chance does and better than the offsets of chance do, however many there are? Platoons alone make
-more passages coexist, but not at certain offsets.
+A pair of views overlaps if each half of the exits predicts the offsets of the other half better than two null models:
+no overlap at all, and passages that coexist more often than expected but at the null model's offsets. Platoons alone
+produce the second.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,45 +24,46 @@ from camtopod.learn.scene import Scene
 from camtopod.learn.smoothing import smooth
 
 Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
 Rows = NDArray[np.intp]
 
 SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)
-"""The exits are moved by each of these to see what chance gives."""
-CHANCE_SD_BINS = 2.8
-"""What chance gives is spread over so many bins of offsets."""
-CHANCE_MIN = 0.02
-"""Least number of passages of others expected in a bin, over all exits."""
+"""Shifts of the exits that make up the null model."""
+NULL_SD_BINS = 2.8
+"""Standard deviation of the Gaussian that smooths the null model, in bins of offset."""
+NULL_MIN = 0.02
+"""Least number of passages that the null model expects in a bin, over all exits."""
 NOISE_SD = 0.5
-"""What exceeds chance by fewer standard deviations is no passage of the same object."""
-STANDS_OUT_SD = 3.0
-"""Pairs of cameras whose passages coexist less clearly more often than by chance are not looked at, ..."""
-LOOKED_AT_MAX = 16
-"""... and of those of a camera no more than so many, the clearest."""
+"""An excess over the null model counts from this many standard deviations on."""
+SCREENED_SD = 3.0
+"""Pairs of cameras are tested if their open passages exceed the null model by this many standard deviations."""
+SCREENED_PER_CAMERA_MAX = 16
+"""Pairs tested for each camera that is left: those with the largest excess."""
 FALSE_PROBABILITY = 0.001
-"""Probability that any two cameras of a site are said to overlap though none do, if passages were independent."""
-COEXISTING_MAX = 3_000_000
-"""Pairs of an exit and a passage under way that are counted: those of the newest exits."""
-AT_ONCE = 1 << 18
-"""Pairs counted together."""
+"""Probability of any false overlap on a site without overlaps, if passages were independent."""
+OPEN_PAIRS_MAX = 3_000_000
+"""Pairs of an exit and an open passage that are counted, those of the newest exits."""
+OPEN_PAIRS_AT_ONCE = 1 << 18
+"""Pairs that are in memory at one time."""
 
 
 class Overlapping(NamedTuple):
-    """Two views that overlap, by exits from the first. Offsets are how much later a passage began there, in bins."""
+    """Two overlapping views."""
 
     source: int
-    """Camera whose view the object leaves ..."""
+    """Camera whose view the object leaves."""
     target: int
-    """... and camera that may see it at that moment."""
+    """Camera that may see the object at that moment."""
     same: Floats
-    """(bins,) passages of the same object under way there, for each exit."""
+    """(bins,) open passages of the same object for each exit, by offset."""
     others: Floats
-    """(bins,) passages of others under way there, for each exit."""
+    """(bins,) open passages of other objects for each exit, by offset."""
 
 
 class Views(NamedTuple):
-    """Passages (n,) of known beginning and end: camera, and both in seconds. In order of ``left``."""
+    """Passages (n,) with a known beginning and end, in order of ``left``; times in seconds."""
 
-    camera: NDArray[np.int64]
+    camera: Longs
     entered: Floats
     left: Floats
 
@@ -76,67 +77,86 @@ def views_of(scene: Scene) -> Views:
 
 
 def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapping]:
-    """The pairs of cameras whose views overlap, by source and target. ``bins``: of offsets."""
+    """The overlapping pairs of ``cameras`` views, by source, then target. ``bins``: of offsets (`offset_bins`)."""
     if len(views.left) == 0:
         return []
-    newest = _newest(views, COEXISTING_MAX)
+    newest, end = _newest(views, OPEN_PAIRS_MAX), len(views.left)
 
-    # Which pairs of cameras have more passages under way at the same time than chance gives?
-    everything = np.zeros((cameras, cameras), np.int64)
-    seen = _totals(views, newest, 0.0, cameras)
-    usual = sum((_totals(views, newest, shift, cameras) for shift in SHIFTS_SECONDS), everything) / len(SHIFTS_SECONDS)
-    above = (seen - usual) / np.sqrt(usual + 1.0)
-    first = np.argsort(-above, axis=1, kind="stable")[:, :LOOKED_AT_MAX]
-    looked = np.zeros_like(above, np.bool_)
-    np.put_along_axis(looked, first, np.take_along_axis(above, first, axis=1) > STANDS_OUT_SD, axis=1)
-    source, target = np.nonzero(looked)
+    # Screen the pairs of cameras by how many passages are open.
+    seen = _totals(views, slice(newest, end), 0.0, cameras)
+    null = _shifted(lambda shift: _totals(views, slice(newest, end), shift, cameras))
+    source, target = _screened((seen - null) / np.sqrt(null + 1.0))
     if len(source) == 0:
         return []
 
-    # At which offsets do they begin, in each half of the time?
+    # Count by offset, in each half of the exits.
     number = np.full((cameras, cameras), -1)
     number[source, target] = np.arange(len(source))
-    middle = (newest + len(views.left)) // 2
-    halves = [slice(newest, middle), slice(middle, len(views.left))]
-    counted = [_offsets(views, half, 0.0, number, bins) for half in halves]
-    by_chance = [
-        sum((_offsets(views, half, shift, number, bins) for shift in SHIFTS_SECONDS), np.zeros_like(counted[0]))
-        / len(SHIFTS_SECONDS)
-        for half in halves
-    ]
-    exits = [np.bincount(views.camera[half], minlength=cameras)[source][:, None] for half in halves]
+    middle = (newest + end) // 2
+    first, second = (_count(views, half, number, bins) for half in (slice(newest, middle), slice(middle, end)))
+    exits = [np.bincount(views.camera[half], minlength=cameras) for half in (slice(newest, middle), slice(middle, end))]
+    ratio = exits[1][source] / np.maximum(exits[0][source], 1)
 
-    # Does either half foretell the other, better than chance and better than the offsets of chance?
-    nats = np.zeros((2, len(source)))
-    for here, there in ((0, 1), (1, 0)):
-        same, others = _same_and_others(counted[here], by_chance[here])
-        expected = same * (exits[there] / np.maximum(exits[here], 1))
-        above = np.log1p(same / others)
-        more = (others + same).sum(axis=1) / others.sum(axis=1)
-        nats[0] += (counted[there] * above).sum(axis=1) - expected.sum(axis=1)
-        nats[1] += (counted[there] * (above - np.log(more)[:, None])).sum(axis=1)
-    overlap = np.flatnonzero(nats.min(axis=0) > np.log(max(cameras * (cameras - 1), 1) / FALSE_PROBABILITY))
+    # Test each half on the other.
+    nats = _predicts(first, second, ratio) + _predicts(second, first, 1.0 / np.maximum(ratio, 1e-9))
+    least = np.log(max(cameras * (cameras - 1), 1) / FALSE_PROBABILITY)
+    overlap = np.flatnonzero(nats.min(axis=0) > least)
 
-    same, others = _same_and_others(counted[0] + counted[1], by_chance[0] + by_chance[1])
-    left = np.maximum(exits[0] + exits[1], 1)
+    # Estimate the offsets from both halves.
+    same, others = _Counted(first.seen + second.seen, first.null + second.null).split()
+    left = np.maximum(exits[0] + exits[1], 1)[source]
     return [Overlapping(int(source[k]), int(target[k]), same[k] / left[k], others[k] / left[k]) for k in overlap]
 
 
-def _same_and_others(counted: Floats, by_chance: Floats) -> tuple[Floats, Floats]:
-    """Passages (P, bins) of the same object, and of others, of those ``counted`` (P, bins)."""
-    others = np.maximum(by_chance @ smoother(by_chance.shape[1], CHANCE_SD_BINS).T, CHANCE_MIN)
-    same = smooth(counted)[0] - others - NOISE_SD * np.sqrt(others)
-    return np.maximum(same, 0.0), others
+class _Counted(NamedTuple):
+    """Open passages of some pairs of cameras by offset, (P, bins)."""
+
+    seen: Floats
+    null: Floats
+    """As the null model has it."""
+
+    def split(self) -> tuple[Floats, Floats]:
+        """Those of the same object and those of others, (P, bins)."""
+        others = np.maximum(self.null @ smoother(self.null.shape[1], NULL_SD_BINS).T, NULL_MIN)
+        same = smooth(self.seen)[0] - others - NOISE_SD * np.sqrt(others)
+        return np.maximum(same, 0.0), others
 
 
-def _under_way(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows]]:
-    """Exits and passages (m,) of other cameras that are under way ``shift`` seconds after them, some at a time."""
+def _predicts(known: _Counted, judged: _Counted, ratio: Floats) -> Floats:
+    """Log likelihood ratios (2, P) in nats of what is ``judged`` by what is ``known``, against both null models.
+    ``ratio`` (P,): exits judged for each that is known.
+    """
+    same, others = known.split()
+    weight = np.log1p(same / others)
+    no_overlap = (judged.seen * weight).sum(axis=1) - same.sum(axis=1) * ratio
+    excess = np.log1p(same.sum(axis=1) / others.sum(axis=1))
+    null_offsets = (judged.seen * (weight - excess[:, None])).sum(axis=1)
+    return np.stack([no_overlap, null_offsets])
+
+
+def _screened(excess: Floats) -> tuple[Rows, Rows]:
+    """Sources and targets (P,) of the pairs worth a test. ``excess`` (cameras, cameras): in standard deviations."""
+    largest = np.argsort(-excess, axis=1, kind="stable")[:, :SCREENED_PER_CAMERA_MAX]
+    kept = np.zeros(excess.shape, np.bool_)
+    np.put_along_axis(kept, largest, np.take_along_axis(excess, largest, axis=1) > SCREENED_SD, axis=1)
+    source, target = np.nonzero(kept)
+    return source, target
+
+
+def _shifted(count: Callable[[float], NDArray[Any]]) -> Floats:
+    """The null model of a count: its mean over the shifts."""
+    mean: Floats = np.mean([count(shift) for shift in SHIFTS_SECONDS], axis=0)
+    return mean
+
+
+def _open(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows]]:
+    """Exits and passages (m,) of other cameras that are open ``shift`` seconds after them, in parts."""
     left = views.left[exits]
     first, stop = (np.searchsorted(left, t - shift) for t in (views.entered, views.left))
     reached = np.concatenate(([0], np.cumsum(np.maximum(stop - first, 0))))
     begin = 0
     while begin < len(first):
-        end = max(int(np.searchsorted(reached, reached[begin] + AT_ONCE, "right")) - 1, begin + 1)
+        end = max(int(np.searchsorted(reached, reached[begin] + OPEN_PAIRS_AT_ONCE, "right")) - 1, begin + 1)
         n = np.diff(reached[begin : end + 1])
         passage = np.repeat(np.arange(begin, end), n)
         exit_ = np.arange(len(passage)) + np.repeat(first[begin:end] - (np.cumsum(n) - n), n) + exits.start
@@ -146,25 +166,33 @@ def _under_way(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows,
 
 
 def _newest(views: Views, most: int) -> int:
-    """The first exit that counts so that at most so many passages are under way at all of them."""
-    begun, over = np.sort(views.entered), views.left
-    under_way = np.searchsorted(begun, views.left, "right") - np.searchsorted(over, views.left, "right")
-    return len(over) - int(np.searchsorted(np.cumsum(np.maximum(under_way, 0)[::-1]), most, "right"))
+    """The oldest exit that is counted: from there on at most ``most`` passages are open, added up over the exits."""
+    begun = np.searchsorted(np.sort(views.entered), views.left, "right")
+    over = np.searchsorted(views.left, views.left, "right")
+    open_ = np.maximum(begun - over, 0)
+    return len(open_) - int(np.searchsorted(np.cumsum(open_[::-1]), most, "right"))
 
 
-def _totals(views: Views, newest: int, shift: float, cameras: int) -> NDArray[np.int64]:
-    """Pairs (cameras, cameras) of an exit and a passage under way ``shift`` seconds after it."""
+def _totals(views: Views, exits: slice, shift: float, cameras: int) -> Longs:
+    """Pairs of an exit and a passage open ``shift`` seconds after it, (cameras, cameras)."""
     total = np.zeros(cameras * cameras, np.int64)
-    for exit_, passage in _under_way(views, slice(newest, len(views.left)), shift):
+    for exit_, passage in _open(views, exits, shift):
         total += np.bincount(views.camera[exit_] * cameras + views.camera[passage], minlength=len(total))
     return total.reshape(cameras, cameras)
 
 
-def _offsets(views: Views, exits: slice, shift: float, number: NDArray[np.int64], bins: LagBins) -> Floats:
-    """The same by offset, (P, bins), of the pairs of cameras that have a ``number`` (cameras, cameras), -1: none."""
+def _count(views: Views, exits: slice, number: Longs, bins: LagBins) -> _Counted:
+    """By offset, of the pairs of cameras that have a ``number`` (cameras, cameras), -1: none."""
+    return _Counted(
+        _offsets(views, exits, 0.0, number, bins), _shifted(lambda shift: _offsets(views, exits, shift, number, bins))
+    )
+
+
+def _offsets(views: Views, exits: slice, shift: float, number: Longs, bins: LagBins) -> Floats:
+    """Passages open ``shift`` seconds after an exit, by pair of cameras and offset, (P, bins)."""
     pairs = int(number.max()) + 1
     total = np.zeros(pairs * bins.size)
-    for exit_, passage in _under_way(views, exits, shift):
+    for exit_, passage in _open(views, exits, shift):
         pair = number[views.camera[exit_], views.camera[passage]]
         at = bins.index(views.entered[passage] - shift - views.entered[exit_])
         some = np.flatnonzero((pair >= 0) & (at >= 0))

@@ -245,7 +245,7 @@ class Predictor:
         """With who sees the object at the exit, where its ``passage`` is known and other views overlap."""
         if passage is None or not self._hand_over.overlaps(here.camera):
             return Prediction(here.camera, here.id, t, track, self.version, leave, following)
-        in_view = self._hand_over.in_view(passage, self._under_way, self._ahead)
+        in_view = self._hand_over.in_view(passage, t - self._ahead[here.camera], self._under_way, self._ahead)
         seen = look(in_view, following)
         return Prediction(here.camera, here.id, t, track, self.version, leave, following, seen, in_view)
 

@@ -38,6 +38,8 @@ class UnderWay:
         self._begun = 0
         self._ended: dict[tuple[str, str], tuple[float, Passage | None]] = {}
         """When the newest left, by their cameras' clocks, and after which passage."""
+        self._left_last: dict[str, tuple[float, list[tuple[str, Passage]]]] = {}
+        """By camera, the newest time of an exit by its clock, and the passages that ended then, with their tracks."""
 
     def begin(self, camera: str, track: str, passage: Passage) -> None:
         """One whose track is under way already keeps its place."""
@@ -51,6 +53,7 @@ class UnderWay:
         passage = self._leaves(camera, track)
         self._ended.pop((camera, track), None)  # the newest come last
         self._ended[camera, track] = t, passage
+        self._note_last(camera, track, t, passage)
         if len(self._ended) > UNDER_WAY_MAX:
             del self._ended[next(iter(self._ended))]
         return passage
@@ -74,9 +77,14 @@ class UnderWay:
         over = (one for (of, _), (left, one) in self._ended.items() if of == camera and one is not None and left >= t)
         return any(passage.t == began and passage.entry == entry for passage in (*going_on, *over))
 
-    def tracks(self, camera: str) -> list[tuple[str, Passage]]:
-        """Those at a camera by their tracks, in the order they began."""
-        return [(track, passage) for track, (_, passage) in self._in_view.get(camera, {}).items()]
+    def open_at(self, camera: str, t: float, by_clock: float) -> list[tuple[str, Passage]]:
+        """Passages at a camera, with their tracks, that are open at the newest time ``t`` (seconds in right time;
+        ``by_clock``: by the camera's clock). Those that end at that instant are among them, those that begin then are
+        not: so the order in which events of one instant come does not matter.
+        """
+        last, ended = self._left_last.get(camera, (None, []))
+        now = [(track, passage) for track, (_, passage) in self._in_view.get(camera, {}).items()]
+        return [one for one in [*now, *(ended if last == by_clock else [])] if one[1].t < t]
 
     def forget_stale(self, now: float) -> None:
         """Forget the oldest: those that have lasted too long, and any beyond the limit."""
@@ -103,6 +111,14 @@ class UnderWay:
             key: (t, None if ended is None or ended.entry not in moved else _moved(ended, moved))
             for key, (t, ended) in older._ended.items()
         }
+        for (camera, track), (t, ended) in self._ended.items():
+            self._note_last(camera, track, t, ended)
+
+    def _note_last(self, camera: str, track: str, t: float, passage: Passage | None) -> None:
+        if camera not in self._left_last or self._left_last[camera][0] != t:
+            self._left_last[camera] = t, []
+        if passage is not None:
+            self._left_last[camera][1].append((track, passage))
 
     def _leaves(self, camera: str, track: str) -> Passage | None:
         passage = self._passages.pop((camera, track), None)
