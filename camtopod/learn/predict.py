@@ -265,7 +265,7 @@ class Predictor:
                 if came < since or came + later >= t or number < counts:
                     continue
                 if came == since and not self._in_view(target, came, t):
-                    continue  # of two who came at the same instant, that one has left first
+                    continue  # the two passages began together and the other ended first, so it was the earlier one
                 at = hazards.bin_of(came - t)
                 here = hazard.get(at, 0.0)
                 if at < 0 or not (here or entered):
