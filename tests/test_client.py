@@ -96,11 +96,12 @@ def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
         assert before <= (site.stale_since or 0.0) <= time.time()
         with pytest.raises(TimeoutError, match="no daemon is there"):
             site.wait_for(1, 0.0)
-        stack.enter_context(running(tmp_path, endpoint))
+        daemon = stack.enter_context(running(tmp_path, endpoint))
         wait_for(lambda: site.stale_since is None, "the daemon to be noticed")
         with dial(small_config(tmp_path, endpoint)) as bus:
-            put(bus, *numbered(walkers(40)), closing_event())
-            assert site.wait_for(1, 20.0).links
+            put(bus, *(events := [*numbered(walkers(40)), closing_event()]))
+            version = learned(daemon, events)
+            assert site.wait_for(version.version, 20.0).links
 
 
 def test_of_shards_the_first_is_the_one_that_counts() -> None:
@@ -222,8 +223,9 @@ def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
     )
     with running(tmp_path, endpoint, bus, "hq") as daemon, Topology.connect(config=config) as site:
         assert (site.site, site.version, site.stale_since) == ("hq", 0, None)
-        put(daemon.bus, *numbered(walkers(40)), closing_event())
-        assert site.wait_for(1, 20.0).links
+        put(daemon.bus, *(events := [*numbered(walkers(40)), closing_event()]))
+        version = learned(daemon, events)
+        assert site.wait_for(version.version, 20.0).links
         with site.predictions() as predictions:
             there(site)
             put(daemon.bus, Event("a", "exit", NOW, 0.9, 0.5))
