@@ -24,7 +24,8 @@ from test_intruders import HQ, Keys, Puppet, RealDaemon, client, tls_table
 from camtopod import codec
 from camtopod.config import BusSettings, Config, SiteSettings
 from camtopod.records import Ack, Event, Prediction
-from camtopod.serve.bus import Bus, dial
+from camtopod.serve import bus as buses
+from camtopod.serve.bus import Bus, dial, meet
 from camtopod.serve.journal import Journal, StoredVersion
 from camtopod.serve.subscriber import TopologyView
 
@@ -32,6 +33,8 @@ SITE_CAMERAS = 150
 """Their topology has some hundred kilobytes, so that a link takes a few of them at most."""
 SENDERS = [f"cam{number:04d}" for number in range(12)]
 LATE_SECONDS_MAX = 0.5
+LINGER_SECONDS = 10.0
+"""What closing one connection would take."""
 SMALL_BUFFER_BYTES = 4096
 QUESTIONS = 60
 PAGE_SECONDS = 0.02
@@ -163,12 +166,17 @@ class Stopping:
             self._puppets.append(puppet)
 
     def go(self) -> None:
-        for puppet in self._puppets:
-            os.kill(puppet.pid, signal.SIGKILL)
-            os.kill(puppet.pid, signal.SIGCONT)
-            with contextlib.suppress(BrokenPipeError):
-                puppet.close()
+        end(self._puppets)
         self._puppets.clear()
+
+
+def end(puppets: list[Puppet]) -> None:
+    """Processes that have been stopped."""
+    for puppet in puppets:
+        os.kill(puppet.pid, signal.SIGKILL)
+        os.kill(puppet.pid, signal.SIGCONT)
+        with contextlib.suppress(BrokenPipeError):
+            puppet.close()
 
 
 Scene = Callable[[bool], tuple[Bus, Bus, dict[str, Any], Path]]
@@ -237,3 +245,39 @@ def test_many_that_stop_hold_up_nobody_where_many_walk(scene: Scene, secured: bo
     """Also not when the bus gives them up, after its lease of ten seconds."""
     walks, _ = walks_beside(scene, secured, readers=8, questions=3, per_second=400, turns=1, seconds=14)
     assert not walks.late()
+
+
+def test_closing_the_connections_of_those_who_stopped_takes_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bus gives them up when their lease is over, while each has more to take than its connection holds, and
+    before the kernel ends a connection by itself.
+    """
+    monkeypatch.setattr(buses, "WINDOW_SECONDS_MAX", 60.0)
+    site = SiteSettings("hq")
+    with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)), site=site)) as hub:
+        gone, heard, came = set[str](), threading.Event(), [0.0]
+        hub.watch_alive("reader", lambda name, alive: None if alive else gone.add(name))
+        puppets = [Puppet() for _ in range(4)]
+        for number, puppet in enumerate(puppets):
+            assert puppet.open(**client(hub.endpoint))
+            puppet.do("subscribe", key=f"{HQ}/topology/*")
+            puppet.do("appear", key=f"{HQ}/alive/reader/stopped{number}")
+        wait_for(lambda: len(hub.present("reader")) == len(puppets), "the readers")
+        with dial(Config(bus=BusSettings(connect=(hub.endpoint,)), site=site)) as healthy:
+            healthy.subscribe("ack/a", lambda key, payload: (came.append(time.monotonic()), heard.set()))
+            try:
+                for puppet in puppets:
+                    os.kill(puppet.pid, signal.SIGSTOP)
+                for _ in range(40):
+                    hub.put_raw("topology/x", bytes(500_000), "topology")
+                longest, began = 0.0, time.monotonic()
+                while len(gone) < len(puppets):
+                    heard.clear()
+                    put = time.monotonic()
+                    hub.put_raw("ack/a", b"x", "ack")
+                    assert heard.wait(30.0)
+                    longest = max(longest, came[-1] - put)
+                    assert put - began < 30.0, f"only {gone} were given up"
+                    time.sleep(0.01)  # the rate of the traffic
+            finally:
+                end(puppets)
+    assert longest < LINGER_SECONDS / 2
