@@ -284,7 +284,7 @@ class Process:
 
     @staticmethod
     def status(bus: Bus) -> dict[str, Any]:
-        answers = bus.ask("status/daemon", one=True)
+        answers = bus.ask("status/daemon", seconds=20.0, one=True)
         assert answers, "the daemon does not answer"
         status: dict[str, Any] = msgspec.msgpack.decode(answers[0][1])
         return status
