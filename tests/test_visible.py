@@ -132,9 +132,15 @@ def test_doctor_shows_it_and_does_not_obey_it(tmp_path: Path, capsys: pytest.Cap
 def test_a_terminal_gets_none_of_it(how: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.delenv("COLUMNS", raising=False)
+    said = HOSTILE.replace("\ud800", "")
     with hostile_site(tmp_path) as (bus, daemon):
         terminal = Terminal("--connect", daemon.endpoint, "watch", *how, columns=200, rows=50)
-        wait_for(lambda: "OWNED" in terminal.text, "what it says of itself")
+
+        def shown() -> bool:
+            bus.put("status/cam1", {"state": said, "reason": said}, "status")  # as grabbers do, again and again
+            return "OWNED" in terminal.text
+
+        wait_for(shown, "what it says of itself")
         bus.put("status/cam1", {"state": "\x1b]52;c;ZWNobw==\x07", "reason": "\x1b]0;AGAIN\x07"}, "status")
         wait_for(lambda: "AGAIN" in terminal.text, "what it says then")
         assert terminal.close() == 0
