@@ -71,7 +71,16 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
         bus.put("event/b", Event("a", "entry", 1.0), "event")
     wait_for(lambda: daemon.status()["events"]["received"] == len(events) + 12, "all that was sent")
     wait_for(lambda: all_out(daemon, len(events)), "all to be learned")
-    samples, status, topology = scraped(daemon), daemon.status(), daemon.topology
+    moments: list[tuple[Samples, dict[str, Any]]] = []
+
+    def settled() -> bool:
+        """Whether the journal, which may still write a version, was the same before and after."""
+        before = daemon.status()["journal"]
+        moments.append((scraped(daemon), daemon.status()))
+        return bool(moments[-1][1]["journal"] == before)
+
+    wait_for(settled, "the journal to be written")
+    (samples, status), topology = moments[-1], daemon.topology
     assert topology is not None
     assert topology.score is not None
     expected = {
