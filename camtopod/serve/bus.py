@@ -12,10 +12,8 @@ import functools
 import json
 import logging
 import math
-import os
 import re
 import socket
-import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,7 +26,7 @@ from camtopod.config import BusSettings, Config
 from camtopod.keys.rules import PREFIX
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
-from camtopod.serve import clock, guard, refusals
+from camtopod.serve import clock, guard, refusals, sockets
 
 log = logging.getLogger(__name__)
 
@@ -43,12 +41,6 @@ _PROMPT = ("prediction", "ack", "status")
 """Small and urgent: these never wait behind a topology on their way to the same program."""
 _UNREPEATED = ("event", "part")
 """Published once, by programs that may wait: a full link is waited for."""
-WINDOW_SECONDS_MAX = 4.0
-"""A program that has read nothing for so long, while there was something for it, is disconnected; it may come back."""
-_DESCRIPTORS = "/proc/self/fd"
-_LISTENS, _LINGERS = (socket.SOL_SOCKET, socket.SO_ACCEPTCONN), (socket.SOL_SOCKET, socket.SO_LINGER)
-_AT_ONCE = struct.pack("ii", 0, 0)
-"""Of `_LINGERS`: closing does not wait."""
 HANGS_SECONDS = 1.0
 """A publication that takes longer than this shows in the status."""
 
@@ -280,11 +272,11 @@ class Bus:
         self._declared.append(self._session.liveliness().declare_subscriber(key, change, history=True))
 
     def watch_door(self, doorkeeper: guard.Doorkeeper) -> None:
-        """Tell ``doorkeeper`` who connects; and see to it that who goes keeps nobody waiting."""
+        """Tell ``doorkeeper`` who connects. Closing these connections will not block the bus."""
 
         def change(event: zenoh.LinkEvent) -> None:
             if event.kind == zenoh.SampleKind.PUT:
-                _close_without_waiting()
+                sockets.close_without_waiting()
                 link = event.link
                 refusals.refusals.came(str(link.zid), link.auth_identifier, link.dst)
                 doorkeeper.came(link.auth_identifier, link.dst)
@@ -384,7 +376,7 @@ def meet(config: Config, shared: bool = False) -> Bus:
             f"cannot listen at {', '.join(endpoints)}: another daemon may be running there; "
             f"stop it or set other endpoints in [bus] ({_short(error)})"
         ) from None
-    _limit_waiting(endpoints)
+    sockets.limit_waiting(endpoints)
     bus = Bus(session, config.site.name, endpoints[0], config.bus)
     bus.watch_door(guard.Doorkeeper(access))
     return bus
@@ -419,47 +411,6 @@ def _with_port(endpoint: str) -> str:
     with socket.socket(family) as probe:
         probe.bind((host.strip("[]"), 0))
         return f"{endpoint.removesuffix('0')}{probe.getsockname()[1]}"
-
-
-def _limit_waiting(endpoints: Sequence[str]) -> None:
-    """Let the kernel end connections to these endpoints that have taken nothing for `WINDOW_SECONDS_MAX`.
-
-    Zenoh itself ends one whose program has stopped only when its lease is over, after ten seconds. A connection has
-    this option from the socket that listens.
-    """
-    ports = {int(port) for port in (endpoint.rpartition(":")[2] for endpoint in endpoints) if port.isdecimal()}
-
-    def limit(one: socket.socket) -> None:
-        if one.getsockopt(*_LISTENS) and one.getsockname()[1] in ports:
-            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * WINDOW_SECONDS_MAX))
-
-    _with_each_socket(limit)
-
-
-def _close_without_waiting() -> None:
-    """Let closing a connection of this process take no time; the kernel goes on sending what is on its way.
-
-    Zenoh (1.10) asks for up to ten seconds (SO_LINGER). A thread of the bus spends them where a program has stopped
-    reading, and nothing gets through to anybody meanwhile.
-    """
-
-    def change(one: socket.socket) -> None:
-        if one.getsockopt(*_LINGERS, len(_AT_ONCE)) != _AT_ONCE:
-            one.setsockopt(*_LINGERS, _AT_ONCE)
-
-    _with_each_socket(change)
-
-
-def _with_each_socket(act: Callable[[socket.socket], None]) -> None:
-    """``act`` gets each of this process's sockets for a network, where the system lists them (Linux)."""
-    for fd in map(int, os.listdir(_DESCRIPTORS) if os.path.isdir(_DESCRIPTORS) else []):
-        with contextlib.suppress(OSError):  # another file, or closed meanwhile
-            one = socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=fd)
-            try:
-                if one.getsockopt(socket.SOL_SOCKET, socket.SO_DOMAIN) in (socket.AF_INET, socket.AF_INET6):
-                    act(one)
-            finally:
-                one.detach()
 
 
 @functools.cache

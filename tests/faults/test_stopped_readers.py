@@ -24,7 +24,7 @@ from test_intruders import HQ, Keys, Puppet, RealDaemon, client, tls_table
 from camtopod import codec
 from camtopod.config import BusSettings, Config, SiteSettings
 from camtopod.records import Ack, Event, Prediction
-from camtopod.serve import bus as buses
+from camtopod.serve import sockets
 from camtopod.serve.bus import Bus, dial, meet
 from camtopod.serve.journal import Journal, StoredVersion
 from camtopod.serve.subscriber import TopologyView
@@ -251,7 +251,7 @@ def test_closing_the_connections_of_those_who_stopped_takes_no_time(monkeypatch:
     """The bus gives them up when their lease is over, while each has more to take than its connection holds, and
     before the kernel ends a connection by itself.
     """
-    monkeypatch.setattr(buses, "WINDOW_SECONDS_MAX", 60.0)
+    monkeypatch.setattr(sockets, "STALLED_SECONDS_MAX", 60.0)
     site = SiteSettings("hq")
     with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)), site=site)) as hub:
         gone, heard, came = set[str](), threading.Event(), [0.0]
