@@ -72,13 +72,13 @@ def look(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Loo
     """Cameras by the probability that they see the object now or, if none does, are the next to see it. Views are
     taken as independent of each other.
     """
-    # Who sees the object now?
+    # Cameras that see the object now
     now = added_up((one.camera, one.probability) for one in in_view)
     unseen = 1.0
     for probability in now.values():
         unseen *= 1.0 - min(probability, 1.0)
 
-    # If nobody does, who is next?
+    # Cameras where it appears next, if none sees it now
     following_unseen = ((one.camera, unseen * one.probability) for one in following)
     seen = added_up([*now.items(), *following_unseen])
     looks = [Look(camera, min(p, 1.0)) for camera, p in seen.items() if p >= PROBABILITY_MIN]

@@ -123,8 +123,8 @@ class _Counted(NamedTuple):
 
 
 def _predicts(known: _Counted, judged: _Counted, ratio: Floats) -> Floats:
-    """Log likelihood ratios (2, P) in nats of what is ``judged`` by what is ``known``, against both null models.
-    ``ratio`` (P,): exits judged for each that is known.
+    """Log likelihood ratios (2, P) in nats, against both null models, of the counts ``judged`` as the counts ``known``
+    predict them. ``ratio`` (P,): exits judged for each that is known.
     """
     same, others = known.split()
     weight = np.log1p(same / others)
