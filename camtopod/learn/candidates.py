@@ -174,6 +174,20 @@ def together(arrival: Indices) -> list[slice]:
     return parts
 
 
+class Runs(NamedTuple):
+    """The arrivals (m,) of some candidates in their order: the ``first`` candidate of each, and how many it has."""
+
+    arrival: Indices
+    first: NDArray[np.intp]
+    candidates: NDArray[np.intp]
+
+
+def runs_of(arrival: Indices) -> Runs:
+    """The runs of some candidates (n,), ascending by ``arrival``."""
+    first = np.flatnonzero(np.diff(arrival, prepend=-1))
+    return Runs(arrival[first], first, np.diff(first, append=len(arrival)))
+
+
 def rows_together(rows: int) -> Iterator[slice]:
     """Of a table with so many rows, some at a time. A product of few rows is reckoned otherwise and would differ in
     the last bit from one of all rows, so the last has the rest, too.

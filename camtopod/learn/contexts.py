@@ -54,16 +54,16 @@ class Counted(NamedTuple):
     """(contexts,) sure departures."""
     row: Longs
     """(n,) where the row of the context of each departure begins in ``moved``, were that one row ..."""
-    told: Floats
-    """... (n,), how sure that context is, ..."""
-    mine: Floats
+    mine: Singles
     """... (n,), how sure the departure itself is in it, ..."""
-    below: Floats
-    """... (n,), and the others with what is backed off to."""
+    scale: Singles
+    """... (n,), how sure the context is over the departures in it, those backed off to included, ..."""
+    unsure: Singles
+    """... and (n,), how unsure it is."""
     moved: Singles
     """(contexts, columns) sure transitions."""
 
-    def of(self, departure: NDArray[np.intp], target: Longs, responsibility: Singles) -> tuple[Longs, Floats]:
+    def of(self, departure: NDArray[np.intp], target: Longs, responsibility: Singles) -> tuple[Longs, Singles]:
         """Of some candidates (m,): the cell in ``moved`` and what the candidate itself adds there."""
         cell = self.row.take(departure)
         cell += target
@@ -71,17 +71,14 @@ class Counted(NamedTuple):
         own *= responsibility
         return cell, own
 
-    def judged(self, departure: NDArray[np.intp], cell: Longs, own: Floats, share: Floats) -> Floats:
+    def judged(self, departure: NDArray[np.intp], cell: Longs, own: Singles, share: Singles) -> Singles:
         """The probabilities of some candidates (m,) by the others of their context; ``share`` (m,) without it."""
-        here = self.moved.take(cell).astype(float)
+        here = self.moved.take(cell)
         here -= own
         here += BACK_OFF_DEPARTURES * share
         np.maximum(here, 0.0, out=here)
-        here /= self.below.take(departure)
-        known = self.told.take(departure)
-        unsure = np.flatnonzero(known != 1.0)  # few as a rule
-        known = known[unsure]
-        here[unsure] = known * here[unsure] + (1.0 - known) * share[unsure]
+        here *= self.scale.take(departure)
+        here += self.unsure.take(departure) * share
         return here
 
 
@@ -122,21 +119,23 @@ class Contexts:
             left = np.bincount(number, mine * gone, minlength=len(keys))
             stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
             leave = told * stays / below + (1.0 - told) * leave
-            levels.append(Counted(keys, n, number * width, told, mine, below, np.zeros((len(keys), width), np.float32)))
+            own, scale, unsure = (each.astype(np.float32) for each in (mine, told / below, 1.0 - told))
+            moved = np.zeros((len(keys), width), np.float32)
+            levels.append(Counted(keys, n, number * width, own, scale, unsure, moved))
         for part in together(c.arrival):
             departure, target = c.departure[part].astype(np.intp), column.take(c.pair[part])
             for level in levels:
                 cell, own = level.of(departure, target, responsibility[part])
-                np.add.at(level.moved.ravel(), cell, own.astype(np.float32))
+                np.add.at(level.moved.ravel(), cell, own)
         return levels, leave
 
     def judged(self, candidates: Candidates, responsibility: Singles, share: Floats, levels: list[Counted]) -> Singles:
         """Probability of each candidate (M,) in its context, judged by the others; ``share`` (P,): without context."""
         c, column = candidates, self._columns(candidates)[0]
-        after = np.empty(len(c.lag), np.float32)
+        after, without = np.empty(len(c.lag), np.float32), share.astype(np.float32)
         for part in together(c.arrival):
             departure, pair = c.departure[part].astype(np.intp), c.pair[part].astype(np.intp)
-            target, here = column.take(pair), share.take(pair)
+            target, here = column.take(pair), without.take(pair)
             for level in levels:
                 here = level.judged(departure, *level.of(departure, target, responsibility[part]), here)
             after[part] = here

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Arrivals, Candidates, Departures, Singles
-from camtopod.learn.joint import Fit, JointFitter
+from camtopod.learn.joint import Fit, JointFitter, adjust
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import Chance
 
@@ -80,6 +80,7 @@ class Parts:
         self.stretch = min(max(span / STRETCHES, STRETCH_LAGS_MIN * bins.lag_max), STRETCH_SECONDS_MAX, span / PARTS)
         self._left, self._came = self._of(departures.t), self._of(arrivals.t)
         self._exposure = self._exposures()
+        self._adjusted = adjust(fit.candidates, departures, arrivals, fit.persistence, bins)
 
     def take(self, numbers: Ints) -> PartFitter:
         """A fit of what came in these parts, pairs numbered as in the fit."""
@@ -91,10 +92,9 @@ class Parts:
         )
         fitter = PartFitter(
             self.departures, self.arrivals.take(came), candidates, self.bins, self.zones, self.until,
-            self._exposure[numbers].sum(axis=0),
+            self._exposure[numbers].sum(axis=0), self._adjusted.take(kept),
         )  # fmt: skip
         fitter.near = left if left.any() else ~left
-        fitter.use(self.fit.persistence)
         return fitter
 
     def _of(self, t: Floats) -> Ints:

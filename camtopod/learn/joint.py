@@ -29,9 +29,11 @@ from camtopod.learn.candidates import (
     Candidates,
     Departures,
     Indices,
+    Ints,
     Singles,
     first_hazards,
     rows_together,
+    runs_of,
     together,
 )
 from camtopod.learn.exposure import exposures
@@ -94,6 +96,20 @@ class Fit(NamedTuple):
     persistence: Persistence
 
 
+class Adjusted(NamedTuple):
+    """Candidates (M,) as speed tells: the cell of each in a table (P, bins), by its lag at usual speed, and how well
+    the slownesses before and after agree (None: nothing is known of that).
+    """
+
+    persistence: Persistence
+    cell: Ints
+    agreement: Singles | None
+
+    def take(self, kept: Indices) -> Adjusted:
+        """The candidates ``kept``, where pairs of zones keep their numbers."""
+        return Adjusted(self.persistence, self.cell[kept], None if self.agreement is None else self.agreement[kept])
+
+
 class Tables(NamedTuple):
     """What a round of EM comes to."""
 
@@ -132,11 +148,12 @@ class JointFitter:
 
     def __init__(
         self, departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins,
-        zones: int, until: float, exposure: Floats | None = None,
+        zones: int, until: float, exposure: Floats | None = None, adjusted: Adjusted | None = None,
     ) -> None:  # fmt: skip
-        """``exposure`` (zones, bins): where it is known already."""
+        """``exposure`` (zones, bins), ``adjusted`` candidates: where they are known already."""
         self.bins, self.zones = bins, zones
-        self.candidates, self.departures, self.arrivals = candidates, departures, arrivals
+        self.departures, self.arrivals = departures, arrivals
+        self._follow(candidates)
         self.exposure = exposures(departures, bins, zones, until) if exposure is None else exposure
         self._some_exposed = np.maximum(self.exposure, 1.0)
         n = self._some_exposed.max(axis=1, keepdims=True)
@@ -154,7 +171,10 @@ class JointFitter:
         self._drawn: Indices | None = None  # the only candidates with a responsibility, ascending, where there are few
         self._own = np.zeros((self.pairs, bins.size), np.float32)
         self._agreement: Singles | None = None
-        self.use(NO_PERSISTENCE)
+        if adjusted is None:
+            self.use(NO_PERSISTENCE)
+        else:
+            self._use(adjusted)
 
     @property
     def pairs(self) -> int:
@@ -207,7 +227,8 @@ class JointFitter:
         self._expect(hazard)
         del hazard  # they are as large as the new ones
         sure = np.flatnonzero(self.responsibility > SURE_RESPONSIBILITY)
-        (left, came), each = self._slownesses(sure), self.responsibility[sure].astype(float)
+        left, came = self.departures.slow.take(c.departure[sure]), self.arrivals.slow.take(c.arrival[sure])
+        each = self.responsibility[sure].astype(float)
         self.use(persistence(left, came, c.lag[sure].astype(float), c.pair[sure], each))
         return self._hazards(self._counted(before))
 
@@ -215,32 +236,24 @@ class JointFitter:
         """A copy of the responsibilities (M,), as far as they count for the hazards."""
         return self.responsibility.copy()
 
+    def _follow(self, candidates: Candidates) -> None:
+        """From here on these candidates, some at a time."""
+        self.candidates = candidates
+        self._parts = together(candidates.arrival)
+        self._runs = [runs_of(candidates.arrival[part]) for part in self._parts]
+
     def use(self, found: Persistence) -> None:
         """Adjust lags and weigh candidates by what speed tells."""
-        c = self.candidates
-        self.persistence = found
-        self._parts = together(c.arrival)
-        self._cell = np.empty(len(c.lag), np.int32)
-        self._agreement = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
-        for part in self._parts:
-            lag = np.clip(c.lag[part].astype(float), self.bins.lag_min, self.bins.lag_max)
-            if found != NO_PERSISTENCE:
-                left, came = self._slownesses(part)
-                lag = adjusted_lag(lag, combined(left, came), found.scaling, self.bins)
-            self._cell[part] = c.pair[part] * self.bins.size + self.bins.index(lag)
-            if self._agreement is not None:
-                self._agreement[part] = agreement(left, came, found)
+        self._use(adjust(self.candidates, self.departures, self.arrivals, found, self.bins))
 
-    def _slownesses(self, some: slice | Indices) -> tuple[Floats, Floats]:
-        """Slowness before and after of some candidates."""
-        c = self.candidates
-        return self.departures.slow.take(c.departure[some]), self.arrivals.slow.take(c.arrival[some])
+    def _use(self, adjusted: Adjusted) -> None:
+        self.persistence, self._cell, self._agreement = adjusted
 
     def prune(self, tables: Tables) -> Tables:
         """Follow only the pairs of zones that have any transitions left."""
         alive = tables.counts.sum(axis=1) > FOLLOWED_TRANSITIONS_MIN
         kept = alive[self.candidates.pair]
-        self.candidates = self.candidates.take(kept)
+        self._follow(self.candidates.take(kept))
         self._message, self.responsibility = self._message[kept], self.responsibility[kept]
         self.use(self.persistence)
         self._own = self._own[alive]
@@ -265,21 +278,24 @@ class JointFitter:
         """E step: responsibilities in the place of those before."""
         c, result = self.candidates, self.responsibility
         background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
+
+        # What each departure is asked for by all arrivals together, and by nobody.
         taken = np.zeros(len(self.departures.t))
         for part in self._parts:
-            result[part] = self._weights(hazard, part)
-            np.add.at(taken, c.departure[part].astype(np.intp), result[part].astype(float) * self._message[part])
+            result[part] = weight = self._weights(hazard, part)
+            np.add.at(taken, c.departure[part].astype(np.intp), (weight * self._message[part]).astype(float))
         taken += self._leave(hazard)
-        for part in self._parts:
-            weight, arrival = result[part].astype(float), c.arrival[part].astype(np.intp)
-            first, last = arrival[0], arrival[-1] + 1
-            arrival -= first
-            offer = weight / (taken.take(c.departure[part]) - weight * self._message[part])
-            offered = np.zeros(last - first)
-            np.add.at(offered, arrival, offer)
-            demand = (background[first:last] + offered).take(arrival)
-            self._message[part] = 1.0 / np.maximum(demand - offer, 1e-12)
+
+        # What each candidate has left for its arrival, beside the background and the other candidates there.
+        for part, run in zip(self._parts, self._runs, strict=True):
+            weight = result[part]
+            others = taken.take(c.departure[part].astype(np.intp))
+            others -= weight * self._message[part]
+            offer = np.divide(weight, others, out=others)
+            demand = np.repeat(background[run.arrival] + np.add.reduceat(offer, run.first), run.candidates)
             np.divide(offer, demand, out=result[part])
+            demand -= offer
+            np.divide(1.0, np.maximum(demand, 1e-12, out=demand), out=self._message[part])
 
     def _believe(self, drawn: Indices) -> None:
         """The candidates ``drawn`` (ascending) are transitions, and no others."""
@@ -305,20 +321,27 @@ class JointFitter:
         per_zone = np.bincount(self.arrivals.zone, explained, minlength=self.zones)
         self.outside = np.clip(1.0 - per_zone / self._per_zone, OUTSIDE_FLOOR, 1.0)
 
-    def _weights(self, hazard: Singles, part: slice) -> Floats:
+    def _weights(self, hazard: Singles, part: slice) -> Singles:
         """Hazard of each candidate of a part that the others make."""
         cell = self._cell[part].astype(np.intp)
-        weight = hazard.take(cell).astype(float)
+        weight = hazard.take(cell)
         # Leave one out: left in, a lone arrival would be its own evidence and all clutter would find a departure.
         if self._drawn is None:
-            weight *= np.maximum(1.0 - self.responsibility[part] * self._own.take(cell), 0.0)
+            weight *= self._others(cell, self.responsibility[part])
         else:
             drawn = self._drawn[within(self._drawn, part)]
             at = drawn - part.start
-            weight[at] *= np.maximum(1.0 - self.responsibility[drawn] * self._own.take(cell[at]), 0.0)
+            weight[at] *= self._others(cell[at], self.responsibility[drawn])
         if self._agreement is not None:
             weight *= self._agreement[part]
         return weight
+
+    def _others(self, cell: Indices, responsibility: Singles) -> Singles:
+        """Share of the hazard in some cells of the tables that candidates other than these make."""
+        own = self._own.take(cell)
+        own *= responsibility
+        others: Singles = np.maximum(np.subtract(1.0, own, out=own), 0.0, out=own)
+        return others
 
     def _leave(self, hazard: Singles) -> Floats:
         """Probability (n,) that the object of each departure is not seen again."""
@@ -388,3 +411,21 @@ def within(some: Indices, part: slice) -> slice:
     """Which of ``some`` (n,), ascending, belong to a part of all."""
     ends = np.array((part.start, part.stop), some.dtype)  # of another type all of them would be copied
     return slice(*np.searchsorted(some, ends).tolist())
+
+
+def adjust(
+    candidates: Candidates, departures: Departures, arrivals: Arrivals, found: Persistence, bins: LagBins
+) -> Adjusted:
+    """The candidates as the ``found`` persistence of speed tells."""
+    c = candidates
+    cell = np.empty(len(c.lag), np.int32)
+    agree = np.empty(len(c.lag), np.float32) if found.correlation > 0 else None
+    for part in together(c.arrival):
+        lag = np.clip(c.lag[part].astype(float), bins.lag_min, bins.lag_max)
+        if found != NO_PERSISTENCE:
+            left, came = departures.slow.take(c.departure[part]), arrivals.slow.take(c.arrival[part])
+            lag = adjusted_lag(lag, combined(left, came), found.scaling, bins)
+        cell[part] = c.pair[part] * bins.size + bins.index(lag)
+        if agree is not None:
+            agree[part] = agreement(left, came, found)
+    return Adjusted(found, cell, agree)

@@ -53,8 +53,10 @@ SWEEPS, SETTLING_SWEEPS = 30, 15
 SAMPLES_SHARE = 0.5
 """Of what is believed in the end; the rest is what the fit said."""
 SAMPLING_SEED = 2011
+CONTEXTS_EVERY = 3
+"""Sweeps until contexts are learned again, ..."""
 SKIPS_EVERY = 10
-"""Sweeps until skipped views are looked at again."""
+"""... and until skipped views are looked for again."""
 
 
 class Posterior(NamedTuple):
@@ -176,7 +178,7 @@ class PosteriorFitter(JointFitter):
             self._expect(hazard)
             del hazard  # as large as the new one
             self._drawn = None
-            if sweep % 2 == 0:
+            if sweep % CONTEXTS_EVERY == 0:
                 self._learn_contexts()
             if sweep >= SETTLING_SWEEPS:
                 believed += self.responsibility
@@ -299,7 +301,7 @@ class PosteriorFitter(JointFitter):
         share = np.concatenate([self._appears(hazard[rows], rows).sum(axis=1) for rows in rows_together(self.pairs)])
         return legs_of(share, lambda some: self._appears(hazard[some], some), self.candidates, self.bins)
 
-    def _weights(self, hazard: Singles, part: slice) -> Floats:
+    def _weights(self, hazard: Singles, part: slice) -> Singles:
         """Hazard of each candidate of a part that the others make."""
         weight = super()._weights(hazard, part)
         entering = self.entering
@@ -317,8 +319,8 @@ class PosteriorFitter(JointFitter):
         if self._agreement is not None:
             skipped *= self._agreement.take(some)
         weight[some - part.start] += skipped
-        skipping.part[there] = skipped / np.maximum(weight.take(some - part.start), 1e-300)
-        entering.part[here] = entered / np.maximum(weight.take(early - part.start), 1e-300)
+        skipping.part[there] = skipped / np.maximum(weight.take(some - part.start), NOTHING)
+        entering.part[here] = entered / np.maximum(weight.take(early - part.start), NOTHING)
         if self._multiplier is not None:
             weight *= self._multiplier[part]
         return weight
