@@ -93,13 +93,22 @@ class Histogram(Struct, frozen=True, omit_defaults=True):
     unit: float = 1.0
 
 
+class Lacks(Struct, frozen=True):
+    """What a weak link still needs until it is published: further ``passages``, which take ``seconds`` at this
+    traffic.
+    """
+
+    passages: float
+    seconds: float
+
+
 class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     """A directed link between two zones.
 
     ``probability``: of all objects that leave at ``from``, the share that appears next at ``to``;
     ``transitions``: their expected number. ``q_value``: false discovery rate at which the link is published.
     ``mahalanobis_variance``: the thesis's figure, Var(d) (table 4.3). ``histogram`` counts on the lag bins of the
-    topology's model.
+    topology's model. ``lacks``: of a weak link, unless waiting does not help.
     """
 
     from_: str
@@ -111,6 +120,7 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     q_value: float
     mahalanobis_variance: float
     histogram: Histogram | None = None
+    lacks: Lacks | None = None
 
 
 class Pair(Struct, frozen=True, omit_defaults=True):

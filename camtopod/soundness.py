@@ -27,6 +27,7 @@ from camtopod.records import (
     ChainEdge,
     Context,
     Histogram,
+    Lacks,
     Link,
     Model,
     Onward,
@@ -57,6 +58,7 @@ _RANGES: dict[type[Struct], Ranges] = {
     Camera: {"clock_offset": _TIME, "clock_offset_sd": _SPAN},
     Zone: {"entries": _COUNT, "exits": _COUNT, "x": _SHARE, "y": _SHARE},
     Link: {"probability": _SHARE, "transitions": _NUMBER, "q_value": _SHARE, "mahalanobis_variance": _NUMBER},
+    Lacks: {"passages": _NUMBER, "seconds": _SPAN},
     Transit: dict.fromkeys(("mode", "mean", "q10", "q50", "q90"), _TIME)
     | dict.fromkeys(("sd", "mean_sd", "q50_sd"), _SPAN),
     Histogram: {"unit": _NUMBER},

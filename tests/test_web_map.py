@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import pytest
 from made_site import made_link, made_site
+from msgspec.structs import replace
 
-from camtopod.records import Link, Pair, Topology
+from camtopod.records import Lacks, Link, Pair, Topology
 from camtopod.web.drawing import Map, MapCamera, MapChange, change, doubt, draw, map_edges
 from camtopod.web.layout import Place, places
 
@@ -47,26 +47,50 @@ def test_a_pair_is_an_edge_with_both_ways() -> None:
         (SETTLED, 30.0, ""),
         (SETTLED, 29.0, "new"),
         (None, 500.0, "not published"),
-        (msgspec.structs.replace(SETTLED, by_sum_rule="unseen_path", reason="few"), 500.0, "differ (few)"),
-        (msgspec.structs.replace(SETTLED, by_sum_rule=None), 500.0, ""),
+        (replace(SETTLED, by_sum_rule="unseen_path", reason="few"), 500.0, "differ (few)"),
+        (replace(SETTLED, by_sum_rule=None), 500.0, ""),
     ],
 )
 def test_provisional_says_why(pair: Pair | None, transitions: float, word: str) -> None:
-    said = doubt(pair, transitions, 1e-3)
+    said = doubt(pair, transitions, made_link("a/1", "b/1", 10.0, transitions))
     assert word in said
     assert bool(said) is bool(word)
 
 
 def test_weak_evidence_is_told_by_its_own_figure() -> None:
-    assert doubt(None, 50.0, 0.03) == "not published: it may be chance (q = 0.03)"
-    assert "not all rules for publishing" in doubt(None, 50.0, 1e-6)
+    link = made_link("a/1", "b/1", 10.0, 50.0)
+    assert doubt(None, 50.0, replace(link, q_value=0.03)) == "not published: it may be chance (q = 0.03)"
+    assert "not all rules for publishing" in doubt(None, 50.0, replace(link, q_value=1e-6))
+
+
+@pytest.mark.parametrize(
+    ("passages", "seconds", "said"),
+    [
+        (1.2, 30.0, "one more passage, 1 minute at this traffic"),
+        (6.6, 457.0, "about 7 more passages, 8 minutes at this traffic"),
+        (30.0, 4 * 3600.0, "about 30 more passages, 4 hours at this traffic"),
+        (30.0, 5 * 86400.0, "about 30 more passages, 5 days at this traffic"),
+    ],
+)
+def test_what_a_link_lacks_is_said(passages: float, seconds: float, said: str) -> None:
+    link = replace(made_link("a/1", "b/1", 10.0, 50.0), q_value=0.03, lacks=Lacks(passages, seconds))
+    assert doubt(None, 50.0, link) == f"not published yet: it lacks {said}"
+
+
+def test_of_several_links_the_nearest_to_being_published_speaks_for_the_pair() -> None:
+    topology = made_site(12)
+    key = f"{topology.cameras[0].id} {topology.cameras[-1].id}"
+    there = made_link(topology.zones[0].id, topology.zones[-1].id, 20.0, 12.0)
+    back = made_link(topology.zones[-1].id, topology.zones[0].id, 20.0, 12.0)
+    weak = [replace(there, q_value=0.02, lacks=Lacks(9.0, 900.0)), replace(back, q_value=0.03, lacks=Lacks(4.0, 300.0))]
+    assert "about 4 more passages" in draw(replace(topology, weak_links=weak)).edges[key].provisional
 
 
 def with_weak(topology: Topology, **changed: float) -> Topology:
     """Weak evidence between the first and the last camera."""
     link = made_link(topology.zones[0].id, topology.zones[-1].id, 20.0, 12.0)
-    weak: list[Link] = [msgspec.structs.replace(link, **{"q_value": 0.02, **changed})]
-    return msgspec.structs.replace(topology, weak_links=weak)
+    weak: list[Link] = [replace(link, **{"q_value": 0.02, **changed})]
+    return replace(topology, weak_links=weak)
 
 
 def test_evidence_that_is_nearly_enough_is_on_the_map_and_moves_nobody() -> None:
@@ -86,12 +110,12 @@ def test_evidence_that_is_nearly_enough_is_on_the_map_and_moves_nobody() -> None
 def test_a_change_makes_the_new_map_of_the_old() -> None:
     topology = made_site(12)
     links = [
-        msgspec.structs.replace(link, probability=0.2) if link.from_.startswith("cam0003/") else link
+        replace(link, probability=0.2) if link.from_.startswith("cam0003/") else link
         for link in topology.links
         if "cam0005/" not in link.from_ + link.to
     ]
     gone = [pair for pair in topology.pairs if "cam0005" not in pair.cameras]
-    newer = msgspec.structs.replace(
+    newer = replace(
         topology, version=2, links=links, pairs=gone, cameras=[c for c in topology.cameras if c.id != "cam0005"],
         zones=[zone for zone in topology.zones if zone.camera != "cam0005"],
     )  # fmt: skip
@@ -105,9 +129,9 @@ def test_a_change_makes_the_new_map_of_the_old() -> None:
 
 def test_what_nobody_could_see_is_no_change() -> None:
     topology = made_site(12)
-    links = [msgspec.structs.replace(link, transitions=link.transitions * 1.001) for link in topology.links]
+    links = [replace(link, transitions=link.transitions * 1.001) for link in topology.links]
     old = draw(topology)
-    delta = change(old, draw(msgspec.structs.replace(topology, version=2, links=links), old))
+    delta = change(old, draw(replace(topology, version=2, links=links), old))
     assert len(delta.edges) <= 2  # some cross a border of rounding
     assert delta.cameras == {}
 
@@ -169,7 +193,7 @@ def test_a_map_without_a_change_of_the_network_stays_as_it_is() -> None:
     topology = made_site(30)
     old = draw(topology)
     moved = {name: MapCamera(one.x + 1, one.y, one.zones, one.entries, one.exits) for name, one in old.cameras.items()}
-    kept = draw(msgspec.structs.replace(topology, version=2), msgspec.structs.replace(old, cameras=moved))
+    kept = draw(replace(topology, version=2), replace(old, cameras=moved))
     assert kept.cameras == moved
 
 
@@ -177,6 +201,6 @@ def test_a_pair_whose_links_are_not_listed_is_drawn() -> None:
     topology = made_site(12)
     pair = topology.pairs[0]
     inside = [link for link in topology.links if link.relation == "visible"]
-    edge = draw(msgspec.structs.replace(topology, links=inside)).edges[" ".join(pair.cameras)]
+    edge = draw(replace(topology, links=inside)).edges[" ".join(pair.cameras)]
     assert (edge.relation, edge.ways) == (pair.relation, [])
     assert edge.provisional.startswith("new")

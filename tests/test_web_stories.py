@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from made_site import BINS, SHARE, made_link, made_site
 
-from camtopod.records import Link, Pair, Topology
+from camtopod.records import Lacks, Link, Pair, Topology
 from camtopod.web.history import Change, changes, summary
 from camtopod.web.stories import Stories, why, why_pair
 
@@ -70,6 +70,9 @@ def test_the_words_follow_the_figures() -> None:
     assert "about one in 25 would be there by mere chance" in said
     assert "50 % of what chance would give" in said
     assert "It is not published: not all rules for that are met yet (among them q ≤ 0.01 and 3.0 %" in said
+    assert "lacks" not in said
+    lacking = msgspec.structs.replace(unsure, lacks=Lacks(12.0, 1800.0))
+    assert "It lacks about 12 more passages, 30 minutes at this traffic." in " ".join(why(lacking, True, None, None))
 
 
 def test_a_weak_link_without_a_histogram_has_no_chart() -> None:

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from camtopod.learn.chain import markov_chain
 from camtopod.learn.clocks import Clocks
 from camtopod.learn.histograms import counted
+from camtopod.learn.lacking import Lacking
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable
 from camtopod.learn.relations import camera_pairs, relation_of
@@ -21,6 +22,7 @@ from camtopod.learn.window import Window
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
+    Lacks,
     Link,
     Model,
     Relation,
@@ -53,7 +55,7 @@ def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
 
 def link_records(
     cameras: list[str], scene: Scene, table: LinkTable, bins: LagBins, relation: Relation | None = None,
-    histograms: bool = True,
+    histograms: bool = True, lacks: Lacking | None = None,
 ) -> list[Link]:  # fmt: skip
     """Rows of the table as links, by key; ``relation`` None: overlapped or unseen, from where the lags lie."""
     ids = [zone_id(cameras, zone) for zone in scene.zones]
@@ -67,10 +69,15 @@ def link_records(
                 *(short(value) for value in (t.mean_error[k], t.median_error[k])),
             ),
             short(table.q[k]), short(table.variance[k]), counted(table.counts[k], bins) if histograms else None,
+            lacks and _lacks(float(lacks.passages[k]), float(lacks.seconds[k])),
         )
         for k in range(len(table.source))
     ]  # fmt: skip
     return sorted(records, key=link_key)
+
+
+def _lacks(passages: float, seconds: float) -> Lacks | None:
+    return None if np.isnan(passages) else Lacks(short(passages), short(seconds))
 
 
 def by_clocks(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> list[Link]:

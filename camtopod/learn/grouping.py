@@ -44,3 +44,12 @@ def summed(rows: Floats, group: Labels, groups: int) -> Floats:
         begin = np.cumsum(number[more]) - number[more]
         result[present[more]] = np.add.reduceat(rows[order[np.repeat(more, number)]], begin, axis=0)
     return result
+
+
+def rows_at(keys: Labels, wanted: Labels) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Where each of the ``wanted`` (n,) is among the ``keys``, and whether it is there at all: (n,) each."""
+    if len(keys) == 0:
+        return np.zeros(len(wanted), np.intp), np.zeros(len(wanted), np.bool_)
+    order = np.argsort(keys, kind="stable")
+    at = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
+    return at, keys[at] == wanted

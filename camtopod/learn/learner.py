@@ -28,6 +28,7 @@ from camtopod.learn.clocks import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.intake import MICROSECONDS, EventTimeState, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
+from camtopod.learn.lacking import lacking
 from camtopod.learn.lags import LagBins, offset_bins
 from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
 from camtopod.learn.links import (
@@ -330,13 +331,14 @@ class Learner:
         published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
         seen = np.flatnonzero(significant(through, self.settings))
         visible = refresh_monte_carlo(through.rows(seen), self.stay_bins)
+        weak = beside(likely, published, zones)
+        began = self._window.column("t")[0] / MICROSECONDS
+        lacks = lacking(weak, between, int(found.sum()), zones, scene.last - began, self.settings)
         topology = assemble(
             self.settings, self._window, scene, model, self._keeper.clocks,
             links=link_records(cameras, scene, published, self.bins)
             + link_records(cameras, scene, visible, self.stay_bins, "visible"),
-            weak_links=link_records(
-                cameras, scene, beside(likely, published, zones), self.bins, histograms=False
-            ),
+            weak_links=link_records(cameras, scene, weak, self.bins, histograms=False, lacks=lacks),
         )  # fmt: skip
         version, now = 1 if self.topology is None else self.topology.version + 1, tick_us / MICROSECONDS
         ids = [zone_id(cameras, zone) for zone in scene.zones]

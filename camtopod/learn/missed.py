@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import rows_together
+from camtopod.learn.grouping import rows_at
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
@@ -86,7 +87,7 @@ def unexplained(
     if len(ways.pair) == 0:
         return own
     pairs, at = np.unique(ways.pair, return_inverse=True)
-    row, known = _rows(between.source.astype(np.intp) * len(camera) + between.target, pairs)
+    row, known = rows_at(between.source.astype(np.intp) * len(camera) + between.target, pairs)
     near = _inside(ways, at, len(pairs), bins)
     seen = np.where(known, (near * between.counts[row]).sum(axis=1), 0.0)
     odds = Odds(ways, at, seen, settings.missed_share_max)
@@ -164,13 +165,6 @@ def _inside(ways: Ways, at: Rows, pairs: int, bins: LagBins) -> NDArray[np.bool_
         near = np.abs(bins.centres - ways.median[rows, None]) <= reach[rows, None]
         np.logical_or.at(inside, at[rows], near)
     return inside
-
-
-def _rows(keys: Rows, wanted: Rows) -> tuple[Rows, NDArray[np.bool_]]:
-    """Where each of the ``wanted`` is among the ``keys``, and whether it is there at all."""
-    order = np.argsort(keys, kind="stable")
-    at = np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)
-    return order[at], keys[order[at]] == wanted
 
 
 def joined(left: NDArray[np.signedinteger[Any]], right: NDArray[np.signedinteger[Any]]) -> tuple[Rows, Rows]:

@@ -45,3 +45,10 @@ def q_values(ratio: Floats, tests: int) -> Floats:
     q = np.empty(len(p))
     q[order] = np.minimum(np.minimum.accumulate(adjusted[::-1])[::-1], 1.0)
     return q
+
+
+def ratio_needed(rank: int, tests: int, q_max: float) -> float:
+    """Evidence in nats with which a pair has a false discovery rate of at most ``q_max`` as the ``rank``-th clearest of
+    ``tests`` pairs looked at.
+    """
+    return float(np.log(max(tests, 1) / (max(q_max, 1e-300) * rank)))

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from camtopod.export.graph import Edge, edges
 from camtopod.learn.settings import Settings
-from camtopod.records import Alarm, Link, Pair, PairRelation, SelfScore, Topology
+from camtopod.records import Alarm, Lacks, Link, Pair, PairRelation, SelfScore, Topology
 from camtopod.web.layout import Place, places
 
 SETTLED_TRANSITIONS_MIN = 30.0
@@ -17,6 +17,9 @@ SETTLED_TRANSITIONS_MIN = 30.0
 SUSPECTED_Q_MAX = 0.05
 SUSPECTED_TRANSITIONS_MIN = 5.0
 """Evidence that is not published is on the map from this on, as provisional."""
+
+LONGEST = {"minutes": 120.0, "hours": 48.0, "days": math.inf}
+"""Beyond this a time is said in the next larger unit."""
 
 
 class MapCamera(Struct, frozen=True):
@@ -116,7 +119,7 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
     """The published pairs, and those for which there is evidence that is nearly enough."""
     camera = {zone.id: zone.camera for zone in topology.zones}
     ways: dict[str, list[Edge]] = {}
-    best: dict[str, float] = {}
+    best: dict[str, Link] = {}
     suspected = [
         link
         for link in topology.weak_links or []
@@ -131,7 +134,7 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
                 ways.setdefault(key, []).append(edge)
         for link in links:
             key = _key(camera[link.from_], camera[link.to])
-            best[key] = min(best.get(key, math.inf), link.q_value)
+            best[key] = min(best.get(key, link), link, key=nearness)
     result = {}
     for key in sorted({*ways, *pairs}):
         there = ways.get(key, [])
@@ -140,16 +143,26 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
         pair = pairs.get(key)
         result[key] = MapEdge(
             pair.relation if pair else overlapped,
-            doubt(pair, transitions, best.get(key, 1.0)),
+            doubt(pair, transitions, best.get(key)),
             _digits(transitions, 2),
             [_way(edge) for edge in there],
         )
     return result
 
 
-def doubt(pair: Pair | None, transitions: float, q_value: float) -> str:
-    """Why an edge is provisional, in words; "" if it is settled."""
+def nearness(link: Link) -> tuple[float, float]:
+    """Ascending: how near a link is to being published."""
+    return (math.inf if link.lacks is None else link.lacks.seconds), link.q_value
+
+
+def doubt(pair: Pair | None, transitions: float, best: Link | None) -> str:
+    """Why an edge is provisional, in words; "" if it is settled. ``best``: the link that is nearest to being
+    published.
+    """
     if pair is None:
+        if best is not None and best.lacks is not None:
+            return f"not published yet: it lacks {in_words(best.lacks)}"
+        q_value = 1.0 if best is None else best.q_value
         figure = f"q = {q_value:.2f}" if q_value >= 0.005 else "q < 0.005"
         if q_value <= Settings().publish_q_max:
             return f"not published: there is evidence ({figure}), but not all rules for publishing are met yet"
@@ -159,6 +172,16 @@ def doubt(pair: Pair | None, transitions: float, q_value: float) -> str:
     if pair.by_lags is not None and pair.by_sum_rule is not None and pair.by_lags != pair.by_sum_rule:
         return f"the two tests of its kind differ{f' ({pair.reason})' if pair.reason else ''}"
     return ""
+
+
+def in_words(lacks: Lacks) -> str:
+    """What a link lacks."""
+    passages = "one more passage" if lacks.passages < 1.5 else f"about {lacks.passages:.0f} more passages"
+    minutes = lacks.seconds / 60.0
+    for unit, amount in (("minutes", minutes), ("hours", minutes / 60.0), ("days", minutes / 1440.0)):
+        if amount < LONGEST[unit]:
+            break
+    return f"{passages}, {max(amount, 1.0):.0f} {unit if amount >= 1.5 else unit[:-1]} at this traffic"
 
 
 def _places(topology: Topology, drawn: Mapping[str, MapEdge], before: Map | None) -> dict[str, Place]:

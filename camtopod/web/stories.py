@@ -15,7 +15,7 @@ from camtopod.learn.links import MONTE_CARLO_SEED
 from camtopod.learn.settings import Settings
 from camtopod.learn.smoothing import smooth
 from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
-from camtopod.web.drawing import doubt
+from camtopod.web.drawing import doubt, in_words, nearness
 
 CURVE_SHARE_MIN = 0.004
 """Where the fitted curve is lower than this share of its peak it is not drawn."""
@@ -72,11 +72,11 @@ class Stories:
         pair = self._pairs.get((first, second))
         if (pair is None and not shown) or first == second:
             return None
-        transitions, q_value = sum(link.transitions for link in shown), min((link.q_value for link in shown), default=1)
+        transitions, best = sum(link.transitions for link in shown), min(shown, key=nearness, default=None)
         return {
             "cameras": [first, second],
             "relation": pair and pair.relation,
-            "provisional": doubt(pair, transitions, q_value),
+            "provisional": doubt(pair, transitions, best),
             "why": why_pair(pair),
             "links": [brief(link) for link in links],
             "weak": [brief(link) for link in weak],
@@ -184,9 +184,10 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
         f"(Var(d) = {link.mahalanobis_variance:.2g}; the thesis asks for at most {mahalanobis.LINKED_VARIANCE_MAX:g})."
     )
     if weak:
+        lacks = f" It lacks {in_words(link.lacks)}." if link.lacks else ""
         said.append(
             f"It is not published: not all rules for that are met yet (among them q ≤ {rule:g} and "
-            f"{_share(Settings().publish_probability_min)} of those who leave). It only weighs in predictions."
+            f"{_share(Settings().publish_probability_min)} of those who leave).{lacks} It only weighs in predictions."
         )
     return said
 
