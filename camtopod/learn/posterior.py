@@ -48,8 +48,10 @@ NEGLIGIBLE = 1e-4
 """Candidates with a smaller responsibility after the first few iterations are left out of the others."""
 ITERATIONS = 8
 """With contexts, which are learned in every other one."""
-SWEEPS, SETTLING_SWEEPS = 30, 15
-"""Draws of who came from where, and those of them that do not count yet."""
+SWEEPS_MIN, SWEEPS_MAX = 12, 30
+"""Draws of who came from where; the first half of them does not count yet ..."""
+DRAWN_ARRIVALS = 200_000
+"""... and all together draw so many arrivals: of many arrivals a few draws say as much as many draws of a few."""
 SAMPLES_SHARE = 0.5
 """Of what is believed in the end; the rest is what the fit said."""
 SAMPLING_SEED = 2011
@@ -170,7 +172,9 @@ class PosteriorFitter(JointFitter):
         sources = Sources(self.candidates.arrival, len(self.arrivals.t), SAMPLING_SEED)
         believed, skipped = np.zeros((2, len(fitted)), np.float32)
         entered = np.zeros(len(entering.early))
-        for sweep in range(SWEEPS):
+        sweeps = min(max(DRAWN_ARRIVALS // max(len(self.arrivals.t), 1), SWEEPS_MIN), SWEEPS_MAX)
+        settled = sweeps // 2
+        for sweep in range(sweeps):
             self._believe(sources.draw(self.responsibility))
             hazard = self._with_faint(self._learn_hazards())
             if (sweep + 1) % SKIPS_EVERY == 0:
@@ -180,14 +184,14 @@ class PosteriorFitter(JointFitter):
             self._drawn = None
             if sweep % CONTEXTS_EVERY == 0:
                 self._learn_contexts()
-            if sweep >= SETTLING_SWEEPS:
+            if sweep >= settled:
                 believed += self.responsibility
                 skipped[skipping.some] += self.responsibility[skipping.some] * skipping.part
                 entered += self.responsibility[entering.early] * entering.part
         some = np.flatnonzero(skipped)
         skipping.believe(some, (skipped[some] / np.maximum(believed[some], NOTHING)).astype(np.float32))
         entering.part = entered / np.maximum(believed[entering.early], NOTHING)
-        believed *= SAMPLES_SHARE / (SWEEPS - SETTLING_SWEEPS)
+        believed *= SAMPLES_SHARE / (sweeps - settled)
         fitted *= 1.0 - SAMPLES_SHARE
         np.add(believed, fitted, out=self.responsibility)
         self.hazard = self._with_faint(self._learn_hazards())

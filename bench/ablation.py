@@ -1,0 +1,228 @@
+"""What each mechanism of the learner is worth: every figure with all of them, and with each left out in turn.
+
+    python -m bench ablation [--data FOLDER] [--mechanisms a,b] [--regimes a,b] [--seeds N] [--scale X]
+                             [--sampling-seeds N] [--jobs 2] [--json FILE]
+
+The networks are the real ones of `bench real` (skipped where there is no data) and made-up ones of `bench.regimes`.
+Each is learned in one fit of its first 70 % and judged by the rest. The seed of the sampler alone moves the figures of
+a small network, so each is measured with several and averaged. A difference is paired by network: without the
+mechanism, less with all; for log loss and calibration error positive is worse without, for links and top-1 negative. A
+mechanism earns its place when leaving it out costs more than two standard errors on the real networks, or more than
+`REGIME_COST` on a kind of made-up ones and more than two of its standard errors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import os
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from msgspec import Struct
+
+from bench import real
+from bench._measure import measure as measure_regime
+from bench._real_figures import calibration_error
+from bench.regimes import REGIMES
+from camtopod.learn.slowness import NO_PERSISTENCE
+
+REAL = "real"
+DEFAULT_REGIMES = "hall,crowd,walkway,road,short,dense,platoons,faulty"
+REGIME_COST = 0.01
+TOLD_NATS = 6.0
+FIGURES = ("log loss", "leave", "calibration", "top-1", "links")
+"""Log loss and its part of "leaves or not", above a chain that is told identities; calibration error of the first
+guess; top-1 over that chain's; links found, of those that can be told (real) or F1 of links or pairs (made up).
+"""
+WORSE = (1.0, 1.0, 1.0, -1.0, -1.0)
+"""The sign of a difference that is worse."""
+
+
+class Mechanism(Struct, frozen=True):
+    """One that can be left out: what stands in for which names (``module:name``, below `camtopod.learn`)."""
+
+    name: str
+    replaced: dict[str, Any]
+
+
+class Task(Struct, frozen=True):
+    """One network, learned without one mechanism."""
+
+    mechanism: str
+    kind: str
+    network: str
+    sampling_seed: int
+    scale: float
+
+
+def _without_level(level: int) -> Callable[..., Any]:
+    contexts = import_module("camtopod.learn.contexts").Contexts
+    every = contexts._contexts
+
+    def others(self: Any, *arguments: Any) -> Any:
+        found = every(self, *arguments)
+        (number, keys), told = found[level]
+        found[level] = ((number, keys), np.zeros_like(told))
+        return found
+
+    return others
+
+
+def _no_skips(appears: Any, candidates: Any, through: Any, bins: Any, zones: int) -> Any:
+    return np.zeros(0, np.int64), np.zeros((0, bins.size))
+
+
+MECHANISMS = [
+    Mechanism("context: zone of entry", {"contexts:Contexts._contexts": _without_level(0)}),
+    Mechanism("context: block of exit", {"contexts:Contexts._contexts": _without_level(1)}),
+    Mechanism("context: entry and block", {"contexts:Contexts._contexts": _without_level(2)}),
+    Mechanism("context: camera before", {"contexts:Contexts._contexts": _without_level(3)}),
+    Mechanism("contexts, all", {"contexts:Contexts._contexts": lambda self, *arguments: []}),
+    Mechanism("pace", {"joint:persistence": lambda *arguments: NO_PERSISTENCE}),
+    Mechanism("skipped views", {"posterior:skip_hazards": _no_skips}),
+    Mechanism("prior: ways are two-way", {"prior:RETURNING": 0.0}),
+    Mechanism("prior: zones of a view", {"prior:POOLING": 0.0}),
+    Mechanism("sampling", {"posterior:PosteriorFitter.sample": lambda self: None}),
+    Mechanism("faint transitions", {"sampling:FAINT_TRANSITIONS": 0.0}),
+    Mechanism("doubt", {"posterior:doubts": lambda pair, responsibility, pairs, *rest: np.zeros(pairs)}),
+    Mechanism("entry kernels", {"entering:entry_pairs_max": lambda cameras: 0}),
+    Mechanism("test of overlap", {"posterior:not_overlapping": lambda c, *rest: np.zeros(len(c.lag), np.bool_)}),
+    Mechanism("first look at candidates", {"posterior:NEGLIGIBLE": 0.0}),
+    Mechanism("missed passages", {"learner:without_missed": lambda between, through, found, *rest: found}),
+    Mechanism("changes", {"learner:find_changes": lambda *arguments: []}),
+    Mechanism("longer steps of EM", {"joint:STRIDE": 1.0}),
+    Mechanism("sparse prior", {"joint:SPARSITY": 0.0}),
+    Mechanism("usual stays", {"learner:with_usual_stays": lambda departures, through: departures}),
+    Mechanism("silent cameras", {"predict:Predictor._alive": lambda self, ready: [1.0] * len(ready.cameras)}),
+    Mechanism("seen before the exit", {"ready:Site.before": lambda self, zone: []}),
+]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Measure, print the table; returns the exit status."""
+    arguments = _parse(argv)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers: two of them share two cores
+    names = ["", *(arguments.mechanisms.split(",") if arguments.mechanisms else [one.name for one in MECHANISMS])]
+    folders = sorted(path.parent for path in arguments.data.glob("*/identities.csv")) if arguments.data else []
+    networks = [(REAL, str(folder)) for folder in folders]
+    networks += [
+        (kind, str(seed)) for kind in filter(None, arguments.regimes.split(",")) for seed in range(arguments.seeds)
+    ]
+    if not folders:
+        print("bench ablation: no real networks (--data or CAMTOPOD_REAL_DATA name their folder)")
+    tasks = [
+        Task(name, kind, network, seed, arguments.scale)
+        for kind, network in networks
+        for name in names
+        for seed in range(arguments.sampling_seeds)
+    ]
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        figures = dict(zip(tasks, pool.map(measure, tasks), strict=True))
+    averaged: dict[tuple[str, str, str], list[list[float]]] = defaultdict(list)
+    for task, row in figures.items():
+        averaged[task.mechanism, task.kind, task.network].append(row)
+    means = {key: np.array(rows).mean(axis=0) for key, rows in averaged.items()}
+    print("\n".join(table(means, names[1:])))
+    if arguments.json is not None:
+        rows = [[*key, *row.tolist()] for key, row in means.items()]
+        arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+    return 0
+
+
+def measure(task: Task) -> list[float]:
+    """The `FIGURES` of one network without one mechanism, nan where there is none."""
+    with without(task.mechanism, task.sampling_seed):
+        if task.kind == REAL:
+            return _real(Path(task.network))
+        regime = REGIMES[task.kind]
+        events, truth = regime.make(int(task.network), task.scale)
+        [record] = measure_regime("batch", task.kind, int(task.network), events, truth, regime.learning(task.scale))
+    links = record.get("f1") if not math.isnan(record.get("f1")) else record.get("pair_f1")
+    error, top1 = record.get("first_calibration_error"), record.get("top1_ratio")
+    return [record.get("log_loss_above"), math.nan, error, top1, links]
+
+
+def _real(folder: Path) -> list[float]:
+    found = real.measure(folder)
+    links = (
+        found.links.found[TOLD_NATS] / found.links.can_be_told[TOLD_NATS]
+        if found.links.can_be_told[TOLD_NATS]
+        else math.nan
+    )
+    if found.ours is None or found.told is None:
+        return [math.nan, math.nan, math.nan, math.nan, links]
+    ours, told = found.ours, found.told
+    error = calibration_error(ours.confidence, ours.right)
+    return [ours.log_loss - told.log_loss, ours.leave_loss - told.leave_loss, error, ours.top1 / told.top1, links]
+
+
+@contextlib.contextmanager
+def without(mechanism: str, sampling_seed: int) -> Iterator[None]:
+    """The learner without a mechanism ("": with all), and another seed of the sampler."""
+    replaced = {"posterior:SAMPLING_SEED": sampling_seed}
+    for one in MECHANISMS:
+        if one.name == mechanism:
+            replaced |= one.replaced
+    with contextlib.ExitStack() as stack:
+        for name, stand_in in replaced.items():
+            module, _, path = name.partition(":")
+            *owners, attribute = path.split(".")
+            owner: Any = import_module(f"camtopod.learn.{module}")
+            for part in owners:
+                owner = getattr(owner, part)
+            stack.enter_context(patch.object(owner, attribute, stand_in))
+        yield
+
+
+def table(means: dict[tuple[str, str, str], Any], names: Sequence[str]) -> list[str]:
+    """One block a kind of network, one row a mechanism; and in the end what each costs most."""
+    kinds = list(dict.fromkeys(kind for _, kind, _ in means))
+    lines, earns = [], defaultdict[str, list[str]](list)
+    for kind in kinds:
+        networks = [network for name, one, network in means if one == kind and name == ""]
+        whole = np.nanmean([means["", kind, network] for network in networks], axis=0)
+        lines += ["", _row(f"{kind}, {len(networks)} networks", *FIGURES)]
+        lines.append(_row("with all", *(f"{value:.3f}" for value in whole)))
+        for name in names:
+            apart = np.array([means[name, kind, network] - means["", kind, network] for network in networks])
+            cells = []
+            for column, figure in enumerate(FIGURES):
+                each = apart[:, column][~np.isnan(apart[:, column])]
+                if len(each) == 0:
+                    cells.append("-")
+                    continue
+                mean = float(each.mean())
+                error = float(each.std(ddof=1) / math.sqrt(len(each))) if len(each) > 1 else math.nan
+                cells.append(f"{mean:+.3f} ({error:.3f})")
+                cost = WORSE[column] * mean
+                if cost > 2.0 * error and (kind == REAL or cost > REGIME_COST):
+                    earns[name].append(f"{figure} of {kind} {mean:+.3f}")
+            lines.append(_row(f"- {name}", *cells))
+    return [*lines, "", "earns its place:", *(f"  {name}: {', '.join(earns[name]) or 'NOTHING'}" for name in names)]
+
+
+def _row(title: str, *cells: object) -> str:
+    return "  ".join([f"{title:28}", *(f"{cell!s:>16}" for cell in cells)])
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    named = os.environ.get("CAMTOPOD_REAL_DATA")
+    parser = argparse.ArgumentParser(prog="python -m bench ablation", description="The learner without each mechanism.")
+    parser.add_argument("--data", type=Path, default=Path(named) if named else None, metavar="FOLDER")
+    parser.add_argument("--mechanisms", help="comma-separated (default: all)")
+    parser.add_argument("--regimes", default=DEFAULT_REGIMES, help=f"comma-separated (default: {DEFAULT_REGIMES})")
+    parser.add_argument("--seeds", type=int, default=3, help="networks per regime (default 3)")
+    parser.add_argument("--scale", type=float, default=0.3, help="length of the made-up recordings (default 0.3)")
+    parser.add_argument("--sampling-seeds", type=int, default=2, help="of the sampler (default 2)")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    return parser.parse_args(argv)
