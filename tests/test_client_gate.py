@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.client import Gate, UnknownPlace
+from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.positions import block_of
 from camtopod.learn.predict import Predictor
@@ -19,9 +20,13 @@ from camtopod.records import (
     Camera,
     CameraModel,
     Context,
+    EntryKernel,
     Event,
+    Histogram,
     Link,
     Model,
+    Onward,
+    Outcome,
     Topology,
     Transit,
     Zone,
@@ -143,6 +148,37 @@ def test_odds_are_those_of_one_object_against_two() -> None:
         assert odds[0, column] == pytest.approx(same - gate.gate_new(entry.camera, zone) - gone)
     assert (odds[1] == -math.inf).all(), "from a/2 no way is known"
     assert gate.affinity(exits, entries, now=1e9)[0] == pytest.approx(odds[0] + gone - gate.gate_gone("a/1"))
+
+
+def overlapping() -> Topology:
+    """Who comes in at a/2 appears at b/1 four seconds later, whenever they leave at a/1."""
+    bins = LagBins(-20.0, 120.0)
+    four = Histogram(bins.bin_of(4.0) + bins.first, [1.0])
+    onward = [Onward("a/1", 0.5, [Outcome("b/1", 0.5, Histogram(bins.bin_of(-9.0) + bins.first, [1e-3]))])]
+    model = replace(THREE.model, onward=onward, entered=[EntryKernel("a/2", "b/1", four)])
+    return replace(THREE, model=model)
+
+
+def test_an_open_track_that_came_when_those_from_there_do_is_the_same_object() -> None:
+    """The passage lasted ten seconds, so the entry that was six before the exit goes with it, and no other."""
+    exits = [LEFT]
+    own = Event("a", "entry", 990.0, 0.9, 0.5, "17")
+    others = [came("b", 994.0), came("b", 998.0)]
+    gate = Gate(overlapping())
+    known = gate.affinity(exits, [own, *others])[0]
+    assert known[1] > 2.0
+    assert known[1] > known[2] + 3.0
+    unknown = gate.affinity(exits, others)[0]
+    assert known[1] > unknown[0] + 2.0
+    elsewhere = replace(own, camera="b"), replace(own, track="18"), replace(own, t=1000.5)
+    for entry in elsewhere:
+        assert gate.affinity(exits, [entry, *others])[0, 1:] == pytest.approx(unknown, abs=0.05)
+
+
+def test_of_several_entries_of_a_track_the_newest_before_the_exit_began_the_passage() -> None:
+    gate, entries = Gate(overlapping()), [came("b", 994.0)]
+    own = [Event("a", "entry", t, 0.9, 0.5, "17") for t in (990.0, 900.0, 1000.5)]
+    assert gate.affinity([LEFT], [*entries, *own])[0, 0] == gate.affinity([LEFT], [*entries, own[0]])[0, 0]
 
 
 def test_as_many_come_from_outside_as_no_exit_accounts_for() -> None:

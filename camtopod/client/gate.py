@@ -43,6 +43,17 @@ class _Onward(NamedTuple):
     """(targets, bins) probability of appearing there in each lag bin."""
     gone: float
     """Probability of not being seen again."""
+    began: _Began | None = None
+    """How the passage that ended began, where it is known, ..."""
+    early: NDArray[np.float64] | None = None
+    """... and (targets,) by how much what the entry foretells of before the exit counts beside the rest."""
+
+
+class _Began(NamedTuple):
+    """How a passage began: the zone of entry, and how many seconds before its exit."""
+
+    zone: int
+    stay: float
 
 
 class Gate:
@@ -111,11 +122,13 @@ class Gate:
         of which those with odds above 0 are pairs: that is the likeliest matching as a whole.
 
         ``exits`` and ``entries`` are events as `TrackEvents` makes them, of all cameras in any order; zones are found
-        by their positions. ``now``: the time, seconds, up to which entries are known, so that who may still be under
-        way is not taken for gone; the newest of the given times where it is not said. -inf: no way has been learned
-        that takes this long; take ``np.maximum(odds, -20)`` where other evidence shall be able to overrule that. 0, so
-        neither for nor against, where this version does not know a camera. Raises ValueError for an entry among the
-        exits or an exit among the entries, or a time that is not a number.
+        by their positions. Where the entry of the passage that an exit ends is among the entries (the same camera and
+        track), more is known: where it came from, and, where views overlap, how long after that entry it appears in
+        other views. So give the entries of open tracks, too. ``now``: the time, seconds, up to which entries are known,
+        so that who may still be under way is not taken for gone; the newest of the given times where it is not said.
+        -inf: no way has been learned that takes this long; take ``np.maximum(odds, -20)`` where other evidence shall be
+        able to overrule that. 0, so neither for nor against, where this version does not know a camera. Raises
+        ValueError for an entry among the exits or an exit among the entries, or a time that is not a number.
         """
         if now is not None and math.isnan(now):
             raise ValueError("now is not a number")
@@ -131,13 +144,28 @@ class Gate:
         left = [self._right(event) if event.camera in self._ahead else -math.inf for event in exits]
         until = max([*left, *came.tolist()]) if now is None else now
         new = np.log(self._new)[to]
+        began = self._passages(exits, entries)
         for row, event in enumerate(exits):
             zone = self._predictor.zone_of(event)
             if zone is not None:
-                onward = self._onward(zone, block_of(event.x, event.y))
+                onward = self._onward(zone, block_of(event.x, event.y), began[row])
                 gone = math.log(self._gone(onward, until - left[row]))
                 odds[row, known] = self._log_density(onward, to, came - left[row]) - new - gone
         return odds
+
+    def _passages(self, exits: Sequence[Event], entries: Sequence[Event]) -> list[_Began | None]:
+        """How the passage began that each of the ``exits`` ends, where its entry is among the ``entries``."""
+        by_track: dict[tuple[str, str], list[Event]] = {}
+        for entry in entries:
+            if entry.track is not None:
+                by_track.setdefault((entry.camera, str(entry.track)), []).append(entry)
+        began: list[_Began | None] = []
+        for event in exits:
+            own = [entry for entry in by_track.get((event.camera, str(event.track)), []) if entry.t <= event.t]
+            newest = max(own, key=lambda entry: entry.t, default=None)
+            zone = None if newest is None else self._predictor.zone_of(newest)
+            began.append(None if newest is None or zone is None else _Began(zone, event.t - newest.t))
+        return began
 
     def _rates_from_outside(self) -> Floats:
         """(zones,) per second, such that as many are expected to have come as to have left before.
@@ -166,17 +194,38 @@ class Gate:
         """The event's time by right clocks."""
         return event.t - self._ahead[event.camera]
 
-    def _onward(self, zone: int, block: int | None = None) -> _Onward:
-        """As the predictor has it for an exit of which only the place is known, before anything has been seen since."""
+    def _onward(self, zone: int, block: int | None = None, began: _Began | None = None) -> _Onward:
+        """As the predictor has it for an exit of which only the place and the passage are known, before anything has
+        been seen since.
+        """
         outcomes, bins = self._hazards.outcomes.get(zone), self._hazards.bins
         if outcomes is None:
             return _Onward([], np.zeros((0, bins.size)), 1.0)
-        likelier, leave = self._surroundings.multipliers(zone, outcomes, block, None, None, 0.0)
-        odds = outcomes.hazard * bins.widths * outcomes.exposure * np.array(likelier)[:, None]
-        doubtful = outcomes.doubt[:, None] * odds
-        leave += float(doubtful.sum())
-        total = leave + float((odds - doubtful).sum())
-        return _Onward(outcomes.targets, (odds - doubtful) / total, leave / total)
+        entry = None if began is None else began.zone
+        likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, None, 0.0)
+        exposure = outcomes.exposure if began is None else self._hazards.exposed(began.stay)
+        odds = outcomes.hazard * bins.widths * exposure * np.array(likelier)[:, None]
+        early = np.zeros(len(odds)) if began is None else self._expected_early(outcomes.targets, began) * likelier
+        sure = 1.0 - outcomes.doubt
+        every = odds.sum(axis=1) + early
+        leave += float(outcomes.doubt @ every)
+        total = leave + float(sure @ every)
+        chance = odds * sure[:, None] / total
+        if began is None:
+            return _Onward(outcomes.targets, chance, leave / total)
+        return _Onward(outcomes.targets, chance, leave / total, began, np.array(likelier) * sure / total)
+
+    def _expected_early(self, targets: list[int], began: _Began) -> Floats:
+        """Appearances (targets,) that are expected before the exit by the entry alone."""
+        bins = self._hazards.bins
+        seconds = np.clip(began.stay - bins.edges[:-1], 0.0, bins.widths) * (bins.centres > 0)
+        some = np.flatnonzero(seconds)
+        expected = [
+            self._hazards.rates_entered(began.zone, np.full(len(some), target, np.int32), bins.centres[some])
+            @ seconds[some]
+            for target in targets
+        ]
+        return np.array(expected)
 
     def _gone(self, onward: _Onward, seconds: float) -> float:
         """Probability of not having been seen ``seconds`` after the exit."""
@@ -192,6 +241,12 @@ class Gate:
         some = np.flatnonzero((row >= 0) & (at >= 0))
         density = np.zeros(len(zones))
         density[some] = onward.chance[row[some], at[some]] / self._hazards.bins.widths[at[some]]
+        if onward.began is not None and onward.early is not None:
+            before = some[lag[some] <= 0]
+            entered = self._hazards.rates_entered(
+                onward.began.zone, zones[before].astype(np.int32), onward.began.stay + lag[before]
+            )
+            density[before] += onward.early[row[before]] * entered
         with np.errstate(divide="ignore"):
             return np.log(density)
 
