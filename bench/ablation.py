@@ -64,15 +64,13 @@ class Task(Struct, frozen=True):
     scale: float
 
 
-def _without_level(level: int) -> Callable[..., Any]:
-    contexts = import_module("camtopod.learn.contexts").Contexts
-    every = contexts._contexts
+def _untold(*levels: int) -> Callable[..., Any]:
+    """Contexts of which some levels say nothing of any departure."""
+    every = import_module("camtopod.learn.contexts").Contexts._contexts
 
     def others(self: Any, *arguments: Any) -> Any:
         found = every(self, *arguments)
-        (number, keys), told = found[level]
-        found[level] = ((number, keys), np.zeros_like(told))
-        return found
+        return [(one, told * (level not in levels)) for level, (one, told) in enumerate(found)]
 
     return others
 
@@ -82,11 +80,11 @@ def _no_skips(appears: Any, candidates: Any, through: Any, bins: Any, zones: int
 
 
 MECHANISMS = [
-    Mechanism("context: zone of entry", {"contexts:Contexts._contexts": _without_level(0)}),
-    Mechanism("context: block of exit", {"contexts:Contexts._contexts": _without_level(1)}),
-    Mechanism("context: entry and block", {"contexts:Contexts._contexts": _without_level(2)}),
-    Mechanism("context: camera before", {"contexts:Contexts._contexts": _without_level(3)}),
-    Mechanism("contexts, all", {"contexts:Contexts._contexts": lambda self, *arguments: []}),
+    Mechanism("context: zone of entry", {"contexts:Contexts._contexts": _untold(0)}),
+    Mechanism("context: block of exit", {"contexts:Contexts._contexts": _untold(1)}),
+    Mechanism("context: entry and block", {"contexts:Contexts._contexts": _untold(2)}),
+    Mechanism("context: camera before", {"contexts:Contexts._contexts": _untold(3)}),
+    Mechanism("contexts, all", {"contexts:Contexts._contexts": _untold(0, 1, 2, 3)}),
     Mechanism("pace", {"joint:persistence": lambda *arguments: NO_PERSISTENCE}),
     Mechanism("skipped views", {"posterior:skip_hazards": _no_skips}),
     Mechanism("prior: ways are two-way", {"prior:RETURNING": 0.0}),
