@@ -12,12 +12,14 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
-from hub import NOW, Hub, a_hub
-from serving import wait_for
+from hub import NOW, Hub, a_hub, learned, put, running
+from serving import T0, closing_event, free_endpoint, numbered, small_config, wait_for
 
 from camtopod.codec import to_json
 from camtopod.records import Event
+from camtopod.serve.bus import dial
 
 EXAMPLES = Path(__file__).parent / "examples"
 README = (Path(__file__).parent.parent / "README.md").read_text()
@@ -60,6 +62,34 @@ def test_where_next(hub: Hub) -> None:
     chance, soonest, latest = map(int, found.groups())
     assert 40 <= chance <= 60
     assert 6 <= soonest < 9 < latest <= 12
+
+
+def through_both(number: int, t: float) -> list[Event]:
+    """Eight seconds in the view of a, of which the last three in that of b, too."""
+    a, b = (str(10 * number + k) for k in (1, 2))
+    return [
+        Event("a", "entry", t, 0.11, 0.5, a),
+        Event("b", "entry", t + 5, 0.11, 0.5, b),
+        Event("a", "exit", t + 8, 0.89, 0.5, a),
+        Event("b", "exit", t + 14, 0.89, 0.5, b),
+    ]
+
+
+def test_where_views_overlap_the_track_that_goes_on_is_named(tmp_path: Path) -> None:
+    begin = np.cumsum(np.random.default_rng(3).exponential(20.0, 200))
+    events = [event for number, t in enumerate(begin) for event in through_both(number, T0 + float(t))]
+    events = [*numbered(sorted(events, key=lambda event: event.t)), closing_event()]
+    with running(tmp_path, free_endpoint()) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
+        put(bus, *events)
+        learned(daemon, events)
+        command = [sys.executable, str(EXAMPLES / "handing_over.py"), daemon.endpoint]
+        two = sorted([*through_both(301, NOW), *through_both(302, NOW + 2)], key=lambda event: event.t)
+        given = b"".join(to_json(event) + b"\n" for event in two)
+        done = subprocess.run(command, input=given, capture_output=True, timeout=100)
+    assert done.stderr == b""
+    found = [line.rsplit(" ", 1) for line in done.stdout.decode().splitlines()]
+    assert [pair for pair, _ in found] == ["a/3011 = b/3012", "a/3021 = b/3022"]
+    assert all(int(share.rstrip("%")) >= 70 for _, share in found)
 
 
 def test_who_is_who(hub: Hub) -> None:
@@ -131,7 +161,7 @@ def test_the_bus_itself_as_readme_shows_it(hub: Hub) -> None:
     assert prediction["leave"] + sum(one["probability"] for one in prediction["next"]) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("name", ["next_camera.py", "gating.py"])
+@pytest.mark.parametrize("name", ["next_camera.py", "gating.py", "handing_over.py"])
 def test_it_takes_ten_lines(name: str) -> None:
     lines = [line for line in code(name).splitlines() if line and not line.startswith(("import ", "from "))]
     assert len(lines) <= LINES_MAX

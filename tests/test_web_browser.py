@@ -22,7 +22,7 @@ from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, sm
 
 from camtopod.cli.web import listening, names
 from camtopod.config import BusSettings
-from camtopod.records import Event
+from camtopod.records import Event, InView, Prediction
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus
 from camtopod.serve.daemon import Daemon
@@ -183,6 +183,19 @@ def test_a_prediction_moves_on_the_map(site: Site, shown: Browser) -> None:
     before = shown.run(where)
     shown.wait(lambda: shown.run(where) != before, "the dot to move")
     shown.wait(lambda: "a → " in shown.text(".predictions"), "the prediction in the list")
+
+
+def test_who_sees_somebody_now_is_in_the_list_and_at_the_camera(site: Site, shown: Browser) -> None:
+    """Not by track, which would be somebody."""
+    in_view = [InView("c", "somebody", site.now() - 3, 0.83)]
+    said = Prediction("a", "a/1", site.now(), "another", 1, 1.0, [], None, in_view)
+    with site.client() as bus:
+        shown.go("#/camera/a")
+        shown.wait(lambda: shown.count(".scene") > 0, "the camera's panel")
+        bus.put("prediction/a", said, "prediction")
+        shown.wait(lambda: "a → c 83 %, in view now" in shown.text(".predictions"), "who sees them in the list")
+        shown.wait(lambda: "left at a/1, now in view of c (83 %)" in shown.text("main"), "the same at the camera")
+    assert "somebody" not in shown.text("main")
 
 
 def test_a_new_version_comes_as_a_change(site: Site, shown: Browser) -> None:

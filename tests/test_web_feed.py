@@ -93,9 +93,20 @@ def test_predictions_are_told_without_who_it_was_and_so_many_a_second() -> None:
         told = rig.hub.of("prediction")
         assert len(told) <= feed.PREDICTIONS_PER_SECOND_MAX + 1
         assert len(told[0]["next"]) == 3
-        assert told[0]["track"] is None
+        assert "track" not in told[0]
+        assert told[0]["now"] == [{"camera": "c0", "probability": 0.9}]
     assert b"somebody" not in rig.feed.hello()
     assert rig.feed.hello().count(b"event: past") == feed.PREDICTIONS_HELD
+
+
+def test_who_sees_somebody_now_is_told_by_camera_and_not_by_track() -> None:
+    in_view = [InView("b", "somebody", 5.0, 0.5), InView("c", "else", 5.0, 0.2), InView("b", "too", 5.0, 0.25)]
+    with Rig() as rig:
+        rig.bus.put("prediction/a", msgspec.structs.replace(prediction("a", 0.4), in_view=in_view))
+        wait_for(lambda: bool(rig.hub.of("prediction")), "the prediction")
+        (told,) = rig.hub.of("prediction")
+    assert told["now"] == [{"camera": "b", "probability": 0.75}]
+    assert b"somebody" not in rig.feed.hello()
 
 
 def test_events_are_passed_on_while_somebody_watches_without_who_it_was() -> None:

@@ -12,14 +12,12 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.learn.hand_over import added_up
+from camtopod.learn.hand_over import seen_now
 from camtopod.records import CAMERA_PATTERN, Alarm, Link, Prediction, Topology
 
 PREDICTIONS_KEPT = 30
 ALARMS_SHOWN = 5
 NEXT_SHOWN = 3
-SEEN_NOW_MIN = 0.3
-"""Least probability with which a camera is named as seeing the object now."""
 SILENT_SECONDS = 5.0
 """Who has not been heard for longer has gone, whatever the last word was; they speak every second."""
 _FINE = ("running", "ended", "no grabber", "unknown")
@@ -208,8 +206,7 @@ def transit(link: Link) -> str:
 
 def prediction_line(prediction: Prediction) -> str:
     """Where somebody has left, which cameras see them at that moment, and where to look next."""
-    now = added_up((one.camera, one.probability) for one in prediction.in_view or [])
-    seen = [f"now in view of {camera} {share:.2f}" for camera, share in now.items() if share >= SEEN_NOW_MIN]
+    seen = [f"now in view of {one.camera} {one.probability:.2f}" for one in seen_now(prediction.in_view or [])]
     following = ", ".join(
         f"{following.zone} {following.probability:.2f} in {following.q10:.0f} to {following.q90:.0f} s"
         for following in prediction.next_[:NEXT_SHOWN]

@@ -21,6 +21,8 @@ SHARE_MAX = 0.98
 """Largest probability that another camera sees the object, before its open passages are looked at."""
 PROBABILITY_MIN = 1e-3
 """Passages and cameras with a smaller probability are left out."""
+SEEN_NOW_MIN = 0.3
+"""Least probability with which a camera is said to see the object now."""
 RATE_MIN = 1e-9
 """Least rate of passages of other objects in a bin, for each exit."""
 
@@ -83,6 +85,13 @@ def look(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Loo
     seen = added_up([*now.items(), *following_unseen])
     looks = [Look(camera, min(p, 1.0)) for camera, p in seen.items() if p >= PROBABILITY_MIN]
     return sorted(looks, key=lambda one: (-one.probability, one.camera))
+
+
+def seen_now(in_view: Iterable[InView]) -> list[Look]:
+    """The cameras that probably see the object now, by their open passages together, the most probable first."""
+    now = added_up((one.camera, one.probability) for one in in_view)
+    likely = [Look(camera, min(p, 1.0)) for camera, p in now.items() if p >= SEEN_NOW_MIN]
+    return sorted(likely, key=lambda one: (-one.probability, one.camera))
 
 
 def added_up(shares: Iterable[tuple[str, float]]) -> dict[str, float]:

@@ -18,7 +18,8 @@ from typing import Any
 import msgspec
 
 from camtopod import codec
-from camtopod.records import CAMERA_PATTERN, Event, Prediction, Topology
+from camtopod.learn.hand_over import seen_now
+from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.clock import Clock
 from camtopod.serve.progress import Beat, no_beat
@@ -38,6 +39,8 @@ REASON_CHARACTERS_MAX = 500
 PREDICTIONS_PER_SECOND_MAX = 25
 """Predictions shown a second, of all cameras together: more nobody can follow."""
 PREDICTIONS_HELD = 20
+NEXT_SHOWN = 3
+"""Next cameras of a prediction that the page is told."""
 SILENT_STATUSES = 6
 """A daemon whose status did not come so many times is not live, a grabber is silent: whatever it last said is old."""
 LOOK_SECONDS = 1.0
@@ -47,6 +50,28 @@ DAEMON = "daemon"
 WAITING = "waiting for the daemon"
 ENDED = "ended"
 """The state of a camera whose recording is over: it has nothing more to say."""
+
+
+class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
+    """A prediction as the page has it, of which no track is named: ``now`` are the cameras that probably see the object
+    at ``t``, which it has left the view of ``camera``.
+    """
+
+    camera: str
+    zone: str | None
+    t: float
+    version: int
+    leave: float
+    now: list[Look]
+    next_: list[NextCamera]
+
+
+def shown(prediction: Prediction) -> ShownPrediction:
+    """The prediction for the page."""
+    return ShownPrediction(
+        prediction.camera, prediction.zone, prediction.t, prediction.version, prediction.leave,
+        seen_now(prediction.in_view or []), prediction.next_[:NEXT_SHOWN],
+    )  # fmt: skip
 
 
 class Feed:
@@ -202,8 +227,7 @@ class Feed:
             prediction = codec.read(Prediction, payload, pack=True)
         except codec.Rejected:
             return
-        anonymous = msgspec.structs.replace(prediction, next_=prediction.next_[:3], track=None, in_view=None)
-        content = codec.to_json(anonymous)
+        content = codec.to_json(shown(prediction))
         with self._mutex:
             self._predictions.append(content)
         self._hub.tell("prediction", content, passing=True)

@@ -215,10 +215,14 @@ class Scene {
   left(prediction) {
     const next = prediction.next[0];
     const where = prediction.zone ?? prediction.camera;
-    const gone = !next || next.probability < prediction.leave;
-    this.pulse.textContent = gone
-      ? `left at ${where}, probably for good (${percent(prediction.leave)})`
-      : `left at ${where}, next at ${next.zone} (${percent(next.probability)}) in ${span(next.q10, next.q90)}`;
+    const now = prediction.now[0];
+    if (now) this.pulse.textContent = `left at ${where}, now in view of ${now.camera} (${percent(now.probability)})`;
+    else if (!next || next.probability < prediction.leave)
+      this.pulse.textContent = `left at ${where}, probably for good (${percent(prediction.leave)})`;
+    else {
+      const when = span(next.q10, next.q90);
+      this.pulse.textContent = `left at ${where}, next at ${next.zone} (${percent(next.probability)}) in ${when}`;
+    }
     this.zones.get(prediction.zone)?.classList.add("active");
     setTimeout(() => this.zones.get(prediction.zone)?.classList.remove("active"), 1500);
   }

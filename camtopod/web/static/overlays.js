@@ -127,12 +127,15 @@ export class Overlays {
       this.list,
       this.#predictions.map((one) => {
         const next = one.next[0];
+        const now = one.now[0];
         return h(
           "li",
           {},
           h("a", { href: link("camera", one.camera) }, one.camera),
           " → ",
-          next && next.probability >= one.leave
+          now
+            ? [h("b", {}, now.camera), h("span", { class: "quiet" }, ` ${percent(now.probability)}, in view now`)]
+            : next && next.probability >= one.leave
             ? [
                 h("b", {}, next.camera),
                 h("span", { class: "quiet" }, ` ${percent(next.probability)}, ${span(next.q10, next.q90)}`),

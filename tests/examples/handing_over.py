@@ -1,0 +1,14 @@
+"""Who sees the object that leaves now? `python handing_over.py [ENDPOINT] < events.jsonl`, lines as of TrackEvents."""
+
+import sys
+
+from camtopod.client import Topology
+from camtopod.codec import event_from_json
+
+with Topology.connect(connect=sys.argv[1:]) as site:
+    for event in map(event_from_json, sys.stdin):
+        if event.kind == "exit":
+            said = site.predict(event.camera, event.t, x=event.x, y=event.y, track=event.track)
+            for n in (said.in_view or [])[:1]:
+                print(f"{event.camera}/{event.track} = {n.camera}/{n.track} {n.probability:.0%}", flush=True)
+        site.observe(event)
