@@ -18,6 +18,7 @@ import contextlib
 import json
 import math
 import os
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -109,7 +110,11 @@ def main(argv: Sequence[str]) -> int:
     """Measure, print the table; returns the exit status."""
     arguments = _parse(argv)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers: two of them share two cores
-    names = ["", *(arguments.mechanisms.split(",") if arguments.mechanisms else [one.name for one in MECHANISMS])]
+    known = [one.name for one in MECHANISMS]
+    names = ["", *(arguments.mechanisms.split(",") if arguments.mechanisms else known)]
+    if unknown := [name for name in names[1:] if name not in known]:
+        print(f"bench ablation: there is no {', '.join(unknown)}; there are {', '.join(known)}", file=sys.stderr)
+        return 2
     folders = sorted(path.parent for path in arguments.data.glob("*/identities.csv")) if arguments.data else []
     networks = [(REAL, str(folder)) for folder in folders]
     networks += [
@@ -187,7 +192,7 @@ def table(means: dict[tuple[str, str, str], Any], names: Sequence[str]) -> list[
     lines, earns = [], defaultdict[str, list[str]](list)
     for kind in kinds:
         networks = [network for name, one, network in means if one == kind and name == ""]
-        whole = np.nanmean([means["", kind, network] for network in networks], axis=0)
+        whole = [_mean([means["", kind, network][k] for network in networks]) for k in range(len(FIGURES))]
         lines += ["", _row(f"{kind}, {len(networks)} networks", *FIGURES)]
         lines.append(_row("with all", *(f"{value:.3f}" for value in whole)))
         for name in names:
@@ -206,6 +211,12 @@ def table(means: dict[tuple[str, str, str], Any], names: Sequence[str]) -> list[
                     earns[name].append(f"{figure} of {kind} {mean:+.3f}")
             lines.append(_row(f"- {name}", *cells))
     return [*lines, "", "earns its place:", *(f"  {name}: {', '.join(earns[name]) or 'NOTHING'}" for name in names)]
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Of those that are there."""
+    there = [value for value in values if not math.isnan(value)]
+    return sum(there) / len(there) if there else math.nan
 
 
 def _row(title: str, *cells: object) -> str:

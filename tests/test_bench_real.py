@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_walks import WALKS, a_recording
 
 from bench import real
 from bench._real_figures import (
@@ -18,40 +19,13 @@ from bench._real_figures import (
     prediction_figures,
 )
 from bench._recordings import Recording, load, tellable
-from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
 from camtopod.learn.predict import Predictor
-from camtopod.records import Event
-
-WALKS = 240
-EVERY_SECONDS = 30.0
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Who passes a is at b 9 to 11 s later, who passes e is in the view of c before leaving e, who passes d is never
-    seen again.
-    """
-    path = tmp_path_factory.mktemp("real") / "walks"
-    path.mkdir()
-    chance, events, rows = np.random.default_rng(3), list[Event](), ["track,identity"]
-    for walk in range(WALKS):
-        t = 1e6 + chance.uniform(0.0, EVERY_SECONDS * WALKS)
-        b = t + 4.0 + chance.uniform(9.0, 11.0)
-        e, alone = (1e6 + chance.uniform(0.0, EVERY_SECONDS * WALKS) for _ in range(2))
-        for camera, came, left, identity in (
-            ("a", t, t + 4.0, walk),
-            ("b", b, b + 6.0, walk),
-            ("e", e, e + 6.0, WALKS + walk),
-            ("c", e + 4.0, e + 12.0, WALKS + walk),
-            ("d", alone, alone + 4.0, 2 * WALKS + walk),
-        ):
-            track = f"{camera}{walk}"
-            events += [Event(camera, "entry", came, track=track), Event(camera, "exit", left, track=track)]
-            rows.append(f"{track},{identity}")
-    (path / "events.jsonl").write_bytes(b"".join(to_json(event) + b"\n" for event in events))
-    (path / "identities.csv").write_text("\n".join(rows) + "\n")
-    return path
+    return a_recording(tmp_path_factory.mktemp("real") / "walks")
 
 
 @pytest.fixture(scope="module")
