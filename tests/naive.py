@@ -165,8 +165,11 @@ def lag_bin(lag, lag_min, lag_max, scale, step):
     """Bin of one lag, counted from the bin of ``lag_min``."""
     if lag < lag_min or lag > lag_max:
         return -1
-    first = np.floor(np.arcsinh(lag_min / scale) / step)
-    return int(np.floor(np.arcsinh(lag / scale) / step) - first)
+    first, last = (int(np.floor(np.arcsinh(end / scale) / step)) for end in (lag_min, lag_max))
+    k = first
+    while k < last and scale * np.sinh(step * (k + 1)) <= lag:
+        k += 1
+    return k - first
 
 
 def local_rates(t, zone, half_window, prior):

@@ -137,13 +137,18 @@ def possible(
         if among is not None:
             departure = among[departure]
 
+        lag = came[at] - departures.t[departure]
+        possible = (lag >= bins.lag_min) & (lag <= bins.lag_max)
+
         # A negative lag means two views at once: another camera, and the passage here had begun. Of two passages that
         # begin at the same instant the one that ends first comes first.
-        then, since = came[at], departures.since[departure]
-        lag = then - departures.t[departure]
-        begun = (then > since) | ((then == since) & (departure < ends[mine[at]]))
-        ahead = begun & (departures.camera[departure] != arrivals.camera[mine[at]])
-        kept = np.flatnonzero((lag >= bins.lag_min) & (lag <= bins.lag_max) & ((lag > 0) | ahead))
+        ahead = np.flatnonzero(lag <= 0)
+        left, arrival = departure[ahead], mine[at[ahead]]
+        then, since = arrivals.t[arrival], departures.since[left]
+        begun = (then > since) | ((then == since) & (left < ends[arrival]))
+        possible[ahead] &= begun & (departures.camera[left] != arrivals.camera[arrival])
+
+        kept = np.flatnonzero(possible)
         yield departure[kept], at[kept], lag[kept]
         first = stop
 

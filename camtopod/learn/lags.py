@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 LAG_SCALE_SECONDS = 4.0
 LAG_STEP = 0.1
+CELLS_PER_BIN = 1.001
+"""Cells of the table that looks bins up, for each of the narrowest bins."""
 OFFSET_SECONDS_MAX = 600.0
 """Largest offset between the beginnings of two passages that are compared."""
 
@@ -39,6 +41,13 @@ class LagBins:
         self.limits: list[float] = [lag_min, *self.edges[1:-1].tolist(), math.nextafter(lag_max, math.inf)]
         """Edges within the range, seconds: bin ``k`` holds lags from ``limits[k]`` to below ``limits[k + 1]``."""
 
+        # For `index`: cells narrower than any bin, so that none has more than one edge; the bin in which each begins.
+        self._cells_per_second = CELLS_PER_BIN / float(self.widths.min())
+        cells = math.ceil((lag_max - lag_min) * self._cells_per_second) + 1
+        starts = lag_min + np.arange(cells) / self._cells_per_second
+        self._ends = np.array([*self.limits[1:-1], np.inf])
+        self._bin_of_cell = np.searchsorted(self.limits[1:-1], starts, side="right").astype(np.int32)
+
     def bin_of(self, lag: float) -> int:
         """`index` of one lag."""
         at = bisect_right(self.limits, lag) - 1
@@ -46,8 +55,10 @@ class LagBins:
 
     def index(self, lag: NDArray[np.float64]) -> NDArray[np.int32]:
         """Bin of each lag (seconds); -1 outside the range."""
-        k = np.floor(np.arcsinh(lag / self.scale) / self.step).astype(np.int32) - np.int32(self.first)
-        k[(lag < self.lag_min) | (lag > self.lag_max)] = -1
+        cell = ((lag - self.lag_min) * self._cells_per_second).astype(np.intp)
+        k: NDArray[np.int32] = self._bin_of_cell.take(cell, mode="clip")
+        k += lag >= self._ends.take(k)  # whether the edge within the cell has been passed
+        k[~((lag >= self.lag_min) & (lag <= self.lag_max))] = -1
         return k
 
 
