@@ -46,8 +46,10 @@ class Work(Struct):
     heard: int
     """All that it had use for."""
     known_own: int
-    """Of both, those from the fourth turn on, when nearly all neighbours are known."""
+    """Of both, those from the fourth turn on, when nearly all neighbours are known, ..."""
     known_heard: int
+    known_near: int
+    """... and of the site's those of its own cameras and of all that a way really joins to one of them."""
     site: int
     seconds: float
     """Processor time."""
@@ -74,6 +76,7 @@ def main(argv: Sequence[str]) -> int:
         for run in runs:
             heard = f"heard {run.heard / run.own:.2f} times as many"
             heard += f", {run.known_heard / max(run.known_own, 1):.2f} times once neighbours are known"
+            heard += f" (its own and its true neighbours: {run.known_near / max(run.known_own, 1):.2f})"
             print(f"    {run.name}: {run.own} own events, {heard}; {run.site} on the whole site")
     if arguments.json is not None:
         _ratios.write(arguments.json, "shards", tables, work=to_builtins(done))
@@ -95,7 +98,9 @@ def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
         sharding=Sharding(districts=districts, together=places, guest_turns=4 * shard[1], turn_hours=TURN_HOURS),
         shard=shard,
     )
-    own = heard = known_own = known_heard = 0
+    own = heard = known_own = known_heard = known_near = 0
+    near = {camera for camera in truth.cameras if learner.owns(camera)}
+    near |= {camera for pair in truth.pairs if near & {*pair.cameras} for camera in pair.cameras}
     known = events[0].t + 3 * TURN_HOURS * 3600.0
     began = time.process_time()
     for event in events:
@@ -103,10 +108,11 @@ def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
         own, heard = own + is_own, heard + is_heard
         if event.t >= known:
             known_own, known_heard = known_own + is_own, known_heard + is_heard
+            known_near += event.camera in near
         if is_heard:
             learner.receive(event)
     learner.flush()
-    return Work(name, own, heard, known_own, known_heard, len(events), time.process_time() - began)
+    return Work(name, own, heard, known_own, known_heard, known_near, len(events), time.process_time() - began)
 
 
 def by_place(truth: Truth, districts: int) -> tuple[str, ...]:
