@@ -28,6 +28,8 @@ BACKING = 2.0
 """What the chain's camera weighs beside the zone, in transitions, and all beside the camera."""
 LAGS_MIN = 9
 """A zone's transit times are its own when it has so many, else its camera's, else everybody's."""
+WHO_DEPARTURES_MIN = 5
+"""A zone's shares are its own when so many have left there, else its camera's, where it is asked who is who."""
 LOSS_FLOOR = 1e-3
 """Added to every outcome's probability before its logarithm is taken."""
 CALIBRATION_BINS = 10
@@ -278,13 +280,13 @@ def hand_over_figure(predictions: Sequence[Prediction], recording: Recording) ->
     return sum(right) / len(late) if late else float("nan")
 
 
-def who_figure(topology: Topology, recording: Recording) -> float:
-    """F1 of who is who after the cut: the edges of an assignment by `Gate.affinity` against true transitions."""
+def who_figures(topology: Topology, predictions: Sequence[Prediction], recording: Recording) -> tuple[float, float]:
+    """F1 of who is who after the cut: the edges of an assignment by `Gate.affinity` against true transitions, and the
+    same by the odds of a chain that is told identities before the cut.
+    """
     late = [event for event in recording.events if event.t >= recording.cut]
     exits = [event for event in late if event.kind == "exit"]
     entries = [event for event in late if event.kind == "entry"]
-    odds = np.maximum(np.asarray(Gate(topology).affinity(exits, entries)), 0.0)
-    edges = {(i, j) for i, j in zip(*linear_sum_assignment(odds, maximize=True), strict=True) if odds[i, j] > 0}
     row, column = _numbered(exits), _numbered(entries)
     true = {
         (row[passage.track], column[passage.next_.track])
@@ -292,6 +294,60 @@ def who_figure(topology: Topology, recording: Recording) -> float:
         if passage.next_ is not None and passage.next_.camera != passage.camera
         if passage.track in row and passage.next_.track in column
     }
+    zones = {str(one.track): one.zone or "" for one in predictions}
+    ours, told = np.asarray(Gate(topology).affinity(exits, entries)), told_odds(recording, exits, entries, zones)
+    return _edges_f1(ours, true), _edges_f1(told, true)
+
+
+def told_odds(
+    recording: Recording, exits: Sequence[Event], entries: Sequence[Event], zones: Mapping[str, str]
+) -> Floats:
+    """Log odds (exits, entries) as `Gate.affinity` has them, of who is told identities before the cut: shares by the
+    ``zones`` (by track) that objects leave, lags as kernels around the true ones, and true rates from outside.
+    """
+    counts, lags = defaultdict[str, Counter[str]](Counter), defaultdict[tuple[str, str], list[float]](list)
+    came, linked = Counter[str](), Counter[str]()
+    for track, passage in recording.passages.items():
+        following = passage.next_
+        elsewhere = following is not None and following.camera != passage.camera
+        if passage.came < recording.cut:
+            came[passage.camera] += 1
+        if following is not None and elsewhere and following.came < recording.cut:
+            linked[following.camera] += 1
+        if passage.left >= recording.cut:
+            continue
+        outcome = following.camera if following is not None and elsewhere and following.came < recording.cut else LEAVE
+        for place in (zones.get(track, ""), f"{passage.camera}/"):
+            counts[place][outcome] += 1
+        if outcome != LEAVE:
+            lags[passage.camera, outcome].append(passage.lag)
+
+    span = recording.cut - min(passage.came for passage in recording.passages.values())
+    t, camera = np.array([entry.t for entry in entries]), np.array([entry.camera for entry in entries])
+    odds = np.full((len(exits), len(entries)), -np.inf)
+    for row, event in enumerate(exits):
+        known = counts[zones.get(str(event.track), "")]
+        if known.total() < WHO_DEPARTURES_MIN:
+            known = counts[f"{event.camera}/"]
+        total = known.total() + 1
+        gone = np.log((known[LEAVE] + 0.5) / total)
+        for outcome, number in known.items():
+            each = np.array(lags.get((event.camera, outcome), []))
+            if outcome == LEAVE or len(each) < 2:
+                continue
+            width = max(0.5, 1.06 * float(each.std()) * len(each) ** -0.2)
+            there = np.flatnonzero(camera == outcome)
+            apart = ((t[there] - event.t)[:, None] - each) / width
+            density = np.exp(-0.5 * apart**2).sum(axis=1) / (len(each) * width * 2.5066) + 1e-9
+            rate = max(came[outcome] - linked[outcome], 1) / span
+            odds[row, there] = np.log(number / total) + np.log(density) - np.log(rate) - gone
+    return odds
+
+
+def _edges_f1(odds: Floats, true: set[tuple[int, int]]) -> float:
+    """Of the likeliest matching as a whole."""
+    positive = np.maximum(odds, 0.0)
+    edges = {(i, j) for i, j in zip(*linear_sum_assignment(positive, maximize=True), strict=True) if odds[i, j] > 0}
     return 2.0 * len(edges & true) / max(1, len(edges) + len(true))
 
 

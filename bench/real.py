@@ -34,7 +34,7 @@ from bench._real_figures import (
     link_figures,
     look_figures,
     prediction_figures,
-    who_figure,
+    who_figures,
 )
 from bench._recordings import SPURIOUS_TRANSITIONS_MAX, CameraPair, Recording, load, tellable
 from camtopod.learn.learner import Learner
@@ -58,6 +58,7 @@ class Result(Struct):
     told_look: float
     hand_over: float
     who: float
+    told_who: float
     correlated: list[list[tuple[float, bool, bool]]]
     """By bin width, of every pair of cameras the score, whether it is a true link, whether it counts as false."""
     learn_seconds: float
@@ -110,7 +111,7 @@ def measure(folder: Path) -> Result:
         look,
         told_look,
         hand_over_figure(predictions, recording),
-        who_figure(learner.topology, recording),
+        *who_figures(learner.topology, predictions, recording),
         [correlated(recording, width) for width in WIDTHS_SECONDS],
         learned - started,
         predicted - learned,
@@ -186,13 +187,17 @@ def _links(results: Sequence[Result]) -> list[str]:
 def _predictions(results: Sequence[Result]) -> list[str]:
     """The table of predictions: ours / told."""
     titles = ("log loss", "its leave part", "top-1", "top-3", "calibration error", "coverage", "look")
-    lines = [_row("ours / told", "exits", *titles, "hand-over (ours)", "saved at .9", "who (ours)")]
+    lines = [_row("ours / told", "exits", *titles, "hand-over (ours)", "saved at .9", "who")]
     judged = [(one, one.ours, one.told) for one in results if one.ours is not None and one.told is not None]
     for one, ours, told in judged:
         figures = [f"{getattr(ours, name):.2f}/{getattr(told, name):.2f}" for name in _COMPARED]
         saved = f"{ours.saved[0.9]:.1f}/{told.saved[0.9]:.1f}" if ours.saved else ""
         look = f"{one.look:.2f}/{one.told_look:.2f}"
-        lines.append(_row(one.name, ours.exits, *figures, look, f"{one.hand_over:.2f}", saved, f"{one.who:.2f}"))
+        lines.append(
+            _row(
+                one.name, ours.exits, *figures, look, f"{one.hand_over:.2f}", saved, f"{one.who:.2f}/{one.told_who:.2f}"
+            )
+        )
 
     above, leave = (
         np.mean([getattr(ours, name) - getattr(told, name) for _, ours, told in judged])
@@ -209,12 +214,14 @@ def _predictions(results: Sequence[Result]) -> list[str]:
         recall: np.exp(np.mean([np.log(o.saved[recall] / t.saved[recall]) for _, o, t in judged if o.saved]))
         for recall in SEARCH_RECALLS
     }
+    who = [one.who / one.told_who for one in results if one.told_who > 0]
     seconds = [sum(getattr(one, name) for one in results) for name in ("learn_seconds", "predict_seconds")]
     lines += [
         f"log loss above told {above:.3f}, of it leaving {leave:.3f}",
         f"top-1 and top-3, share of told's: {top1:.2f}, {top3:.2f}",
         "calibration error of the first guess, all exits together: {:.3f}, told {:.3f}".format(*calibration),
         "camera-seconds saved, share of told's: " + ", ".join(f"{s:.2f} at recall {r:g}" for r, s in saved_of.items()),
+        f"who is who, F1 as a share of told's: {np.mean(who) if who else float('nan'):.2f}",
         "processor time: learning {:.1f} s, predicting {:.1f} s".format(*seconds),
     ]
     return lines

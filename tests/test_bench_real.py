@@ -17,6 +17,8 @@ from bench._real_figures import (
     link_figures,
     look_figures,
     prediction_figures,
+    told_odds,
+    who_figures,
 )
 from bench._recordings import Recording, load, tellable
 from camtopod.learn.learner import Learner
@@ -78,6 +80,22 @@ def test_what_is_found_and_foretold_of_it(recording: Recording) -> None:
     overlapping = {track: others for track, others in recording.under_way().items() if others}
     assert overlapping["e0"] == {"c0"}
     assert hand_over_figure(predictions, recording) > 0.9
+    who, told_who = who_figures(learner.topology, predictions, recording)
+    assert who > 0.9 < told_who
+
+
+def test_who_is_told_identities_knows_who_leaves_and_when_they_come(recording: Recording) -> None:
+    events = {str(e.track) + e.kind: e for e in recording.events if e.t >= recording.cut}
+    exits = [event for event in events.values() if event.kind == "exit"][:40]
+    entries = [event for event in events.values() if event.kind == "entry"]
+    odds = told_odds(recording, exits, entries, {})
+    for row, event in enumerate(exits):
+        best = entries[int(odds[row].argmax())]
+        if str(event.track).startswith("d"):
+            assert not np.isfinite(odds[row]).any(), "nobody who passes d is seen again"
+        elif str(event.track).startswith("a") and odds[row].max() > 2.0:
+            assert best.camera == "b"
+            assert 8.0 < best.t - event.t < 12.0
 
 
 def test_a_chain_that_is_told_falls_back() -> None:
