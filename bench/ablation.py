@@ -21,7 +21,6 @@ import os
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ import numpy as np
 from msgspec import Struct
 
 from bench import real
+from bench._jobs import done
 from bench._measure import measure as measure_regime
 from bench._real_figures import calibration_error
 from bench.regimes import REGIMES
@@ -83,9 +83,8 @@ def _no_skips(appears: Any, candidates: Any, through: Any, bins: Any, zones: int
 MECHANISMS = [
     Mechanism("context: zone of entry", {"contexts:Contexts._contexts": _untold(0)}),
     Mechanism("context: block of exit", {"contexts:Contexts._contexts": _untold(1)}),
-    Mechanism("context: entry and block", {"contexts:Contexts._contexts": _untold(2)}),
-    Mechanism("context: camera before", {"contexts:Contexts._contexts": _untold(3)}),
-    Mechanism("contexts, all", {"contexts:Contexts._contexts": _untold(0, 1, 2, 3)}),
+    Mechanism("context: camera before", {"contexts:Contexts._contexts": _untold(2)}),
+    Mechanism("contexts, all", {"contexts:Contexts._contexts": _untold(0, 1, 2)}),
     Mechanism("pace", {"joint:persistence": lambda *arguments: NO_PERSISTENCE}),
     Mechanism("skipped views", {"posterior:skip_hazards": _no_skips}),
     Mechanism("prior: ways are two-way", {"prior:RETURNING": 0.0}),
@@ -128,8 +127,7 @@ def main(argv: Sequence[str]) -> int:
         for name in names
         for seed in range(arguments.sampling_seeds)
     ]
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        figures = dict(zip(tasks, pool.map(measure, tasks), strict=True))
+    figures = dict(zip(tasks, done(measure, tasks, arguments.jobs), strict=True))
     averaged: dict[tuple[str, str, str], list[list[float]]] = defaultdict(list)
     for task, row in figures.items():
         averaged[task.mechanism, task.kind, task.network].append(row)

@@ -85,12 +85,12 @@ class Told:
                 fitter.responsibility = self.of(fitter)
             sample(fitter)
 
-        def follow(fitter: PosteriorFitter) -> NDArray[np.bool_]:
+        def follow(fitter: PosteriorFitter, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
             fitter.responsibility = np.maximum(fitter.responsibility, self.of(fitter))
-            return worth(fitter)
+            return worth(fitter, overlapping)
 
         with (
-            patch.multiple(posterior, SWEEPS=sweeps, SETTLING_SWEEPS=sweeps // 2, SAMPLES_SHARE=1.0),
+            patch.multiple(posterior, SWEEPS_MIN=sweeps, SWEEPS_MAX=sweeps, SAMPLES_SHARE=1.0),
             patch.object(PosteriorFitter, "sample", begin),
             patch.object(PosteriorFitter, "worth_following", follow),
         ):

@@ -17,13 +17,13 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 from msgspec import Struct, to_builtins
 from numpy.typing import NDArray
 
+from bench._jobs import done
 from bench._real_figures import (
     SEARCH_RECALLS,
     TELLABLE_NATS,
@@ -76,8 +76,7 @@ def main(argv: Sequence[str]) -> int:
         print("bench real: skipped, there is no data (--data or CAMTOPOD_REAL_DATA name its folder)")
         return 0
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers: two of them share two cores
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        results = list(pool.map(measure, folders))
+    results = done(measure, folders, arguments.jobs)
     print("\n".join([*_links(results), "", *_predictions(results)]))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(to_builtins(results, str_keys=True), indent=1) + "\n")

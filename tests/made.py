@@ -94,5 +94,7 @@ def fit_posterior(
     evidence: NDArray[np.float64], screened: bool = False,
 ) -> Posterior:  # fmt: skip
     """The posterior of these candidates, both steps in one."""
-    followed = followed_of(departures, arrivals, candidates, bins, zones, until)
+    cameras = int(max(departures.camera.max(initial=0), arrivals.camera.max(initial=0))) + 1
+    nothing = np.zeros((cameras, cameras), np.bool_)
+    followed = followed_of(departures, arrivals, candidates, bins, zones, until, nothing)
     return fit_followed(departures, arrivals, followed, bins, zones, until, evidence, screened)

@@ -140,6 +140,20 @@ def test_views_that_do_not_overlap_take_nothing_ahead_of_the_exit() -> None:
     assert (together.fit.candidates.lag < 0).any()
 
 
+@pytest.mark.parametrize("known", [(0, 1), (1, 0)])
+def test_views_that_are_known_to_overlap_are_not_asked_again(known: tuple[int, int]) -> None:
+    scout = PosteriorFitter(*problem(one_way(4, 300, 4000.0, clutter=300)))
+    scout.look()
+    overlapping = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
+    ahead = (scout.candidates.lag < 0) & (scout.responsibility > module.NEGLIGIBLE)
+    assert not scout.worth_following(overlapping)[ahead].any()
+    overlapping[known] = True
+    c, d, a = scout.candidates, scout.departures, scout.arrivals
+    between = {0, 1} == set(known) and (d.camera[c.departure] + a.camera[c.arrival] == 1)
+    assert scout.worth_following(overlapping)[ahead & between].all()
+    assert (ahead & between).any()
+
+
 def test_the_same_every_time() -> None:
     asked = problem(one_way(7, 100, 600.0, clutter=50))
     one, again = fit_posterior(*asked, LINKED), fit_posterior(*asked, LINKED)
@@ -155,7 +169,8 @@ def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) ->
     found = fit_posterior(*asked, LINKED)
     scout = PosteriorFitter(*asked)
     scout.look()
-    kept = scout.candidates.take(scout.worth_following())
+    apart = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
+    kept = scout.candidates.take(scout.worth_following(apart))
     ahead = scout.candidates.lag < 0
     left_out = (
         scout.responsibility[~ahead].sum()

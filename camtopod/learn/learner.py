@@ -48,7 +48,7 @@ from camtopod.learn.links import (
 from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
-from camtopod.learn.overlapping import find_overlapping, views_of
+from camtopod.learn.overlapping import Overlapping, find_overlapping, table_of, views_of
 from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.predict import Predictor
@@ -316,9 +316,9 @@ class Learner:
         silences = find_silences(
             self._window.column("t") / MICROSECONDS, self._window.column("camera"), len(self._window.cameras)
         )
-        posterior, ever, likely, changes = self._between_views(scene, silences)
         cameras = self._window.cameras
         overlapping = find_overlapping(views_of(scene), len(cameras), offset_bins(self.bins.scale, self.bins.step))
+        posterior, ever, likely, changes = self._between_views(scene, silences, overlapping)
         model = model_of(
             cameras, scene, posterior, self.bins, self._window, changes, self.settings.correct_clocks, overlapping
         )
@@ -424,7 +424,7 @@ class Learner:
         return tabulate(transitions, scene.entries.astype(float)[:, None], self.stay_bins, len(scene.zones))
 
     def _between_views(
-        self, scene: Scene, silences: list[Silences]
+        self, scene: Scene, silences: list[Silences], overlapping: list[Overlapping]
     ) -> tuple[Posterior | None, LinkTable, LinkTable, list[Change]]:
         """Links that leave a view, over the whole window: the joint fit of departures and arrivals; and what in it has
         changed.
@@ -455,7 +455,7 @@ class Learner:
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
         del fit  # what follows takes the most memory, ...
         self.on_step("prediction")
-        followed = followed_of(*problem)
+        followed = followed_of(*problem, table_of(overlapping, len(self._window.cameras)))
         del candidates, problem  # ... and then these would take as much as the rest
         screened = bool(self._screen.followed)
         posterior = fit_followed(departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened)

@@ -60,6 +60,14 @@ class Overlapping(NamedTuple):
     """(bins,) open passages of other objects for each exit, by offset."""
 
 
+def table_of(overlapping: list[Overlapping], cameras: int) -> NDArray[np.bool_]:
+    """Whether objects that leave the view of one of the ``cameras`` are seen by another: (cameras, cameras)."""
+    table = np.zeros((cameras, cameras), np.bool_)
+    for one in overlapping:
+        table[one.source, one.target] = True
+    return table
+
+
 class Views(NamedTuple):
     """Passages (n,) with a known beginning and end, in order of ``left``; times in seconds."""
 

@@ -82,13 +82,16 @@ class Posterior(NamedTuple):
 
 
 def followed_of(
-    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float
-) -> Candidates:
-    """The candidates that `fit_followed` is to look at. Who has them need not keep all, which take more memory."""
+    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
+    overlapping: NDArray[np.bool_],
+) -> Candidates:  # fmt: skip
+    """The candidates that `fit_followed` is to look at. Who has them need not keep all, which take more memory.
+    ``overlapping`` (cameras, cameras): views that are known to overlap.
+    """
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
     scout.look()
     scout.skip()
-    kept = scout.worth_following()
+    kept = scout.worth_following(overlapping)
     del scout  # it takes more memory than what is made now
     return candidates.take(kept)
 
@@ -141,10 +144,10 @@ class PosteriorFitter(JointFitter):
         self.hazard = self.start(FIRST_NOISE_SD)
         self._iterate(SCOUT_ITERATIONS, contexts=False)
 
-    def worth_following(self) -> NDArray[np.bool_]:
+    def worth_following(self, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """The candidates (M,) that are neither negligible nor impossible, the likeliest `FOLLOWED_MAX` of them."""
         c = self.candidates
-        impossible = not_overlapping(c, self.departures, self.arrivals, self.responsibility, self.contexts.cameras)
+        impossible = not_overlapping(c, self.departures, self.arrivals, self.responsibility, overlapping)
         kept = (self.responsibility > NEGLIGIBLE) & ~impossible
         rows = np.flatnonzero(kept)
         if len(rows) > FOLLOWED_MAX:

@@ -54,6 +54,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 Rows = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 Part = tuple[Ints, Ints, Singles, Singles]
 
 PAIRS_FEW = 20_000
@@ -205,13 +206,15 @@ def whole(
 
 
 def not_overlapping(
-    candidates: Candidates, departures: Departures, arrivals: Arrivals, responsibility: Singles, cameras: int
+    candidates: Candidates, departures: Departures, arrivals: Arrivals, responsibility: Singles, overlapping: Bools
 ) -> NDArray[np.bool_]:
     """Candidates (M,) that appear before the exit in the view of a camera that shows no overlap with this one.
 
-    Whether two views overlap is asked of all their zones, both ways, at once: how much better do appearances ahead of
-    the exit predict arrivals than nothing does? By chance anywhere with a probability of `OVERLAP_FALSE`.
+    Two views overlap if their passages say so (``overlapping`` (cameras, cameras), see there), or if appearances ahead
+    of the exit, of all their zones and both ways, predict arrivals so much better than nothing does that it happens by
+    chance anywhere with a probability of `OVERLAP_FALSE`.
     """
+    cameras = len(overlapping)
     c = candidates
     ahead = np.flatnonzero(c.lag < 0)
     left, came = departures.camera[c.departure[ahead]], arrivals.camera[c.arrival[ahead]]
@@ -222,9 +225,10 @@ def not_overlapping(
     of_key = np.zeros(len(key), np.int64)
     of_key[number] = pair
     nats = np.bincount(of_key, -np.log1p(-share) - share, minlength=len(present))
-    overlapping = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
+    seen = nats >= np.log(max(cameras * (cameras - 1) / 2, 1.0) / OVERLAP_FALSE)
+    seen |= (overlapping | overlapping.T)[present // cameras, present % cameras]
     result = np.zeros(len(c.lag), bool)
-    result[ahead] = ~overlapping[pair]
+    result[ahead] = ~seen[pair]
     return result
 
 
