@@ -83,8 +83,9 @@ def _no_skips(appears: Any, candidates: Any, through: Any, bins: Any, zones: int
 MECHANISMS = [
     Mechanism("context: zone of entry", {"contexts:Contexts._contexts": _untold(0)}),
     Mechanism("context: block of exit", {"contexts:Contexts._contexts": _untold(1)}),
-    Mechanism("context: camera before", {"contexts:Contexts._contexts": _untold(2)}),
-    Mechanism("contexts, all", {"contexts:Contexts._contexts": _untold(0, 1, 2)}),
+    Mechanism("context: entry and block", {"contexts:Contexts._contexts": _untold(2)}),
+    Mechanism("context: camera before", {"contexts:Contexts._contexts": _untold(3)}),
+    Mechanism("contexts, all", {"contexts:Contexts._contexts": _untold(0, 1, 2, 3)}),
     Mechanism("pace", {"joint:persistence": lambda *arguments: NO_PERSISTENCE}),
     Mechanism("skipped views", {"posterior:skip_hazards": _no_skips}),
     Mechanism("prior: ways are two-way", {"prior:RETURNING": 0.0}),

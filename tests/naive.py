@@ -525,14 +525,14 @@ def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, ba
         sure[zone] = sum(r * r for r in own) / max(sum(own), 1e-300)
     before = likeliest_before(departures, arrivals, pairs, responsibility, least)
     levels = []
-    for name in ("entry", "block", "previous"):
+    for name in ("entry", "block", "entry+block", "previous"):
         key, told = [], []
         for d in range(n):
             first, block, certain = -1, -1, 1.0
-            if name == "entry":
+            if "entry" in name:
                 first, certain = entry[d], float(entry[d] >= 0)
-            if name == "block":
-                block, certain = int(departures.block[d]), float(departures.block[d] >= 0)
+            if "block" in name:
+                block, certain = int(departures.block[d]), certain * (departures.block[d] >= 0)
             if name == "previous":
                 first, certain = before[d]
             key.append((int(departures.zone[d]), first, block))
@@ -735,9 +735,10 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
     previous = max(before, key=before.get, default=None)
     sure = before[previous] / (outside[zone_of(seen[p])] + sum(before.values())) if previous else 0.0
     known = {(row.zone, row.entry, row.block, row.previous): row for row in model.contexts}
-    asks = [(entry, None, None), (None, block, None), (None, None, previous)]
-    for key, told in zip(asks, (1.0, 1.0, sure), strict=True):
-        row = known.get((zones[u].id, *key)) if any(part is not None for part in key) else None
+    both = None if entry is None or block is None else (entry, block, None)
+    asks = [(entry, None, None), (None, block, None), both, (None, None, previous)]
+    for key, told in zip(asks, (1.0, 1.0, 1.0, sure), strict=True):
+        row = known.get((zones[u].id, *key)) if key and any(part is not None for part in key) else None
         if row is not None:
             steps.append((row.departures, {index[name]: count for name, count in row.to.items()}, told))
     shares = {v: share for v, (share, _) in onward[u].items()}

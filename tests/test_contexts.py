@@ -62,7 +62,7 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     )  # fmt: skip
     assert after == pytest.approx(slow[1], abs=SINGLE)
     assert leaving == pytest.approx(slow[2])
-    assert len(levels) == len(LEVELS) == 3
+    assert len(levels) == len(LEVELS) == 4
     for level, (n_of, moved_of) in zip(levels, slow[0], strict=True):
         assert len(level.first) == len(level.zone) + 1
         assert len(level.transitions) == sum(count > 0 for count in moved_of.values()), "only what occurs is kept"

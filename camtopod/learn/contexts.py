@@ -20,8 +20,8 @@ from camtopod.learn.limits import context_cells_max
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
 
-LEVELS = ("entry", "block", "previous")
-"""In this order: the zone of entry; the block of the image of the exit; the camera before."""
+LEVELS = ("entry", "block", "entry+block", "previous")
+"""In this order: the zone of entry; the block of the image of the exit; both; the camera before."""
 BACK_OFF_DEPARTURES = 5.0
 MULTIPLIER_MAX = 100.0
 PREVIOUS_RESPONSIBILITY_MIN = 0.02
@@ -94,9 +94,9 @@ class Contexts:
         nothing = np.full(len(zone), -1)
         self._fixed = [
             _numbered(zone, first, second)
-            for first, second in ((self.entry, nothing), (nothing, block))
+            for first, second in ((self.entry, nothing), (nothing, block), (self.entry, block))
         ]
-        self._known = [self.entry >= 0, block >= 0]
+        self._known = [self.entry >= 0, block >= 0, (self.entry >= 0) & (block >= 0)]
 
     def count(
         self, candidates: Candidates, responsibility: Singles, gone: Floats, leave: Floats

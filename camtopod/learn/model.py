@@ -162,7 +162,7 @@ def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Flo
             result.append(
                 Context(
                     ids[zone], short(max(departures, 0.0)), dict(sorted(to.items())),
-                    ids[first] if name == "entry" else None, block if name == "block" else None,
+                    ids[first] if "entry" in name else None, block if "block" in name else None,
                     cameras[first] if name == "previous" else None,
                 )
             )  # fmt: skip

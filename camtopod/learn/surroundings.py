@@ -74,6 +74,8 @@ class Surroundings:
             asked.append((entry, None, None))
         if block is not None:
             asked.append((None, block, None))
+        if entry is not None and block is not None:
+            asked.append((entry, block, None))
         usual: list[float] = outcomes.share.tolist()
         share, leave, few = usual, outcomes.leave, BACK_OFF_DEPARTURES
         for key in asked:
