@@ -20,13 +20,14 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench._jobs import done
 from bench._measure import TRAIN_SHARE, predict, prediction_figures
 from bench.regimes import REGIMES
 from camtopod.learn import posterior
@@ -110,7 +111,7 @@ class Told:
             yield
 
 
-def measure(regime: str, seed: int, sweeps: Sequence[int]) -> dict[str, dict[str, float]]:
+def measure(regime: str, sweeps: Sequence[int], seed: int) -> dict[str, dict[str, float]]:
     """Figures of every way to learn one network."""
     events, truth = REGIMES[regime].make(seed)
     told = Told(events, truth)
@@ -145,15 +146,13 @@ def main(argv: list[str]) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     sweeps = [int(n) for n in arguments.sweeps.split(",")]
     print(f"{'':36}" + "".join(f"{title:>22}" for title in FIGURES.values()))
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        for regime in arguments.regimes.split(","):
-            seeds = range(arguments.seeds)
-            found = list(pool.map(measure, [regime] * len(seeds), seeds, [sweeps] * len(seeds)))
-            for row in found[0]:
-                cells = []
-                for figure in FIGURES:
-                    values = [one[row][figure] for one in found]
-                    error = np.std(values) / max(len(values) - 1, 1) ** 0.5
-                    cells.append(f"{np.mean(values):.3f} +- {error:.3f}".rjust(22))
-                print(f"{regime}: {row}".ljust(36) + "".join(cells), flush=True)
+    for regime in arguments.regimes.split(","):
+        found = done(partial(measure, regime, sweeps), range(arguments.seeds), arguments.jobs)
+        for row in found[0]:
+            cells = []
+            for figure in FIGURES:
+                values = [one[row][figure] for one in found]
+                error = np.std(values) / max(len(values) - 1, 1) ** 0.5
+                cells.append(f"{np.mean(values):.3f} +- {error:.3f}".rjust(22))
+            print(f"{regime}: {row}".ljust(36) + "".join(cells), flush=True)
     return 0
