@@ -279,7 +279,7 @@ class JointFitter:
         c, result = self.candidates, self.responsibility
         background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
 
-        # What each departure is asked for by all arrivals together, and by nobody.
+        # The demand on each departure, of all its candidates and of leaving.
         taken = np.zeros(len(self.departures.t))
         for part in self._parts:
             result[part] = weight = self._weights(hazard, part)

@@ -1,8 +1,8 @@
 """What a weak link still lacks until it is published: passages, and the time they take at this traffic.
 
-The rule for publishing asks for so much evidence (`significance`), and each further passage brings about as much as
-those so far did. The evidence that counts for the rule is the held-out one (`crossfit`), which begins late, as a link
-has to be learned before anything can be foretold by it; what a passage brings is read off the evidence in the fit.
+The rule for publishing asks for a certain evidence (`significance`), and each further passage adds about as much as
+the earlier ones did. Held-out evidence (`crossfit`) counts for the rule. It starts late, as a link has to be learned
+before it can predict anything, so the evidence per passage is estimated from the fit.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from camtopod.learn.significance import ratio_needed
 Floats = NDArray[np.float64]
 
 PASSAGES_MIN = 1.0
-"""What is not published yet lacks this many passages at least."""
+"""Fewest passages that an unpublished link is said to lack."""
 
 
 class Lacking(NamedTuple):

@@ -49,9 +49,9 @@ NEGLIGIBLE = 1e-4
 ITERATIONS = 8
 """With contexts, which are learned in every other one."""
 SWEEPS_MIN, SWEEPS_MAX = 12, 30
-"""Draws of who came from where; the first half of them does not count yet ..."""
+"""Draws of who came from where. The first half of them does not count yet."""
 DRAWN_ARRIVALS = 200_000
-"""... and all together draw so many arrivals: of many arrivals a few draws say as much as many draws of a few."""
+"""Arrivals drawn over all sweeps: with many arrivals fewer sweeps are enough."""
 SAMPLES_SHARE = 0.5
 """Of what is believed in the end; the rest is what the fit said."""
 SAMPLING_SEED = 2011
