@@ -48,7 +48,9 @@ def free_endpoint() -> str:
 
 def small_config(state: Path, connect: str | None = None, **limits: float) -> Config:
     """A daemon on a free port, or programs that dial ``connect``; the learner takes any order of arrival."""
-    bus = BusSettings(connect=(connect,)) if connect else BusSettings(listen=("tcp/127.0.0.1:0",))
+    bus = BusSettings(listen=("tcp/127.0.0.1:0",))
+    if connect:
+        bus = BusSettings(connect=(connect,), connect_seconds=WAIT_SECONDS)
     quick = {"pull_seconds": 0.2, "ack_seconds": 0.05, "status_seconds": 0.1, "gap_seconds": 0.5, **limits}
     return Config(
         bus=bus,

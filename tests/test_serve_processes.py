@@ -35,7 +35,8 @@ class Installation:
         self.endpoint = free_endpoint()
         self.config = directory / "camtopod.toml"
         self.config.write_text(
-            f'[bus]\nlisten = ["{self.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n'
+            f'[bus]\nlisten = ["{self.endpoint}"]\nconnect_seconds = {serving.WAIT_SECONDS}\n'
+            f'[state]\ndirectory = "{directory}/state"\n'
             f"[learn]\nlateness_seconds = {2 * serving.SPAN_SECONDS}\nrefit_share = 0.5\n"
             "[limits]\npull_seconds = 0.2\nack_seconds = 0.05\nstatus_seconds = 0.1\n"
         )
@@ -209,7 +210,8 @@ def test_a_killed_daemon_has_lost_nothing_it_acknowledged(installation: Installa
 def test_commands_say_that_the_bus_is_not_there(installation: Installation) -> None:
     for command in (["ingest", "jsonl", os.devnull], ["watch", "--once"]):
         config = installation.config.read_text()
-        installation.config.write_text(config.replace("[bus]\n", "[bus]\nconnect_seconds = 0.2\n"))
+        patient = f"connect_seconds = {serving.WAIT_SECONDS}"
+        installation.config.write_text(config.replace(patient, "connect_seconds = 0.2"))
         process = installation.start(*command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         out, err = process.communicate(timeout=serving.WAIT_SECONDS)
         assert (process.returncode, out) == (69, b"")

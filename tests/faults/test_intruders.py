@@ -350,7 +350,7 @@ def test_the_same_box_allowed_everything_does_all_of_it(
     assert thief.open(**client(daemon.endpoint), **keys.tls("camera/cam1"))
     assert observer.open(**client(daemon.endpoint), **keys.tls("daemon"))
     hears = ("ack/cam1", "ack/cam2", "event/cam2", "alive/grabber/cam3")
-    effects = attack(thief, observer, hears, seconds=5.0)
+    effects = attack(thief, observer, hears, seconds=WAIT_SECONDS)
     assert effects >= OWN
     assert effects >= {f"{what} {key}" for what, key in STOLEN if HQ in key and not re.search(r"daemon|\*", key)}
     assert effects >= {f"put {HQ}/alive/grabber/cam2", "answered spool/cam2", "answered topology"}
