@@ -85,12 +85,13 @@ class Transit(Struct, frozen=True, omit_defaults=True):
 
 class Histogram(Struct, frozen=True, omit_defaults=True):
     """Transit-time histogram: ``mass[k]`` times ``unit`` is the expected number of transits in lag bin ``first + k``.
-    The unit is 1 for links.
+    The unit is 1 for links. ``delay``: seconds to add to the lags of the bins, for long ways.
     """
 
     first: int
     mass: list[int | float]
     unit: float = 1.0
+    delay: float = 0.0
 
 
 class Lacks(Struct, frozen=True):

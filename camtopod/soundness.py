@@ -61,7 +61,7 @@ _RANGES: dict[type[Struct], Ranges] = {
     Lacks: {"passages": _NUMBER, "seconds": _SPAN},
     Transit: dict.fromkeys(("mode", "mean", "q10", "q50", "q90"), _TIME)
     | dict.fromkeys(("sd", "mean_sd", "q50_sd"), _SPAN),
-    Histogram: {"unit": _NUMBER},
+    Histogram: {"unit": _NUMBER, "delay": _SPAN},
     Model: {"lag_scale": (1e-3, 1e6), "lag_step": (1e-4, 10.0), "lag_min": (-1e6, 1e6), "lag_max": (-1e6, 1e6)},
     ZoneModel: {"departures": _COUNT, "arrival_rate": _NUMBER},
     CameraModel: {"share": _SHARE, "last_event": _TIME},

@@ -24,7 +24,7 @@ def table(*rows: tuple[int, int, float, float, float]) -> LinkTable:
     n, nothing = len(rows), np.zeros(len(rows))
     transit = TransitFigures(*[np.zeros((n, 3)) if name == "quantiles" else nothing for name in TransitFigures._fields])
     transit = transit._replace(total=total)
-    return LinkTable(source, target, probability, ratio, np.ones(n), transit, nothing, np.zeros((n, 0)))
+    return LinkTable(source, target, probability, ratio, np.ones(n), transit, nothing, np.zeros((n, 0)), np.zeros(n))
 
 
 def of(*rows: tuple[int, int, float, float, float], held_out: float | None = None, published: int = 0) -> Lacking:

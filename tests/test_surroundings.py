@@ -29,7 +29,7 @@ def topology_with(contexts: list[Context] | None) -> Topology:
 
 def outcomes(share: list[float], leave: float) -> Outcomes:
     """From a/1 to b/1 and c/1."""
-    return Outcomes([2, 3], np.array(share), leave, np.zeros((2, 1)), np.ones(1), np.zeros(2))
+    return Outcomes([2, 3], np.array(share), leave, np.zeros((2, 1)), np.ones(1), np.zeros(2), np.zeros(2))
 
 
 SHARES = st.just(0.0) | st.floats(1e-4, 0.5)

@@ -41,6 +41,8 @@ class _Onward(NamedTuple):
     targets: list[int]
     chance: Floats
     """(targets, bins) probability of appearing there in each lag bin."""
+    delay: Floats
+    """(targets,) seconds to add to the lags of the bins, for long ways."""
     gone: float
     """Probability of not being seen again."""
     began: _Began | None = None
@@ -92,10 +94,8 @@ class Gate:
         lag = (t_entry - self._ahead[to_camera]) - (t_exit - self._ahead[self.topology.zones[source].camera])
         if not math.isfinite(lag):
             raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
-        at = int(self._hazards.bins.index(np.array([lag]))[0])
-        rows = [row for row, target in enumerate(onward.targets) if target in to]
-        chance = float(onward.chance[rows, at].sum()) if at >= 0 else 0.0
-        return math.log(chance / self._hazards.bins.widths[at]) if chance > 0 else -math.inf
+        zones = np.array(to, np.intp)
+        return float(np.logaddexp.reduce(self._log_density(onward, zones, np.full(len(zones), lag))))
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
         """ln of the rate, in 1/s, at which objects from outside appear at a camera, or at a zone of it: those that have
@@ -200,11 +200,11 @@ class Gate:
         """
         outcomes, bins = self._hazards.outcomes.get(zone), self._hazards.bins
         if outcomes is None:
-            return _Onward([], np.zeros((0, bins.size)), 1.0)
+            return _Onward([], np.zeros((0, bins.size)), np.zeros(0), 1.0)
         entry = None if began is None else began.zone
         likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, None, 0.0)
         exposure = outcomes.exposure if began is None else self._hazards.exposed(began.stay)
-        odds = outcomes.hazard * bins.widths * exposure * np.array(likelier)[:, None]
+        odds = outcomes.hazard * bins.widths * outcomes.exposed(exposure) * np.array(likelier)[:, None]
         early = np.zeros(len(odds)) if began is None else self._expected_early(outcomes.targets, began) * likelier
         sure = 1.0 - outcomes.doubt
         every = odds.sum(axis=1) + early
@@ -212,8 +212,9 @@ class Gate:
         total = leave + float(sure @ every)
         chance = odds * sure[:, None] / total
         if began is None:
-            return _Onward(outcomes.targets, chance, leave / total)
-        return _Onward(outcomes.targets, chance, leave / total, began, np.array(likelier) * sure / total)
+            return _Onward(outcomes.targets, chance, outcomes.delay, leave / total)
+        early_share = np.array(likelier) * sure / total
+        return _Onward(outcomes.targets, chance, outcomes.delay, leave / total, began, early_share)
 
     def _expected_early(self, targets: list[int], began: _Began) -> Floats:
         """Appearances (targets,) that are expected before the exit by the entry alone."""
@@ -230,14 +231,15 @@ class Gate:
     def _gone(self, onward: _Onward, seconds: float) -> float:
         """Probability of not having been seen ``seconds`` after the exit."""
         bins = self._hazards.bins
-        later = np.clip((bins.edges[1:] - seconds) / bins.widths, 0.0, 1.0)
-        return onward.gone + float((onward.chance @ later).sum())
+        still = bins.edges[1:] + onward.delay[:, None] - seconds
+        return onward.gone + float((onward.chance * np.clip(still / bins.widths, 0.0, 1.0)).sum())
 
     def _log_density(self, onward: _Onward, zones: NDArray[np.intp], lag: Floats) -> Floats:
         """ln of 1/s of appearing at zones (m,) with lags (m,) in seconds."""
         row_of = np.full(len(self.topology.zones), -1)
         row_of[onward.targets] = np.arange(len(onward.targets))
-        row, at = row_of[zones], self._hazards.bins.index(lag)
+        row = row_of[zones]
+        at = self._hazards.bins.index(lag - np.append(onward.delay, 0.0)[row])
         some = np.flatnonzero((row >= 0) & (at >= 0))
         density = np.zeros(len(zones))
         density[some] = onward.chance[row[some], at[some]] / self._hazards.bins.widths[at[some]]

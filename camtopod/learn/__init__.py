@@ -8,6 +8,7 @@ In the order in which data flows:
   `zones`: all of it, with numbers that stay with their place; `moved`: a camera that was turned
 * `coarse`, `twoway`, `clocks`: whose clock is wrong, and by how much
 * `scene`: who left, who came, who passed through; `rates`: how often anyway; `slowness`: how fast
+* `long_ways`: cameras between which it takes minutes
 * `candidates`, `lags`, `exposure`, `smoothing`, `joint`: which arrival belongs to which departure; `passages`: also in
   one view
 * `crossfit`, `significance`, `missed`: whether that makes a link; `transit`, `montecarlo`, `mahalanobis`: its

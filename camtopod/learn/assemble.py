@@ -68,7 +68,8 @@ def link_records(
                 *(short(value) for value in (t.mode[k], t.mean[k], t.sd[k], *t.quantiles[k])),
                 *(short(value) for value in (t.mean_error[k], t.median_error[k])),
             ),
-            short(table.q[k]), short(table.variance[k]), counted(table.counts[k], bins) if histograms else None,
+            short(table.q[k]), short(table.variance[k]),
+            counted(table.counts[k], bins, float(table.delay[k])) if histograms else None,
             lacks and _lacks(float(lacks.passages[k]), float(lacks.seconds[k])),
         )
         for k in range(len(table.source))

@@ -29,7 +29,8 @@ ROWS_AT_ONCE = 1024
 class Departures(NamedTuple):
     """Objects leaving, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, ``since`` when the passage began (-inf:
     unknown), its log slowness (nan: unknown), the arrival that began it (-1: unknown), and the block of the image
-    where it left (-1: no position).
+    where it left (-1: no position). Where some are departures once more, delayed (see `long_ways`), ``of`` is the one
+    that each is of, itself as a rule: together they have one arrival at most.
     """
 
     t: Floats
@@ -39,6 +40,7 @@ class Departures(NamedTuple):
     slow: Floats
     own: Ints
     block: Ints
+    of: Indices | None = None
 
     def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
         """The departures ``kept`` when of the arrivals only those of the mask ``arrivals`` are."""
@@ -127,7 +129,7 @@ def possible(
     low, high = in_reach(t, came, bins)
     reached = np.concatenate(([0], np.cumsum(high - low)))
     ends = np.full(len(arrivals.t) + 1, len(departures.t), np.intp)  # where the passage of each arrival ends
-    ends[departures.own] = np.arange(len(departures.t))
+    ends[departures.own[::-1]] = np.arange(len(departures.t))[::-1]  # delayed departures come after their own
     first = 0
     while first < len(mine):
         stop = max(int(np.searchsorted(reached, reached[first] + at_once, side="right")) - 1, first + 1)

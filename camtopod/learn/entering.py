@@ -32,7 +32,8 @@ class Entering:
         """``entry`` (n,): zone where the passage of each departure began, -1 unknown."""
         c, d, a = candidates, departures, arrivals
         self._departures, self._arrivals, self._bins, self._zones = d, a, bins, zones
-        early = np.flatnonzero((c.lag < 0) & (d.own[c.departure] >= 0))
+        tied = (d.own >= 0) & np.isfinite(d.since)  # delayed departures have no passage
+        early = np.flatnonzero((c.lag < 0) & tied[c.departure])
         at = bins.index(a.t[c.arrival[early]] - d.since[c.departure[early]])
         early, at = early[at >= 0], at[at >= 0]
         key = entry[c.departure[early]] * zones + a.zone[c.arrival[early]]
@@ -56,7 +57,6 @@ class Entering:
         """
         self._order = np.argsort(self.cell, kind="stable")
         self._reached = self.cell[self._order]
-        tied = d.own >= 0
         self._began, self._entered = d.since[tied], entry[tied]
         self.exposure = in_view((d.t - d.since)[tied], self._entered, bins, zones)
         """(zones, bins) passages in view so long after they entered."""

@@ -42,6 +42,14 @@ class Outcomes(NamedTuple):
     """(bins,) share of the departures here that are exposed."""
     doubt: Floats
     """(targets,) share of those seen there that may as well be chance."""
+    delay: Floats
+    """(targets,) seconds to add to the lags of the bins, for long ways."""
+
+    def exposed(self, exposure: Floats) -> Floats:
+        """Share (targets, bins) exposed, where it is ``exposure`` (bins,) of lags that count from the exit: what takes
+        a long way always is.
+        """
+        return np.where(self.delay[:, None] > 0.0, 1.0, exposure)
 
 
 class Hazards:
@@ -78,10 +86,14 @@ class Hazards:
         self._first_row: dict[int, int] = dict(zip(self.outcomes, first_rows, strict=False))
         # The last column is for lags without a bin.
         self._rows: Singles = np.zeros((first_rows[-1], self.bins.size + 1), np.float32)
+        self._delay = np.zeros(first_rows[-1])  # of each row
         for zone, o in unhurried(every, pause):  # the same hazards, kept once
             rows = self._rows[self._first_row[zone] :][: len(o.targets), :-1]
             rows[:] = o.hazard
+            self._delay[self._first_row[zone] :][: len(o.targets)] = o.delay
             self.outcomes[zone] = o._replace(hazard=rows)
+        self.lag_max = self.bins.lag_max + float(self._delay.max())
+        """Longest lag with a bin, seconds."""
         self._limits = np.array(self.bins.limits)
         self.bin_of = self.bins.bin_of
         """As of `LagBins`."""
@@ -122,7 +134,7 @@ class Hazards:
         """Hazards (n,) of rows (n,) at lags (n,) in seconds. What is before the first bin is counted as -1, behind the
         last as one more: both are in the last column, of this row or the one before.
         """
-        at = self._limits.searchsorted(lag, "right")
+        at = self._limits.searchsorted(lag - self._delay.take(row), "right")
         at += row * np.intp(self._rows.shape[1])
         at -= 1
         return self._rows.take(at).astype(float)
@@ -186,8 +198,9 @@ class Hazards:
                 share = np.array([outcome.share for outcome in row.next_])
                 zone, targets = index[row.zone], [index[outcome.to] for outcome in row.next_]
                 doubt = np.array([outcome.doubt for outcome in row.next_])
+                delay = np.array([outcome.hazard.delay for outcome in row.next_])
                 leave = max(row.leave, LEAVE_MIN)
-                outcomes[zone] = Outcomes(targets, share, leave, hazard, self._exposure(zone), doubt)
+                outcomes[zone] = Outcomes(targets, share, leave, hazard, self._exposure(zone), doubt, delay)
         return outcomes
 
     def _from_links(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
@@ -201,10 +214,12 @@ class Hazards:
             spread = smooth(np.stack([_counts(link, self.bins) for link in out]))[0]
             share = spread / np.maximum(spread.sum(axis=1, keepdims=True), 1e-300)
             probability = np.array([link.probability for link in out])[:, None]
-            hazard = (probability * share / (self.bins.widths * exposure)).astype(np.float32)
+            delay = np.array([link.histogram.delay if link.histogram else 0.0 for link in out])
+            exposed = np.where(delay[:, None] > 0.0, 1.0, exposure)
+            hazard = (probability * share / (self.bins.widths * exposed)).astype(np.float32)
             leave = max(1.0 - float(probability.sum()), LEAVE_FLOOR)
             targets = [index[link.to] for link in out]
-            outcomes[zone] = Outcomes(targets, probability[:, 0], leave, hazard, exposure, np.zeros(len(out)))
+            outcomes[zone] = Outcomes(targets, probability[:, 0], leave, hazard, exposure, np.zeros(len(out)), delay)
         return outcomes
 
     def _exposure(self, zone: int) -> Floats:
@@ -238,7 +253,8 @@ class Hazards:
             found = set(ahead.get(zone.camera, ()))
             if k in self.outcomes:
                 out = self.outcomes[k]
-                possible = np.any(self.before(out.hazard, (clocks[out.targets] - clocks[k])[:, None]), axis=1)
+                later = clocks[out.targets] - clocks[k] + out.delay
+                possible = np.any(self.before(out.hazard, later[:, None]), axis=1)
                 found.update(target for target, some in zip(out.targets, possible.tolist(), strict=True) if some)
             others = [target for target in sorted(found) if topology.zones[target].camera != zone.camera]
             self._before.append(np.array(others, np.intp))
@@ -254,6 +270,7 @@ class Hazards:
             stay = self.stay[k][len(self.stay[k]) // 2] if self.stay[k] else UNKNOWN_STAY_SECONDS
             share = zone.exits / max(exits[zone.camera], 1) / max(stay, 1.0)
             ahead = (outcomes.hazard * self.bins.widths * outcomes.exposure)[:, self.past].sum(axis=1)
+            ahead[outcomes.delay > 0.0] = 0.0
             for target, expected in zip(outcomes.targets, ahead.tolist(), strict=True):
                 key = zone.camera, target
                 rates[key] = rates.get(key, 0.0) + share * expected

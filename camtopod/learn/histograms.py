@@ -23,18 +23,18 @@ thousands of them. Whole numbers this small take a byte or two in a message and 
 """
 
 
-def counted(counts: Floats, bins: LagBins) -> Histogram:
-    """Expected transitions per lag bin (bins,)."""
+def counted(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
+    """Expected transitions per lag bin (bins,); ``delay``: seconds to add to the lags."""
     first, last = _ends(counts)
     if first == last:
         return Histogram(0, [])
-    return Histogram(bins.first + first, _three_digits(counts[first:last]))
+    return _late(Histogram(bins.first + first, _three_digits(counts[first:last])), delay)
 
 
-def in_steps(mass: Floats, bins: LagBins) -> Histogram:
-    """Masses (bins,) in whole steps."""
+def in_steps(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
+    """Masses (bins,) in whole steps; ``delay``: seconds to add to the lags."""
     first, last = _ends(mass)
-    return _stepped(bins.first + first, mass[first:last])
+    return _late(_stepped(bins.first + first, mass[first:last]), delay)
 
 
 def scaled(histogram: Histogram, factor: float) -> Histogram:
@@ -44,13 +44,14 @@ def scaled(histogram: Histogram, factor: float) -> Histogram:
 
 def counts_added(histograms: Iterable[Weighed]) -> Histogram:
     """The weighted sum of counts."""
-    first, counts = _sum(histograms)
-    return Histogram(first, _three_digits(counts))
+    first, counts, delay = _sum(histograms)
+    return _late(Histogram(first, _three_digits(counts)), delay)
 
 
 def steps_added(histograms: Iterable[Weighed]) -> Histogram:
     """The weighted sum of histograms, in whole steps."""
-    return _stepped(*_sum(histograms))
+    first, mass, delay = _sum(histograms)
+    return _late(_stepped(first, mass), delay)
 
 
 def on_bins(histogram: Histogram, bins: LagBins) -> Floats:
@@ -64,15 +65,18 @@ def on_bins(histogram: Histogram, bins: LagBins) -> Floats:
     return result
 
 
-def _sum(histograms: Iterable[Weighed]) -> tuple[int, Floats]:
+def _sum(histograms: Iterable[Weighed]) -> tuple[int, Floats, float]:
+    """First bin, masses and delay; of histograms with different delays those with the delay of the heaviest."""
     known = [(weight, one) for weight, one in histograms if one.mass]
     if not known:
-        return 0, np.zeros(0)
+        return 0, np.zeros(0), 0.0
+    delay = max(known, key=lambda each: each[0] * each[1].unit * sum(each[1].mass))[1].delay
+    known = [(weight, one) for weight, one in known if one.delay == delay]
     first = min(one.first for _, one in known)
     mass = np.zeros(max(one.first + len(one.mass) for _, one in known) - first)
     for weight, one in known:
         mass[one.first - first :][: len(one.mass)] += weight * one.unit * np.array(one.mass, np.float64)
-    return first, mass
+    return first, mass, delay
 
 
 def _ends(mass: Floats) -> tuple[int, int]:
@@ -86,6 +90,11 @@ def _stepped(first: int, mass: Floats) -> Histogram:
     if unit == 0.0:
         return Histogram(0, [])
     return Histogram(first, np.rint(mass / unit).astype(np.int64).tolist(), unit)
+
+
+def _late(histogram: Histogram, delay: float) -> Histogram:
+    """The histogram with seconds to add to its lags, which it does not mention where there are none."""
+    return replace(histogram, delay=delay) if delay and histogram.mass else histogram
 
 
 def _three_digits(counts: Floats) -> list[int | float]:

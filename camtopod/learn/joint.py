@@ -276,26 +276,31 @@ class JointFitter:
 
     def _expect(self, hazard: Singles) -> None:
         """E step: responsibilities in the place of those before."""
-        c, result = self.candidates, self.responsibility
+        result = self.responsibility
         background = np.maximum(self.outside[self.arrivals.zone] * self.arrivals.rate, 1e-12)
 
         # The demand on each departure, of all its candidates and of leaving.
         taken = np.zeros(len(self.departures.t))
         for part in self._parts:
             result[part] = weight = self._weights(hazard, part)
-            np.add.at(taken, c.departure[part].astype(np.intp), (weight * self._message[part]).astype(float))
+            np.add.at(taken, self._departure(part), (weight * self._message[part]).astype(float))
         taken += self._leave(hazard)
 
         # What each candidate has left for its arrival, beside the background and the other candidates there.
         for part, run in zip(self._parts, self._runs, strict=True):
             weight = result[part]
-            others = taken.take(c.departure[part].astype(np.intp))
+            others = taken.take(self._departure(part))
             others -= weight * self._message[part]
             offer = np.divide(weight, others, out=others)
             demand = np.repeat(background[run.arrival] + np.add.reduceat(offer, run.first), run.candidates)
             np.divide(offer, demand, out=result[part])
             demand -= offer
             np.divide(1.0, np.maximum(demand, 1e-12, out=demand), out=self._message[part])
+
+    def _departure(self, part: slice) -> Indices:
+        """The departure that each candidate of a part is of."""
+        row = self.candidates.departure[part].astype(np.intp)
+        return row if self.departures.of is None else self.departures.of.take(row)
 
     def _believe(self, drawn: Indices) -> None:
         """The candidates ``drawn`` (ascending) are transitions, and no others."""
@@ -348,9 +353,17 @@ class JointFitter:
         share = np.zeros(self.pairs)
         for rows in rows_together(self.pairs):
             share[rows] = self._appears(self._after_exit(hazard, rows), rows).sum(axis=1)
-        again = np.bincount(self.candidates.source, share, minlength=self.zones)
-        left: Floats = np.maximum(1.0 - again, LEAVE_FLOOR)[self.departures.zone]
+        again: Floats = np.bincount(self.candidates.source, share, minlength=self.zones).astype(float)
+        left: Floats = np.maximum(1.0 - self._of_all(again[self.departures.zone]), LEAVE_FLOOR)
         return left
+
+    def _of_all(self, each: Floats) -> Floats:
+        """Of each departure (n,) what it has ``each`` (n,) time that it is there."""
+        of = self.departures.of
+        if of is None:
+            return each
+        total: Floats = np.bincount(of, each, minlength=len(of)).astype(float)
+        return total[of]
 
     def _after_exit(self, hazard: Singles, rows: slice) -> Singles:
         """All hazard (rows, bins) that counts from the exit."""
@@ -399,11 +412,13 @@ class JointFitter:
         """Hazard without its dependence on the lag over the hazard, of each candidate (M,): as many transitions are
         expected of it.
         """
-        even = np.zeros(self.pairs)
+        even, c = np.zeros(self.pairs), self.candidates
+        one_view, ahead = self._camera[c.source] == self._camera[c.target], self.bins.edges[1:] <= 0
         for rows in rows_together(self.pairs):
-            exposed = self.exposure[self.candidates.source[rows]] * self.bins.widths
+            exposed = self.exposure[c.source[rows]] * self.bins.widths
+            exposed[one_view[rows, None] & ahead] = 0.0  # in its own view nobody appears before leaving it
             even[rows] = (hazard[rows] * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
-        flat: Floats = even[self.candidates.pair] / np.maximum(hazard.take(self._cell), NOTHING)
+        flat: Floats = even[c.pair] / np.maximum(hazard.take(self._cell), NOTHING)
         return flat
 
 

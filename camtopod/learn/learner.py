@@ -45,6 +45,7 @@ from camtopod.learn.links import (
     tabulate,
     transitions_of,
 )
+from camtopod.learn.long_ways import Delayed, delayed, find_long_ways
 from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
@@ -429,18 +430,20 @@ class Learner:
         """Links that leave a view, over the whole window: the joint fit of departures and arrivals; and what in it has
         changed.
         """
-        zones = len(scene.zones)
-        departures, arrivals = scene.departures, scene.arrivals
-        if len(departures.t) == 0 or len(arrivals.t) == 0:
-            empty = tabulate(join([]), np.zeros((zones, 1)), self.bins, zones)
+        arrivals = scene.arrivals
+        if len(scene.departures.t) == 0 or len(arrivals.t) == 0:
+            empty = tabulate(join([]), np.zeros((len(scene.zones), 1)), self.bins, len(scene.zones))
             return None, empty, empty, []
-        first = float(min(departures.t[0], arrivals.t[0]))
-        places = np.array([place(zone.camera, zone.number) for zone in scene.zones])
+        first = float(min(scene.departures.t[0], arrivals.t[0]))
         self.on_step("candidates")
+        late = self._with_long_ways(scene)
+        departures, zones = late.departures, len(late.zone)
+        places = np.array([place(camera, scene.zones[zone].number) for camera, zone in late.places()])
         candidates = self._screen.find(
             departures, arrivals, self.bins, places, scene.last, self._learned, self.settings.candidates_max,
             everywhere=self.only_last,
         )  # fmt: skip
+        candidates = late.among(candidates, arrivals)
         self.on_step("joint fit")
         problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
         fit = fit_jointly(*problem)
@@ -449,20 +452,43 @@ class Learner:
             departures, arrivals, self._all_of(fit, departures, arrivals, zones), self.bins, zones, first, scene.last
         )
         left, pace = leaving(departures, self.bins, zones, scene.last), pace_of(fit, departures, arrivals, zones)
-        between = tabulate(transitions_of(fit), left, self.bins, zones, pace).with_evidence(ratio, zones * zones)
-        over = scene.last - self.bins.lag_max
+        between = tabulate(transitions_of(fit), left, self.bins, zones, pace, late.seconds)
+        between = late.links_back(between.with_evidence(ratio, len(scene.zones) ** 2))
+        over = scene.last - self.bins.lag_max - float(late.seconds.max())
         self.on_step("changes")
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
+        changes = late.changes_back(changes)
         del fit  # what follows takes the most memory, ...
         self.on_step("prediction")
-        followed = followed_of(*problem, table_of(overlapping, len(self._window.cameras)))
+        overlap = late.overlapping(table_of(overlapping, len(self._window.cameras)))
+        followed = followed_of(*problem, overlap)
         del candidates, problem  # ... and then these would take as much as the rest
         screened = bool(self._screen.followed)
         posterior = fit_followed(departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened)
-        likely = tabulate(transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN), left, self.bins, zones).without_counts()
-        likely = likely.with_evidence(likely.ratio, len(posterior.share))
-        self._scorer.mark(posterior, departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
+        some = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
+        likely = tabulate(some, left, self.bins, zones, delay=late.seconds).without_counts()
+        likely = late.links_back(likely.with_evidence(likely.ratio, len(posterior.share)))
+        posterior = late.posterior_back(posterior, len(scene.zones))
+        self._scorer.mark(posterior, scene.departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
         return posterior, between, likely, changes
+
+    def _with_long_ways(self, scene: Scene) -> Delayed:
+        """The departures of the scene, and those of long ways delayed, unless they are too many to look at all."""
+        camera = np.array([zone.camera for zone in scene.zones], np.int32)
+        cameras, arrivals = len(self._window.cameras), scene.arrivals
+
+        def too_many(late: Delayed) -> bool:
+            return self._screen.is_needed(
+                late.departures, arrivals, self.bins, len(late.zone), self.settings.candidates_max
+            )
+
+        without = delayed(scene.departures, camera, cameras, [])
+        if too_many(without):
+            return without
+        late = delayed(
+            scene.departures, camera, cameras, find_long_ways(scene.departures, arrivals, cameras, self.bins.lag_max)
+        )
+        return without if too_many(late) else late
 
     def _all_of(self, fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) -> Fit:
         """The fit with all candidates of what might be a link, where unlikely ones had been left out."""

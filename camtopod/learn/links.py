@@ -103,12 +103,15 @@ class LinkTable(NamedTuple):
     transit: TransitFigures
     variance: Floats
     counts: Floats
+    delay: Floats
+    """Seconds to add to the lags of ``counts`` (see `long_ways`)."""
 
     def rows(self, keep: NDArray[np.intp]) -> LinkTable:
         """The rows ``keep``, in that order."""
         return LinkTable(
             self.source[keep], self.target[keep], self.probability[keep], self.ratio[keep], self.q[keep],
             TransitFigures(*(column[keep] for column in self.transit)), self.variance[keep], self.counts[keep],
+            self.delay[keep],
         )  # fmt: skip
 
     def without_counts(self) -> LinkTable:
@@ -122,9 +125,13 @@ class LinkTable(NamedTuple):
         return self._replace(ratio=ratio, q=q_values(ratio, tests))
 
 
-def tabulate(transitions: Transitions, left: Floats, bins: LagBins, zones: int, pace: Pace | None = None) -> LinkTable:
+def tabulate(
+    transitions: Transitions, left: Floats, bins: LagBins, zones: int, pace: Pace | None = None,
+    delay: Floats | None = None,
+) -> LinkTable:  # fmt: skip
     """Figures of every pair of zones that has a transition. ``left`` (zones, bins): how many could have taken one and
-    been seen to; (zones, 1) where that does not depend on the lag.
+    been seen to; (zones, 1) where that does not depend on the lag. ``delay`` (zones,): seconds that transit times from
+    a zone are longer than lags.
     """
     key = transitions.source.astype(np.int64) * zones + transitions.target
     present, pair = np.unique(key, return_inverse=True)
@@ -140,7 +147,9 @@ def tabulate(transitions: Transitions, left: Floats, bins: LagBins, zones: int, 
     density = smooth(counts)[0]
     density /= bins.widths
     slow, error = (None, None) if pace is None else (pace.slow, 0.5 * np.hypot(pace.left[source], pace.came[target]))
-    transit = transit_figures(pair, transitions.lag, transitions.weight, density, bins, slow, error)
+    later = np.zeros(pairs) if delay is None else delay[source]
+    transit = transit_figures(pair, transitions.lag + later[pair], transitions.weight, density, bins, slow, error)
+    transit = transit._replace(mode=transit.mode + later)
     ratio = log_likelihood_ratio(pair, transitions.weight, transitions.flat, pairs)
     variance = np.nan_to_num(transit.sd) ** 2 / mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
     probability = np.zeros(pairs)
@@ -148,7 +157,7 @@ def tabulate(transitions: Transitions, left: Floats, bins: LagBins, zones: int, 
         probability[rows] = np.minimum((counts[rows] / np.maximum(left[source[rows]], 1.0)).sum(axis=1), 1.0)
     return LinkTable(
         source, target, probability, ratio, q_values(ratio, pairs), transit,
-        variance, counts,
+        variance, counts, later,
     )  # fmt: skip
 
 

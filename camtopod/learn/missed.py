@@ -88,7 +88,7 @@ def unexplained(
         return own
     pairs, at = np.unique(ways.pair, return_inverse=True)
     row, known = rows_at(between.source.astype(np.intp) * len(camera) + between.target, pairs)
-    near = _inside(ways, at, len(pairs), bins)
+    near = _inside(ways, at, between.delay[row], bins)
     seen = np.where(known, (near * between.counts[row]).sum(axis=1), 0.0)
     odds = Odds(ways, at, seen, settings.missed_share_max)
     for pair in np.flatnonzero(known & found[row]).tolist():
@@ -157,12 +157,14 @@ def median(table: LinkTable) -> Floats:
     return table.transit.quantiles[:, 1]
 
 
-def _inside(ways: Ways, at: Rows, pairs: int, bins: LagBins) -> NDArray[np.bool_]:
-    """Whether each lag bin lies where one of a pair's ways can end: (pairs, bins)."""
+def _inside(ways: Ways, at: Rows, delay: Floats, bins: LagBins) -> NDArray[np.bool_]:
+    """Whether each lag bin lies where one of a pair's ways can end: (pairs, bins). ``delay`` (pairs,): seconds to add
+    to the lags of the bins.
+    """
     reach = WINDOW_SD * ways.spread + WINDOW_SECONDS
-    inside = np.zeros((pairs, bins.size), bool)
+    inside = np.zeros((len(delay), bins.size), bool)
     for rows in rows_together(len(at)):
-        near = np.abs(bins.centres - ways.median[rows, None]) <= reach[rows, None]
+        near = np.abs(bins.centres + (delay[at[rows]] - ways.median[rows])[:, None]) <= reach[rows, None]
         np.logical_or.at(inside, at[rows], near)
     return inside
 

@@ -114,7 +114,12 @@ def _onward(ids: list[str], posterior: Posterior, now: Floats, bins: LagBins) ->
         pairs = pairs[np.argsort(-share[pairs], kind="stable")][:OUTCOMES_PER_ZONE_MAX]
         mass = posterior.fit.hazard[pairs] * bins.widths * now[pairs, None]
         outcomes = [
-            Outcome(ids[c.target[k]], short(float(share[k])), in_steps(lags, bins), short(float(posterior.doubt[k])))
+            Outcome(
+                ids[c.target[k]],
+                short(float(share[k])),
+                in_steps(lags, bins, float(posterior.delay[k])),
+                short(float(posterior.doubt[k])),
+            )
             for k, lags in zip(pairs.tolist(), mass, strict=True)
         ]
         rows.append(Onward(ids[zone], short(float(posterior.leave[zone])), outcomes))
@@ -150,10 +155,18 @@ def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Flo
     changed = {(int(c.source[k]), int(c.target[k])): float(now[k]) for k in np.flatnonzero(now != 1.0)}
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
+        known: dict[tuple[int, int, int], tuple[float, dict[str, float]]] = {}
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
             first, block = (int(part) for part in level.parts[k])
             zone, row = int(level.zone[k]), slice(level.first[k], level.first[k + 1])
-            departures, to = float(level.departures[k]), {}
+            if name == "previous" and first >= len(cameras):
+                continue  # it came by a long way from a camera of which there are too few like it
+            departures, to = float(level.departures[k]), dict[str, float]()
+            if (same := known.get((zone, first, block))) is not None:  # the same departures, delayed
+                far = level.transitions[row] * (same[0] / departures)
+                same[1].update(zip((ids[v] for v in level.target[row]), map(short, far.tolist()), strict=True))
+                continue
+            known[zone, first, block] = departures, to
             for v, mass in zip(level.target[row].tolist(), level.transitions[row].tolist(), strict=True):
                 moved = mass * changed.get((zone, v), 1.0)
                 departures += moved - mass
@@ -161,9 +174,10 @@ def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Flo
                     to[ids[v]] = short(moved)
             result.append(
                 Context(
-                    ids[zone], short(max(departures, 0.0)), dict(sorted(to.items())),
+                    ids[zone], short(max(departures, 0.0)), to,
                     ids[first] if "entry" in name else None, block if "block" in name else None,
                     cameras[first] if name == "previous" else None,
                 )
             )  # fmt: skip
+    result = [replace(row, to=dict(sorted(row.to.items()))) for row in result]
     return sorted(result, key=lambda row: (row.zone, row.entry or "", row.block or 0, row.previous or ""))

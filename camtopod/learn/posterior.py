@@ -78,6 +78,8 @@ class Posterior(NamedTuple):
     """(Q,) ... and zone of the next appearance."""
     entry_hazard: Floats
     """(Q, bins) per second and passage still in view, counted from the entry."""
+    delay: Floats
+    """(P,) seconds to add to the lags (see `long_ways`)."""
     levels: list[Level]
 
 
@@ -114,7 +116,7 @@ def fit_followed(
     doubt = doubts(found.candidates.pair, found.responsibility, fitter.pairs, evidence, left)
     posterior = Posterior(
         found, fitter.share, fitter.leave, doubt, fitter.entering.source, fitter.entering.target,
-        fitter.entry_kernels(), levels,
+        fitter.entry_kernels(), np.zeros(fitter.pairs), levels,
     )  # fmt: skip
     return fitter.with_skips(posterior) if screened else posterior
 
@@ -247,7 +249,7 @@ class PosteriorFitter(JointFitter):
         gone = posterior.leave - np.bincount(source, share, minlength=self.zones)
         return posterior._replace(
             fit=fit, share=mixed(posterior.share, share), doubt=mixed(posterior.doubt, np.zeros(len(source))),
-            leave=np.maximum(gone, LEAVE_FLOOR),
+            delay=np.zeros(len(order)), leave=np.maximum(gone, LEAVE_FLOOR),
         )  # fmt: skip
 
     def _to_count(self) -> Singles:
@@ -351,7 +353,7 @@ class PosteriorFitter(JointFitter):
         c, zone = self.candidates, self.departures.zone
         below = np.maximum(self._left, 1e-9)
         self.share = self._added(c.pair, self.pairs) / below[c.source]
-        gone = 1.0 - np.minimum(self._added(c.departure, len(zone)), 1.0)
+        gone = 1.0 - np.minimum(self._of_all(self._added(c.departure, len(zone))), 1.0)
         self.leave = np.maximum(np.bincount(zone, gone, minlength=self.zones) / below, LEAVE_FLOOR)
         counted, leaving = self.contexts.count(c, self.responsibility, gone, self.leave[zone])
         self._leaving = np.maximum(leaving, LEAVE_FLOOR)

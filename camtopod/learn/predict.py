@@ -299,6 +299,7 @@ class Predictor:
         bins, outcomes, since = self._hazards.bins, ready.outcomes, -math.inf if passage is None else passage.t
         camera = self.zones[zone].camera
         exposed = outcomes.exposure if passage is None else self._hazards.exposed(t - since)
+        exposed = outcomes.exposed(exposed)
         prior = outcomes.hazard * bins.widths * exposed
         found = self._recent(t, since, zone)
         before = len(found)
@@ -312,11 +313,13 @@ class Predictor:
         mass: Floats = prior * np.array(self._alive(ready))[:, None]
         there, came = self._arrivals.zone[found], self._arrivals.t[found]
         self._row_of[outcomes.targets] = np.arange(len(outcomes.targets))
-        k, at = self._row_of[there], bins.index(paced(came - t, 1.0 / slower) if elapsed else came - t)
+        k = self._row_of[there]
         self._row_of[outcomes.targets] = -1
+        lag = came - t - np.where(k >= 0, outcomes.delay[k], 0.0)
+        at = bins.index(paced(lag, 1.0 / slower) if elapsed else lag)
         some = np.flatnonzero((k >= 0) & (at >= 0))
         k, at, there, came, rate = k[some], at[some], there[some], came[some], self._arrivals.rate[found[some]]
-        here = outcomes.hazard[k, at] * exposed[at]
+        here = outcomes.hazard[k, at] * exposed[k, at]
         if elapsed:
             here *= (bins.widths / np.diff(edges))[at]
         if observed:
@@ -402,7 +405,7 @@ class Predictor:
 
         What comes from outside is not among them.
         """
-        left, zones = self._exits.after(t - self._hazards.bins.lag_max - self._clocks_apart)
+        left, zones = self._exits.after(t - self._hazards.lag_max - self._clocks_apart)
         sources, rates = self._hazards.rates(zones, zone, t - left)
         total = np.bincount(self._camera_of.take(sources), rates)
         [some] = total.nonzero()

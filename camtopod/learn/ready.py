@@ -87,8 +87,9 @@ class Ready:
         here, bins = site.zones[zone].camera, site.hazards.bins
         self._site, self.outcomes = site, outcomes
         self.targets = [site.zones[k] for k in outcomes.targets]
-        self.later = np.array([site.ahead.get(target.camera, 0.0) - site.ahead[here] for target in self.targets])
-        """By how much their clocks are ahead, (targets,)."""
+        clocks = np.array([site.ahead.get(target.camera, 0.0) - site.ahead[here] for target in self.targets])
+        self.later = clocks + outcomes.delay
+        """Seconds to add to the lags of the bins, for clocks that are ahead and for long ways, (targets,)."""
         self.doubt: list[float] = outcomes.doubt.tolist()
         self.sure = [1.0 - doubt for doubt in self.doubt]
         self.cameras: list[int] = site.camera_of[outcomes.targets].tolist()
@@ -98,7 +99,7 @@ class Ready:
         self._began = began if (began != began[0]).any() else int(began[0])
         mass = outcomes.hazard * self.coming
         past = len(site.past_edges) - 1
-        early = np.flatnonzero(mass[:, :past].any(axis=1)).tolist()
+        early = np.flatnonzero(mass[:, :past].any(axis=1) & (outcomes.delay == 0.0)).tolist()
         self._exposed = {k: _Exposed(mass[k, :past].tolist(), float(mass[k, past:].sum())) for k in early}
         mass[early] *= outcomes.exposure
         self.usual: list[float] = mass.sum(axis=1).tolist()
@@ -106,7 +107,7 @@ class Ready:
         self.before = [one for one in before if one.number >= 0 and (one.hazard or one.kernels)]
         """Those that may have come about."""
         self._transitions: Floats = outcomes.share * site.hazards.departures[zone]
-        self._shift: Floats = np.where(site.corrected, 0.0, self.later)
+        self._shift: Floats = np.where(site.corrected, 0.0, clocks) + outcomes.delay
         self._windows: dict[float | None, bytes] = {}
         self._coming: dict[int, list[float]] = {}
         """Of outcomes that were asked for: odds below each edge of what is still to come, after a usual passage."""
@@ -216,7 +217,7 @@ class Site:
             there = self.zones[target].camera
             later, k, hazard = self.ahead.get(there, 0.0) - self.ahead[here], number.get(target, -1), {}
             if outcomes is not None and k >= 0:
-                [some] = hazards.before(outcomes.hazard[k], later).nonzero()
+                [some] = hazards.before(outcomes.hazard[k], later + outcomes.delay[k]).nonzero()
                 hazard = dict(zip(some.tolist(), outcomes.hazard[k, some].tolist(), strict=True))
             earliest = self.edges[max(min(hazard) - 1, 0)] if hazard else math.inf
             kernels, ahead = hazards.kernels_to(target), hazards.rate_ahead(here, target)

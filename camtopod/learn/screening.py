@@ -112,6 +112,12 @@ class Screen:
         self.followed: dict[int, Followed] = {}
         """By `place` of the zone of arrival."""
 
+    @staticmethod
+    def is_needed(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, candidates_max: int) -> bool:
+        """Whether there are more candidates, or pairs of ``zones``, than can all be looked at."""
+        low, high = in_reach(departures.t, arrivals.t, bins)
+        return int((high - low).sum()) > candidates_max or zones**2 > PAIRS_FEW
+
     def find(
         self, departures: Departures, arrivals: Arrivals, bins: LagBins, places: Longs, until: float, learned: int,
         candidates_max: int, everywhere: bool = False,
@@ -121,10 +127,10 @@ class Screen:
         ``places`` (zones,): what zones are known by from one fit to the next; ``until``: seconds up to which events
         have come; ``learned``: events up to now; ``everywhere``: look at every zone now, as there is no other fit.
         """
-        low, high = in_reach(departures.t, arrivals.t, bins)
-        if int((high - low).sum()) <= candidates_max and len(places) ** 2 <= PAIRS_FEW:
+        if not self.is_needed(departures, arrivals, bins, len(places), candidates_max):
             self.followed = {}
             return find_candidates(departures, arrivals, bins, len(places))
+        low, high = in_reach(departures.t, arrivals.t, bins)
         ends = ends_of(departures, arrivals, bins, len(places), until)
         self._look(ends, places, learned, high - low, everywhere)
         sources_of = self._sources(places)

@@ -33,7 +33,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     window_events_max: Annotated[int, Meta(ge=1)] = 20_000_000
     """... but never more than this."""
     transit_max_seconds: Annotated[float, Meta(gt=0)] = 180.0
-    """The longest transit time looked for."""
+    """The longest transit time looked for, but for long ways that nearly all take as long (`long_ways`)."""
     overlap_max_seconds: Annotated[float, Meta(ge=0)] = 120.0
     """How long before it leaves one view an object may be seen to appear in an overlapping one."""
     overlap_tolerance_seconds: Annotated[float, Meta(ge=0)] = 0.45

@@ -73,7 +73,7 @@ def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through
     (zones,).
     """
     zones, cameras, d = len(camera), int(camera.max(initial=-1)) + 1, departures
-    tied = entry >= 0
+    tied = (entry >= 0) & np.isfinite(departures.since)
     of_camera = np.bincount(camera[d.zone], minlength=cameras)
     ties = np.bincount(camera[d.zone], tied, minlength=cameras) >= TIED_SHARE_MIN * np.maximum(of_camera, 1)
     key, n, seconds = _medians(entry[tied] * zones + d.zone[tied], (d.t - d.since)[tied])

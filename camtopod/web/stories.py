@@ -146,12 +146,13 @@ def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
     drawn = np.flatnonzero((density[0] > CURVE_SHARE_MIN * density[0].max()) | (counts[0] > 0))
     shown = slice(int(drawn[0]), int(drawn[-1]) + 1)
     return {
+        "delay": link.histogram.delay,
         "scale": bins.scale,
         "step": bins.step,
         "first": bins.first + int(drawn[0]),
         "counts": _short(counts[0, shown]),
         "curve": _short(curve[0, shown]),
-        "samples": _short(np.sort(samples[0])),
+        "samples": _short(np.sort(samples[0]) + link.histogram.delay),
     }
 
 

@@ -136,7 +136,7 @@ function chart(story) {
   if (!story.chart) return h("p", { class: "quiet" }, `No histogram is kept of ${story.weak ? "weak evidence" : "it here"}.`);
   const t = story.transit;
   const { counts, curve, samples } = story.chart;
-  const edge = (k) => story.chart.scale * Math.sinh(story.chart.step * (story.chart.first + k));
+  const edge = (k) => story.chart.delay + story.chart.scale * Math.sinh(story.chart.step * (story.chart.first + k));
   const bins = counts.map((n, k) => {
     const [left, right] = [edge(k), edge(k + 1)];
     return { left, right, n, bar: n / (right - left), curve: curve[k] / (right - left) };
