@@ -454,7 +454,7 @@ class Learner:
         left, pace = leaving(departures, self.bins, zones, scene.last), pace_of(fit, departures, arrivals, zones)
         between = tabulate(transitions_of(fit), left, self.bins, zones, pace, late.seconds)
         between = late.links_back(between.with_evidence(ratio, len(scene.zones) ** 2))
-        over = scene.last - self.bins.lag_max - float(late.seconds.max())
+        over = scene.last - self.bins.lag_max
         self.on_step("changes")
         changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
         changes = late.changes_back(changes)
@@ -469,6 +469,7 @@ class Learner:
         likely = tabulate(some, left, self.bins, zones, delay=late.seconds).without_counts()
         likely = late.links_back(likely.with_evidence(likely.ratio, len(posterior.share)))
         posterior = late.posterior_back(posterior, len(scene.zones))
+        over -= float(late.seconds.max())
         self._scorer.mark(posterior, scene.departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
         return posterior, between, likely, changes
 

@@ -188,7 +188,11 @@ class Delayed(NamedTuple):
 
     def changes_back(self, changes: list[Change]) -> list[Change]:
         """The ``changes`` by the zones that there are."""
-        return [change._replace(source=int(self.zone[change.source])) for change in changes]
+        return [
+            change._replace(source=int(self.zone[source]), since=change.since - float(self.seconds[source]))
+            for change in changes
+            for source in [change.source]
+        ]
 
     def posterior_back(self, posterior: Posterior, zones: int) -> Posterior:
         """The ``posterior`` by the ``zones`` that there are."""
