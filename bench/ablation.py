@@ -1,7 +1,7 @@
 """What each mechanism of the learner is worth: every figure with all of them, and with each left out in turn.
 
-    python -m bench ablation [--data FOLDER] [--mechanisms a,b] [--regimes a,b] [--seeds N] [--scale X]
-                             [--sampling-seeds N] [--jobs 2] [--json FILE]
+    python -m bench ablation [--data FOLDER] [--constants] [--mechanisms a,b] [--regimes a,b] [--seeds N]
+                             [--scale X] [--sampling-seeds N] [--jobs 2] [--json FILE]
 
 The networks are the real ones of `bench real` (skipped where there is no data) and made-up ones of `bench.regimes`.
 Each is learned in one fit of its first 70 % and judged by the rest. The seed of the sampler alone moves the figures of
@@ -9,6 +9,9 @@ a small network, so each is measured with several and averaged. A difference is 
 mechanism, less with all; for log loss and calibration error positive is worse without, for links and top-1 negative. A
 mechanism earns its place when leaving it out costs more than two standard errors on the real networks, or more than
 `REGIME_COST` on a kind of made-up ones and more than two of its standard errors.
+
+With ``--constants`` nothing is left out: each constant is halved and doubled in turn, and it is shown what the value
+that is best on the other real networks makes of the one left out.
 """
 
 from __future__ import annotations
@@ -106,12 +109,46 @@ MECHANISMS = [
     Mechanism("seen before the exit", {"ready:Site.before": lambda self, zone: []}),
 ]
 
+CONSTANTS = (
+    ("BACK_OFF_DEPARTURES", ("contexts", "surroundings")),
+    ("POOLING", ("prior",)),
+    ("RETURNING", ("prior",)),
+    ("FAINT_TRANSITIONS", ("sampling",)),
+    ("SAMPLES_SHARE", ("posterior",)),
+    ("SPREAD_MIN", ("doubt",)),
+    ("CHANCE_PRIOR", ("doubt",)),
+    ("CHANCE_TRANSITIONS", ("doubt",)),
+    ("DEPARTURES_TO_TELL", ("doubt",)),
+    ("FIRST_NOISE_SD", ("posterior",)),
+    ("START_NOISE_SD", ("joint",)),
+    ("BET_SPARSITY", ("crossfit",)),
+    ("FALSE_PROBABILITY", ("long_ways",)),
+    ("SAME_SECONDS", ("long_ways",)),
+    ("OVERLAP_FALSE", ("screening",)),
+)
+"""Name of each, and the modules that have it."""
+FACTORS = (0.5, 2.0)
+
+
+def _times(name: str, factor: float) -> str:
+    return f"{name} x {factor:g}"
+
+
+SCALED = [
+    Mechanism(
+        _times(name, factor),
+        {f"{one}:{name}": factor * getattr(import_module(f"camtopod.learn.{one}"), name) for one in modules},
+    )
+    for name, modules in CONSTANTS
+    for factor in FACTORS
+]
+
 
 def main(argv: Sequence[str]) -> int:
     """Measure, print the table; returns the exit status."""
     arguments = _parse(argv)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers: two of them share two cores
-    known = [one.name for one in MECHANISMS]
+    known = [one.name for one in (SCALED if arguments.constants else MECHANISMS)]
     names = ["", *(arguments.mechanisms.split(",") if arguments.mechanisms else known)]
     if unknown := [name for name in names[1:] if name not in known]:
         print(f"bench ablation: there is no {', '.join(unknown)}; there are {', '.join(known)}", file=sys.stderr)
@@ -135,6 +172,8 @@ def main(argv: Sequence[str]) -> int:
         averaged[task.mechanism, task.kind, task.network].append(row)
     means = {key: np.array(rows).mean(axis=0) for key, rows in averaged.items()}
     print("\n".join(table(means, names[1:])))
+    if arguments.constants:
+        print("\n".join(chosen_on_the_others(means)))
     if arguments.json is not None:
         rows = [[*key, *row.tolist()] for key, row in means.items()]
         arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
@@ -172,7 +211,7 @@ def _real(folder: Path) -> list[float]:
 def without(mechanism: str, sampling_seed: int) -> Iterator[None]:
     """The learner without a mechanism ("": with all), and another seed of the sampler."""
     replaced = {"posterior:SAMPLING_SEED": sampling_seed}
-    for one in MECHANISMS:
+    for one in (*MECHANISMS, *SCALED):
         if one.name == mechanism:
             replaced |= one.replaced
     with contextlib.ExitStack() as stack:
@@ -213,6 +252,24 @@ def table(means: dict[tuple[str, str, str], Any], names: Sequence[str]) -> list[
     return [*lines, "", "earns its place:", *(f"  {name}: {', '.join(earns[name]) or 'NOTHING'}" for name in names)]
 
 
+def chosen_on_the_others(means: dict[tuple[str, str, str], Any]) -> list[str]:
+    """One row a constant: the log loss of each real network with the value that is best for the others, less that with
+    the value as it is.
+    """
+    networks = [network for name, kind, network in means if kind == REAL and name == ""]
+    lines = ["", _row("real, one network left out", "log loss")]
+    for constant, _ in CONSTANTS:
+        names = ["", *(_times(constant, factor) for factor in FACTORS)]
+        if len(networks) < 2 or any((name, REAL, networks[0]) not in means for name in names):
+            continue
+        loss = np.array([[means[name, REAL, network][0] for network in networks] for name in names])
+        others = loss.sum(axis=1, keepdims=True) - loss
+        apart = loss[others.argmin(axis=0), np.arange(len(networks))] - loss[0]
+        error = float(apart.std(ddof=1) / math.sqrt(len(networks)))
+        lines.append(_row(constant, f"{apart.mean():+.3f} ({error:.3f})"))
+    return lines
+
+
 def _mean(values: Sequence[float]) -> float:
     """Of those that are there."""
     there = [value for value in values if not math.isnan(value)]
@@ -227,7 +284,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     named = os.environ.get("CAMTOPOD_REAL_DATA")
     parser = argparse.ArgumentParser(prog="python -m bench ablation", description="The learner without each mechanism.")
     parser.add_argument("--data", type=Path, default=Path(named) if named else None, metavar="FOLDER")
-    parser.add_argument("--mechanisms", help="comma-separated (default: all)")
+    parser.add_argument("--constants", action="store_true", help="halve and double constants instead")
+    parser.add_argument("--mechanisms", help="or constants with their factors; comma-separated (default: all)")
     parser.add_argument("--regimes", default=DEFAULT_REGIMES, help=f"comma-separated (default: {DEFAULT_REGIMES})")
     parser.add_argument("--seeds", type=int, default=3, help="networks per regime (default 3)")
     parser.add_argument("--scale", type=float, default=0.3, help="length of the made-up recordings (default 0.3)")

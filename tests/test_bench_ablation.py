@@ -11,10 +11,10 @@ import pytest
 from made_walks import a_recording
 
 from bench import ablation
-from bench.ablation import FIGURES, MECHANISMS, REAL, table, without
+from bench.ablation import FIGURES, MECHANISMS, REAL, SCALED, chosen_on_the_others, table, without
 
 
-@pytest.mark.parametrize("mechanism", MECHANISMS, ids=lambda one: one.name)
+@pytest.mark.parametrize("mechanism", [*MECHANISMS, *SCALED], ids=lambda one: one.name)
 def test_a_mechanism_is_left_out_for_a_while(mechanism: ablation.Mechanism) -> None:
     def now() -> list[object]:
         found = []
@@ -61,3 +61,14 @@ def test_a_mechanism_earns_its_place_by_more_than_two_standard_errors() -> None:
     lines = table(means, ["dear", "noisy", "harmful"])
     assert len(FIGURES) == 5
     assert lines[-3:] == ["  dear: log loss of real +0.100", "  noisy: NOTHING", "  harmful: NOTHING"]
+
+
+def test_a_constant_is_chosen_on_the_other_networks() -> None:
+    """Halved it is better on x and y and worse on z; doubled, worse on all."""
+    means = {}
+    for network, halved in (("x", 0.4), ("y", 0.45), ("z", 0.53)):
+        for name, loss in (("", 0.5), ("POOLING x 0.5", halved), ("POOLING x 2", 0.6)):
+            means[name, REAL, network] = np.array([loss, 0.3, 0.1, 0.9, math.nan])
+    [line] = [line for line in chosen_on_the_others(means) if line.startswith("POOLING")]
+    apart = np.array([0.4, 0.45, 0.53]) - 0.5
+    assert line.split()[1:] == [f"{apart.mean():+.3f}", f"({apart.std(ddof=1) / math.sqrt(3):.3f})"]
