@@ -142,52 +142,52 @@ def _is_over(lag: Floats, stay: Floats, source: int, target: int) -> bool:
 
 
 class Delayed(NamedTuple):
-    """The departures of a fit, and those from which a long way starts once more, delayed by its lag.
+    """The departures of a fit, with a delayed copy of each departure that a long way may start from.
 
-    The delayed departures of a zone are those of a zone of their own, in a view of its own, from which only the camera
-    at the end of the long way is reached; that camera is not reached from the zone itself. So the fit need not know of
-    long ways, and what it finds is brought `back` to the zones that there are.
+    The copies of a zone's departures belong to a virtual zone in a virtual view. Only the camera at the end of the long
+    way is reached from there, and that camera is not reached from the zone itself. So the joint fit needs to know
+    nothing of long ways; the methods named `back` translate what it finds to real zones.
     """
 
     departures: Departures
     camera: Ints
-    """(zones,) of each zone, those of delayed departures included."""
+    """(zones,) view of each zone, virtual ones included."""
     zone: Ints
-    """(zones,) that each zone stands for."""
+    """(zones,) the real zone that each zone stands for."""
     seconds: Floats
     """(zones,) by which its departures are delayed."""
     row: NDArray[np.intp]
-    """(n,) among those that there are, of each departure."""
+    """(n,) of each departure, its row among the departures without copies."""
     reached: Bools
     """(cameras, cameras) whether arrivals at the second may be of departures from the first."""
 
     def places(self) -> Iterator[tuple[int, int]]:
-        """View of each zone, and the zone that it stands for."""
+        """View of each zone, and the real zone that it stands for."""
         return zip(self.camera.tolist(), self.zone.tolist(), strict=True)
 
     def among(self, candidates: Candidates, arrivals: Arrivals) -> Candidates:
-        """The ``candidates`` of cameras that are reached."""
+        """The ``candidates`` whose arrival's camera is reached from the departure's."""
         if not self.seconds.any():
             return candidates
         left, came = self.departures.camera[candidates.departure], arrivals.camera[candidates.arrival]
         return candidates.take(self.reached[left, came])
 
     def overlapping(self, table: Bools) -> Bools:
-        """The ``table`` (cameras, cameras) of overlapping views; what is early for a delayed departure is not before
-        the exit, and needs no overlap.
+        """The ``table`` (cameras, cameras) of overlapping views, virtual views included: an arrival ahead of a delayed
+        departure is not ahead of the exit, and needs no overlap.
         """
         larger = np.ones(self.reached.shape, np.bool_)
         larger[: len(table), : len(table)] = table
         return larger
 
     def links_back(self, table: LinkTable) -> LinkTable:
-        """The ``table`` by the zones that there are."""
+        """The ``table`` by real zones."""
         source = self.zone[table.source]
         moved = table._replace(source=source, delay=self.seconds[table.source])
         return moved.rows(np.lexsort((table.target, source)))
 
     def changes_back(self, changes: list[Change]) -> list[Change]:
-        """The ``changes`` by the zones that there are."""
+        """The ``changes`` by real zones."""
         return [
             change._replace(source=int(self.zone[source]), since=change.since - float(self.seconds[source]))
             for change in changes
@@ -195,7 +195,7 @@ class Delayed(NamedTuple):
         ]
 
     def posterior_back(self, posterior: Posterior, zones: int) -> Posterior:
-        """The ``posterior`` by the ``zones`` that there are."""
+        """The ``posterior`` by the ``zones`` real zones."""
         if not self.seconds.any():
             return posterior
         c = posterior.fit.candidates
@@ -209,7 +209,9 @@ class Delayed(NamedTuple):
 
 
 def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongWay]) -> Delayed:
-    """The departures with those of the long ``ways`` delayed; ``camera`` (zones,): of each zone, below ``cameras``."""
+    """The ``departures`` with delayed copies for the long ``ways``; ``camera`` (zones,): view of each zone, a number
+    below ``cameras``.
+    """
     reached = np.zeros((cameras + len(ways), cameras + len(ways)), np.bool_)
     reached[:cameras, :cameras] = True
     zone, view, seconds = [np.arange(len(camera), dtype=np.int32)], [camera], [np.zeros(len(camera))]
@@ -218,13 +220,13 @@ def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongW
     for k, way in enumerate(ways, start=cameras):
         reached[way.source, way.target], reached[k, way.target] = False, True
 
-        # Zones of their own for the delayed departures.
+        # Virtual zones for the copies.
         mine = np.flatnonzero(camera == way.source)
         zone.append(mine.astype(np.int32))
         view.append(np.full(len(mine), k, np.int32))
         seconds.append(np.full(len(mine), way.seconds))
 
-        # The departures: not before the exit at any lag, and at what pace says nothing of what is left of the way.
+        # The copies: no lag is before the exit, and pace says nothing of the rest of the way.
         some = np.flatnonzero(departures.camera == way.source)
         row.append(some)
         copies.append(

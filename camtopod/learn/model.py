@@ -160,7 +160,7 @@ def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Flo
             first, block = (int(part) for part in level.parts[k])
             zone, row = int(level.zone[k]), slice(level.first[k], level.first[k + 1])
             if name == "previous" and first >= len(cameras):
-                continue  # it came by a long way from a camera of which there are too few like it
+                continue  # a view of delayed departures: their contexts are counted apart, and left out
             departures, to = float(level.departures[k]), dict[str, float]()
             if (same := known.get((zone, first, block))) is not None:  # the same departures, delayed
                 far = level.transitions[row] * (same[0] / departures)

@@ -216,9 +216,9 @@ def not_overlapping(
 ) -> NDArray[np.bool_]:
     """Candidates (M,) that appear before the exit in the view of a camera that shows no overlap with this one.
 
-    Two views overlap if their passages say so (``overlapping`` (cameras, cameras), see there), or if appearances ahead
-    of the exit, of all their zones and both ways, predict arrivals so much better than nothing does that it happens by
-    chance anywhere with a probability of `OVERLAP_FALSE`.
+    Two views overlap if `overlapping` found that they do (``overlapping`` (cameras, cameras)), or if the appearances
+    before the exit, over all their zones and in both directions, have more evidence than chance gives any pair of
+    cameras with probability `OVERLAP_FALSE`.
     """
     cameras = len(overlapping)
     c = candidates

@@ -1,4 +1,4 @@
-"""Options of the bus's sockets that zenoh has no setting for: a program that stops reading delays nobody else.
+"""Options of the bus's sockets that zenoh has no setting for: a program that stops reading must not delay the others.
 
 Linux only, as they need the list of a process's sockets; elsewhere nothing is changed.
 """
@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Sequence
 
 STALLED_SECONDS_MAX = 4.0
-"""A program that has read nothing for so long, while there was something for it, is disconnected; it may come back."""
+"""A program is disconnected when data has waited this long for it to be read; it may connect again."""
 _DESCRIPTORS = "/proc/self/fd"
 _LISTENS, _LINGERS = (socket.SOL_SOCKET, socket.SO_ACCEPTCONN), (socket.SOL_SOCKET, socket.SO_LINGER)
 _NO_LINGER = struct.pack("ii", 0, 0)
