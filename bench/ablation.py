@@ -99,6 +99,7 @@ MECHANISMS = [
     Mechanism("entry kernels", {"entering:entry_pairs_max": lambda cameras: 0}),
     Mechanism("test of overlap", {"posterior:not_overlapping": lambda c, *rest: np.zeros(len(c.lag), np.bool_)}),
     Mechanism("first look at candidates", {"posterior:NEGLIGIBLE": 0.0}),
+    Mechanism("bets spread over lags", {"crossfit:EVEN_SHARES": (0.0,)}),
     Mechanism("missed passages", {"learner:without_missed": lambda between, through, found, *rest: found}),
     Mechanism("changes", {"learner:find_changes": lambda *arguments: []}),
     Mechanism("longer steps of EM", {"joint:STRIDE": 1.0}),

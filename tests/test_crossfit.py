@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from camtopod.learn import crossfit
 from camtopod.learn.candidates import Arrivals, Departures, find_candidates
 from camtopod.learn.crossfit import BETS, PARTS, Parts, cross_evidence
 from camtopod.learn.exposure import exposures
@@ -56,3 +57,17 @@ def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:
         won, pairs = won + int((ratio > 4.0).sum()), pairs + 64
         assert ratio.max(initial=0.0) < 7.0
     assert won <= pairs * np.exp(-4.0)
+
+
+def test_bets_that_are_spread_over_all_lags_are_averaged_with_those_that_are_not() -> None:
+    departures, arrivals = crowd(2, 3, 80, 2_000.0)
+    found = find_candidates(departures, arrivals, BINS, 3)
+    fit = fit_jointly(departures, arrivals, found, BINS, 3, 2_000.0)
+    each = []
+    for shares in ((0.0,), (0.3,), (0.0, 0.3)):
+        with pytest.MonkeyPatch.context() as chosen:
+            chosen.setattr(crossfit, "EVEN_SHARES", shares)
+            each.append(cross_evidence(departures, arrivals, fit, BINS, 3, 0.0, 2_000.0))
+    alone, spread, both = each
+    assert (alone != spread).any()
+    assert both == pytest.approx(np.logaddexp(alone, spread) - np.log(2.0))

@@ -182,6 +182,9 @@ def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: 
     assert fitter.flatness(fit.hazard) == pytest.approx(
         [even[p] / max(fit.hazard[p, k], joint.NOTHING) for p, k in zip(found.pair, cells, strict=True)], rel=SINGLE
     )
+    hedged = fitter.hedged(fit.hazard, 0.3)
+    assert hedged == pytest.approx(0.7 * fit.hazard + 0.3 * even[:, None], rel=SINGLE, abs=SINGLE)
+    assert (hedged * exposed).sum(axis=1) == pytest.approx((fit.hazard * exposed).sum(axis=1), rel=SINGLE)
 
 
 # --- what it finds ---

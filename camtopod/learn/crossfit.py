@@ -6,10 +6,11 @@ asked how much better they predict the arrivals of the second with a pair of zon
 first two and asked about the third, and so on. Where zones have nothing to do with each other, each likelihood ratio is
 1 at most in the mean, whatever shape the fit could have taken, and so is their product, as each bets on what the bets
 before it have not seen (a test martingale; Shafer and others, Statistical Science 26(1), 2011; Wasserman, Ramdas and
-Balakrishnan 2020). The same is done from the last part backwards. The mean of the two products is an e-value: it
-exceeds ``exp(x)`` with a probability of at most ``exp(-x)``, and false discovery rates may be made of such without
-knowing how they depend on each other (Wang and Ramdas 2022). All this but for what the likelihood itself approximates,
-the competition for departures, and the rates of chance; on made-up networks without links the bound holds with room.
+Balakrishnan 2020). The same is done from the last part backwards, and with bets that are partly spread over all lags
+(`EVEN_SHARES`). The mean of the products is an e-value: it exceeds ``exp(x)`` with a probability of at most
+``exp(-x)``, and false discovery rates may be made of such without knowing how they depend on each other (Wang and
+Ramdas 2022). All this but for what the likelihood itself approximates, the competition for departures, and the rates of
+chance; on made-up networks without links the bound holds with room.
 """
 
 from __future__ import annotations
@@ -35,6 +36,10 @@ STRETCH_LAGS_MIN = 4.0
 """... but none shorter than this many times the longest transit, unless the window is too short for that."""
 BET_SPARSITY = 0.5
 """Transitions that the sparse prior takes off each pair before the bet: fewer than in the fit, as a part has few."""
+EVEN_SHARES = (0.0, 0.3)
+"""Shares of a hazard that are spread evenly over all lags before it is bet: a sharp hazard that is bet alone loses much
+on each arrival outside its peak. The mean over the products with each is an e-value, too.
+"""
 SWEEPS = 3
 ROUNDS = 1
 """Rounds of each fit before the last."""
@@ -52,19 +57,20 @@ def cross_evidence(
     """
     parts = Parts(departures, arrivals, fit, bins, zones, first, until)
     numbers = np.arange(PARTS)
-    mean: Floats = np.logaddexp(_product(parts, numbers), _product(parts, numbers[::-1])) - np.log(2.0)
+    products = [*_products(parts, numbers), *_products(parts, numbers[::-1])]
+    mean: Floats = np.logaddexp.reduce(products) - np.log(len(products))
     return mean
 
 
-def _product(parts: Parts, order: Ints) -> Floats:
-    """Evidence (P,) in nats, the parts taken in this order."""
-    evidence = np.zeros((2, len(parts.fit.candidates.source)))
+def _products(parts: Parts, order: Ints) -> list[Floats]:
+    """Evidence (P,) in nats by each of the `EVEN_SHARES`, the parts taken in this order."""
+    evidence = np.zeros((len(EVEN_SHARES), 2, len(parts.fit.candidates.source)))
     for known, upto in BETS:
         rest, judged = parts.take(order[:known]), parts.take(order[known:upto])
         hazard = _fitted(rest)
-        evidence += _evidence(judged, hazard, rest.outside)
-    result: Floats = evidence.min(axis=0)
-    return result
+        for number, share in enumerate(EVEN_SHARES):
+            evidence[number] += _evidence(judged, judged.hedged(hazard, share), rest.outside)
+    return list(evidence.min(axis=1))
 
 
 class Parts:

@@ -412,14 +412,22 @@ class JointFitter:
         """Hazard without its dependence on the lag over the hazard, of each candidate (M,): as many transitions are
         expected of it.
         """
+        flat: Floats = self._even(hazard)[self.candidates.pair] / np.maximum(hazard.take(self._cell), NOTHING)
+        return flat
+
+    def hedged(self, hazard: Singles, even_share: float) -> Singles:
+        """The hazards (P, bins) with a share of their transitions spread evenly over all lags."""
+        return (1.0 - even_share) * hazard + (even_share * self._even(hazard)[:, None]).astype(np.float32)
+
+    def _even(self, hazard: Singles) -> Floats:
+        """Hazards (P,) without their dependence on the lag, of as many transitions."""
         even, c = np.zeros(self.pairs), self.candidates
         one_view, ahead = self._camera[c.source] == self._camera[c.target], self.bins.edges[1:] <= 0
         for rows in rows_together(self.pairs):
             exposed = self.exposure[c.source[rows]] * self.bins.widths
             exposed[one_view[rows, None] & ahead] = 0.0  # in its own view nobody appears before leaving it
             even[rows] = (hazard[rows] * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
-        flat: Floats = even[c.pair] / np.maximum(hazard.take(self._cell), NOTHING)
-        return flat
+        return even
 
 
 def within(some: Indices, part: slice) -> slice:
