@@ -40,7 +40,7 @@ def test_its_state_directory_goes_on(written: Path) -> None:
     with Daemon(config, clock=lambda: NOW) as daemon, buses.dial(small_config(written, daemon.endpoint)) as bus:
         assert daemon.topology is not None
         assert (daemon.topology.version, daemon.topology.digest) == (VERSION, DIGEST), "answered at once"
-        assert len(bus.ask("predict/a", {"zone": "a/1", "t": T0})) == 1
+        wait_for(lambda: len(bus.ask("predict/a", {"zone": "a/1", "t": T0})) == 1, "a prediction")
         assert daemon.status()["learner"]["accepted"] == EVENTS
 
         with contextlib.closing(open_spool(written / "state", "site", "a", config.limits)) as spool:

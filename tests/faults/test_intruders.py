@@ -613,8 +613,9 @@ def test_an_authenticated_site_works_as_one_without(keys: Keys, tmp_path: Path, 
     view = TopologyView(reader)
     assert view.wait_for(1, WAIT_SECONDS) is not None
     assert daemon.status()["events"]["stored"] == len(events) + 1
-    assert [key for key, _ in reader.ask("predict/a", {"x": 0.9, "y": 0.5})] == ["predict/a"]
-    assert "status/daemon" in [key for key, _ in reader.ask("status/*")]
+    exit_at = {"x": 0.9, "y": 0.5}
+    wait_for(lambda: [key for key, _ in reader.ask("predict/a", exit_at)] == ["predict/a"], "a prediction")
+    wait_for(lambda: "status/daemon" in [key for key, _ in reader.ask("status/*")], "the daemon's status")
 
 
 def test_one_certificate_for_the_cameras_of_another_program(
