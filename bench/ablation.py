@@ -104,7 +104,7 @@ MECHANISMS = [
     Mechanism("changes", {"learner:find_changes": lambda *arguments: []}),
     Mechanism("longer steps of EM", {"joint:STRIDE": 1.0}),
     Mechanism("sparse prior", {"joint:SPARSITY": 0.0}),
-    Mechanism("long ways", {"learner:find_long_ways": lambda *arguments: []}),
+    Mechanism("long ways", {"long_ways:find_long_ways": lambda *arguments: []}),
     Mechanism("usual stays", {"learner:with_usual_stays": lambda departures, through: departures}),
     Mechanism("silent cameras", {"predict:Predictor._alive": lambda self, ready: [1.0] * len(ready.cameras)}),
     Mechanism("seen before the exit", {"ready:Site.before": lambda self, zone: []}),

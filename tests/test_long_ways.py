@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made import learned_from
 
 from camtopod.client.gate import Gate
 from camtopod.codec import read_topology, to_json
 from camtopod.learn.candidates import Arrivals, Departures
-from camtopod.learn.learner import Learner
 from camtopod.learn.long_ways import LongWay, delayed, find_long_ways
 from camtopod.learn.predict import Predictor
 from camtopod.records import Event, Link, Topology
@@ -47,15 +47,6 @@ def site(seed: int, lags: dict[tuple[str, str], tuple[float, float]], alone: str
     return sorted(events, key=lambda event: event.t)
 
 
-def learned(events: list[Event]) -> Topology:
-    learner = Learner(only_last=True)
-    for event in events:
-        learner.receive(event)
-    learner.flush()
-    assert learner.topology is not None
-    return learner.topology
-
-
 def between(topology: Topology) -> dict[tuple[str, str], Link]:
     return {(one.from_, one.to): one for one in topology.links if one.relation != "visible" and one.from_ != one.to}
 
@@ -63,7 +54,7 @@ def between(topology: Topology) -> dict[tuple[str, str], Link]:
 @pytest.fixture(scope="module")
 def far_and_near() -> Topology:
     """From a to b in five minutes, from b to c in twenty seconds."""
-    return learned(site(1, {("a", "b"): (300.0, 6.0), ("b", "c"): (20.0, 2.0)}, "abc"))
+    return learned_from(site(1, {("a", "b"): (300.0, 6.0), ("b", "c"): (20.0, 2.0)}, "abc"))
 
 
 def test_a_way_of_five_minutes_is_found_beside_one_of_seconds(far_and_near: Topology) -> None:
@@ -128,7 +119,7 @@ def test_a_version_says_by_how_much_its_lags_are_delayed(far_and_near: Topology)
 
 
 def test_a_sharp_way_of_two_minutes_is_told_to_the_second() -> None:
-    links = between(learned(site(2, {("a", "b"): (120.0, 3.0)}, "aabb")))
+    links = between(learned_from(site(2, {("a", "b"): (120.0, 3.0)}, "aabb")))
     assert links["a/1", "b/1"].transit.q50 == pytest.approx(120.0, abs=1.0)
     assert links["a/1", "b/1"].transit.sd < 6.0
 
@@ -153,7 +144,7 @@ def test_cameras_that_have_nothing_to_do_with_each_other_have_no_long_way(seed: 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_where_nobody_walks_anywhere_nothing_is_linked_not_even_a_view_with_itself(seed: int) -> None:
-    assert [link for link in learned(site(seed, {}, "abc" * 2)).links if link.relation != "visible"] == []
+    assert [link for link in learned_from(site(seed, {}, "abc" * 2)).links if link.relation != "visible"] == []
 
 
 @pytest.mark.parametrize("seconds", [75.0, 150.0, 300.0, 600.0])
@@ -179,7 +170,7 @@ def test_a_way_over_a_camera_between_is_none_of_its_own() -> None:
             events.append(Event(camera, "exit", t, track=f"{camera}{k}"))
     events.sort(key=lambda event: event.t)
     assert [way[:2] for way in find_long_ways(*ends(events), 3, LAG_MAX)] == [(0, 1), (1, 2)]
-    assert set(between(learned(events))) == {("a/1", "b/1"), ("b/1", "c/1")}
+    assert set(between(learned_from(events))) == {("a/1", "b/1"), ("b/1", "c/1")}
 
 
 def test_a_group_that_walks_along_once_makes_no_link() -> None:
@@ -187,7 +178,7 @@ def test_a_group_that_walks_along_once_makes_no_link() -> None:
     for k in range(12):
         for camera, t in (("a", T0 + 500.0 + 0.2 * k), ("b", T0 + 900.0 + 0.2 * k)):
             events += [Event(camera, "entry", t - 5.0, track=f"g{k}"), Event(camera, "exit", t, track=f"g{k}")]
-    assert not between(learned(sorted(events, key=lambda event: event.t)))
+    assert not between(learned_from(sorted(events, key=lambda event: event.t)))
 
 
 @given(

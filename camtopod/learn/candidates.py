@@ -29,8 +29,8 @@ ROWS_AT_ONCE = 1024
 class Departures(NamedTuple):
     """Objects leaving, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, ``since`` when the passage began (-inf:
     unknown), its log slowness (nan: unknown), the arrival that began it (-1: unknown), and the block of the image
-    where it left (-1: no position). Where some are departures once more, delayed (see `long_ways`), ``of`` is the one
-    that each is of, itself as a rule: together they have one arrival at most.
+    where it left (-1: no position). Where there are delayed copies (see `long_ways`), ``of`` is the row of each
+    departure's original, for an original its own: together they have at most one arrival.
     """
 
     t: Floats

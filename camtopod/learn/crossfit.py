@@ -9,8 +9,8 @@ before it have not seen (a test martingale; Shafer and others, Statistical Scien
 Balakrishnan 2020). The same is done from the last part backwards, and with bets that are partly spread over all lags
 (`EVEN_SHARES`). The mean of the products is an e-value: it exceeds ``exp(x)`` with a probability of at most
 ``exp(-x)``, and false discovery rates may be made of such without knowing how they depend on each other (Wang and
-Ramdas 2022). All this but for what the likelihood itself approximates, the competition for departures, and the rates of
-chance; on made-up networks without links the bound holds with room.
+Ramdas 2022). The bound is approximate, as the likelihood approximates the competition for departures and the rates of
+the null model; on simulated networks without links there are far fewer false links than it allows.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ STRETCH_LAGS_MIN = 4.0
 BET_SPARSITY = 0.5
 """Transitions that the sparse prior takes off each pair before the bet: fewer than in the fit, as a part has few."""
 EVEN_SHARES = (0.0, 0.3)
-"""Shares of a hazard that are spread evenly over all lags before it is bet: a sharp hazard that is bet alone loses much
-on each arrival outside its peak. The mean over the products with each is an e-value, too.
+"""Shares of a hazard that are spread evenly over all lags before a bet: a bet on a sharp hazard alone loses much on
+each arrival outside its peak. The mean of the products over these shares is an e-value, too.
 """
 SWEEPS = 3
 ROUNDS = 1

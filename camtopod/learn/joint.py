@@ -298,9 +298,9 @@ class JointFitter:
             np.divide(1.0, np.maximum(demand, 1e-12, out=demand), out=self._message[part])
 
     def _departure(self, part: slice) -> Indices:
-        """The departure that each candidate of a part is of."""
-        row = self.candidates.departure[part].astype(np.intp)
-        return row if self.departures.of is None else self.departures.of.take(row)
+        """The departure of each candidate of a part; for a delayed copy, the original."""
+        of, row = self.departures.of, self.candidates.departure[part].astype(np.intp)
+        return row if of is None else of.take(row)
 
     def _believe(self, drawn: Indices) -> None:
         """The candidates ``drawn`` (ascending) are transitions, and no others."""
@@ -358,12 +358,9 @@ class JointFitter:
         return left
 
     def _of_all(self, each: Floats) -> Floats:
-        """Of each departure (n,) what it has ``each`` (n,) time that it is there."""
+        """Values of ``each`` departure (n,) added up over the departure and its delayed copies, (n,)."""
         of = self.departures.of
-        if of is None:
-            return each
-        total: Floats = np.bincount(of, each, minlength=len(of)).astype(float)
-        return total[of]
+        return each if of is None else np.bincount(of, each, minlength=len(of)).astype(float)[of]
 
     def _after_exit(self, hazard: Singles, rows: slice) -> Singles:
         """All hazard (rows, bins) that counts from the exit."""
@@ -425,7 +422,7 @@ class JointFitter:
         one_view, ahead = self._camera[c.source] == self._camera[c.target], self.bins.edges[1:] <= 0
         for rows in rows_together(self.pairs):
             exposed = self.exposure[c.source[rows]] * self.bins.widths
-            exposed[one_view[rows, None] & ahead] = 0.0  # in its own view nobody appears before leaving it
+            exposed[one_view[rows, None] & ahead] = 0.0  # within one view, no lag is before the exit
             even[rows] = (hazard[rows] * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
         return even
 

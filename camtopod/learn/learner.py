@@ -45,7 +45,7 @@ from camtopod.learn.links import (
     tabulate,
     transitions_of,
 )
-from camtopod.learn.long_ways import Delayed, delayed, find_long_ways
+from camtopod.learn.long_ways import with_long_ways
 from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
@@ -436,7 +436,10 @@ class Learner:
             return None, empty, empty, []
         first = float(min(scene.departures.t[0], arrivals.t[0]))
         self.on_step("candidates")
-        late = self._with_long_ways(scene)
+        camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
+        late = with_long_ways(
+            scene.departures, arrivals, camera_of, len(self._window.cameras), self.bins, self.settings.candidates_max
+        )
         departures, zones = late.departures, len(late.zone)
         places = np.array([place(camera, scene.zones[zone].number) for camera, zone in late.places()])
         candidates = self._screen.find(
@@ -472,24 +475,6 @@ class Learner:
         over -= float(late.seconds.max())
         self._scorer.mark(posterior, scene.departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
         return posterior, between, likely, changes
-
-    def _with_long_ways(self, scene: Scene) -> Delayed:
-        """The departures of the scene, and those of long ways delayed, unless they are too many to look at all."""
-        camera = np.array([zone.camera for zone in scene.zones], np.int32)
-        cameras, arrivals = len(self._window.cameras), scene.arrivals
-
-        def too_many(late: Delayed) -> bool:
-            return self._screen.is_needed(
-                late.departures, arrivals, self.bins, len(late.zone), self.settings.candidates_max
-            )
-
-        without = delayed(scene.departures, camera, cameras, [])
-        if too_many(without):
-            return without
-        late = delayed(
-            scene.departures, camera, cameras, find_long_ways(scene.departures, arrivals, cameras, self.bins.lag_max)
-        )
-        return without if too_many(late) else late
 
     def _all_of(self, fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) -> Fit:
         """The fit with all candidates of what might be a link, where unlikely ones had been left out."""

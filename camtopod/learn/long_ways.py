@@ -4,8 +4,8 @@ Lag bins are a tenth of the lag wide and end at three minutes. A way of five min
 has no bin, and one of two minutes drowns in the traffic of a bin of twelve seconds. Such ways stand out of the
 correlogram of their two cameras, though. So each ordered pair of cameras is looked at in bins of a second, over a
 quarter of an hour, and where its clearest peak is far away, the joint fit is to look there: the departures are
-*delayed* by the lag of the peak, and lags count from then. What was found so far is only a place to look at; whether
-there is a link is asked of the fit's evidence as of any other.
+*delayed* by the lag of the peak, and lags are measured from the delayed departures. A peak is only a candidate: whether
+there is a link is decided by the evidence of the fit, as for any other pair.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from camtopod.learn.candidates import Arrivals, Candidates, Departures
 from camtopod.learn.change import Change
 from camtopod.learn.coarse import LAGS, ROWS_AT_ONCE, Counts, chance, correlograms, side_by_side
 from camtopod.learn.grouping import rows_of
+from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable
 from camtopod.learn.posterior import Posterior
+from camtopod.learn.screening import Screen
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -42,9 +44,9 @@ FALSE_PROBABILITY = 0.01
 FALSE_LEGS = 1.0
 """The false peaks on such a site, where it is asked whether a way leads over a camera between."""
 SAME_SHARE, SAME_SECONDS = 0.1, 10.0
-"""Two ways are as long if their lags differ by less than this share and so many seconds."""
+"""Two ways count as equally long if their lags differ by at most this share of the lag plus these seconds."""
 HALF_SD_MIN = 1.0
-"""Each half of the time shows a far peak by so many standard deviations: what happens once is no way."""
+"""Least height of a far peak in each half of the recording, in standard deviations: a single event makes no way."""
 LONG_WAYS_MAX = 256
 """Ways that are looked for, the clearest."""
 
@@ -189,9 +191,10 @@ class Delayed(NamedTuple):
     def changes_back(self, changes: list[Change]) -> list[Change]:
         """The ``changes`` by real zones."""
         return [
-            change._replace(source=int(self.zone[source]), since=change.since - float(self.seconds[source]))
+            change._replace(
+                source=int(self.zone[change.source]), since=change.since - float(self.seconds[change.source])
+            )
             for change in changes
-            for source in [change.source]
         ]
 
     def posterior_back(self, posterior: Posterior, zones: int) -> Posterior:
@@ -253,3 +256,16 @@ def delayed(departures: Departures, camera: Ints, cameras: int, ways: list[LongW
         rows,
         reached,
     )
+
+
+def with_long_ways(
+    departures: Departures, arrivals: Arrivals, camera: Ints, cameras: int, bins: LagBins, candidates_max: int
+) -> Delayed:
+    """The ``departures`` with delayed copies for the long ways that are found; without any where the candidates would
+    have to be screened (`screening`). ``camera`` (zones,): as of `delayed`.
+    """
+    without = delayed(departures, camera, cameras, [])
+    if Screen.is_needed(departures, arrivals, bins, len(camera), candidates_max):
+        return without
+    late = delayed(departures, camera, cameras, find_long_ways(departures, arrivals, cameras, bins.lag_max))
+    return without if Screen.is_needed(late.departures, arrivals, bins, len(late.zone), candidates_max) else late

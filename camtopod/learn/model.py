@@ -155,29 +155,28 @@ def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Flo
     changed = {(int(c.source[k]), int(c.target[k])): float(now[k]) for k in np.flatnonzero(now != 1.0)}
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
-        known: dict[tuple[int, int, int], tuple[float, dict[str, float]]] = {}
+        # A context of delayed departures is the same as that of their originals: transitions of both count.
+        counted: dict[tuple[int, int, int], tuple[float, float, dict[str, float]]] = {}
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
             first, block = (int(part) for part in level.parts[k])
-            zone, row = int(level.zone[k]), slice(level.first[k], level.first[k + 1])
             if name == "previous" and first >= len(cameras):
-                continue  # a view of delayed departures: their contexts are counted apart, and left out
-            departures, to = float(level.departures[k]), dict[str, float]()
-            if (same := known.get((zone, first, block))) is not None:  # the same departures, delayed
-                far = level.transitions[row] * (same[0] / departures)
-                same[1].update(zip((ids[v] for v in level.target[row]), map(short, far.tolist()), strict=True))
-                continue
-            known[zone, first, block] = departures, to
-            for v, mass in zip(level.target[row].tolist(), level.transitions[row].tolist(), strict=True):
+                continue  # the camera before is known by a long way only, as a virtual view
+            zone, row = int(level.zone[k]), slice(level.first[k], level.first[k + 1])
+            sure = float(level.departures[k])
+            original, departures, to = counted.get((zone, first, block), (sure, sure, {}))
+            transitions = level.transitions[row] * (original / sure)
+            for v, mass in zip(level.target[row].tolist(), transitions.tolist(), strict=True):
                 moved = mass * changed.get((zone, v), 1.0)
                 departures += moved - mass
                 if moved > CONTEXT_TRANSITIONS_MIN:
                     to[ids[v]] = short(moved)
-            result.append(
-                Context(
-                    ids[zone], short(max(departures, 0.0)), to,
-                    ids[first] if "entry" in name else None, block if "block" in name else None,
-                    cameras[first] if name == "previous" else None,
-                )
-            )  # fmt: skip
-    result = [replace(row, to=dict(sorted(row.to.items()))) for row in result]
+            counted[zone, first, block] = original, departures, to
+        result += [
+            Context(
+                ids[zone], short(max(departures, 0.0)), dict(sorted(to.items())),
+                ids[first] if "entry" in name else None, block if "block" in name else None,
+                cameras[first] if name == "previous" else None,
+            )
+            for (zone, first, block), (_, departures, to) in counted.items()
+        ]  # fmt: skip
     return sorted(result, key=lambda row: (row.zone, row.entry or "", row.block or 0, row.previous or ""))
