@@ -406,9 +406,7 @@ class JointFitter:
         return appears
 
     def flatness(self, hazard: Singles) -> Floats:
-        """Hazard without its dependence on the lag over the hazard, of each candidate (M,): as many transitions are
-        expected of it.
-        """
+        """Hazard without its dependence on the lag (`_even`) over the hazard, of each candidate (M,)."""
         flat: Floats = self._even(hazard)[self.candidates.pair] / np.maximum(hazard.take(self._cell), NOTHING)
         return flat
 
@@ -417,7 +415,7 @@ class JointFitter:
         return (1.0 - even_share) * hazard + (even_share * self._even(hazard)[:, None]).astype(np.float32)
 
     def _even(self, hazard: Singles) -> Floats:
-        """Hazards (P,) without their dependence on the lag, of as many transitions."""
+        """Hazards (P,) that do not depend on the lag and make as many transitions as these (P, bins)."""
         even, c = np.zeros(self.pairs), self.candidates
         one_view, ahead = self._camera[c.source] == self._camera[c.target], self.bins.edges[1:] <= 0
         for rows in rows_together(self.pairs):
