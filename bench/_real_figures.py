@@ -11,15 +11,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from bench._recordings import SPURIOUS_TRANSITIONS_MAX, Passage, Recording, pairs_of
+from camtopod.arrays import Floats
 from camtopod.client import Gate
 from camtopod.learn.hand_over import added_up
 from camtopod.records import Event, Prediction, Topology
-
-Floats = NDArray[np.float64]
 
 LEAVE = "leave"
 """Beside the cameras an outcome."""

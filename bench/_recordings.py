@@ -17,10 +17,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.codec import event_from_json
 from camtopod.records import Event
 
-Floats = NDArray[np.float64]
 CameraPair = tuple[str, str]
 
 TRAIN_SHARE = 0.7

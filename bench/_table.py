@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench._measure import CLOCK_SECONDS_MAX, OURS, Record
 from bench._targets import LINKED, TARGETS, Target
 from bench.baselines.closest import LITERAL
 from bench.baselines.findings import Ranked, Tuned, at, tune
+from camtopod.arrays import Floats
 
-Floats = NDArray[np.float64]
 TITLE, CELL = 72, 16
 """Widths of the first column and of the others."""
 

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench import _ratios
+from camtopod.arrays import Floats
 from camtopod.learn.clutter import FLOOR_CHANCE, clutter_rates, dense_cells, groups_of
 from camtopod.learn.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.zones import CellSums, ZoneMap, cell_sums, find_zones, refresh_zones
 
-Floats = NDArray[np.float64]
 Camera = Callable[[int], tuple[Floats, int]]
 """Positions (n, 2) of so many events, and the number of zones."""
 

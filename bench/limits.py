@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from bench._jobs import done
 from bench._measure import TRAIN_SHARE, predict, prediction_figures
 from bench.regimes import REGIMES
+from camtopod.arrays import Singles
 from camtopod.learn import posterior
-from camtopod.learn.candidates import Singles
 from camtopod.learn.learner import Learner
 from camtopod.learn.posterior import PosteriorFitter
 from camtopod.learn.settings import Settings

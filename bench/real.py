@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 from msgspec import Struct, to_builtins
-from numpy.typing import NDArray
 
 from bench._jobs import done
 from bench._real_figures import (
@@ -39,8 +38,6 @@ from bench._real_figures import (
 from bench._recordings import SPURIOUS_TRANSITIONS_MAX, CameraPair, Recording, load, tellable
 from camtopod.learn.learner import Learner
 from camtopod.learn.predict import Predictor
-
-Floats = NDArray[np.float64]
 
 WIDTHS_SECONDS = (1.0, 2.0, 4.0, 8.0)
 """Bins of the cross-correlation."""

@@ -8,12 +8,11 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
+from bench._overlap_rows import overlap_rows
+from camtopod.arrays import Floats
 from camtopod.learn.daspec import authors_bandwidth, bandwidth, data_spectroscopy
-from camtopod.learn.overlap import overlap_rows
 from camtopod.learn.zones import cell_sums, find_zones
 from tests import thesis
-
-Floats = NDArray[np.float64]
 
 
 def main(argv: list[str]) -> int:

@@ -17,13 +17,12 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench import _ratios, _zone_speed
+from camtopod.arrays import Floats
 from camtopod.learn.daspec import bandwidth, data_spectroscopy
 from camtopod.learn.zones import cell_sums, find_zones, refresh_zones
 
-Floats = NDArray[np.float64]
 FIRST_SEED = 1_000_000
 SLOW_EVENTS_MAX = 1000
 """The other methods see at most so many of a camera's events."""

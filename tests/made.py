@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures
+from camtopod.learn.candidates import Candidates
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of

@@ -90,7 +90,7 @@ def dense_cells(count, rate, chance, contrast, widths):
 
 
 def valley(positions, low, high, steps):
-    """`camtopod.learn.valley.valley` over points on a line, by trying every pair of flanks and every
+    """`camtopod.learn.separation.valley` over points on a line, by trying every pair of flanks and every
     valley."""
     grid = np.linspace(low, high, steps)
     best = 0.0

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from camtopod.arrays import Floats
 from camtopod.learn.change import Change, Trials, latest_change, present, threshold_nats
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable, Transitions, tabulate
-
-Floats = NDArray[np.float64]
 
 SURE = 0.95
 THRESHOLD = threshold_nats(100, 10_000)

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camtopod.learn import clocks, coarse
-from camtopod.learn.candidates import Arrivals, Departures
 from camtopod.learn.clocks import (
     REFRESH_SHARE,
     SPAN_MIN_SECONDS,
@@ -21,6 +20,7 @@ from camtopod.learn.clocks import (
     solve,
 )
 from camtopod.learn.coarse import LAGS, chance, correlograms, standing_out
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.learner import Learner
 from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Passages, Scene, ZoneRef

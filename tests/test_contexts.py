@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from made import Views
 
 from camtopod.learn import contexts as module
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, find_candidates
+from camtopod.learn.candidates import Candidates, find_candidates
 from camtopod.learn.contexts import LEVELS, Contexts, Level, multipliers
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.lags import LagBins
 
 SHORT = LagBins(-3.0, 8.0)

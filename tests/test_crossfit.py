@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from camtopod.learn import crossfit
-from camtopod.learn.candidates import Arrivals, Departures, find_candidates
+from camtopod.learn.candidates import find_candidates
 from camtopod.learn.crossfit import BETS, PARTS, Parts, cross_evidence
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn import grouping as module
-from camtopod.learn.grouping import numbered, rows_of, summed
+from camtopod import arrays as module
+from camtopod.arrays import numbered, rows_of, summed
 
 GROUPS = 7
 LABELS = st.lists(st.integers(0, GROUPS - 1), max_size=40)

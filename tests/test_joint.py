@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 
 from camtopod.learn import candidates as candidates_module
 from camtopod.learn import joint
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, excess, find_candidates, newest
+from camtopod.learn.candidates import Candidates, excess, find_candidates, newest
 from camtopod.learn.crossfit import cross_evidence
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import Fit, JointFitter, fit_jointly
-from camtopod.learn.lags import LagBins
+from camtopod.learn.lags import SMOOTHING_SD_BINS, LagBins, smooth
 from camtopod.learn.rates import local_rates
+from camtopod.learn.shared_constants import SLOWNESS_MAX, STAY_SECONDS_MIN
 from camtopod.learn.slowness import (
     NO_PERSISTENCE,
-    SLOWNESS_MAX,
-    STAY_SECONDS_MIN,
     SURE_TRANSITIONS_MIN,
     WAY_PASSAGES_MIN,
     Persistence,
@@ -30,7 +30,6 @@ from camtopod.learn.slowness import (
     persistence,
     slowness,
 )
-from camtopod.learn.smoothing import SMOOTHING_SD_BINS, smooth
 
 BINS = LagBins(-20.0, 120.0)
 SINGLE = 1e-5

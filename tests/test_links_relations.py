@@ -24,8 +24,7 @@ from camtopod.learn.links import (
     significant,
     tabulate,
 )
-from camtopod.learn.overlap import sum_rule
-from camtopod.learn.relations import camera_pairs, relation_of
+from camtopod.learn.relations import camera_pairs, relation_of, sum_rule
 from camtopod.learn.settings import Settings
 from camtopod.records import ChainEdge, Link, Transit, Zone
 

@@ -13,7 +13,7 @@ from thesis import (
     table_5_4_transit,
 )
 
-from camtopod.learn.overlap import overlap_rows
+from bench._overlap_rows import overlap_rows
 
 
 def test_table_5_3_exactly() -> None:

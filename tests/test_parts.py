@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
+from camtopod.arrays import ROWS_AT_ONCE, rows_together
 from camtopod.learn import candidates as module
-from camtopod.learn.candidates import ROWS_AT_ONCE, find_candidates, rows_together, together
+from camtopod.learn.candidates import find_candidates, together
 from camtopod.learn.joint import JointFitter
 from camtopod.learn.lags import LagBins
 from camtopod.learn.slowness import Persistence

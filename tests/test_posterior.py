@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
 from camtopod.learn import posterior as module
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, find_candidates
+from camtopod.learn.candidates import Candidates, find_candidates
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins
 from camtopod.learn.posterior import Posterior, PosteriorFitter

@@ -15,14 +15,18 @@ from msgspec.structs import replace
 
 from camtopod.learn import predict as module
 from camtopod.learn import recent, under_way
-from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
-from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.predict import NEXT_PROBABILITY_MIN, Predictor
+from camtopod.learn.recent import take_over_arrivals, take_over_exits
 from camtopod.learn.settings import Settings
-from camtopod.learn.slowness import SLOWNESS_MAX, STAY_SECONDS_MIN
-from camtopod.learn.succession import take_over_arrivals, take_over_exits
+from camtopod.learn.shared_constants import (
+    BACK_OFF_DEPARTURES,
+    LEAVE_FLOOR,
+    MULTIPLIER_MAX,
+    SLOWNESS_MAX,
+    STAY_SECONDS_MIN,
+)
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,

@@ -27,9 +27,9 @@ from test_predict import (
 
 from camtopod.learn import predict as module
 from camtopod.learn import recent
-from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lags import LagBins
 from camtopod.learn.predict import Predictor
+from camtopod.learn.shared_constants import LEAVE_FLOOR
 from camtopod.records import Event, Histogram, Link, Onward, Outcome, Pace, Prediction, Topology, Way
 from camtopod.sim.score import PredictionScore, score_predictions
 

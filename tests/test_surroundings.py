@@ -8,12 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 from camtopod.learn.hazards import Outcomes
-from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.learner import Learner
 from camtopod.learn.positions import BLOCKS_ACROSS, POSITION_ONE, block_of, blocks_of
 from camtopod.learn.settings import Settings
+from camtopod.learn.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 from camtopod.learn.surroundings import Surroundings
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Context, Event, Model, Prediction, Topology, Zone
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from camtopod.learn import window as module
 from camtopod.learn.intake import microseconds
-from camtopod.learn.positions import POSITION_ONE
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 from camtopod.learn.window import FLOOD_CAMERAS_MIN, FLOOD_SHARE, NO_CELL, NO_MATE, Window, cells_of
 from camtopod.records import Event
 

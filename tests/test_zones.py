@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from thesis import FIGURE_4_4_ZONES, figure_4_4
 
 from camtopod.learn import clutter as clutter_module
-from camtopod.learn import valley as valley_module
+from camtopod.learn import separation as valley_module
 from camtopod.learn.clutter import clutter_rate, clutter_rates, dense_cells
 from camtopod.learn.evidence import gaussians, log_evidence, log_share, log_zone, moments
 from camtopod.learn.positions import POSITION_ONE
-from camtopod.learn.separation import far
-from camtopod.learn.valley import valley
+from camtopod.learn.separation import far, valley
 from camtopod.learn.zones import (
     CellSums,
     ZoneMap,

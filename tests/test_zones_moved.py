@@ -8,8 +8,8 @@ import pytest
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.moved import find_move
-from camtopod.learn.positions import POSITION_ONE
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS, Settings
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
+from camtopod.learn.settings import Settings
 from camtopod.learn.window import Window
 from camtopod.learn.zones import cell_sums, cells_of, find_zones
 from camtopod.records import Event

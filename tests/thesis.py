@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from camtopod.arrays import Floats
 
 TABLE_5_1 = [
     *((0, 12, 2), (11, 13, 1), (0, 16, 2), (11, 14, 1), (0, 7, 2)),

@@ -20,8 +20,8 @@ from scipy.ndimage import uniform_filter1d
 
 from bench.baselines.crossings import NARROW, Crossings, Lags
 from bench.baselines.findings import Findings
+from camtopod.arrays import Floats
 
-Floats = NDArray[np.float64]
 STEP_SECONDS = 2.0
 GROUPS = (
     *(-120, -90, -64, -44, -30, -20, -12, -8, -6, -4, -2, 0, 2, 4, 6, 8, 12, 16, 20, 26, 32, 40, 50, 64, 80, 100, 120),

@@ -7,12 +7,11 @@ The other scalings are kinder to it: S from how far apart the closest of two unr
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.baselines.crossings import Crossings
 from bench.baselines.findings import Findings
+from camtopod.arrays import Floats
 
-Floats = NDArray[np.float64]
 LITERAL = "as printed"
 LITERAL_SCORE_MIN = -1.0
 """`LITERAL` links a pair when Var(d) <= 1; the score is -Var(d)."""

@@ -9,11 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats, Longs
 from camtopod.records import Event
 from camtopod.sim.truth import CLUTTER, TrueZone, Truth
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Lags(NamedTuple):
@@ -34,11 +32,11 @@ class Crossings(NamedTuple):
     """Departures and arrivals by time (seconds), with the index of their zone; ``zones`` names, ``camera`` indices."""
 
     zones: list[str]
-    camera: Ints
+    camera: Longs
     left: Floats
-    left_zone: Ints
+    left_zone: Longs
     came: Floats
-    came_zone: Ints
+    came_zone: Longs
 
     @property
     def between(self) -> NDArray[np.bool_]:
@@ -50,9 +48,9 @@ class Crossings(NamedTuple):
 class Candidates(NamedTuple):
     """Pairs (departure, arrival) within the lags, zones in two cameras, by arrival: indices, pair of zones, seconds."""
 
-    departure: Ints
-    arrival: Ints
-    pair: Ints
+    departure: Longs
+    arrival: Longs
+    pair: Longs
     """``from * zones + to``."""
     lag: Floats
     lags: Lags

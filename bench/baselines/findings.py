@@ -6,13 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from bench.baselines.crossings import Crossings
+from camtopod.arrays import Floats
 from camtopod.sim.score import TRANSIT_FLOOR_SECONDS
 from camtopod.sim.truth import TrueLink, Truth
-
-Floats = NDArray[np.float64]
 
 FALSE_KEPT = 3
 """Of each network, the best pairs are kept: this many times the true links, and no fewer than `KEPT_MIN`."""

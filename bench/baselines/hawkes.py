@@ -8,12 +8,11 @@ of arrivals and nobody is ever in two places. Kernels may reach back in time, fo
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.baselines.crossings import Candidates, Crossings
 from bench.baselines.findings import Findings
+from camtopod.arrays import Floats
 
-Floats = NDArray[np.float64]
 ITERATIONS = 40
 SCALE_SECONDS, STEP = 4.0, 0.2
 """Kernel bins are uniform in asinh(lag / scale)."""

@@ -11,12 +11,11 @@ tell an indirect link from a direct one.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.baselines.crossings import Candidates, Crossings
 from bench.baselines.findings import Findings
+from camtopod.arrays import Floats
 
-Floats = NDArray[np.float64]
 ITERATIONS = 12
 BIN_SECONDS = 2.0
 SMOOTHING_SD_BINS = 1.0

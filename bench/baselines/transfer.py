@@ -14,8 +14,8 @@ from scipy.sparse import csr_matrix
 
 from bench.baselines.crossings import NARROW, Crossings, Lags
 from bench.baselines.findings import Findings
+from camtopod.arrays import Floats
 
-Floats = NDArray[np.float64]
 WIDTHS = (2.0, 4.0, 8.0)
 """Seconds."""
 AROUND_SECONDS = 8.0

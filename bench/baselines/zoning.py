@@ -14,10 +14,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.learn.daspec import bandwidth, data_spectroscopy
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
 
-Floats = NDArray[np.float64]
 POINTS_MAX = 1500
 """The scikit-learn methods see at most so many of a camera's events, drawn at random."""
 SILHOUETTE_POINTS_MAX = 400

@@ -19,12 +19,11 @@ from camtopod.districts.places import Places
 from camtopod.districts.renaming import Names, renamed
 from camtopod.learn.assemble import by_clocks
 from camtopod.learn.chain import markov_chain
-from camtopod.learn.histograms import scaled
-from camtopod.learn.joint import LEAVE_FLOOR
+from camtopod.learn.histograms import DIGITS, scaled, short
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX
 from camtopod.learn.relations import camera_pairs
-from camtopod.learn.rounding import DIGITS, short
 from camtopod.learn.settings import Settings
+from camtopod.learn.shared_constants import LEAVE_FLOOR
 from camtopod.learn.topology import ALARMS_KEPT_MAX, link_key
 from camtopod.records import (
     TOPOLOGY_SCHEMA,

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from camtopod.arrays import Bools
 from camtopod.learn.lags import LagBins
 from camtopod.learn.scene import Scene
 from camtopod.learn.screening import ends_of, followed_above_chance
-
-Bools = NDArray[np.bool_]
 
 STANDS_OUT_SD = 3.0
 """Least excess of arrivals at an own camera that follow a camera's departures, at the best lag of any pair of their

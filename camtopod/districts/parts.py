@@ -8,7 +8,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod.districts.dealing import Dealing
-from camtopod.learn.rounding import short
+from camtopod.learn.histograms import short
 from camtopod.learn.topology import stamp
 from camtopod.records import Alarm, Model, Onward, Topology
 

@@ -11,8 +11,7 @@ from collections.abc import Iterable
 
 from msgspec.structs import replace
 
-from camtopod.learn.histograms import counts_added, steps_added
-from camtopod.learn.rounding import short
+from camtopod.learn.histograms import counts_added, short, steps_added
 from camtopod.learn.topology import LinkKey, link_key
 from camtopod.records import Alarm, Context, EntryKernel, Histogram, Link, Model, Onward, Outcome, Topology
 

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Set
 import numpy as np
 from msgspec import Struct
 
+from camtopod.arrays import rows_of
 from camtopod.learn.change import Change, Trials, latest_change, threshold_nats
-from camtopod.learn.grouping import rows_of
 from camtopod.learn.scene import Scene
 from camtopod.learn.silence import Silences
 from camtopod.learn.topology import ALARMS_KEPT_MAX

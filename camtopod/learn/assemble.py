@@ -9,12 +9,11 @@ from msgspec.structs import replace
 
 from camtopod.learn.chain import markov_chain
 from camtopod.learn.clocks import Clocks
-from camtopod.learn.histograms import counted
+from camtopod.learn.histograms import DIGITS, counted, short
 from camtopod.learn.lacking import Lacking
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable
 from camtopod.learn.relations import camera_pairs, relation_of
-from camtopod.learn.rounding import DIGITS, short
 from camtopod.learn.scene import Scene, ZoneRef
 from camtopod.learn.settings import Settings
 from camtopod.learn.topology import link_key

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.lags import LagBins, smoother
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-"""What is kept of each candidate, of which there may be millions: half the memory. Reckoned is in double precision."""
-Ints = NDArray[np.int32]
-Indices = NDArray[np.signedinteger[Any]]
 
 PAIR_TABLE_MAX = 20_000_000
 """Largest dense table over pairs of zones, entries."""
@@ -22,55 +18,6 @@ EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
 CANDIDATES_AT_ONCE = 1 << 15
 """Worked on together where there may be millions: what is in between for so many stays in the processor's cache, and
 takes no memory to speak of."""
-ROWS_AT_ONCE = 1024
-"""The same of tables with a row for each pair of zones."""
-
-
-class Departures(NamedTuple):
-    """Objects leaving, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, ``since`` when the passage began (-inf:
-    unknown), its log slowness (nan: unknown), the arrival that began it (-1: unknown), and the block of the image
-    where it left (-1: no position). Where there are delayed copies (see `long_ways`), ``of`` is the row of each
-    departure's original, for an original its own: together they have at most one arrival.
-    """
-
-    t: Floats
-    zone: Ints
-    camera: Ints
-    since: Floats
-    slow: Floats
-    own: Ints
-    block: Ints
-    of: Indices | None = None
-
-    def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
-        """The departures ``kept`` when of the arrivals only those of the mask ``arrivals`` are."""
-        number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)  # -1 looks at the last
-        own = number[self.own[kept]]
-        return Departures(
-            self.t[kept], self.zone[kept], self.camera[kept], self.since[kept], self.slow[kept], own, self.block[kept]
-        )
-
-    @staticmethod
-    def untold(t: Floats, zone: Ints, camera: Ints, since: Floats, slow: Floats) -> Departures:
-        """Departures of which nothing is known of the arrival and the block."""
-        unknown = np.full(len(t), -1, np.int32)
-        return Departures(t, zone, camera, since, slow, unknown, unknown)
-
-
-class Arrivals(NamedTuple):
-    """Objects appearing, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, the local rate of arrivals there
-    (1/s), and the log slowness of the passage that begins (nan: unknown).
-    """
-
-    t: Floats
-    zone: Ints
-    camera: Ints
-    rate: Floats
-    slow: Floats
-
-    def take(self, kept: NDArray[Any]) -> Arrivals:
-        """The arrivals ``kept``: a mask, or rows."""
-        return Arrivals(self.t[kept], self.zone[kept], self.camera[kept], self.rate[kept], self.slow[kept])
 
 
 class Candidates(NamedTuple):
@@ -195,15 +142,6 @@ def runs_of(arrival: Indices) -> Runs:
     return Runs(arrival[first], first, np.diff(first, append=len(arrival)))
 
 
-def rows_together(rows: int) -> Iterator[slice]:
-    """Of a table with so many rows, some at a time. A product of few rows is reckoned otherwise and would differ in
-    the last bit from one of all rows, so the last has the rest, too.
-    """
-    parts = max(rows // ROWS_AT_ONCE, 1)
-    for k in range(parts):
-        yield slice(k * ROWS_AT_ONCE, rows if k + 1 == parts else (k + 1) * ROWS_AT_ONCE)
-
-
 def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:
     """What a histogram of lags (P, bins) has above chance and ``noise_sd`` standard deviations of it, smoothed, at
     least 0.
@@ -250,3 +188,6 @@ def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
     for part in parts:
         pair[part] = table[left[part], came[part]]
     return pair, source.astype(np.int32), target.astype(np.int32)
+
+
+RESPONSIBILITY_MAX = 1.0 - 1e-6

@@ -24,14 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from camtopod.learn.candidates import Arrivals, Departures
-from camtopod.learn.grouping import rows_of
+from camtopod.arrays import Floats, Longs, rows_of
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import Fit
 from camtopod.learn.links import LinkTable
 from camtopod.learn.significance import log_likelihood_ratio
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FALSE_ALARM = 5e-3
 """Probability by theory that chance makes a change anywhere in one window; what is doubtful varies less than theory has
@@ -196,7 +193,7 @@ class _Table:
         self.shares = trials.share
         self.possible = FACTORS * self.rate <= max(1.0, self.rate)
 
-    def likelihood(self, begin: Ints, end: Ints) -> Floats:
+    def likelihood(self, begin: Longs, end: Longs) -> Floats:
         """Log likelihood of every factor (factors, S) for departures ``begin`` (S,) to ``end``."""
         expected = self.rate * (self.weight[end] - self.weight[begin])
         log: Floats = self.log[:, self.at[end]] - self.log[:, self.at[begin]]
@@ -218,7 +215,7 @@ class _Table:
         nats = float(gain.max()) / self.overdispersion(begin, split, end)
         return (split, nats) if nats > threshold else (None, 0.0)
 
-    def _gain(self, begin: int, splits: Ints, end: int) -> Floats:
+    def _gain(self, begin: int, splits: Longs, end: int) -> Floats:
         """Nats (S,) by which two factors explain more than one."""
         first, last = np.full_like(splits, begin), np.full_like(splits, end)
         apart = self.likelihood(first, splits).max(axis=0) + self.likelihood(splits, last).max(axis=0)
@@ -255,7 +252,7 @@ class _Table:
         return factor * share / (1.0 - share + factor * share)
 
 
-def _splits(begin: int, end: int) -> Ints:
+def _splits(begin: int, end: int) -> Longs:
     """Splits of departures ``begin`` to ``end``, latest first."""
     n = end - begin
     if n < 2 * SPLIT_DEPARTURES_MIN:

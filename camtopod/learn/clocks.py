@@ -18,14 +18,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
-from camtopod.learn.candidates import Arrivals, Departures
+from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.coarse import ROWS_AT_ONCE, correlograms, highest, side_by_side
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.scene import Scene
 from camtopod.learn.twoway import two_ways
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Bools = NDArray[np.bool_]
 
 BIN_SECONDS = 1.0
 SCREENING_BIN_SECONDS = 4.0

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainc
 
+from camtopod.arrays import Floats
 from camtopod.learn.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy, kernel_1d
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
 
-Floats = NDArray[np.float64]
 Labels = NDArray[np.intp]
 Counts = NDArray[np.int64] | Floats
 

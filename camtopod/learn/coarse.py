@@ -14,11 +14,8 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from camtopod.learn.grouping import rows_of
+from camtopod.arrays import Floats, Ints, Longs, rows_of
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 Counts = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
 

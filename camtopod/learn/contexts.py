@@ -14,16 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, Singles, together
+from camtopod.arrays import Floats, Longs, Singles
+from camtopod.learn.candidates import Candidates, together
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.limits import context_cells_max
-
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
+from camtopod.learn.shared_constants import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry", "block", "entry+block", "previous")
 """In this order: the zone of entry; the block of the image of the exit; both; the camera before."""
-BACK_OFF_DEPARTURES = 5.0
-MULTIPLIER_MAX = 100.0
 PREVIOUS_RESPONSIBILITY_MIN = 0.02
 """Less likely sources of an arrival are not looked at when it is asked which camera an object came from."""
 

@@ -18,13 +18,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, Singles
+from camtopod.arrays import Floats, Longs, Singles
+from camtopod.learn.candidates import Candidates
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import Fit, JointFitter, adjust
 from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import Chance
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 PARTS = 8
 BETS = ((1, 2), (2, 3), (3, 5), (5, 8))
@@ -62,7 +61,7 @@ def cross_evidence(
     return mean
 
 
-def _products(parts: Parts, order: Ints) -> list[Floats]:
+def _products(parts: Parts, order: Longs) -> list[Floats]:
     """Evidence (P,) in nats by each of the `EVEN_SHARES`, the parts taken in this order."""
     evidence = np.zeros((len(EVEN_SHARES), 2, len(parts.fit.candidates.source)))
     for known, upto in BETS:
@@ -88,7 +87,7 @@ class Parts:
         self._exposure = self._exposures()
         self._adjusted = adjust(fit.candidates, departures, arrivals, fit.persistence, bins)
 
-    def take(self, numbers: Ints) -> PartFitter:
+    def take(self, numbers: Longs) -> PartFitter:
         """A fit of what came in these parts, pairs numbered as in the fit."""
         left, came = np.isin(self._left, numbers), np.isin(self._came, numbers)
         c = self.fit.candidates
@@ -103,9 +102,9 @@ class Parts:
         fitter.near = left if left.any() else ~left
         return fitter
 
-    def _of(self, t: Floats) -> Ints:
+    def _of(self, t: Floats) -> Longs:
         """Part of each time."""
-        part: Ints = np.floor((t - self.first) / self.stretch).astype(np.int64) % PARTS
+        part: Longs = np.floor((t - self.first) / self.stretch).astype(np.int64) % PARTS
         return part
 
     def _exposures(self) -> Floats:

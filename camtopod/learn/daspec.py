@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-Floats = NDArray[np.float64]
+from camtopod.arrays import Floats
 
 SHARE_NEAR = 0.05
 """The authors' 5 % quantile: a point's own neighbourhood."""

@@ -15,13 +15,10 @@ pairs at once: the mean of the e-values of all the pairs that there could be is 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
+from camtopod.arrays import Floats, Ints
 from camtopod.learn.significance import unrelated
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 SPREAD_MIN = 0.7
 """Standard deviation of the log of the evidence per transition among the ways of any site, at least."""

@@ -11,15 +11,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, first_hazards, rows_together
+from camtopod.arrays import Floats, rows_together
+from camtopod.learn.candidates import Candidates, first_hazards
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import START_FLOOR
-from camtopod.learn.lags import LagBins
+from camtopod.learn.lags import LagBins, smooth
 from camtopod.learn.limits import entry_pairs_max
 from camtopod.learn.passages import in_view
 from camtopod.learn.rates import Chance
-from camtopod.learn.smoothing import smooth
-
-Floats = NDArray[np.float64]
 
 
 class Entering:

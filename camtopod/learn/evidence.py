@@ -11,10 +11,9 @@ event never makes a zone.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
-Floats = NDArray[np.float64]
+from camtopod.arrays import Floats
 
 ZONE_SD = 0.02
 """Image units: the spread a zone is expected to have before anything is seen; from a third to thrice costs

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Departures
-from camtopod.learn.grouping import rows_of
+from camtopod.arrays import Floats, rows_of
+from camtopod.learn.events import Departures
 from camtopod.learn.lags import LagBins
-
-Floats = NDArray[np.float64]
 
 
 def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:

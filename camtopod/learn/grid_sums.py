@@ -9,11 +9,10 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.arrays import Longs
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
 
 PLANES = ("count", "sx", "sy", "sxx", "sxy", "syy", "entries")
-
-Integers = NDArray[np.int64]
 
 
 class GridSums:
@@ -21,9 +20,9 @@ class GridSums:
 
     def __init__(self) -> None:
         self._cells: list[NDArray[np.intp]] = []  # of each camera: flat index of the cells with events, ascending
-        self._sums: list[Integers] = []  # (planes, cells)
+        self._sums: list[Longs] = []  # (planes, cells)
 
-    def __getitem__(self, camera: int) -> Integers:
+    def __getitem__(self, camera: int) -> Longs:
         whole = np.zeros((len(PLANES), GRID_ROWS * GRID_COLUMNS), np.int64)
         whole[:, self._cells[camera]] = self._sums[camera]
         return whole.reshape(-1, GRID_ROWS, GRID_COLUMNS)
@@ -43,7 +42,7 @@ class GridSums:
         """Events of the camera."""
         return int(self._sums[camera][0].sum())
 
-    def add(self, camera: int, cell: NDArray[np.intp], values: Integers) -> None:
+    def add(self, camera: int, cell: NDArray[np.intp], values: Longs) -> None:
         """Add ``values`` (planes, n) of events in the cells ``cell`` (n,); those of events that are taken back are
         negative.
         """

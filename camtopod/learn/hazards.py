@@ -11,16 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Singles
+from camtopod.arrays import Floats, Singles
 from camtopod.learn.histograms import on_bins
-from camtopod.learn.joint import LEAVE_FLOOR
-from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins
+from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins, smooth
 from camtopod.learn.pauses import Pause, no_pause, unhurried
-from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
-from camtopod.learn.smoothing import smooth
+from camtopod.learn.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
 from camtopod.records import Link, Onward, Topology
-
-Floats = NDArray[np.float64]
 
 EXPOSURE_MIN = 0.02
 NORMAL_Q90 = 1.2816

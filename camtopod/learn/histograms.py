@@ -6,13 +6,11 @@ from collections.abc import Iterable
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.learn.lags import LagBins
-from camtopod.learn.rounding import short
 from camtopod.records import Histogram
 
-Floats = NDArray[np.float64]
 Weighed = tuple[float, Histogram]
 
 MASS_MIN = 1e-3
@@ -99,3 +97,11 @@ def _late(histogram: Histogram, delay: float) -> Histogram:
 
 def _three_digits(counts: Floats) -> list[int | float]:
     return [float(f"{n:.3g}") for n in counts]
+
+
+DIGITS = 6
+
+
+def short(value: float) -> float:
+    """Six significant digits; minus zero and nan become zero."""
+    return float(f"{value:.{DIGITS}g}") + 0.0 if value == value else 0.0

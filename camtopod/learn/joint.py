@@ -22,23 +22,14 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camtopod.learn.candidates import (
-    Arrivals,
-    Candidates,
-    Departures,
-    Indices,
-    Ints,
-    Singles,
-    first_hazards,
-    rows_together,
-    runs_of,
-    together,
-)
+from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
+from camtopod.learn.candidates import Candidates, first_hazards, runs_of, together
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
-from camtopod.learn.lags import LagBins
+from camtopod.learn.lags import LagBins, smooth
 from camtopod.learn.rates import Chance
+from camtopod.learn.shared_constants import LEAVE_FLOOR
 from camtopod.learn.slowness import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
@@ -48,12 +39,7 @@ from camtopod.learn.slowness import (
     combined,
     persistence,
 )
-from camtopod.learn.smoothing import smooth
 
-Floats = NDArray[np.float64]
-
-LEAVE_FLOOR = 0.02
-"""An object is never surer than this to be seen again."""
 OUTSIDE_FLOOR = 0.01
 START_NOISE_SD = 2.0
 START_FLOOR = 0.002

@@ -10,14 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camtopod.learn.grouping import rows_at
+from camtopod.arrays import Floats, rows_at
 from camtopod.learn.links import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
 from camtopod.learn.significance import ratio_needed
-
-Floats = NDArray[np.float64]
 
 PASSAGES_MIN = 1.0
 """Fewest passages that an unpublished link is said to lack."""

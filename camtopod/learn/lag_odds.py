@@ -6,9 +6,8 @@ from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from camtopod.arrays import Floats
 
 WINDOW = (0.1, 0.5, 0.9)
 """The shares of the mass at whose lags a window begins, has its middle and ends."""

@@ -14,6 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats, rows_together
+
 LAG_SCALE_SECONDS = 4.0
 LAG_STEP = 0.1
 CELLS_PER_BIN = 1.001
@@ -75,3 +77,27 @@ def smoother(size: int, sd_bins: float) -> NDArray[np.float64]:
     kernel /= kernel.sum(axis=0, keepdims=True)
     kernel.flags.writeable = False
     return kernel
+
+
+SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
+"""(at least this many expected transitions, smooth by this many bins)."""
+
+
+def smooth(counts: Floats, total: Floats | None = None) -> tuple[Floats, Floats]:
+    """Counts (P, bins) spread over neighbouring bins, the wider the fewer there are, or as for a ``total`` (P,) of
+    them; and the share (P,) that stays.
+    """
+    size = counts.shape[1]
+    total = counts.sum(axis=1) if total is None else total
+    result = np.zeros_like(counts)
+    stays = np.zeros(len(total))
+    above = np.full(len(total), False)
+    for least, sd_bins in SMOOTHING_SD_BINS:
+        few = np.flatnonzero((total >= least) & ~above)
+        above[few] = True
+        spread = smoother(size, sd_bins)
+        for part in rows_together(len(few)):
+            rows = few[part]
+            result[rows] = counts[rows] @ spread.T
+            stays[rows] = spread[size // 2, size // 2]
+    return result, stays

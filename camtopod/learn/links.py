@@ -11,19 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats, Ints, rows_together
 from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.candidates import Arrivals, Departures, rows_together
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import Fit
-from camtopod.learn.lags import LagBins
+from camtopod.learn.lags import LagBins, smooth
 from camtopod.learn.settings import Settings
 from camtopod.learn.significance import log_likelihood_ratio, q_values
 from camtopod.learn.slowness import combined
-from camtopod.learn.smoothing import smooth
 from camtopod.learn.transit import MEDIAN_ERROR, TransitFigures, transit_figures
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 TRANSITIONS_MIN = 2.0
 """A published link rests on at least this many expected transitions."""

@@ -17,18 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures
+from camtopod.arrays import Bools, Floats, Ints, rows_of
+from camtopod.learn.candidates import Candidates
 from camtopod.learn.change import Change
 from camtopod.learn.coarse import LAGS, ROWS_AT_ONCE, Counts, chance, correlograms, side_by_side
-from camtopod.learn.grouping import rows_of
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.screening import Screen
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Bools = NDArray[np.bool_]
 
 BIN_SECONDS = 1.0
 LONG_SECONDS_MIN = 60.0

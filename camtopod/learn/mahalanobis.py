@@ -8,9 +8,8 @@ looked at: unrelated zones then have ``Var(d)`` near 1, and a link has less the 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from camtopod.arrays import Floats
 
 LINKED_VARIANCE_MAX = 1.0
 

@@ -17,14 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import rows_together
-from camtopod.learn.grouping import rows_at
+from camtopod.arrays import Floats, Rows, rows_at, rows_together
 from camtopod.learn.lags import LagBins
 from camtopod.learn.links import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
-
-Floats = NDArray[np.float64]
-Rows = NDArray[np.intp]
 
 WINDOW_SD = 2.0
 """A way's lags lie within this many standard deviations of its median: those of its parts added up, as a slow walker is

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.arrays import Floats
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
 
-Floats = NDArray[np.float64]
 _LOG_TAU = float(np.log(2 * np.pi))
 _X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS
 _Y = ((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None]

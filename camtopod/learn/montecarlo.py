@@ -8,11 +8,9 @@ link's transit density, which makes that density the stationary distribution of 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.learn.lags import LagBins
-
-Floats = NDArray[np.float64]
 
 OBSERVATIONS = 89
 """Observations per link, as in the thesis's experiment 1."""

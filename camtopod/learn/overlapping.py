@@ -19,13 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.lags import LagBins, smoother
+from camtopod.arrays import Floats, Longs, Rows
+from camtopod.learn.lags import LagBins, smooth, smoother
 from camtopod.learn.scene import Scene
-from camtopod.learn.smoothing import smooth
-
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
-Rows = NDArray[np.intp]
 
 SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)
 """Shifts of the exits that make up the null model."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from camtopod.learn.lags import LAG_STEP
-from camtopod.learn.slowness import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN
-from camtopod.learn.smoothing import SMOOTHING_SD_BINS
+from camtopod.learn.lags import LAG_STEP, SMOOTHING_SD_BINS
+from camtopod.learn.shared_constants import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN
 from camtopod.records import Topology
 
 NORMAL_Q90 = 1.2816

@@ -21,13 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from camtopod.arrays import Floats
 from camtopod.learn.clutter import CONTRAST_MIN, FLOOR_CHANCE, FOUND_CHANCE, dense_cells, groups_of
 from camtopod.learn.evidence import covariance, gaussians, log_zone, log_zones, moments
-from camtopod.learn.separation import discriminant, far, sd_along
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
-from camtopod.learn.valley import valley
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.separation import discriminant, far, sd_along, valley
 
-Floats = NDArray[np.float64]
 Labels = NDArray[np.intp]
 
 EVENTS_MIN = 5

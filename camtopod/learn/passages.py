@@ -9,19 +9,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Departures, find_candidates, in_reach, newest
-from camtopod.learn.grouping import rows_of
+from camtopod.arrays import Floats, Longs, rows_of
+from camtopod.learn.candidates import find_candidates, in_reach, newest
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import fit_jointly
 from camtopod.learn.lags import LagBins
 from camtopod.learn.limits import fair_share
 from camtopod.learn.links import TRANSITIONS_MIN, LinkTable, Transitions, join, transitions_of
 from camtopod.learn.rates import local_rates
 from camtopod.learn.scene import Scene
-
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
 
 
 def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:

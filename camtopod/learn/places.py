@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
 from camtopod.records import Event, Zone
 
 

@@ -24,3 +24,10 @@ def block_of(x: float | None, y: float | None) -> int | None:
     row = round(y * POSITION_ONE) * BLOCKS_ACROSS // POSITION_ONE
     column = round(x * POSITION_ONE) * BLOCKS_ACROSS // POSITION_ONE
     return min(row, BLOCKS_ACROSS - 1) * BLOCKS_ACROSS + min(column, BLOCKS_ACROSS - 1)
+
+
+GRID_ROWS = 30
+
+
+GRID_COLUMNS = 24
+"""The thesis's grid over the image (section 5.1)."""

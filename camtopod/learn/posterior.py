@@ -22,21 +22,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Candidates, Departures, Indices, Singles, rows_together
+from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
+from camtopod.learn.candidates import Candidates
 from camtopod.learn.contexts import Contexts, Counted, Level, multipliers
 from camtopod.learn.doubt import doubts
 from camtopod.learn.entering import Entering
-from camtopod.learn.joint import LEAVE_FLOOR, NOTHING, Fit, JointFitter, Tables, within
+from camtopod.learn.events import Arrivals, Departures
+from camtopod.learn.joint import NOTHING, Fit, JointFitter, Tables, within
 from camtopod.learn.lags import LagBins
 from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.prior import Prior
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.screening import not_overlapping
+from camtopod.learn.shared_constants import LEAVE_FLOOR
 from camtopod.learn.skipped import Legs, legs_of, skip_hazards, skipped_beside, ways_through
 from camtopod.learn.skipping import Skipping
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 FIRST_NOISE_SD = 3.0
 """A fit from nothing starts with what exceeds chance by this many standard deviations."""

@@ -26,22 +26,28 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.learn.hand_over import HandOver, look
 from camtopod.learn.hazards import Hazards
-from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.lag_odds import paced, quantiles, unknown
 from camtopod.learn.pace import Paces
 from camtopod.learn.pauses import Pause, no_pause, unhurried
 from camtopod.learn.places import Places
 from camtopod.learn.positions import block_of
 from camtopod.learn.ready import AtExit, Ready, ReadyZones, Site
-from camtopod.learn.recent import RECENT_MAX, Arrival, Recent, RecentArrivals
-from camtopod.learn.succession import renumbered, take_over_arrivals, take_over_exits
+from camtopod.learn.recent import (
+    RECENT_MAX,
+    Arrival,
+    Recent,
+    RecentArrivals,
+    renumbered,
+    take_over_arrivals,
+    take_over_exits,
+)
+from camtopod.learn.shared_constants import LEAVE_FLOOR
 from camtopod.learn.surroundings import Surroundings
 from camtopod.learn.under_way import Passage, UnderWay
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
-
-Floats = NDArray[np.float64]
 
 DEAD_PRIOR = 1e-3
 """Prior probability that a camera has gone silent for good."""

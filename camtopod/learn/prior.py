@@ -14,11 +14,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Candidates, Singles, rows_together
-from camtopod.learn.grouping import numbered, summed
-from camtopod.learn.smoothing import smooth
-
-Floats = NDArray[np.float64]
+from camtopod.arrays import Floats, Singles, numbered, rows_together, summed
+from camtopod.learn.candidates import Candidates
+from camtopod.learn.lags import smooth
 
 POOLING = 1.0
 """What leaves anywhere in a camera's view counts for each of its zones as much as this many departures."""

@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.grouping import rows_of
+from camtopod.arrays import Floats, Singles, rows_of
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 """Of numbers of events, which are exact in it."""
 
 RATE_HALF_WINDOW_SECONDS = 600.0

@@ -13,15 +13,14 @@ from struct import Struct as Layout
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.learn.hazards import Hazards, Outcomes
 from camtopod.learn.lag_odds import quantiles, quantiles_beside
 from camtopod.learn.pace import Paces
-from camtopod.learn.slowness import LAG_SECONDS_MIN
+from camtopod.learn.shared_constants import LAG_SECONDS_MIN
 from camtopod.records import Topology, Zone
 
-Floats = NDArray[np.float64]
 Pace = tuple[float, float] | None
 """As `Paces.of_passage` has it."""
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 
-from camtopod.learn.overlap import sum_rule
 from camtopod.records import Link, Pair, PairRelation, Relation, Zone
 
 AHEAD_SHARE = 0.5
@@ -59,3 +58,12 @@ def _pair(cameras: tuple[str, str], links: list[Link], passages: dict[str, list[
 
 def _relation(overlapped: bool) -> PairRelation:
     return "overlapped" if overlapped else "unseen_path"
+
+
+_ROUNDING = 1e-9
+"""Seconds allowed for rounding: in table 5.4, |4.45 - (1.6 + 3.3)| is exactly T = 0.45 and must hold."""
+
+
+def sum_rule(t_ab: float, t_ac: float, t_cb: float, tolerance: float) -> bool:
+    """Table 4.4 on zones A, B of one camera and C of another: ``|t(A,B) - (t(A,C) + t(C,B))| <= T``, all in seconds."""
+    return abs(t_ab - (t_ac + t_cb)) <= tolerance + _ROUNDING

@@ -8,13 +8,9 @@ believes on average is what the events say.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Indices, Singles, rows_together
+from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
 from camtopod.learn.lags import LagBins
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 FAINT_TRANSITIONS = 0.2
 """Every pair of zones that is followed has this many transitions beforehand, at any lag after the exit: what has not

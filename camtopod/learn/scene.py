@@ -7,16 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Departures
+from camtopod.arrays import Floats, Ints
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.positions import blocks_of
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import slowness
 from camtopod.learn.window import Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 NO_ZONE = -1
 

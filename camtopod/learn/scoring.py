@@ -15,15 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Arrivals, Departures
+from camtopod.arrays import Floats
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.predict import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
-
-Floats = NDArray[np.float64]
 
 EXITS_PER_VERSION = 100
 """Exits scored of those between two versions, or a few more, evenly spread."""

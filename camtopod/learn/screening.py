@@ -21,22 +21,21 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from camtopod.arrays import Bools, Floats, Ints, Longs, Rows, Singles, rows_of
 from camtopod.learn.candidates import (
     EXCESS_SMOOTHING_SD_BINS,
-    Arrivals,
+    RESPONSIBILITY_MAX,
     Candidates,
-    Departures,
-    Singles,
     excess,
     find_candidates,
     in_reach,
     number_pairs,
     possible,
 )
+from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
-from camtopod.learn.grouping import rows_of
 from camtopod.learn.joint import START_FLOOR
-from camtopod.learn.lags import LagBins, smoother
+from camtopod.learn.lags import LagBins, smooth, smoother
 from camtopod.learn.limits import (
     JUDGED_MAX,
     LOOKED_PER_EVENT_MAX,
@@ -47,14 +46,7 @@ from camtopod.learn.limits import (
     zone_pairs_max,
 )
 from camtopod.learn.rates import Chance
-from camtopod.learn.significance import RESPONSIBILITY_MAX
-from camtopod.learn.smoothing import smooth
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
-Rows = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 Part = tuple[Ints, Ints, Singles, Singles]
 
 PAIRS_FEW = 20_000

@@ -6,10 +6,6 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-GRID_ROWS = 30
-GRID_COLUMNS = 24
-"""The thesis's grid over the image (section 5.1)."""
-
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of the learner (the ``[learn]`` table of the configuration)."""

@@ -9,12 +9,10 @@ discovery rates (Benjamini and Hochberg 1995).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
+from camtopod.arrays import Floats, Ints
+from camtopod.learn.candidates import RESPONSIBILITY_MAX
 
-RESPONSIBILITY_MAX = 1.0 - 1e-6
 FLAT_MAX = 1e6
 
 

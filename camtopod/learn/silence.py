@@ -11,9 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.grouping import rows_of
-
-Floats = NDArray[np.float64]
+from camtopod.arrays import Floats, rows_of
 
 FALSE_ALARM = 1e-3
 """Probability that chance makes any gap of a camera in a window a silence."""

@@ -16,14 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Candidates, Departures, Indices
+from camtopod.arrays import Floats, Indices, Ints, Longs
+from camtopod.learn.candidates import Candidates
+from camtopod.learn.events import Departures
 from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.missed import joined
-from camtopod.learn.slowness import UNKNOWN_STAY_SECONDS
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
+from camtopod.learn.shared_constants import UNKNOWN_STAY_SECONDS
 
 PASSAGE_SHARE_MIN = 0.02
 """Less likely ways through a view are not followed; nor are ..."""

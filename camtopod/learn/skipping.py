@@ -9,14 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Candidates, Indices, Singles
+from camtopod.arrays import Floats, Indices, Ints, Longs, Singles
+from camtopod.learn.candidates import Candidates
 from camtopod.learn.lags import LagBins
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 
 ODDS_FIRST, ODDS_MAX = 0.1, 2.0 / 3.0
 """Passages that a camera misses for each that it records."""

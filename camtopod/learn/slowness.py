@@ -14,21 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.learn.lags import LagBins
-
-Floats = NDArray[np.float64]
+from camtopod.learn.shared_constants import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN
 
 WAY_PASSAGES_MIN = 5
 """The median of a way counts from this many passages."""
-UNKNOWN_STAY_SECONDS = 10.0
-"""A passage is taken to last this long where nothing is known of any."""
-STAY_SECONDS_MIN = 0.2
-SLOWNESS_MAX = 1.5
-"""Passages slower or faster than e to this are loiterers and fragments; they count as that slow."""
 SURE_RESPONSIBILITY = 0.5
 SURE_TRANSITIONS_MIN = 30
-LAG_SECONDS_MIN = 2.0
-"""Shorter lags do not scale with speed."""
 SIGNIFICANT_SD = 2.0
 AGREEMENT_MAX = 1e9
 """However alike two slownesses are, they speak for one object by this factor at most."""

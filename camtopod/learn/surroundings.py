@@ -5,10 +5,9 @@ from __future__ import annotations
 from array import array
 from typing import NamedTuple
 
-from camtopod.learn.contexts import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 from camtopod.learn.hazards import Outcomes
-from camtopod.learn.joint import LEAVE_FLOOR
 from camtopod.learn.pauses import Pause, no_pause, unhurried
+from camtopod.learn.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 from camtopod.records import Context, Topology
 
 Key = tuple[int | None, int | None, str | None]

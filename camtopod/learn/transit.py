@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.learn.lags import LagBins
 
-Floats = NDArray[np.float64]
 QUANTILES = (0.1, 0.5, 0.9)
 QUARTILES = (0.25, 0.5, 0.75)
 WEIGHT_MIN = 1e-3

@@ -11,12 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from camtopod.arrays import Floats
 from camtopod.learn.coarse import LAGS, Counts, chance, standing_out
-
-Floats = NDArray[np.float64]
 
 SHIFT_SMOOTHING_BINS = 3.0
 TRANSFORM = 4 * 1024

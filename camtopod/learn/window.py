@@ -16,10 +16,9 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from camtopod.arrays import rows_of
 from camtopod.learn.grid_sums import GridSums
-from camtopod.learn.grouping import rows_of
-from camtopod.learn.positions import POSITION_ONE
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 from camtopod.learn.zones import CellSums
 from camtopod.records import Event
 

@@ -17,15 +17,12 @@ from msgspec.structs import replace
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
+from camtopod.arrays import Floats, Longs
 from camtopod.learn.clutter import clutter_rates
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.mixture import classify_cells
 from camtopod.learn.partition import Cells, partition
-from camtopod.learn.positions import POSITION_ONE
-from camtopod.learn.settings import GRID_COLUMNS, GRID_ROWS
-
-Integers = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 ANEW_EVENTS_MAX = 4000
 """With so many events zones are no longer learned from nothing."""
@@ -40,12 +37,12 @@ _SCALE = np.array([1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE*
 class CellSums(NamedTuple):
     """Sums over the events of each cell, int64, shape (GRID_ROWS, GRID_COLUMNS); positions in fixed point."""
 
-    count: Integers  # type: ignore[assignment]  # hides a method of tuple nobody needs
-    sx: Integers
-    sy: Integers
-    sxx: Integers
-    sxy: Integers
-    syy: Integers
+    count: Longs  # type: ignore[assignment]  # hides a method of tuple nobody needs
+    sx: Longs
+    sy: Longs
+    sxx: Longs
+    sxy: Longs
+    syy: Longs
 
 
 class ZoneShape(Struct, frozen=True):
@@ -82,7 +79,7 @@ def cells_of(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.i
     return np.minimum(rows, GRID_ROWS - 1), np.minimum(columns, GRID_COLUMNS - 1)
 
 
-def fixed_point(x: ArrayLike) -> Integers:
+def fixed_point(x: ArrayLike) -> Longs:
     """Image positions in the fixed point of `CellSums`."""
     return np.rint(np.asarray(x, dtype=np.float64) * POSITION_ONE).astype(np.int64)
 
@@ -130,7 +127,7 @@ def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()
     return replace(find_zones(sums, known, old.next_number, old.cells), events=old.events)
 
 
-def _largest(labels: NDArray[np.intp], events: Integers) -> NDArray[np.intp]:
+def _largest(labels: NDArray[np.intp], events: Longs) -> NDArray[np.intp]:
     """The zone of each cell (m,), -1 for clutter, if only the `ZONES_PER_CAMERA_MAX` with the most ``events`` stay."""
     number = np.bincount(labels + 1, events)[1:]
     if len(number) <= ZONES_PER_CAMERA_MAX:

@@ -8,11 +8,12 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
+from camtopod.arrays import Floats
 from camtopod.records import Event
 from camtopod.sim.hall import on_rim
 from camtopod.sim.plan import SPEED_SD, WALKING_SPEED, make_pieces, sampled, sightings, walk
 from camtopod.sim.recording import Faults, check, recorded
-from camtopod.sim.truth import Floats, Truth
+from camtopod.sim.truth import Truth
 
 PASSING, STROLLING = 0.4, 0.35
 """Shares of the groups that walk straight across, and that stop now and then; the others stand for long."""

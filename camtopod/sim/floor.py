@@ -13,8 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from camtopod.sim.layout import Ints
-from camtopod.sim.truth import TRUTH_SCHEMA, Floats, TrueLink, TrueZone, Truth, pairs_of, transit_of
+from camtopod.arrays import Floats, Longs
+from camtopod.sim.truth import TRUTH_SCHEMA, TrueLink, TrueZone, Truth, pairs_of, transit_of
 
 WIDTH, HEIGHT = 192, 144
 """Size of the cameras' pictures, pixels."""
@@ -121,7 +121,7 @@ class Walk:
 
     t: Floats
     floor: Floats
-    way: Ints
+    way: Longs
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ def _walk(plan: Plan, start: float, end: float, rng: np.random.Generator) -> Wal
     return Walk(t, floor, way[np.minimum((walked / STEP_METRES).astype(np.int64), len(way) - 1)])
 
 
-def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Ints]:
+def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
     """A line every 10 cm from street to street, (n, 2), and the way each point lies on, (n,)."""
     streets = set(plan.streets())
     stops = [str(rng.choice(sorted(streets)))]

@@ -8,10 +8,11 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
+from camtopod.arrays import Floats
 from camtopod.records import Event
 from camtopod.sim.plan import SPEED_SD, WALKING_SPEED, make_pieces, sampled, sightings, walk
 from camtopod.sim.recording import Faults, check, recorded
-from camtopod.sim.truth import Floats, Truth
+from camtopod.sim.truth import Truth
 
 DOORS = (8, 12)
 COUNTERS = 6

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from camtopod.sim.truth import Floats
-
-Ints = NDArray[np.int64]
+from camtopod.arrays import Floats, Longs
 
 ZONES_MIN, ZONES_MAX = 2, 5
 ZONE_SEPARATION = 0.25
@@ -44,7 +42,7 @@ class Choices:
     view an object appears in the other.
     """
 
-    target: Ints
+    target: Longs
     probability: Floats
     metres: Floats
 
@@ -64,7 +62,7 @@ class Layout:
     """Zones (camera index, centre, covariance), ways through and between views, where walkers come from."""
 
     cameras: list[str]
-    camera: Ints
+    camera: Longs
     centre: Floats
     cov: Floats
     through: Choices
@@ -145,7 +143,7 @@ def with_one_way(layout: Layout, share: float, rng: np.random.Generator) -> Layo
     return replace(layout, onward=onward.without({(u, v) for u, v in chosen.tolist()}))
 
 
-def _zones(counts: Ints, separation: float, stretch: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _zones(counts: Longs, separation: float, stretch: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Centres (zones, 2) and covariances (zones, 2, 2), the zones of one camera well apart."""
     zones: list[tuple[Floats, Floats]] = []
     for count in counts:
@@ -190,7 +188,7 @@ def _ellipse(angle: float, stretch: float, rng: np.random.Generator) -> Floats:
     return result
 
 
-def _streets(camera: Ints, cameras: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+def _streets(camera: Longs, cameras: int, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Which zones lead outside: at least two of the network, never all of a camera's (unless it is alone)."""
     street = rng.random(len(camera)) < STREET_SHARE
     if cameras == 1:
@@ -210,7 +208,7 @@ def _streets(camera: Ints, cameras: int, rng: np.random.Generator) -> NDArray[np
 class _Paths:
     """Joins zones of different cameras, near ones first. ``options[u]`` lists (v, metres) of each zone."""
 
-    def __init__(self, camera: Ints, street: NDArray[np.bool_], position: Floats, rng: np.random.Generator) -> None:
+    def __init__(self, camera: Longs, street: NDArray[np.bool_], position: Floats, rng: np.random.Generator) -> None:
         self.options: list[list[tuple[int, float]]] = [[] for _ in camera]
         self._camera, self._street, self._rng = camera, street, rng
         self._distance = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
@@ -295,7 +293,7 @@ def _onward(options: list[list[tuple[int, float]]], leave: Floats, rng: np.rando
     return _table(rows)
 
 
-def _through(camera: Ints, centre: Floats, u_turn: float, rng: np.random.Generator) -> Choices:
+def _through(camera: Longs, centre: Floats, u_turn: float, rng: np.random.Generator) -> Choices:
     """Where walkers who appear at a zone leave the view; each row sums to 1."""
     rows = []
     for zone, c in enumerate(camera):

@@ -10,11 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.records import Link, Topology
 from camtopod.sim.floor import HEIGHT, WIDTH, Plan, Walk
 from camtopod.sim.render import PIXELS_PER_METRE, Colour, Picture, busy_scene, floor_picture, plan_corner
 from camtopod.sim.score import ZONE_TOLERANCE, match_zones
-from camtopod.sim.truth import Floats, TrueLink, Truth
+from camtopod.sim.truth import TrueLink, Truth
 
 MAP_WIDTH, MAP_HEIGHT = 776, 560
 THUMB_WIDTH, THUMBS_PER_ROW = 300, 5

@@ -12,10 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from camtopod.arrays import Bools, Floats, Longs
 from camtopod.sim.floor import View
-from camtopod.sim.layout import Ints
-from camtopod.sim.recording import GAP_SECONDS, Bools, Sightings, join
-from camtopod.sim.truth import Floats
+from camtopod.sim.recording import GAP_SECONDS, Sightings, join
 
 LEG_KNOTS = 8
 """Points between which a leg of a walk is straight."""
@@ -52,7 +51,7 @@ class Walks:
     """Where everybody is on each frame, person after person: (n,) who, (n,) seconds, (n, 2) metres; seconds between
     frames."""
 
-    who: Ints
+    who: Longs
     t: Floats
     floor: Floats
     frame: float

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from camtopod.arrays import Bools, Floats, Longs
 from camtopod.records import Event, Pair
-from camtopod.sim.layout import Ints
-from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Floats, TrueLink, TrueZone, Truth, transit_of
-
-Bools = NDArray[np.bool_]
+from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth, transit_of
 
 PAIR_WALKS_MIN = 3
 """Cameras are related in truth when people went from one to the other at least so often."""
@@ -44,16 +41,16 @@ class Faults(Struct, frozen=True, forbid_unknown_fields=True):
 class Sightings(Struct):
     """Passages as columns: (n,) people, cameras, zones (-1: not defined), times; (n, 2) positions or nan."""
 
-    who: Ints
-    camera: Ints
+    who: Longs
+    camera: Longs
     t_in: Floats
     t_out: Floats
     at_in: Floats
     at_out: Floats
-    zone_in: Ints
-    zone_out: Ints
+    zone_in: Longs
+    zone_out: Longs
 
-    def take(self, index: Ints | Bools) -> Sightings:
+    def take(self, index: Longs | Bools) -> Sightings:
         """Those at ``index`` (numbers in any order) or where it (n,) is true."""
         return Sightings(*(getattr(self, name)[index] for name in self.__struct_fields__))
 
@@ -146,7 +143,7 @@ def recorded(
     return events, truth
 
 
-def _numbers(walked: Sightings, seen: Sightings) -> Ints:
+def _numbers(walked: Sightings, seen: Sightings) -> Longs:
     """The number of each seen passage within its person's walk; what was walked and not seen counts, too."""
     both = join([walked, seen])
     order = np.lexsort((both.camera, both.t_in, both.who))
@@ -161,7 +158,7 @@ def _numbers(walked: Sightings, seen: Sightings) -> Ints:
 
 
 def events_of(
-    cameras: list[str], camera: Ints, entry: Bools, t: Floats, at: Floats, track: Ints, order: Ints
+    cameras: list[str], camera: Longs, entry: Bools, t: Floats, at: Floats, track: Longs, order: Longs
 ) -> list[Event]:
     """Events in ``order`` from columns: (n,) camera, entry or exit, event time, (n, 2) place or nan, track or -1."""
     names = _track_names(camera, track, order)
@@ -179,7 +176,7 @@ def events_of(
     ]
 
 
-def _track_names(camera: Ints, track: Ints, order: Ints) -> list[str | None]:
+def _track_names(camera: Longs, track: Longs, order: Longs) -> list[str | None]:
     """Tracks numbered within their camera in the order they are first seen, as a tracker would."""
     names: dict[int, str] = {}
     counts: dict[int, int] = {}
@@ -245,7 +242,7 @@ def _zones(cameras: list[str], walked: Sightings) -> list[TrueZone]:
     return result
 
 
-def _links(zones: list[TrueZone], walked: Sightings, seen: Sightings, number: Ints) -> list[TrueLink]:
+def _links(zones: list[TrueZone], walked: Sightings, seen: Sightings, number: Longs) -> list[TrueLink]:
     """Ways from zone to zone, as walked; ``transitions`` counts those with both ends recorded."""
     if not zones:
         return []

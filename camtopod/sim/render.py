@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.sim.floor import FPS, HEIGHT, PERSON_METRES, WIDTH, Area, Floor, Plan, View, Walk
-from camtopod.sim.truth import Floats
 
 Picture = NDArray[np.uint8]
 Colour = tuple[int, int, int]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from camtopod.arrays import Floats, Longs
 from camtopod.records import Event, Transit
-from camtopod.sim.layout import Ints, Layout
+from camtopod.sim.layout import Layout
 from camtopod.sim.recording import events_of
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.setup import Setup, turned
-from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Floats, TrueLink, TrueZone, Truth, pairs_of, transit_of
+from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth, pairs_of, transit_of
 from camtopod.sim.walking import Passages, jitter, paces
 
 TRANSIT_DRAWS = 20_000
@@ -19,7 +20,7 @@ CLUTTER_TRACK_SHARE = 0.5
 
 def report(
     passages: Passages, setup: Setup, settings: SimSettings, rng: np.random.Generator
-) -> tuple[list[Event], Ints]:
+) -> tuple[list[Event], Longs]:
     """What the cameras say, sorted by time, and (events, 3) owners: walker, number of the passage, zone."""
     layout = setup.layout
     n = len(passages.t_in)
@@ -47,7 +48,7 @@ def report(
     return events, owner[order]
 
 
-def _positions(layout: Layout, zone: Ints, settings: SimSettings, rng: np.random.Generator) -> Floats:
+def _positions(layout: Layout, zone: Longs, settings: SimSettings, rng: np.random.Generator) -> Floats:
     """A point of each zone's normal distribution, inside the image."""
     spread = np.linalg.cholesky(layout.cov)
     at = layout.centre[zone] + np.einsum("nij,nj->ni", spread[zone], rng.standard_normal((len(zone), 2)))
@@ -56,14 +57,14 @@ def _positions(layout: Layout, zone: Ints, settings: SimSettings, rng: np.random
     return inside
 
 
-def _lost(camera: Ints, t: Floats, layout: Layout, settings: SimSettings) -> NDArray[np.bool_]:
+def _lost(camera: Longs, t: Floats, layout: Layout, settings: SimSettings) -> NDArray[np.bool_]:
     gone = np.zeros(len(t), dtype=bool)
     for name, begin, end in settings.lost:
         gone |= (camera == layout.cameras.index(name)) & (t >= begin) & (t < end)
     return gone
 
 
-def truth_of(setup: Setup, settings: SimSettings, recorded: Passages, owners: Ints) -> Truth:
+def truth_of(setup: Setup, settings: SimSettings, recorded: Passages, owners: Longs) -> Truth:
     """The network as it is at the end of the recording, and who caused each event."""
     layout = setup.layout
     first = np.r_[0, np.flatnonzero(np.diff(layout.camera)) + 1]

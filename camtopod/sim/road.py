@@ -14,9 +14,10 @@ from itertools import pairwise
 import numpy as np
 from msgspec import Struct
 
+from camtopod.arrays import Floats
 from camtopod.records import Event
 from camtopod.sim.recording import Faults, Sightings, check, recorded
-from camtopod.sim.truth import Floats, Truth
+from camtopod.sim.truth import Truth
 
 STREET_METRES = (200.0, 1200.0)
 ONE_WAY_SHARE = 0.1

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from camtopod.arrays import Floats
 from camtopod.sim.layout import Layout, make_layout, with_fire_doors, with_one_way, with_uneven_ways, without_ways
 from camtopod.sim.settings import SimSettings
-from camtopod.sim.truth import Floats
 
 TURNED_RADIANS = (0.7, 2.4)
 TURNED_SCALE = 0.8

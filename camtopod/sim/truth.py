@@ -5,15 +5,13 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from camtopod.arrays import Floats
 from camtopod.records import Pair, Relation, Transit
 
 TRUTH_SCHEMA = "camtopod/truth/1"
 CLUTTER = -1
 """In `Truth.identity`, `Truth.passage` and `Truth.zone`: the event belongs to nobody."""
-
-Floats = NDArray[np.float64]
 
 
 class TrueZone(Struct, frozen=True, omit_defaults=True):

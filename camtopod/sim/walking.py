@@ -6,10 +6,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from camtopod.sim.layout import WALKING_SPEED, Choices, Ints
+from camtopod.arrays import Floats, Longs
+from camtopod.sim.layout import WALKING_SPEED, Choices
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.setup import Setup
-from camtopod.sim.truth import Floats
 
 PASSAGES_MAX = 100
 """A walker leaves the network after this many passages at the latest."""
@@ -25,14 +25,14 @@ HEADWAY_SECONDS = 1.5
 class Passages(Struct):
     """Passages as columns: who, the number within the walk, zones and times of entry and exit."""
 
-    walker: Ints
-    number: Ints
-    zone_in: Ints
-    zone_out: Ints
+    walker: Longs
+    number: Longs
+    zone_in: Longs
+    zone_out: Longs
     t_in: Floats
     t_out: Floats
 
-    def take(self, index: Ints | NDArray[np.bool_]) -> Passages:
+    def take(self, index: Longs | NDArray[np.bool_]) -> Passages:
         """Those at ``index`` (numbers in any order) or where it (n,) is true."""
         return Passages(*(getattr(self, name)[index] for name in self.__struct_fields__))
 
@@ -69,7 +69,7 @@ def paces(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
     return np.where(rng.random(n) < settings.slow_share, pace / SLOW_FACTOR, pace)
 
 
-def _onward(setup: Setup, settings: SimSettings, zone: Ints, t: Floats, draw: Floats) -> Ints:
+def _onward(setup: Setup, settings: SimSettings, zone: Longs, t: Floats, draw: Floats) -> Longs:
     """Index of the way that people who are at a zone at some time take, -1 for none; doors close and open."""
     shut, unopened = t >= settings.closing(), t < settings.opening()
     result = np.zeros(len(zone), dtype=np.int64)
@@ -83,7 +83,7 @@ def _onward(setup: Setup, settings: SimSettings, zone: Ints, t: Floats, draw: Fl
     return result
 
 
-def _in_platoons(t: Floats, zone: Ints, settings: SimSettings) -> tuple[Floats, Ints]:
+def _in_platoons(t: Floats, zone: Longs, settings: SimSettings) -> tuple[Floats, Longs]:
     """Times and zones at which people come, where a share of them comes in bunches."""
     rng = np.random.default_rng((settings.seed, 5))
     member = np.flatnonzero(rng.random(len(t)) < settings.platoons)
@@ -114,13 +114,13 @@ def jitter(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
     return result
 
 
-def _option(choices: Choices, zone: Ints, draw: Floats) -> Ints:
+def _option(choices: Choices, zone: Longs, draw: Floats) -> Longs:
     """Index of the option that a uniform draw picks in each zone's row, -1 for none."""
     index = (np.cumsum(choices.probability[zone], 1) <= draw[:, None]).sum(1)
     return np.where(index < choices.probability.shape[1], index, -1)
 
 
-def _choose(choices: Choices, zone: Ints, rng: np.random.Generator) -> tuple[Ints, Floats]:
+def _choose(choices: Choices, zone: Longs, rng: np.random.Generator) -> tuple[Longs, Floats]:
     """Target and metres where one option is always taken (rows sum to 1 up to rounding)."""
     total = choices.probability.sum(1)[zone]
     option = _option(choices, zone, rng.random(len(zone)) * total * (1 - 1e-12))

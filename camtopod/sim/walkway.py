@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec import Struct
 
+from camtopod.arrays import Floats
 from camtopod.records import Event
 from camtopod.sim.recording import Faults, Sightings, broken, check, clipped, recorded
-from camtopod.sim.truth import Floats, Truth
+from camtopod.sim.truth import Truth
 
 SIDES = (
     ((0.03, 0.7), (0.015, 0.08)),

@@ -12,8 +12,7 @@ from statistics import median
 from camtopod.records import Event, Kind
 from camtopod.vision.doors import Doors
 from camtopod.vision.motion import Box
-from camtopod.vision.sighting import Sighting
-from camtopod.vision.track import Changes, Track
+from camtopod.vision.track import Changes, Sighting, Track
 
 BORDER_SHARE = 0.025
 """A box this near the border is at it, share of the picture's diagonal."""

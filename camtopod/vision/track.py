@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from camtopod.vision.kalman import Kalman, Vector
 from camtopod.vision.motion import Box
-from camtopod.vision.sighting import Sighting
 
 HISTORY_SIGHTINGS = 16
 """So many of an object's latest sightings are kept."""
@@ -65,3 +65,11 @@ class Changes:
     appeared: list[Track]
     left: list[Track]
     vanished: list[Track]
+
+
+class Sighting(NamedTuple):
+    """Time in seconds, foot point and box in pixels of the working picture."""
+
+    t: float
+    foot: tuple[float, float]
+    box: Box

@@ -24,9 +24,8 @@ from camtopod.vision.handover import find_handover
 from camtopod.vision.kalman import Kalman
 from camtopod.vision.motion import Box
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.sighting import Sighting
 from camtopod.vision.stature import Stature
-from camtopod.vision.track import HISTORY_SIGHTINGS, Changes, Track
+from camtopod.vision.track import HISTORY_SIGHTINGS, Changes, Sighting, Track
 
 GATE_HEIGHTS = 0.35
 """A head or foot this far from where it is expected (plus two sigma) is still the same person's."""

@@ -15,7 +15,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, shortest_path
 from scipy.spatial.distance import cdist
 
-Floats = NDArray[np.float64]
+from camtopod.arrays import Floats
+
 Place = tuple[float, float]
 
 OVERLAPPED_LENGTH = 0.7

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.lags import LagBins
+from camtopod.learn.lags import LagBins, smooth
 from camtopod.learn.links import MONTE_CARLO_SEED
 from camtopod.learn.settings import Settings
-from camtopod.learn.smoothing import smooth
 from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
 from camtopod.web.drawing import doubt, in_words, nearness
 

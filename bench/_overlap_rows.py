@@ -12,10 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
-
-ROUNDING = 1e-9
-"""Seconds allowed for rounding: in table 5.4, |4.45 - (1.6 + 3.3)| is exactly T = 0.45 and must hold."""
+from camtopod.arrays import Floats
+from camtopod.learn.relations import sum_rule
 
 
 class OverlapRow(NamedTuple):
@@ -33,11 +31,6 @@ class OverlapRow(NamedTuple):
     transit_cb: float
     transit_ab: float
     error: float
-
-
-def sum_rule(t_ab: float, t_ac: float, t_cb: float, tolerance: float) -> bool:
-    """Table 4.4 on zones A, B of one camera and C of another: ``|t(A,B) - (t(A,C) + t(C,B))| <= T``, all in seconds."""
-    return abs(t_ab - (t_ac + t_cb)) <= tolerance + ROUNDING
 
 
 def overlap_rows(transit: ArrayLike, camera_of_zone: ArrayLike, tolerance: float) -> list[OverlapRow]:

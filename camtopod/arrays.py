@@ -1,27 +1,36 @@
-"""Rows by their group, all groups at once: one pass over the rows, however many groups there are."""
+"""Array types, and operations on rows by group: one pass over the rows, however many groups there are."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Labels = NDArray[np.signedinteger[Any]]
+Singles = NDArray[np.float32]
+"""Figures of each candidate, of which there may be millions: half the memory. Sums are in double precision."""
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+Rows = NDArray[np.intp]
+"""Row numbers, as NumPy's own functions return them."""
+Indices = NDArray[np.signedinteger[Any]]
+"""Integers of any width."""
+Bools = NDArray[np.bool_]
 
 ALL_KEYS_MAX = 1000
 SHORT_MAX = np.iinfo(np.int16).max
-"""Labels up to this are sorted as 16 bits, which NumPy does by radix: ten times as fast as longer ones."""
+"""Indices up to this are sorted as 16 bits, which NumPy does by radix: ten times as fast as longer ones."""
 
 
-def rows_of(label: Labels, groups: int) -> list[NDArray[np.intp]]:
+def rows_of(label: Indices, groups: int) -> list[NDArray[np.intp]]:
     """The rows of each group, ascending; ``label`` (n,): group of each row, 0 to ``groups`` - 1."""
     order = np.argsort(label.astype(np.int16) if groups <= SHORT_MAX else label, kind="stable")
     return np.split(order, np.cumsum(np.bincount(label, minlength=groups))[:-1]) if groups else []
 
 
-def numbered(key: Labels, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def numbered(key: Indices, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Keys worth a row of a table, ascending, and the row of each ``key`` (n,), 0 to ``keys`` - 1.
 
     All keys while they are few, those that occur where they are many.
@@ -32,7 +41,7 @@ def numbered(key: Labels, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int6
     return present.astype(np.int64), row.astype(np.int64)
 
 
-def summed(rows: Floats, group: Labels, groups: int) -> Floats:
+def summed(rows: Floats, group: Indices, groups: int) -> Floats:
     """Sums (groups, columns) of the rows of each group."""
     result = np.zeros((groups, rows.shape[1]))
     order = np.argsort(group, kind="stable")
@@ -46,10 +55,23 @@ def summed(rows: Floats, group: Labels, groups: int) -> Floats:
     return result
 
 
-def rows_at(keys: Labels, wanted: Labels) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+def rows_at(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Where each of the ``wanted`` (n,) is among the ``keys``, and whether it is there at all: (n,) each."""
     if len(keys) == 0:
         return np.zeros(len(wanted), np.intp), np.zeros(len(wanted), np.bool_)
     order = np.argsort(keys, kind="stable")
     at = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
     return at, keys[at] == wanted
+
+
+ROWS_AT_ONCE = 1024
+"""Rows of a table worked on together, so that intermediate results stay in the processor's cache."""
+
+
+def rows_together(rows: int) -> Iterator[slice]:
+    """Of a table with so many rows, some at a time. A product of few rows is reckoned otherwise and would differ in
+    the last bit from one of all rows, so the last has the rest, too.
+    """
+    parts = max(rows // ROWS_AT_ONCE, 1)
+    for k in range(parts):
+        yield slice(k * ROWS_AT_ONCE, rows if k + 1 == parts else (k + 1) * ROWS_AT_ONCE)
