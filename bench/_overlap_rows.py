@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camtopod.arrays import Floats
-from camtopod.learn.relations import sum_rule
+from camtopod.topology.camera_pairs import sum_rule
 
 
 class OverlapRow(NamedTuple):

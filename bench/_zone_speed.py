@@ -18,8 +18,8 @@ from bench import _ratios
 from camtopod.arrays import Floats
 from camtopod.learn.clutter import FLOOR_CHANCE, clutter_rates, dense_cells, groups_of
 from camtopod.learn.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy
-from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.zones import CellSums, ZoneMap, cell_sums, find_zones, refresh_zones
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 Camera = Callable[[int], tuple[Floats, int]]
 """Positions (n, 2) of so many events, and the number of zones."""

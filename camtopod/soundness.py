@@ -196,7 +196,7 @@ _SHAPES: dict[type[Struct], Callable[[Any], str]] = {
 
 
 def _bins(model: Model) -> Iterator[str]:
-    """The lag bins, as `camtopod.learn.lags` makes them."""
+    """The lag bins, as `camtopod.topology.lag_bins` makes them."""
     if not model.lag_min < model.lag_max:
         yield "the range of lags is empty - at `$.model.lag_max`"
     elif _last_bin(model) - _first_bin(model) >= LAG_BINS_MAX:

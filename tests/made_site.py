@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import random
 
-from camtopod.learn.lags import LagBins
-from camtopod.learn.topology import stamp
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
@@ -22,6 +20,8 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.versions import stamp
 
 AS_OF = 1_700_003_600.0
 BINS = LagBins(-120.0, 180.0)

@@ -13,8 +13,8 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import pack, unpack
-from camtopod.learn.topology import ALARMS_KEPT_MAX, apply_delta, make_delta
 from camtopod.records import Camera, Delta, Event, Topology
+from camtopod.topology.versions import ALARMS_KEPT_MAX, apply_delta, make_delta
 
 ZONES = ["a/1", "b/1", "b/2"]
 OPENED, CLOSED = Change(0, 1, 100.0, 0.0, 0.5, 20.0), Change(0, 1, 300.0, 0.5, 0.0, 20.0)

@@ -17,9 +17,9 @@ from camtopod.cli import exits, main, progress
 from camtopod.cli.learn import EPOCH
 from camtopod.cli.lines import LineReader
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
-from camtopod.learn.topology import apply_delta, digest_of, make_delta
 from camtopod.records import Event, Prediction, Topology
 from camtopod.sim.network import SimSettings, simulate
+from camtopod.topology.versions import apply_delta, digest_of, make_delta
 
 EVENTS, TRUTH = simulate(SimSettings(cameras=3, hours=0.25, seed=1))
 Run = Callable[..., tuple[int, bytes, str]]

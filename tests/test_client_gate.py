@@ -10,9 +10,7 @@ from msgspec.structs import replace
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.client import Gate, UnknownPlace
-from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
-from camtopod.learn.positions import block_of
 from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
 from camtopod.records import (
@@ -35,6 +33,8 @@ from camtopod.records import (
 from camtopod.sim.calibration import calibration_error
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries
+from camtopod.topology.grid import block_of
+from camtopod.topology.lag_bins import LagBins
 
 COV = [[0.001, 0.0], [0.0, 0.001]]
 STEP = 0.05

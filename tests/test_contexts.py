@@ -13,7 +13,7 @@ from camtopod.learn import contexts as module
 from camtopod.learn.candidates import Candidates, find_candidates
 from camtopod.learn.contexts import LEVELS, Contexts, Level, multipliers
 from camtopod.learn.events import Arrivals, Departures
-from camtopod.learn.lags import LagBins
+from camtopod.topology.lag_bins import LagBins
 
 SHORT = LagBins(-3.0, 8.0)
 CAMERAS = np.array([0, 0, 1, 2], np.int32)

@@ -11,7 +11,7 @@ from camtopod.learn.crossfit import BETS, PARTS, Parts, cross_evidence
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import fit_jointly
-from camtopod.learn.lags import LagBins
+from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-60.0, 90.0)
 

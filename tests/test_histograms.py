@@ -7,9 +7,18 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn.histograms import MASS_MIN, STEPS, counted, counts_added, in_steps, on_bins, scaled, steps_added
-from camtopod.learn.lags import LagBins
 from camtopod.records import Histogram
+from camtopod.topology.histograms import (
+    MASS_MIN,
+    STEPS,
+    counted,
+    counts_added,
+    in_steps,
+    on_bins,
+    scaled,
+    steps_added,
+)
+from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-20.0, 60.0)
 Masses = st.lists(st.floats(0.0, 1e6), min_size=BINS.size, max_size=BINS.size).map(np.array)

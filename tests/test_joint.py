@@ -16,9 +16,7 @@ from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import Fit, JointFitter, fit_jointly
-from camtopod.learn.lags import SMOOTHING_SD_BINS, LagBins, smooth
 from camtopod.learn.rates import local_rates
-from camtopod.learn.shared_constants import SLOWNESS_MAX, STAY_SECONDS_MIN
 from camtopod.learn.slowness import (
     NO_PERSISTENCE,
     SURE_TRANSITIONS_MIN,
@@ -30,6 +28,8 @@ from camtopod.learn.slowness import (
     persistence,
     slowness,
 )
+from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins, smooth
+from camtopod.topology.shared_constants import SLOWNESS_MAX, STAY_SECONDS_MIN
 
 BINS = LagBins(-20.0, 120.0)
 SINGLE = 1e-5

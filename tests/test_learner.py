@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from camtopod.codec import read, to_json
 from camtopod.learn.learner import GONE_ZONES_MAX, REFIT_EVENTS_MIN, STEPS, Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.topology import apply_delta, digest_of, make_delta
 from camtopod.records import Event, Link, Topology
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import score
+from camtopod.topology.versions import apply_delta, digest_of, make_delta
 
 QUICK = Settings(version_seconds=10.0, refit_share=0.3)
 AT_THE_END = Settings(version_seconds=1e6)

@@ -9,8 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import Views
 
-from camtopod.learn.chain import markov_chain
-from camtopod.learn.lags import LagBins
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
     WEAK_LINKS_PER_ZONE_MAX,
@@ -24,9 +22,11 @@ from camtopod.learn.links import (
     significant,
     tabulate,
 )
-from camtopod.learn.relations import camera_pairs, relation_of, sum_rule
 from camtopod.learn.settings import Settings
 from camtopod.records import ChainEdge, Link, Transit, Zone
+from camtopod.topology.camera_pairs import camera_pairs, relation_of, sum_rule
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.markov_chain import markov_chain
 
 BINS = LagBins(-20.0, 120.0)
 SETTINGS = Settings(publish_q_max=0.01, publish_probability_min=0.03)

@@ -12,7 +12,6 @@ from camtopod.districts.parts import Part, part_of
 from camtopod.districts.places import Places
 from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
-from camtopod.learn.topology import stamp
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,
@@ -31,6 +30,7 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
+from camtopod.topology.versions import stamp
 
 SETTINGS = Settings()
 TRANSIT = Transit(5.0, 5.0, 1.0, 4.0, 5.0, 6.0)

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable, Transitions, join, tabulate
 from camtopod.learn.missed import UNCERTAINTY, Odds, Ways, find_ways, unexplained, without_missed
 from camtopod.learn.settings import Settings
+from camtopod.topology.lag_bins import LagBins
 
 SETTINGS = Settings(publish_probability_min=0.03, missed_share_max=0.25)
 BINS = LagBins(-SETTINGS.overlap_max_seconds, SETTINGS.transit_max_seconds)

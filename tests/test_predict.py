@@ -15,18 +15,10 @@ from msgspec.structs import replace
 
 from camtopod.learn import predict as module
 from camtopod.learn import recent, under_way
-from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.predict import NEXT_PROBABILITY_MIN, Predictor
 from camtopod.learn.recent import take_over_arrivals, take_over_exits
 from camtopod.learn.settings import Settings
-from camtopod.learn.shared_constants import (
-    BACK_OFF_DEPARTURES,
-    LEAVE_FLOOR,
-    MULTIPLIER_MAX,
-    SLOWNESS_MAX,
-    STAY_SECONDS_MIN,
-)
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
@@ -50,6 +42,14 @@ from camtopod.records import (
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import score_predictions
 from camtopod.sim.truth import Truth
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.shared_constants import (
+    BACK_OFF_DEPARTURES,
+    LEAVE_FLOOR,
+    MULTIPLIER_MAX,
+    SLOWNESS_MAX,
+    STAY_SECONDS_MIN,
+)
 
 COV = [[0.001, 0.0], [0.0, 0.001]]
 STAY = [float(k) for k in range(11)]

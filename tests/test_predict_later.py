@@ -27,11 +27,11 @@ from test_predict import (
 
 from camtopod.learn import predict as module
 from camtopod.learn import recent
-from camtopod.learn.lags import LagBins
 from camtopod.learn.predict import Predictor
-from camtopod.learn.shared_constants import LEAVE_FLOOR
 from camtopod.records import Event, Histogram, Link, Onward, Outcome, Pace, Prediction, Topology, Way
 from camtopod.sim.score import PredictionScore, score_predictions
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.shared_constants import LEAVE_FLOOR
 
 AT_B = Event("b", "entry", 1008.0, 0.5, 0.5)
 

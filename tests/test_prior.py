@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
 from camtopod.learn.candidates import find_candidates
-from camtopod.learn.lags import SMOOTHING_SD_BINS, LagBins
 from camtopod.learn.posterior import PosteriorFitter
 from camtopod.learn.prior import POOLING, RETURNING, TWO_WAY_TRANSITIONS, Prior
+from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins
 
 SHORT = LagBins(-3.0, 8.0)
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from bench.regimes import REGIMES
 from camtopod.learn import posterior as module
-from camtopod.learn.lags import LagBins
 from camtopod.learn.learner import Learner
 from camtopod.learn.sampling import FAINT_TRANSITIONS, Sources, with_faint
 from camtopod.learn.settings import Settings
+from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-10.0, 30.0)
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from camtopod.learn.intake import microseconds
-from camtopod.learn.lags import LagBins
 from camtopod.learn.passages import visible_transitions
 from camtopod.learn.scene import Scene, number_zones, see
 from camtopod.learn.slowness import WAY_PASSAGES_MIN
 from camtopod.learn.window import Window
 from camtopod.learn.zones import ZoneMap, cell_of, find_zones
 from camtopod.records import Event
+from camtopod.topology.lag_bins import LagBins
 
 STAYS = LagBins(0.0, 120.0)
 LEFT, RIGHT = (0.1, 0.5), (0.9, 0.5)

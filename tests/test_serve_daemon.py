@@ -20,7 +20,6 @@ from serving import T0, all_out, closing_event, numbered, small_config, wait_for
 
 from camtopod import codec
 from camtopod.learn.learner import Learner
-from camtopod.learn.topology import digest_of, make_delta
 from camtopod.records import Ack, Event, Prediction, Topology
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus, BusError, QueryError
@@ -32,6 +31,7 @@ from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
 from camtopod.serve.subscriber import TopologyView
+from camtopod.topology.versions import digest_of, make_delta
 
 NOW = T0 + 20 * serving.SPAN_SECONDS
 

@@ -15,10 +15,10 @@ from camtopod.learn import posterior, skipping
 from camtopod.learn import skipped as module
 from camtopod.learn.candidates import Candidates, find_candidates, number_pairs
 from camtopod.learn.events import Departures
-from camtopod.learn.lags import LagBins
 from camtopod.learn.posterior import Posterior
-from camtopod.learn.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
 from camtopod.learn.skipped import Legs, Through, legs_of, skip_hazards, skipped_beside, ways_through
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
 
 BINS = LagBins(-60.0, 120.0)
 CAMERA = np.array([0, 1, 1, 2, 2, 3], np.int64)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from camtopod.learn.hazards import Outcomes
 from camtopod.learn.learner import Learner
-from camtopod.learn.positions import BLOCKS_ACROSS, POSITION_ONE, block_of, blocks_of
 from camtopod.learn.settings import Settings
-from camtopod.learn.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 from camtopod.learn.surroundings import Surroundings
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Context, Event, Model, Prediction, Topology, Zone
+from camtopod.topology.grid import BLOCKS_ACROSS, POSITION_ONE, block_of, blocks_of
+from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
 NAMES = ["a/1", "a/2", "b/1", "c/1"]
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from camtopod.codec import read, to_json, to_pack
-from camtopod.learn.topology import apply_delta, digest_of, make_delta, stamp
 from camtopod.records import (
     DELTA_SCHEMA,
     TOPOLOGY_SCHEMA,
@@ -26,6 +25,7 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
+from camtopod.topology.versions import apply_delta, digest_of, make_delta, stamp
 
 NUMBERS = st.floats(-1e3, 1e3)
 SHARES = st.floats(0, 1)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.lags import LagBins
 from camtopod.learn.transit import WEIGHT_MIN, peak, transit_figures, weighted_quantiles
+from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-20.0, 120.0)
 

@@ -15,12 +15,12 @@ from serving import small_config, wait_for
 
 from camtopod import codec
 from camtopod.cli.web import listening, names
-from camtopod.learn.topology import make_delta, stamp
 from camtopod.records import Event, Topology
 from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal, StoredVersion
 from camtopod.serve.versions import Version
+from camtopod.topology.versions import make_delta, stamp
 from camtopod.web import app
 
 CAMERAS = 1000

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from camtopod.learn import window as module
 from camtopod.learn.intake import microseconds
-from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 from camtopod.learn.window import FLOOD_CAMERAS_MIN, FLOOD_SHARE, NO_CELL, NO_MATE, Window, cells_of
 from camtopod.records import Event
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 PLACES = st.one_of(st.none(), st.tuples(*[st.floats(0, 1)] * 2), st.sampled_from([(0.0, 0.0), (1.0, 1.0)]))
 

@@ -17,7 +17,6 @@ from camtopod.learn import clutter as clutter_module
 from camtopod.learn import separation as valley_module
 from camtopod.learn.clutter import clutter_rate, clutter_rates, dense_cells
 from camtopod.learn.evidence import gaussians, log_evidence, log_share, log_zone, moments
-from camtopod.learn.positions import POSITION_ONE
 from camtopod.learn.separation import far, valley
 from camtopod.learn.zones import (
     CellSums,
@@ -30,6 +29,7 @@ from camtopod.learn.zones import (
     match_zones,
     refresh_zones,
 )
+from camtopod.topology.grid import POSITION_ONE
 
 
 def events(seed: int, zones: list[tuple[float, float, float, int]], clutter: int = 0) -> tuple[np.ndarray, np.ndarray]:

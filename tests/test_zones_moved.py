@@ -8,11 +8,11 @@ import pytest
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.moved import find_move
-from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 from camtopod.learn.settings import Settings
 from camtopod.learn.window import Window
 from camtopod.learn.zones import cell_sums, cells_of, find_zones
 from camtopod.records import Event
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 BEFORE = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3)]
 AFTER = [(0.3, 0.1), (0.7, 0.7), (0.2, 0.8)]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
 from camtopod.learn.daspec import bandwidth, data_spectroscopy
-from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 POINTS_MAX = 1500
 """The scikit-learn methods see at most so many of a camera's events, drawn at random."""

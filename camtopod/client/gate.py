@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats
 from camtopod.client.errors import zone_at, zones_of
 from camtopod.learn.hazards import Hazards
-from camtopod.learn.positions import block_of
 from camtopod.learn.predict import Predictor
 from camtopod.learn.surroundings import Surroundings
 from camtopod.records import Event, Kind, Topology
+from camtopod.topology.grid import block_of
 
 OUTSIDE_SHARE_MIN = 0.05
 """Zones with a smaller share of entries from outside do not tell how long was learned from."""

@@ -16,8 +16,8 @@ from msgspec.structs import replace
 from camtopod.districts.merging import merge
 from camtopod.districts.parts import Part
 from camtopod.learn.settings import Settings
-from camtopod.learn.topology import stamp
 from camtopod.records import Alarm, Topology
+from camtopod.topology.versions import stamp
 
 AlarmKey = tuple[float, str, str, str]
 

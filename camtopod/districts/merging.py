@@ -18,13 +18,8 @@ from camtopod.districts.parts import Part
 from camtopod.districts.places import Places
 from camtopod.districts.renaming import Names, renamed
 from camtopod.learn.assemble import by_clocks
-from camtopod.learn.chain import markov_chain
-from camtopod.learn.histograms import DIGITS, scaled, short
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX
-from camtopod.learn.relations import camera_pairs
 from camtopod.learn.settings import Settings
-from camtopod.learn.shared_constants import LEAVE_FLOOR
-from camtopod.learn.topology import ALARMS_KEPT_MAX, link_key
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     CameraModel,
@@ -38,6 +33,11 @@ from camtopod.records import (
     Topology,
     Zone,
 )
+from camtopod.topology.camera_pairs import camera_pairs
+from camtopod.topology.histograms import DIGITS, scaled, short
+from camtopod.topology.markov_chain import markov_chain
+from camtopod.topology.shared_constants import LEAVE_FLOOR
+from camtopod.topology.versions import ALARMS_KEPT_MAX, link_key
 
 ContextKey = tuple[str, str | None, int | None, str | None]
 PACE_SHARE_MIN = 0.5

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Bools
-from camtopod.learn.lags import LagBins
 from camtopod.learn.scene import Scene
 from camtopod.learn.screening import ends_of, followed_above_chance
+from camtopod.topology.lag_bins import LagBins
 
 STANDS_OUT_SD = 3.0
 """Least excess of arrivals at an own camera that follow a camera's departures, at the best lag of any pair of their

@@ -8,9 +8,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod.districts.dealing import Dealing
-from camtopod.learn.histograms import short
-from camtopod.learn.topology import stamp
 from camtopod.records import Alarm, Model, Onward, Topology
+from camtopod.topology.histograms import short
+from camtopod.topology.versions import stamp
 
 
 class Part(Struct, frozen=True):

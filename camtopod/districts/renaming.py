@@ -11,9 +11,9 @@ from collections.abc import Iterable
 
 from msgspec.structs import replace
 
-from camtopod.learn.histograms import counts_added, short, steps_added
-from camtopod.learn.topology import LinkKey, link_key
 from camtopod.records import Alarm, Context, EntryKernel, Histogram, Link, Model, Onward, Outcome, Topology
+from camtopod.topology.histograms import counts_added, short, steps_added
+from camtopod.topology.versions import LinkKey, link_key
 
 Names = dict[str, list[str]]
 """Owners' ids of each zone, the one at its place first; of what is not in it nothing can be said."""

@@ -15,8 +15,8 @@ from camtopod.arrays import rows_of
 from camtopod.learn.change import Change, Trials, latest_change, threshold_nats
 from camtopod.learn.scene import Scene
 from camtopod.learn.silence import Silences
-from camtopod.learn.topology import ALARMS_KEPT_MAX
 from camtopod.records import Alarm, Camera
+from camtopod.topology.versions import ALARMS_KEPT_MAX
 
 SUBJECTS_MAX = 10_000
 """Links and zones whose last report is remembered; beyond, the oldest is forgotten."""

@@ -7,16 +7,11 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.learn.chain import markov_chain
 from camtopod.learn.clocks import Clocks
-from camtopod.learn.histograms import DIGITS, counted, short
 from camtopod.learn.lacking import Lacking
-from camtopod.learn.lags import LagBins
 from camtopod.learn.links import LinkTable
-from camtopod.learn.relations import camera_pairs, relation_of
 from camtopod.learn.scene import Scene, ZoneRef
 from camtopod.learn.settings import Settings
-from camtopod.learn.topology import link_key
 from camtopod.learn.window import Window
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
@@ -29,6 +24,11 @@ from camtopod.records import (
     Transit,
     Zone,
 )
+from camtopod.topology.camera_pairs import camera_pairs, relation_of
+from camtopod.topology.histograms import DIGITS, counted, short
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.markov_chain import markov_chain
+from camtopod.topology.versions import link_key
 
 STAY_DECILES = np.linspace(0.0, 1.0, 11)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
 from camtopod.learn.events import Arrivals, Departures
-from camtopod.learn.lags import LagBins, smoother
+from camtopod.topology.lag_bins import LagBins, smoother
 
 PAIR_TABLE_MAX = 20_000_000
 """Largest dense table over pairs of zones, entries."""

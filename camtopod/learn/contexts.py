@@ -18,7 +18,7 @@ from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.candidates import Candidates, together
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.limits import context_cells_max
-from camtopod.learn.shared_constants import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
+from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry", "block", "entry+block", "previous")
 """In this order: the zone of entry; the block of the image of the exit; both; the camera before."""

@@ -22,8 +22,8 @@ from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.candidates import Candidates
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import Fit, JointFitter, adjust
-from camtopod.learn.lags import LagBins
 from camtopod.learn.rates import Chance
+from camtopod.topology.lag_bins import LagBins
 
 PARTS = 8
 BETS = ((1, 2), (2, 3), (3, 5), (5, 8))

@@ -15,10 +15,10 @@ from camtopod.arrays import Floats, rows_together
 from camtopod.learn.candidates import Candidates, first_hazards
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import START_FLOOR
-from camtopod.learn.lags import LagBins, smooth
 from camtopod.learn.limits import entry_pairs_max
 from camtopod.learn.passages import in_view
 from camtopod.learn.rates import Chance
+from camtopod.topology.lag_bins import LagBins, smooth
 
 
 class Entering:

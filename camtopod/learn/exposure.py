@@ -6,7 +6,7 @@ import numpy as np
 
 from camtopod.arrays import Floats, rows_of
 from camtopod.learn.events import Departures
-from camtopod.learn.lags import LagBins
+from camtopod.topology.lag_bins import LagBins
 
 
 def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:

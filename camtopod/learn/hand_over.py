@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.learn.histograms import STEPS, on_bins
-from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
 from camtopod.learn.under_way import Passage, UnderWay
 from camtopod.records import InView, Look, NextCamera, Topology
+from camtopod.topology.histograms import STEPS, on_bins
+from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
 
 SHARE_MAX = 0.98
 """Largest probability that another camera sees the object, before its open passages are looked at."""

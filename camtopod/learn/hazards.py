@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Singles
-from camtopod.learn.histograms import on_bins
-from camtopod.learn.lags import LAG_SCALE_SECONDS, LAG_STEP, LagBins, smooth
 from camtopod.learn.pauses import Pause, no_pause, unhurried
-from camtopod.learn.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
 from camtopod.records import Link, Onward, Topology
+from camtopod.topology.histograms import on_bins
+from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, LagBins, smooth
+from camtopod.topology.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
 
 EXPOSURE_MIN = 0.02
 NORMAL_Q90 = 1.2816

@@ -27,9 +27,7 @@ from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
 from camtopod.learn.candidates import Candidates, first_hazards, runs_of, together
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
-from camtopod.learn.lags import LagBins, smooth
 from camtopod.learn.rates import Chance
-from camtopod.learn.shared_constants import LEAVE_FLOOR
 from camtopod.learn.slowness import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
@@ -39,6 +37,8 @@ from camtopod.learn.slowness import (
     combined,
     persistence,
 )
+from camtopod.topology.lag_bins import LagBins, smooth
+from camtopod.topology.shared_constants import LEAVE_FLOOR
 
 OUTSIDE_FLOOR = 0.01
 START_NOISE_SD = 2.0

@@ -29,7 +29,6 @@ from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.intake import MICROSECONDS, EventTimeState, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lacking import lacking
-from camtopod.learn.lags import LagBins, offset_bins
 from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
@@ -60,10 +59,11 @@ from camtopod.learn.screening import Screen, place, whole
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
-from camtopod.learn.topology import stamp
 from camtopod.learn.window import GONE, Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.records import Event, Topology
+from camtopod.topology.lag_bins import LagBins, offset_bins
+from camtopod.topology.versions import stamp
 
 REFIT_EVENTS_MIN = 10
 """No new version for fewer new events, unless they have waited ``refit_hours``."""

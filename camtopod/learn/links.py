@@ -16,11 +16,11 @@ from camtopod.learn import mahalanobis, montecarlo
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import Fit
-from camtopod.learn.lags import LagBins, smooth
 from camtopod.learn.settings import Settings
 from camtopod.learn.significance import log_likelihood_ratio, q_values
 from camtopod.learn.slowness import combined
 from camtopod.learn.transit import MEDIAN_ERROR, TransitFigures, transit_figures
+from camtopod.topology.lag_bins import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
 """A published link rests on at least this many expected transitions."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Floats
-from camtopod.learn.lags import LagBins
+from camtopod.topology.lag_bins import LagBins
 
 OBSERVATIONS = 89
 """Observations per link, as in the thesis's experiment 1."""

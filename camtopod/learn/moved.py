@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
 from camtopod.learn.daspec import kernel_1d
-from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 FALSE_ALARM = 1e-9
 """Chance of a likelihood ratio like that in one look at one camera that stands still, if zones were known exactly."""

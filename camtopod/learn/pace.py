@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from camtopod.learn.lags import LAG_STEP, SMOOTHING_SD_BINS
-from camtopod.learn.shared_constants import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN
 from camtopod.records import Topology
+from camtopod.topology.lag_bins import LAG_STEP, SMOOTHING_SD_BINS
+from camtopod.topology.shared_constants import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN
 
 NORMAL_Q90 = 1.2816
 SHARP_MIN = 0.5

@@ -24,8 +24,8 @@ from scipy.special import gammaln
 from camtopod.arrays import Floats
 from camtopod.learn.clutter import CONTRAST_MIN, FLOOR_CHANCE, FOUND_CHANCE, dense_cells, groups_of
 from camtopod.learn.evidence import covariance, gaussians, log_zone, log_zones, moments
-from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
 from camtopod.learn.separation import discriminant, far, sd_along, valley
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 Labels = NDArray[np.intp]
 

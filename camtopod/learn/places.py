@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS
 from camtopod.records import Event, Zone
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 
 class _Shape(NamedTuple):

@@ -29,14 +29,14 @@ from camtopod.learn.doubt import doubts
 from camtopod.learn.entering import Entering
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import NOTHING, Fit, JointFitter, Tables, within
-from camtopod.learn.lags import LagBins
 from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.prior import Prior
 from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.screening import not_overlapping
-from camtopod.learn.shared_constants import LEAVE_FLOOR
 from camtopod.learn.skipped import Legs, legs_of, skip_hazards, skipped_beside, ways_through
 from camtopod.learn.skipping import Skipping
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.shared_constants import LEAVE_FLOOR
 
 FIRST_NOISE_SD = 3.0
 """A fit from nothing starts with what exceeds chance by this many standard deviations."""

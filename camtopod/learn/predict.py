@@ -33,7 +33,6 @@ from camtopod.learn.lag_odds import paced, quantiles, unknown
 from camtopod.learn.pace import Paces
 from camtopod.learn.pauses import Pause, no_pause, unhurried
 from camtopod.learn.places import Places
-from camtopod.learn.positions import block_of
 from camtopod.learn.ready import AtExit, Ready, ReadyZones, Site
 from camtopod.learn.recent import (
     RECENT_MAX,
@@ -44,10 +43,11 @@ from camtopod.learn.recent import (
     take_over_arrivals,
     take_over_exits,
 )
-from camtopod.learn.shared_constants import LEAVE_FLOOR
 from camtopod.learn.surroundings import Surroundings
 from camtopod.learn.under_way import Passage, UnderWay
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
+from camtopod.topology.grid import block_of
+from camtopod.topology.shared_constants import LEAVE_FLOOR
 
 DEAD_PRIOR = 1e-3
 """Prior probability that a camera has gone silent for good."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Singles, numbered, rows_together, summed
 from camtopod.learn.candidates import Candidates
-from camtopod.learn.lags import smooth
+from camtopod.topology.lag_bins import smooth
 
 POOLING = 1.0
 """What leaves anywhere in a camera's view counts for each of its zones as much as this many departures."""

@@ -18,8 +18,8 @@ from camtopod.arrays import Floats
 from camtopod.learn.hazards import Hazards, Outcomes
 from camtopod.learn.lag_odds import quantiles, quantiles_beside
 from camtopod.learn.pace import Paces
-from camtopod.learn.shared_constants import LAG_SECONDS_MIN
 from camtopod.records import Topology, Zone
+from camtopod.topology.shared_constants import LAG_SECONDS_MIN
 
 Pace = tuple[float, float] | None
 """As `Paces.of_passage` has it."""

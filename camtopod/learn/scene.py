@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, Ints
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.intake import MICROSECONDS
-from camtopod.learn.positions import blocks_of
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import slowness
 from camtopod.learn.window import Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape
+from camtopod.topology.grid import blocks_of
 
 NO_ZONE = -1
 

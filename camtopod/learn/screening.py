@@ -35,7 +35,6 @@ from camtopod.learn.candidates import (
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import START_FLOOR
-from camtopod.learn.lags import LagBins, smooth, smoother
 from camtopod.learn.limits import (
     JUDGED_MAX,
     LOOKED_PER_EVENT_MAX,
@@ -46,6 +45,7 @@ from camtopod.learn.limits import (
     zone_pairs_max,
 )
 from camtopod.learn.rates import Chance
+from camtopod.topology.lag_bins import LagBins, smooth, smoother
 
 Part = tuple[Ints, Ints, Singles, Singles]
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, Indices, Ints, Longs
 from camtopod.learn.candidates import Candidates
 from camtopod.learn.events import Departures
-from camtopod.learn.lags import LagBins, smoother
 from camtopod.learn.missed import joined
-from camtopod.learn.shared_constants import UNKNOWN_STAY_SECONDS
+from camtopod.topology.lag_bins import LagBins, smoother
+from camtopod.topology.shared_constants import UNKNOWN_STAY_SECONDS
 
 PASSAGE_SHARE_MIN = 0.02
 """Less likely ways through a view are not followed; nor are ..."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from camtopod.arrays import Floats, Indices, Ints, Longs, Singles
 from camtopod.learn.candidates import Candidates
-from camtopod.learn.lags import LagBins
+from camtopod.topology.lag_bins import LagBins
 
 ODDS_FIRST, ODDS_MAX = 0.1, 2.0 / 3.0
 """Passages that a camera misses for each that it records."""

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.learn.lags import LagBins
-from camtopod.learn.shared_constants import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.shared_constants import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN
 
 WAY_PASSAGES_MIN = 5
 """The median of a way counts from this many passages."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from camtopod.learn.hazards import Outcomes
 from camtopod.learn.pauses import Pause, no_pause, unhurried
-from camtopod.learn.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 from camtopod.records import Context, Topology
+from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
 Key = tuple[int | None, int | None, str | None]
 

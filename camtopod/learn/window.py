@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import rows_of
 from camtopod.learn.grid_sums import GridSums
-from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 from camtopod.learn.zones import CellSums
 from camtopod.records import Event
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 OPEN_PASSAGES_MAX = 100_000
 """Entries whose exit has not come, over all cameras; beyond, the oldest is forgotten."""

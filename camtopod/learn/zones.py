@@ -22,7 +22,7 @@ from camtopod.learn.clutter import clutter_rates
 from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.mixture import classify_cells
 from camtopod.learn.partition import Cells, partition
-from camtopod.learn.positions import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
+from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 ANEW_EVENTS_MAX = 4000
 """With so many events zones are no longer learned from nothing."""

@@ -23,7 +23,6 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.rewinding import rewound
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
-from camtopod.learn.topology import make_delta
 from camtopod.records import Topology
 from camtopod.serve import learner_messages as messages
 from camtopod.serve import memory
@@ -50,6 +49,7 @@ from camtopod.serve.learner_messages import (
     Unusable,
 )
 from camtopod.serve.share import Told
+from camtopod.topology.versions import make_delta
 
 NICENESS = 5
 """Added to the daemon's: where all cores are busy, predictions and acknowledgements come before a fit, which has time.

@@ -25,7 +25,6 @@ from camtopod.districts.dealing import Dealing, Sharding
 from camtopod.districts.line import Line, LineState, age_of
 from camtopod.districts.parts import is_dealt
 from camtopod.learn.settings import Settings
-from camtopod.learn.topology import make_delta
 from camtopod.records import Topology
 from camtopod.serve import clock as clocks
 from camtopod.serve.journal import Journal, Snapshot
@@ -33,6 +32,7 @@ from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.share import Told
 from camtopod.serve.storing import Storing
 from camtopod.serve.versions import Version
+from camtopod.topology.versions import make_delta
 
 log = logging.getLogger(__name__)
 

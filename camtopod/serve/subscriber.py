@@ -10,9 +10,9 @@ from msgspec import Struct
 
 from camtopod import codec
 from camtopod.keys.rules import STATUS
-from camtopod.learn.topology import apply_delta
 from camtopod.records import Delta, Topology
 from camtopod.serve.bus import Bus, QueryError
+from camtopod.topology.versions import apply_delta
 
 log = logging.getLogger(__name__)
 

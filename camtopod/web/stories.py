@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.lags import LagBins, smooth
 from camtopod.learn.links import MONTE_CARLO_SEED
 from camtopod.learn.settings import Settings
 from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
+from camtopod.topology.lag_bins import LagBins, smooth
 from camtopod.web.drawing import doubt, in_words, nearness
 
 CURVE_SHARE_MIN = 0.004

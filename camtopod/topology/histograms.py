@@ -8,8 +8,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.arrays import Floats
-from camtopod.learn.lags import LagBins
 from camtopod.records import Histogram
+from camtopod.topology.lag_bins import LagBins
 
 Weighed = tuple[float, Histogram]
 
