@@ -24,8 +24,8 @@ from bench.baselines.told import recorded_medians, told_score, transit_error
 from bench.baselines.transfer import transfer
 from bench.baselines.zoning import methods
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology, Zone
 from camtopod.sim.score import (
     COVERED_SDS,

@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from bench._recordings import SPURIOUS_TRANSITIONS_MAX, Passage, Recording, pairs_of
 from camtopod.arrays import Floats
 from camtopod.client import Gate
-from camtopod.learn.hand_over import added_up
+from camtopod.predict.hand_over import added_up
 from camtopod.records import Event, Prediction, Topology
 
 LEAVE = "leave"

@@ -21,7 +21,7 @@ from msgspec import Struct
 
 from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, NextCamera, Prediction, Topology
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries, score, score_predictions

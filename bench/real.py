@@ -37,7 +37,7 @@ from bench._real_figures import (
 )
 from bench._recordings import SPURIOUS_TRANSITIONS_MAX, CameraPair, Recording, load, tellable
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
+from camtopod.predict.predictor import Predictor
 
 WIDTHS_SECONDS = (1.0, 2.0, 4.0, 8.0)
 """Bins of the cross-correlation."""

@@ -592,7 +592,7 @@ def multiplier(before, after, most):
 
 
 def surroundings(share, leave, steps, back_off, most, leave_floor):
-    """`camtopod.learn.surroundings.Surroundings.multipliers`, target by target.
+    """`camtopod.predict.contexts.Surroundings.multipliers`, target by target.
 
     ``share``: target -> share; ``steps``: (departures, transitions by target, how sure) of each context, in order.
     """
@@ -607,7 +607,7 @@ def surroundings(share, leave, steps, back_off, most, leave_floor):
 
 
 def predicted(topology, seen, asked, zone_of, constants, now=None):
-    """`camtopod.learn.predict.Predictor`: after the events ``seen`` (all at different times, clocks right), where the
+    """`camtopod.predict.predictor.Predictor`: after the events ``seen`` (all at different times, clocks right), where the
     object of the exit ``asked`` goes: {zone index: probability}, None for leaving. ``constants``: back-off, largest
     multiplier, least leaving, prior of a dead camera, least probability, least rate, shortest stay, largest slowness.
     ``now``: as it is known then; the exit itself and what came after it may be among the events.

@@ -22,7 +22,7 @@ from bench._real_figures import (
 )
 from bench._recordings import Recording, load, tellable
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
+from camtopod.predict.predictor import Predictor
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from scipy.optimize import linear_sum_assignment
 
 from camtopod.client import Gate, UnknownPlace
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
+from camtopod.predict.predictor import Predictor
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,

@@ -22,10 +22,10 @@ from camtopod.learn.clocks import (
 from camtopod.learn.coarse import LAGS, chance, correlograms, standing_out
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Passages, Scene, ZoneRef
 from camtopod.learn.settings import Settings
 from camtopod.learn.twoway import best_shift, two_ways
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
 
 HOURS_2 = 7200.0

@@ -116,7 +116,7 @@ def test_every_module_is_seen() -> None:
     assert {"records.py", "learn/learner.py", "serve/bus.py", "vision/grabber.py"} <= set(MODULES)
 
 
-@pytest.mark.parametrize("module", ["camtopod.learn.predict", "camtopod.client", "camtopod.serve.daemon"])
+@pytest.mark.parametrize("module", ["camtopod.predict.predictor", "camtopod.client", "camtopod.serve.daemon"])
 def test_who_only_predicts_does_not_load_what_learning_needs(module: str) -> None:
     """SciPy takes 50 MB and most of a second; the daemon's own process and every tracker would have it."""
     code = f"import sys, {module}; sys.exit(any(name.split('.')[0] == 'scipy' for name in sys.modules))"

@@ -13,7 +13,7 @@ from serving import closing_event, numbered, walkers
 
 from camtopod.codec import read_in_parts, to_pack
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.leisure import PAUSE_SECONDS_MAX, PAUSE_TIMES, WORK_SECONDS, Leisure, let_go
 from camtopod.serve.live import Live

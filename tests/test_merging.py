@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from camtopod.districts.merging import merge
 from camtopod.districts.parts import Part, part_of
 from camtopod.districts.places import Places
-from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
+from camtopod.predict.predictor import Predictor
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Alarm,

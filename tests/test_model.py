@@ -8,12 +8,12 @@ from made import LINKED, Views, fit_posterior
 
 from camtopod.learn.candidates import find_candidates
 from camtopod.learn.change import Change
-from camtopod.learn.hazards import Hazards
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX, model_of
 from camtopod.learn.posterior import Posterior
-from camtopod.learn.predict import Predictor
 from camtopod.learn.scene import Passages, Scene, ZoneRef
 from camtopod.learn.window import Window
+from camtopod.predict.hazards import Hazards
+from camtopod.predict.predictor import Predictor
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Event, Model, Topology, Zone
 from camtopod.topology.lag_bins import LagBins
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from camtopod.codec import read_topology, to_json
 from camtopod.districts.parts import part_of
 from camtopod.learn import overlapping
-from camtopod.learn.hand_over import HandOver, look
 from camtopod.learn.overlapping import Views, find_overlapping
-from camtopod.learn.predict import Predictor
+from camtopod.predict.hand_over import HandOver, look
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, InView, NextCamera, Prediction, Topology
 from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
 

@@ -9,10 +9,10 @@ import pytest
 from msgspec.structs import replace
 
 from camtopod.learn.learner import Learner
-from camtopod.learn.pace import Paces
-from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
 from camtopod.learn.slowness import usual_stays
+from camtopod.predict.predictor import Predictor
+from camtopod.predict.speed import Paces
 from camtopod.records import Camera, Model, Pace, Topology, Way, Zone
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries

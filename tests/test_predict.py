@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from camtopod.learn import predict as module
-from camtopod.learn import recent, under_way
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import NEXT_PROBABILITY_MIN, Predictor
-from camtopod.learn.recent import take_over_arrivals, take_over_exits
 from camtopod.learn.settings import Settings
+from camtopod.predict import open_passages, recent_events
+from camtopod.predict import predictor as module
+from camtopod.predict.predictor import NEXT_PROBABILITY_MIN, Predictor
+from camtopod.predict.recent_events import take_over_arrivals, take_over_exits
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
@@ -274,8 +274,8 @@ def test_a_silent_camera_is_not_where_they_appear() -> None:
 
 def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Passages that never end among them."""
-    monkeypatch.setattr(recent, "RECENT_MAX", 7)
-    monkeypatch.setattr(under_way, "UNDER_WAY_MAX", 7)
+    monkeypatch.setattr(recent_events, "RECENT_MAX", 7)
+    monkeypatch.setattr(open_passages, "UNDER_WAY_MAX", 7)
     predictor = Predictor(THREE)
     for k in range(50):
         predictor.observe(replace(ENTERED, t=float(k), track=str(k)))
@@ -311,8 +311,8 @@ def test_a_newer_version_remembers_what_has_been_seen() -> None:
 @pytest.mark.parametrize("count", [0, 1, 30, 2000, 4001])
 def test_what_a_newer_version_remembers_is_as_if_it_had_come_again(left: int, count: int) -> None:
     rng = np.random.default_rng(count)
-    before, expected = recent.RecentArrivals(), recent.RecentArrivals()
-    exits, exits_expected = recent.Recent(), recent.Recent()
+    before, expected = recent_events.RecentArrivals(), recent_events.RecentArrivals()
+    exits, exits_expected = recent_events.Recent(), recent_events.Recent()
     for t in np.round(np.arange(count) / 10 + rng.normal(size=count), 1).tolist():  # not quite by time, some at once
         before.append(t, int(rng.integers(5)), float(rng.random()))
         exits.append(t, int(rng.integers(5)))
@@ -323,7 +323,7 @@ def test_what_a_newer_version_remembers_is_as_if_it_had_come_again(left: int, co
     for t, zone in zip(*(column.tolist() for column in exits.after(-math.inf)), strict=True):
         if zone in moved:
             exits_expected.append(t, moved[zone])
-    arrivals, exits_now = recent.RecentArrivals(), recent.Recent()
+    arrivals, exits_now = recent_events.RecentArrivals(), recent_events.Recent()
     take_over_arrivals(arrivals, before, moved)
     take_over_exits(exits_now, exits, moved)
     for one, wanted in ((arrivals, expected), (exits_now, exits_expected)):

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from test_predict import any_topology
 
-from camtopod.learn import recent
-from camtopod.learn.lag_odds import quantiles, quantiles_beside
-from camtopod.learn.predict import Predictor
+from camtopod.predict import recent_events
+from camtopod.predict.predictor import Predictor
+from camtopod.predict.time_windows import quantiles, quantiles_beside
 from camtopod.records import Event
 
 
@@ -73,8 +73,8 @@ def test_the_window_of_one_target_is_that_among_many(
 def test_arrivals_by_zone_are_those_of_the_columns(came: list[tuple[int, int]]) -> None:
     """In whatever order they come, and however many have been dropped."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recent, "RECENT_MAX", 7)
-        arrivals = recent.RecentArrivals()
+        patch.setattr(recent_events, "RECENT_MAX", 7)
+        arrivals = recent_events.RecentArrivals()
         for n, (t, zone) in enumerate(came):
             arrivals.append(float(t), zone, float(n))
             counts = arrivals.dropped + arrivals.first

@@ -25,9 +25,9 @@ from test_predict import (
     sound,
 )
 
-from camtopod.learn import predict as module
-from camtopod.learn import recent
-from camtopod.learn.predict import Predictor
+from camtopod.predict import predictor as module
+from camtopod.predict import recent_events
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Histogram, Link, Onward, Outcome, Pace, Prediction, Topology, Way
 from camtopod.sim.score import PredictionScore, score_predictions
 from camtopod.topology.lag_bins import LagBins
@@ -167,7 +167,7 @@ def test_who_can_only_come_and_does_not_is_gone() -> None:
 
 
 def test_arrivals_that_are_forgotten_may_have_been_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    for place in (module, recent):
+    for place in (module, recent_events):
         monkeypatch.setattr(place, "RECENT_MAX", 5)
     alive = [Event(camera, "exit", 990.0) for camera in "abc"]
     crowd = [Event("d", "entry", 1000.0 + k, 0.5, 0.5) for k in range(40)]

@@ -18,9 +18,9 @@ from camtopod.districts.line import Line
 from camtopod.districts.parts import Part
 from camtopod.districts.shard import ShardLearner, pack_shard, unpack_shard
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import NewerSnapshot, SnapshotError
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import score, score_predictions

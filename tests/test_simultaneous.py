@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made import learned_from, passage
 
-from camtopod.learn.predict import Predictor
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event
 
 Line = Callable[[Event], object]

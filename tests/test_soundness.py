@@ -20,8 +20,8 @@ from camtopod.cli.main import main
 from camtopod.codec import Rejected, read_topology, to_json
 from camtopod.export import FORMATS
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
 from camtopod.learn.settings import Settings
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.soundness import problems

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn.hazards import Outcomes
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.surroundings import Surroundings
+from camtopod.predict.contexts import Surroundings
+from camtopod.predict.hazards import Outcomes
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Context, Event, Model, Prediction, Topology, Zone
 from camtopod.topology.grid import BLOCKS_ACROSS, POSITION_ONE, block_of, blocks_of
 from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX

@@ -10,7 +10,7 @@ from serving import closing_event, numbered, walkers
 
 from camtopod.codec import to_pack
 from camtopod.learn.learner import Learner
-from camtopod.learn.predict import Predictor
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Topology
 from camtopod.serve.versions import Newest, for_prediction, head_of
 

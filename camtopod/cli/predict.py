@@ -11,7 +11,7 @@ from camtopod.cli.export import load
 from camtopod.cli.lines import Line, LineReader
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
-from camtopod.learn.predict import Predictor
+from camtopod.predict.predictor import Predictor
 
 
 def add_parser(subparsers: Any) -> None:

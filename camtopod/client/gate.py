@@ -1,7 +1,7 @@
 """What the learned topology says about who is who across cameras: the prior of a tracker's association.
 
 An object that leaves a zone appears next somewhere, some time, or is not seen again: one of these, with the odds and
-transit times that prediction uses (`camtopod.learn.predict`; the thesis has the times in 4.5, and a Markov chain over
+transit times that prediction uses (`camtopod.predict.predictor`; the thesis has the times in 4.5, and a Markov chain over
 cameras for the odds in 4.6). An object that appears has left some zone before, or comes from outside, which happens at
 a steady rate. All as logarithms, so that they add up with those of other evidence:
 
@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
 from camtopod.client.errors import zone_at, zones_of
-from camtopod.learn.hazards import Hazards
-from camtopod.learn.predict import Predictor
-from camtopod.learn.surroundings import Surroundings
+from camtopod.predict.contexts import Surroundings
+from camtopod.predict.hazards import Hazards
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Kind, Topology
 from camtopod.topology.grid import block_of
 

@@ -25,7 +25,7 @@ from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
 from camtopod.client.inbox import Inbox
 from camtopod.client.news import News
-from camtopod.learn.predict import Predictor
+from camtopod.predict.predictor import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction
 from camtopod.records import Topology as Version
 from camtopod.serve import clock

@@ -51,7 +51,6 @@ from camtopod.learn.moved import Move, find_move
 from camtopod.learn.overlapping import Overlapping, find_overlapping, table_of, views_of
 from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
-from camtopod.learn.predict import Predictor
 from camtopod.learn.publishers import RETURNS_MIN, Publisher
 from camtopod.learn.scene import Scene, see
 from camtopod.learn.scoring import Scorer
@@ -61,6 +60,7 @@ from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
 from camtopod.learn.window import GONE, Window, cells_of
 from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
 from camtopod.topology.lag_bins import LagBins, offset_bins
 from camtopod.topology.versions import stamp

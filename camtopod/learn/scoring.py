@@ -20,7 +20,7 @@ from camtopod.arrays import Floats
 from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.posterior import Posterior
-from camtopod.learn.predict import Predictor, PredictorState
+from camtopod.predict.predictor import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
 
 EXITS_PER_VERSION = 100

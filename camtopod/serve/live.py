@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Sequence
 
 from camtopod import codec
-from camtopod.learn.pauses import Pause, no_pause
-from camtopod.learn.predict import Predictor
+from camtopod.cooperative import Pause, no_pause
+from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve import memory
 from camtopod.serve.bus import QueryError

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from msgspec import Raw, Struct
 
 from camtopod import codec
-from camtopod.learn.pauses import Pause, no_pause
+from camtopod.cooperative import Pause, no_pause
 from camtopod.records import Alarm, SelfScore, Topology
 
 _NOT_FOR_PREDICTION = ("links", "weak_links", "pairs", "chain", "alarms")

@@ -18,7 +18,7 @@ from typing import Any
 import msgspec
 
 from camtopod import codec
-from camtopod.learn.hand_over import seen_now
+from camtopod.predict.hand_over import seen_now
 from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction, Topology
 from camtopod.serve.bus import Bus
 from camtopod.serve.clock import Clock

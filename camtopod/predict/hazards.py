@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Singles
-from camtopod.learn.pauses import Pause, no_pause, unhurried
+from camtopod.cooperative import Pause, no_pause, unhurried
 from camtopod.records import Link, Onward, Topology
 from camtopod.topology.histograms import on_bins
 from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, LagBins, smooth

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats
-from camtopod.learn.hazards import Hazards, Outcomes
-from camtopod.learn.lag_odds import quantiles, quantiles_beside
-from camtopod.learn.pace import Paces
+from camtopod.predict.hazards import Hazards, Outcomes
+from camtopod.predict.speed import Paces
+from camtopod.predict.time_windows import quantiles, quantiles_beside
 from camtopod.records import Topology, Zone
 from camtopod.topology.shared_constants import LAG_SECONDS_MIN
 

@@ -27,14 +27,13 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.learn.hand_over import HandOver, look
-from camtopod.learn.hazards import Hazards
-from camtopod.learn.lag_odds import paced, quantiles, unknown
-from camtopod.learn.pace import Paces
-from camtopod.learn.pauses import Pause, no_pause, unhurried
-from camtopod.learn.places import Places
-from camtopod.learn.ready import AtExit, Ready, ReadyZones, Site
-from camtopod.learn.recent import (
+from camtopod.cooperative import Pause, no_pause, unhurried
+from camtopod.predict.contexts import Surroundings
+from camtopod.predict.exit_tables import AtExit, Ready, ReadyZones, Site
+from camtopod.predict.hand_over import HandOver, look
+from camtopod.predict.hazards import Hazards
+from camtopod.predict.open_passages import Passage, UnderWay
+from camtopod.predict.recent_events import (
     RECENT_MAX,
     Arrival,
     Recent,
@@ -43,8 +42,9 @@ from camtopod.learn.recent import (
     take_over_arrivals,
     take_over_exits,
 )
-from camtopod.learn.surroundings import Surroundings
-from camtopod.learn.under_way import Passage, UnderWay
+from camtopod.predict.speed import Paces
+from camtopod.predict.time_windows import paced, quantiles, unknown
+from camtopod.predict.zone_lookup import Places
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
 from camtopod.topology.grid import block_of
 from camtopod.topology.shared_constants import LEAVE_FLOOR

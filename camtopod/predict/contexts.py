@@ -5,8 +5,8 @@ from __future__ import annotations
 from array import array
 from typing import NamedTuple
 
-from camtopod.learn.hazards import Outcomes
-from camtopod.learn.pauses import Pause, no_pause, unhurried
+from camtopod.cooperative import Pause, no_pause, unhurried
+from camtopod.predict.hazards import Outcomes
 from camtopod.records import Context, Topology
 from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 

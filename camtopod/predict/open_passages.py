@@ -7,7 +7,7 @@ from collections.abc import Collection
 import msgspec
 from msgspec import Struct
 
-from camtopod.learn.recent import RECENT_MAX
+from camtopod.predict.recent_events import RECENT_MAX
 
 UNDER_WAY_MAX = RECENT_MAX
 """Passages under way that are remembered; of those that have ended as many."""

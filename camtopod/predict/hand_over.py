@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camtopod.learn.under_way import Passage, UnderWay
+from camtopod.predict.open_passages import Passage, UnderWay
 from camtopod.records import InView, Look, NextCamera, Topology
 from camtopod.topology.histograms import STEPS, on_bins
 from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
