@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from bench import _ratios
 from camtopod.arrays import Floats
-from camtopod.learn.clutter import FLOOR_CHANCE, clutter_rates, dense_cells, groups_of
-from camtopod.learn.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy
-from camtopod.learn.zones import CellSums, ZoneMap, cell_sums, find_zones, refresh_zones
+from camtopod.learn.zones.clutter import FLOOR_CHANCE, clutter_rates, dense_cells, groups_of
+from camtopod.learn.zones.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy
+from camtopod.learn.zones.zone_map import CellSums, ZoneMap, cell_sums, find_zones, refresh_zones
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 Camera = Callable[[int], tuple[Floats, int]]

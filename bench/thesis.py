@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bench._overlap_rows import overlap_rows
 from camtopod.arrays import Floats
-from camtopod.learn.daspec import authors_bandwidth, bandwidth, data_spectroscopy
-from camtopod.learn.zones import cell_sums, find_zones
+from camtopod.learn.zones.daspec import authors_bandwidth, bandwidth, data_spectroscopy
+from camtopod.learn.zones.zone_map import cell_sums, find_zones
 from tests import thesis
 
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from bench import _ratios, _zone_speed
 from camtopod.arrays import Floats
-from camtopod.learn.daspec import bandwidth, data_spectroscopy
-from camtopod.learn.zones import cell_sums, find_zones, refresh_zones
+from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
+from camtopod.learn.zones.zone_map import cell_sums, find_zones, refresh_zones
 
 FIRST_SEED = 1_000_000
 SLOW_EVENTS_MAX = 1000

@@ -36,7 +36,7 @@ def eigenfunction_labels(points, values, vectors, bandwidth, new):
 
 
 def bandwidth_of_points(points):
-    """The rule `camtopod.learn.daspec.bandwidth` over points (n, 2) in grid steps."""
+    """The rule `camtopod.learn.zones.daspec.bandwidth` over points (n, 2) in grid steps."""
     wanted = max(0.05 * len(points), 5)
     radii = []
     for x in points:
@@ -48,7 +48,7 @@ def bandwidth_of_points(points):
 
 
 def clutter_rates(count, constants):
-    """`camtopod.learn.clutter.clutter_rates` cell by cell, always all the rounds."""
+    """`camtopod.learn.zones.clutter.clutter_rates` cell by cell, always all the rounds."""
     width, denser, denser_max, alike, rounds = constants
     rows, columns = count.shape
     mean = float(np.mean(count))
@@ -71,7 +71,7 @@ def clutter_rates(count, constants):
 
 
 def dense_cells(count, rate, chance, contrast, widths):
-    """`camtopod.learn.clutter.dense_cells` cell by cell."""
+    """`camtopod.learn.zones.clutter.dense_cells` cell by cell."""
     rows, columns = count.shape
     dense = np.zeros(count.shape)
     for r in range(rows):
@@ -90,7 +90,7 @@ def dense_cells(count, rate, chance, contrast, widths):
 
 
 def valley(positions, low, high, steps):
-    """`camtopod.learn.separation.valley` over points on a line, by trying every pair of flanks and every
+    """`camtopod.learn.zones.separation.valley` over points on a line, by trying every pair of flanks and every
     valley."""
     grid = np.linspace(low, high, steps)
     best = 0.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench import _ratios, _zone_speed, zones
-from camtopod.learn.zones import cell_sums
+from camtopod.learn.zones.zone_map import cell_sums
 
 
 def test_the_cost_of_zones(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from thesis import FIGURE_4_4_ZONES, TABLE_5_1, figure_4_4
 
-from camtopod.learn.daspec import authors_bandwidth, bandwidth, data_spectroscopy
-from camtopod.learn.zones import cells_of
+from camtopod.learn.zones.daspec import authors_bandwidth, bandwidth, data_spectroscopy
+from camtopod.learn.zones.zone_map import cells_of
 
 SHAPE = (30, 24)
 

@@ -6,8 +6,8 @@ import naive
 import numpy as np
 import pytest
 
-from camtopod.learn.mixture import classify_cells, log_density
-from camtopod.learn.zones import ZoneShape, cell_of
+from camtopod.learn.zones.mixture import classify_cells, log_density
+from camtopod.learn.zones.zone_map import ZoneShape, cell_of
 
 CELL = np.diag([1 / (12 * 24**2), 1 / (12 * 30**2)])
 A = ZoneShape(1, 0.3, 0.4, ((0.0020, 0.0008), (0.0008, 0.0030)), 0.8)

@@ -10,7 +10,7 @@ from camtopod.learn.passages import visible_transitions
 from camtopod.learn.scene import Scene, number_zones, see
 from camtopod.learn.slowness import WAY_PASSAGES_MIN
 from camtopod.learn.window import Window
-from camtopod.learn.zones import ZoneMap, cell_of, find_zones
+from camtopod.learn.zones.zone_map import ZoneMap, cell_of, find_zones
 from camtopod.records import Event
 from camtopod.topology.lag_bins import LagBins
 

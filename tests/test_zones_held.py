@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.learn.zones import ZoneMap, cell_of, cell_sums, find_zones, refresh_zones
+from camtopod.learn.zones.zone_map import ZoneMap, cell_of, cell_sums, find_zones, refresh_zones
 
 DOORS = [(0.05, 0.5), (0.5, 0.95), (0.9, 0.3), (0.4, 0.1)]
 WINDOW = 1500

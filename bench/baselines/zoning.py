@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.learn.daspec import bandwidth, data_spectroscopy
+from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 POINTS_MAX = 1500

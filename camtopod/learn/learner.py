@@ -59,7 +59,7 @@ from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
 from camtopod.learn.window import GONE, Window, cells_of
-from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
+from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
 from camtopod.topology.lag_bins import LagBins, offset_bins

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.learn.daspec import kernel_1d
+from camtopod.learn.zones.daspec import kernel_1d
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 FALSE_ALARM = 1e-9

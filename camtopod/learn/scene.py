@@ -13,7 +13,7 @@ from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import slowness
 from camtopod.learn.window import Window, cells_of
-from camtopod.learn.zones import ZoneMap, ZoneShape
+from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape
 from camtopod.topology.grid import blocks_of
 
 NO_ZONE = -1

@@ -24,7 +24,7 @@ from camtopod.learn.scoring import ScorerState
 from camtopod.learn.screening import Followed
 from camtopod.learn.settings import Settings
 from camtopod.learn.window import WindowState
-from camtopod.learn.zones import ZoneMap, ZoneShape
+from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape
 from camtopod.records import Topology
 
 FORMAT = 1

@@ -17,8 +17,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.arrays import rows_of
-from camtopod.learn.grid_sums import GridSums
-from camtopod.learn.zones import CellSums
+from camtopod.learn.zones.cell_sums import GridSums
+from camtopod.learn.zones.zone_map import CellSums
 from camtopod.records import Event
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 

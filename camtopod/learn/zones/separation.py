@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from camtopod.arrays import Floats
-from camtopod.learn.evidence import covariance
+from camtopod.learn.zones.marginal_likelihood import covariance
 
 _Parts = Sequence[Any] | Floats
 

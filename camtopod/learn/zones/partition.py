@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from camtopod.arrays import Floats
-from camtopod.learn.clutter import CONTRAST_MIN, FLOOR_CHANCE, FOUND_CHANCE, dense_cells, groups_of
-from camtopod.learn.evidence import covariance, gaussians, log_zone, log_zones, moments
-from camtopod.learn.separation import discriminant, far, sd_along, valley
+from camtopod.learn.zones.clutter import CONTRAST_MIN, FLOOR_CHANCE, FOUND_CHANCE, dense_cells, groups_of
+from camtopod.learn.zones.marginal_likelihood import covariance, gaussians, log_zone, log_zones, moments
+from camtopod.learn.zones.separation import discriminant, far, sd_along, valley
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 Labels = NDArray[np.intp]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import gammainc
 
 from camtopod.arrays import Floats
-from camtopod.learn.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy, kernel_1d
+from camtopod.learn.zones.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy, kernel_1d
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
 
 Labels = NDArray[np.intp]
