@@ -10,8 +10,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from camtopod.learn import intake as module
-from camtopod.learn.intake import BEHIND_EVENTS, MICROSECONDS, Intake, IntakeState, Sequence, microseconds
+from camtopod.learn.window.reorder_buffer import (
+    BEHIND_EVENTS,
+    MICROSECONDS,
+    Intake,
+    IntakeState,
+    Sequence,
+    microseconds,
+)
+from camtopod.learn.window.sliding_window import reorder_buffer as module
 from camtopod.records import Event
 from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings

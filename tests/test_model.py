@@ -11,7 +11,7 @@ from camtopod.learn.change import Change
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX, model_of
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.scene import Passages, Scene, ZoneRef
-from camtopod.learn.window import Window
+from camtopod.learn.window.sliding_window import Window
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.predictor import Predictor
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Event, Model, Topology, Zone

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.learn.intake import microseconds
 from camtopod.learn.passages import visible_transitions
 from camtopod.learn.scene import Scene, number_zones, see
 from camtopod.learn.slowness import WAY_PASSAGES_MIN
-from camtopod.learn.window import Window
+from camtopod.learn.window.reorder_buffer import microseconds
+from camtopod.learn.window.sliding_window import Window
 from camtopod.learn.zones.zone_map import ZoneMap, cell_of, find_zones
 from camtopod.records import Event
 from camtopod.topology.lag_bins import LagBins

@@ -9,7 +9,7 @@ import pytest
 from camtopod.learn.learner import Learner
 from camtopod.learn.moved import find_move
 from camtopod.learn.settings import Settings
-from camtopod.learn.window import Window
+from camtopod.learn.window.sliding_window import Window
 from camtopod.learn.zones.zone_map import cell_sums, cells_of, find_zones
 from camtopod.records import Event
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE

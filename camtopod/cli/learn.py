@@ -19,8 +19,8 @@ from camtopod.cli.lines import LineReader
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
 from camtopod.config import Config
-from camtopod.learn.intake import EVENTS_PER_SECOND_MAX
 from camtopod.learn.learner import STEPS, Learner
+from camtopod.learn.window.reorder_buffer import EVENTS_PER_SECOND_MAX
 from camtopod.records import Topology
 from camtopod.serve.clock import wall
 from camtopod.serve.database import StateError

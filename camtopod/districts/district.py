@@ -23,11 +23,11 @@ from msgspec import Struct
 from camtopod.districts.dealing import Dealing
 from camtopod.districts.nearby import find_nearby, with_cameras
 from camtopod.districts.parts import Part, part_of
-from camtopod.learn.intake import MICROSECONDS, microseconds
 from camtopod.learn.learner import Learner
 from camtopod.learn.scene import Scene
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState
+from camtopod.learn.window.reorder_buffer import MICROSECONDS, microseconds
 from camtopod.records import Event, Topology
 
 NEIGHBOUR_TRANSITIONS_MIN = 2.0

@@ -16,9 +16,9 @@ from camtopod.districts.dealing import Dealing, Sharding, districts_of
 from camtopod.districts.district import District, DistrictState, Hearing
 from camtopod.districts.line import Line, LineState
 from camtopod.districts.parts import Part
-from camtopod.learn.intake import MICROSECONDS, EventTimeState
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import BYTES_MAX, LearnerState, NewerSnapshot, SnapshotError, pack, unpack
+from camtopod.learn.window.reorder_buffer import MICROSECONDS, EventTimeState
 from camtopod.records import Event, Topology
 
 FORMAT = 1

@@ -12,7 +12,7 @@ from camtopod.learn.lacking import Lacking
 from camtopod.learn.links import LinkTable
 from camtopod.learn.scene import Scene, ZoneRef
 from camtopod.learn.settings import Settings
-from camtopod.learn.window import Window
+from camtopod.learn.window.sliding_window import Window
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,

@@ -26,7 +26,6 @@ from camtopod.learn.change import Change, find_changes, present
 from camtopod.learn.clocks import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.events import Arrivals, Departures
-from camtopod.learn.intake import MICROSECONDS, EventTimeState, Intake, microseconds
 from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lacking import lacking
 from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
@@ -58,7 +57,8 @@ from camtopod.learn.screening import Screen, place, whole
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
-from camtopod.learn.window import GONE, Window, cells_of
+from camtopod.learn.window.reorder_buffer import MICROSECONDS, EventTimeState, Intake, microseconds
+from camtopod.learn.window.sliding_window import GONE, Window, cells_of
 from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape, find_zones, refresh_zones
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology

@@ -11,12 +11,12 @@ from camtopod.arrays import Floats, rows_of
 from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.change import Change
 from camtopod.learn.contexts import LEVELS
-from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.overlapping import Overlapping
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.scene import Scene
 from camtopod.learn.slowness import Persistence, usual_stays
-from camtopod.learn.window import Window
+from camtopod.learn.window.reorder_buffer import MICROSECONDS
+from camtopod.learn.window.sliding_window import Window
 from camtopod.records import CameraModel, Context, EntryKernel, Model, Onward, Outcome, Overlap, Pace, Way, ZoneModel
 from camtopod.topology.histograms import in_steps, short
 from camtopod.topology.lag_bins import LagBins, offset_bins

@@ -8,10 +8,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.learn.alarms import AlarmState
-from camtopod.learn.intake import EventTime, EventTimeState, IntakeState, microseconds
 from camtopod.learn.scoring import ScorerState
 from camtopod.learn.snapshot import LearnerState
-from camtopod.learn.window import WindowState
+from camtopod.learn.window.reorder_buffer import EventTime, EventTimeState, IntakeState, microseconds
+from camtopod.learn.window.sliding_window import WindowState
 
 
 def rewound(state: LearnerState, to: float) -> LearnerState:

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints
 from camtopod.learn.events import Arrivals, Departures
-from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.rates import local_rates
 from camtopod.learn.slowness import slowness
-from camtopod.learn.window import Window, cells_of
+from camtopod.learn.window.reorder_buffer import MICROSECONDS
+from camtopod.learn.window.sliding_window import Window, cells_of
 from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape
 from camtopod.topology.grid import blocks_of
 

@@ -18,8 +18,8 @@ from msgspec import Struct
 
 from camtopod.arrays import Floats
 from camtopod.learn.events import Arrivals, Departures
-from camtopod.learn.intake import MICROSECONDS
 from camtopod.learn.posterior import Posterior
+from camtopod.learn.window.reorder_buffer import MICROSECONDS
 from camtopod.predict.predictor import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
 

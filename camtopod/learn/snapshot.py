@@ -17,13 +17,13 @@ from msgspec import Struct
 
 from camtopod.learn.alarms import AlarmState
 from camtopod.learn.clocks import ClockState
-from camtopod.learn.intake import IntakeState
 from camtopod.learn.moved import Move
 from camtopod.learn.publishers import Publisher
 from camtopod.learn.scoring import ScorerState
 from camtopod.learn.screening import Followed
 from camtopod.learn.settings import Settings
-from camtopod.learn.window import WindowState
+from camtopod.learn.window.reorder_buffer import IntakeState
+from camtopod.learn.window.sliding_window import WindowState
 from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape
 from camtopod.records import Topology
 

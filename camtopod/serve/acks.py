@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from msgspec import Struct
 from msgspec.structs import asdict
 
-from camtopod.learn.intake import EventTime, microseconds
+from camtopod.learn.window.reorder_buffer import EventTime, microseconds
 from camtopod.records import Ack
 from camtopod.serve.bus import Bus
 from camtopod.serve.cameras import Received

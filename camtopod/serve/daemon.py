@@ -24,7 +24,7 @@ import msgspec
 
 from camtopod import codec
 from camtopod.config import Config
-from camtopod.learn.intake import EventTime, microseconds
+from camtopod.learn.window.reorder_buffer import EventTime, microseconds
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
 from camtopod.serve import clock as clocks

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 from camtopod import codec
 from camtopod.config import Limits
-from camtopod.learn.intake import MICROSECONDS
-from camtopod.learn.intake import EventTime as LearnedTime
+from camtopod.learn.window.reorder_buffer import MICROSECONDS
+from camtopod.learn.window.reorder_buffer import EventTime as LearnedTime
 from camtopod.records import CAMERA_CHARACTERS_MAX, Event
 from camtopod.serve.acks import Acks
 from camtopod.serve.bus import Bus, Ear, Heard

@@ -10,7 +10,7 @@ from msgspec import Struct
 from camtopod.districts.dealing import Dealing, Sharding, districts_of
 from camtopod.districts.parts import Part
 from camtopod.keys.rules import STATUS
-from camtopod.learn.intake import microseconds
+from camtopod.learn.window.reorder_buffer import microseconds
 from camtopod.serve.learner_messages import Portion
 
 SOON_SECONDS = 60.0
