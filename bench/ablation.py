@@ -37,7 +37,7 @@ from bench._jobs import done
 from bench._measure import measure as measure_regime
 from bench._real_figures import calibration_error
 from bench.regimes import REGIMES
-from camtopod.learn.slowness import NO_PERSISTENCE
+from camtopod.learn.traffic.speed import NO_PERSISTENCE
 
 REAL = "real"
 DEFAULT_REGIMES = "hall,crowd,walkway,road,short,dense,platoons,faulty"

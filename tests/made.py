@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.learn.candidates import Candidates
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.learner import Learner
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
-from camtopod.learn.rates import local_rates
+from camtopod.learn.traffic.background_rate import local_rates
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Event, Link, Topology, Zone
 from camtopod.sim.truth import Truth
 from camtopod.topology.lag_bins import LagBins

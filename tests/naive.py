@@ -173,7 +173,7 @@ def lag_bin(lag, lag_min, lag_max, scale, step):
 
 
 def local_rates(t, zone, half_window, prior):
-    """`camtopod.learn.rates.local_rates`, each arrival by looking at all others."""
+    """`camtopod.learn.traffic.background_rate.local_rates`, each arrival by looking at all others."""
     rates = []
     for i in range(len(t)):
         same = [j for j in range(len(t)) if zone[j] == zone[i]]
@@ -185,7 +185,7 @@ def local_rates(t, zone, half_window, prior):
 
 
 def chance_rates(left_t, left_zone, came_t, came_zone, zones, width):
-    """`camtopod.learn.rates.chance_rates`: the mean, over the departures of u, of the rate of arrivals at v
+    """`camtopod.learn.traffic.background_rate.chance_rates`: the mean, over the departures of u, of the rate of arrivals at v
     in the three bins of time around each."""
     first = min(min(left_t), min(came_t))
     last_bin = int((max(max(left_t), max(came_t)) - first) // width)

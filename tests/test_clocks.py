@@ -20,10 +20,10 @@ from camtopod.learn.clocks import (
     solve,
 )
 from camtopod.learn.coarse import LAGS, chance, correlograms, standing_out
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.learner import Learner
-from camtopod.learn.scene import Passages, Scene, ZoneRef
 from camtopod.learn.settings import Settings
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef
 from camtopod.learn.twoway import best_shift, two_ways
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology

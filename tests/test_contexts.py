@@ -12,7 +12,7 @@ from made import Views
 from camtopod.learn import contexts as module
 from camtopod.learn.candidates import Candidates, find_candidates
 from camtopod.learn.contexts import LEVELS, Contexts, Level, multipliers
-from camtopod.learn.events import Arrivals, Departures
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
 SHORT = LagBins(-3.0, 8.0)

@@ -8,9 +8,9 @@ import pytest
 from camtopod.learn import crossfit
 from camtopod.learn.candidates import find_candidates
 from camtopod.learn.crossfit import BETS, PARTS, Parts, cross_evidence
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import fit_jointly
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-60.0, 90.0)

@@ -13,11 +13,11 @@ from camtopod.learn import candidates as candidates_module
 from camtopod.learn import joint
 from camtopod.learn.candidates import Candidates, excess, find_candidates, newest
 from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import Fit, JointFitter, fit_jointly
-from camtopod.learn.rates import local_rates
-from camtopod.learn.slowness import (
+from camtopod.learn.traffic.background_rate import local_rates
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.speed import (
     NO_PERSISTENCE,
     SURE_TRANSITIONS_MIN,
     WAY_PASSAGES_MIN,

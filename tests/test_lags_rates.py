@@ -8,8 +8,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from camtopod.learn import rates as module
-from camtopod.learn.rates import CHANCE_BIN_SECONDS, RATE_HALF_WINDOW_SECONDS, RATE_PRIOR_EVENTS, Chance, local_rates
+from camtopod.learn.traffic import background_rate as module
+from camtopod.learn.traffic.background_rate import (
+    CHANCE_BIN_SECONDS,
+    RATE_HALF_WINDOW_SECONDS,
+    RATE_PRIOR_EVENTS,
+    Chance,
+    local_rates,
+)
 from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, LagBins, smoother
 
 BINS = LagBins(-20.0, 120.0)

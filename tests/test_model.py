@@ -10,7 +10,7 @@ from camtopod.learn.candidates import find_candidates
 from camtopod.learn.change import Change
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX, model_of
 from camtopod.learn.posterior import Posterior
-from camtopod.learn.scene import Passages, Scene, ZoneRef
+from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef
 from camtopod.learn.window.sliding_window import Window
 from camtopod.predict.hazards import Hazards
 from camtopod.predict.predictor import Predictor

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.slowness import usual_stays
+from camtopod.learn.traffic.speed import usual_stays
 from camtopod.predict.predictor import Predictor
 from camtopod.predict.speed import Paces
 from camtopod.records import Camera, Model, Pace, Topology, Way, Zone

@@ -12,7 +12,7 @@ from camtopod.arrays import ROWS_AT_ONCE, rows_together
 from camtopod.learn import candidates as module
 from camtopod.learn.candidates import find_candidates, together
 from camtopod.learn.joint import JointFitter
-from camtopod.learn.slowness import Persistence
+from camtopod.learn.traffic.speed import Persistence
 from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-20.0, 60.0)

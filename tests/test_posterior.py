@@ -11,9 +11,9 @@ from made import LINKED, Views, fit_posterior
 
 from camtopod.learn import posterior as module
 from camtopod.learn.candidates import Candidates, find_candidates
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import fit_jointly
 from camtopod.learn.posterior import Posterior, PosteriorFitter
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-120.0, 120.0)

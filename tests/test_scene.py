@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from camtopod.learn.passages import visible_transitions
-from camtopod.learn.scene import Scene, number_zones, see
-from camtopod.learn.slowness import WAY_PASSAGES_MIN
+from camtopod.learn.traffic.labelled_events import Scene, number_zones, see
+from camtopod.learn.traffic.speed import WAY_PASSAGES_MIN
 from camtopod.learn.window.reorder_buffer import microseconds
 from camtopod.learn.window.sliding_window import Window
 from camtopod.learn.zones.zone_map import ZoneMap, cell_of, find_zones

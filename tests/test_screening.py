@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from camtopod.learn import screening as module
 from camtopod.learn.candidates import EXCESS_SMOOTHING_SD_BINS, Candidates, excess, find_candidates, possible
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import START_FLOOR
 from camtopod.learn.learner import Learner
-from camtopod.learn.rates import local_rates
 from camtopod.learn.screening import Screen, _joined, _likely, place, standing_out, whole
 from camtopod.learn.settings import Settings
+from camtopod.learn.traffic.background_rate import local_rates
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import Score, score
 from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins

@@ -14,9 +14,9 @@ from bench.regimes import REGIMES
 from camtopod.learn import posterior, skipping
 from camtopod.learn import skipped as module
 from camtopod.learn.candidates import Candidates, find_candidates, number_pairs
-from camtopod.learn.events import Departures
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.skipped import Legs, Through, legs_of, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.traffic.events import Departures
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
 

@@ -24,9 +24,9 @@ from camtopod.districts.dealing import Dealing
 from camtopod.districts.nearby import find_nearby, with_cameras
 from camtopod.districts.parts import Part, part_of
 from camtopod.learn.learner import Learner
-from camtopod.learn.scene import Scene
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState
+from camtopod.learn.traffic.labelled_events import Scene
 from camtopod.learn.window.reorder_buffer import MICROSECONDS, microseconds
 from camtopod.records import Event, Topology
 

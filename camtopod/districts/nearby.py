@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Bools
-from camtopod.learn.scene import Scene
 from camtopod.learn.screening import ends_of, followed_above_chance
+from camtopod.learn.traffic.labelled_events import Scene
 from camtopod.topology.lag_bins import LagBins
 
 STANDS_OUT_SD = 3.0

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from camtopod.learn.clocks import Clocks
 from camtopod.learn.lacking import Lacking
 from camtopod.learn.links import LinkTable
-from camtopod.learn.scene import Scene, ZoneRef
 from camtopod.learn.settings import Settings
+from camtopod.learn.traffic.labelled_events import Scene, ZoneRef
 from camtopod.learn.window.sliding_window import Window
 from camtopod.records import (
     TOPOLOGY_SCHEMA,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
-from camtopod.learn.events import Arrivals, Departures
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins, smoother
 
 PAIR_TABLE_MAX = 20_000_000

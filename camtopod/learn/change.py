@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from camtopod.arrays import Floats, Longs, rows_of
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import Fit
 from camtopod.learn.links import LinkTable
 from camtopod.learn.significance import log_likelihood_ratio
+from camtopod.learn.traffic.events import Arrivals, Departures
 
 FALSE_ALARM = 5e-3
 """Probability by theory that chance makes a change anywhere in one window; what is doubtful varies less than theory has

@@ -20,8 +20,8 @@ from scipy.sparse import coo_array
 
 from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.coarse import ROWS_AT_ONCE, correlograms, highest, side_by_side
-from camtopod.learn.events import Arrivals, Departures
-from camtopod.learn.scene import Scene
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.labelled_events import Scene
 from camtopod.learn.twoway import two_ways
 
 BIN_SECONDS = 1.0

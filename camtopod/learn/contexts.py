@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.candidates import Candidates, together
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.limits import context_cells_max
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry", "block", "entry+block", "previous")

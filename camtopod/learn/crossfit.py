@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
 from camtopod.learn.candidates import Candidates
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import Fit, JointFitter, adjust
-from camtopod.learn.rates import Chance
+from camtopod.learn.traffic.background_rate import Chance
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
 PARTS = 8

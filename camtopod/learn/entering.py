@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, rows_together
 from camtopod.learn.candidates import Candidates, first_hazards
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import START_FLOOR
 from camtopod.learn.limits import entry_pairs_max
 from camtopod.learn.passages import in_view
-from camtopod.learn.rates import Chance
+from camtopod.learn.traffic.background_rate import Chance
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins, smooth
 
 

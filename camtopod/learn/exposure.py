@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Floats, rows_of
-from camtopod.learn.events import Departures
+from camtopod.learn.traffic.events import Departures
 from camtopod.topology.lag_bins import LagBins
 
 

@@ -25,10 +25,10 @@ import numpy as np
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
 from camtopod.learn.candidates import Candidates, first_hazards, runs_of, together
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
-from camtopod.learn.rates import Chance
-from camtopod.learn.slowness import (
+from camtopod.learn.traffic.background_rate import Chance
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.speed import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
     Persistence,

@@ -25,7 +25,6 @@ from camtopod.learn.assemble import assemble, link_records, zone_id
 from camtopod.learn.change import Change, find_changes, present
 from camtopod.learn.clocks import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lacking import lacking
 from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
@@ -51,12 +50,13 @@ from camtopod.learn.overlapping import Overlapping, find_overlapping, table_of, 
 from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.publishers import RETURNS_MIN, Publisher
-from camtopod.learn.scene import Scene, see
 from camtopod.learn.scoring import Scorer
 from camtopod.learn.screening import Screen, place, whole
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.labelled_events import Scene, see
 from camtopod.learn.window.reorder_buffer import MICROSECONDS, EventTimeState, Intake, microseconds
 from camtopod.learn.window.sliding_window import GONE, Window, cells_of
 from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape, find_zones, refresh_zones

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints, rows_together
 from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import Fit
 from camtopod.learn.settings import Settings
 from camtopod.learn.significance import log_likelihood_ratio, q_values
-from camtopod.learn.slowness import combined
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.speed import combined
 from camtopod.learn.transit import MEDIAN_ERROR, TransitFigures, transit_figures
 from camtopod.topology.lag_bins import LagBins, smooth
 

@@ -21,10 +21,10 @@ from camtopod.arrays import Bools, Floats, Ints, rows_of
 from camtopod.learn.candidates import Candidates
 from camtopod.learn.change import Change
 from camtopod.learn.coarse import LAGS, ROWS_AT_ONCE, Counts, chance, correlograms, side_by_side
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.links import LinkTable
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.screening import Screen
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
 BIN_SECONDS = 1.0

@@ -13,8 +13,8 @@ from camtopod.learn.change import Change
 from camtopod.learn.contexts import LEVELS
 from camtopod.learn.overlapping import Overlapping
 from camtopod.learn.posterior import Posterior
-from camtopod.learn.scene import Scene
-from camtopod.learn.slowness import Persistence, usual_stays
+from camtopod.learn.traffic.labelled_events import Scene
+from camtopod.learn.traffic.speed import Persistence, usual_stays
 from camtopod.learn.window.reorder_buffer import MICROSECONDS
 from camtopod.learn.window.sliding_window import Window
 from camtopod.records import CameraModel, Context, EntryKernel, Model, Onward, Outcome, Overlap, Pace, Way, ZoneModel

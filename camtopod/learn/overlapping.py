@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Rows
-from camtopod.learn.scene import Scene
+from camtopod.learn.traffic.labelled_events import Scene
 from camtopod.topology.lag_bins import LagBins, smooth, smoother
 
 SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)

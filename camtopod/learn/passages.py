@@ -12,12 +12,12 @@ import numpy as np
 
 from camtopod.arrays import Floats, Longs, rows_of
 from camtopod.learn.candidates import find_candidates, in_reach, newest
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import fit_jointly
 from camtopod.learn.limits import fair_share
 from camtopod.learn.links import TRANSITIONS_MIN, LinkTable, Transitions, join, transitions_of
-from camtopod.learn.rates import local_rates
-from camtopod.learn.scene import Scene
+from camtopod.learn.traffic.background_rate import local_rates
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.labelled_events import Scene
 from camtopod.topology.lag_bins import LagBins
 
 

@@ -27,7 +27,6 @@ from camtopod.learn.candidates import Candidates
 from camtopod.learn.contexts import Contexts, Counted, Level, multipliers
 from camtopod.learn.doubt import doubts
 from camtopod.learn.entering import Entering
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.joint import NOTHING, Fit, JointFitter, Tables, within
 from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.prior import Prior
@@ -35,6 +34,7 @@ from camtopod.learn.sampling import Sources, with_faint
 from camtopod.learn.screening import not_overlapping
 from camtopod.learn.skipped import Legs, legs_of, skip_hazards, skipped_beside, ways_through
 from camtopod.learn.skipping import Skipping
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.shared_constants import LEAVE_FLOOR
 

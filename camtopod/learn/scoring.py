@@ -17,8 +17,8 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import Floats
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.posterior import Posterior
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.window.reorder_buffer import MICROSECONDS
 from camtopod.predict.predictor import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology

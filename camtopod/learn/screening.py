@@ -32,7 +32,6 @@ from camtopod.learn.candidates import (
     number_pairs,
     possible,
 )
-from camtopod.learn.events import Arrivals, Departures
 from camtopod.learn.exposure import exposures
 from camtopod.learn.joint import START_FLOOR
 from camtopod.learn.limits import (
@@ -44,7 +43,8 @@ from camtopod.learn.limits import (
     clearest,
     zone_pairs_max,
 )
-from camtopod.learn.rates import Chance
+from camtopod.learn.traffic.background_rate import Chance
+from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins, smooth, smoother
 
 Part = tuple[Ints, Ints, Singles, Singles]

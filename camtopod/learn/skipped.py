@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Longs
 from camtopod.learn.candidates import Candidates
-from camtopod.learn.events import Departures
 from camtopod.learn.missed import joined
+from camtopod.learn.traffic.events import Departures
 from camtopod.topology.lag_bins import LagBins, smoother
 from camtopod.topology.shared_constants import UNKNOWN_STAY_SECONDS
 

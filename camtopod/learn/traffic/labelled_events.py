@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints
-from camtopod.learn.events import Arrivals, Departures
-from camtopod.learn.rates import local_rates
-from camtopod.learn.slowness import slowness
+from camtopod.learn.traffic.background_rate import local_rates
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.traffic.speed import slowness
 from camtopod.learn.window.reorder_buffer import MICROSECONDS
 from camtopod.learn.window.sliding_window import Window, cells_of
 from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape
