@@ -7,24 +7,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camtopod.learn import clocks, coarse
-from camtopod.learn.clocks import (
+from camtopod.learn.clocks.correlogram import LAGS, chance, correlograms, standing_out
+from camtopod.learn.clocks.offsets import (
     REFRESH_SHARE,
     SPAN_MIN_SECONDS,
     ClockKeeper,
     Clocks,
     Difference,
+    correlogram,
     estimate_clocks,
     held,
+    offsets,
     right_clocks,
     solve,
 )
-from camtopod.learn.coarse import LAGS, chance, correlograms, standing_out
+from camtopod.learn.clocks.two_way_paths import best_shift, two_ways
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef
-from camtopod.learn.twoway import best_shift, two_ways
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
 
@@ -65,42 +66,42 @@ def test_lags_are_counted_one_by_one(bin_seconds: float) -> None:
 def test_all_ways_of_counting_give_the_same(seed: int, at_once: int) -> None:
     by_difference = counted(seed, 3, 1.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(coarse, "DIFFERENCES_AT_ONCE", at_once)
+        patch.setattr(correlogram, "DIFFERENCES_AT_ONCE", at_once)
         assert (counted(seed, 3, 1.0) == by_difference).all()
-        patch.setattr(coarse, "DIFFERENCES_MAX", 0)
+        patch.setattr(correlogram, "DIFFERENCES_MAX", 0)
         assert (counted(seed, 3, 1.0) == by_difference).all()
-        patch.setattr(coarse, "SPECTRA_KEPT", 1)  # two of the three labels
+        patch.setattr(correlogram, "SPECTRA_KEPT", 1)  # two of the three labels
         assert (counted(seed, 3, 1.0) == by_difference).all()
     assert by_difference.sum() > 0
 
 
 def test_no_more_transforms_are_kept_than_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(coarse, "DIFFERENCES_MAX", 0)
-    monkeypatch.setattr(coarse, "SPECTRA_KEPT", 40)
+    monkeypatch.setattr(correlogram, "DIFFERENCES_MAX", 0)
+    monkeypatch.setattr(correlogram, "SPECTRA_KEPT", 40)
     labels = np.arange(30, dtype=np.int32)
     left, came = some_events(7, 900, 30, 9000.0), some_events(8, 900, 30, 9000.0)
     seen = correlograms(left, came, 30, 1.0)
-    assert isinstance(seen, coarse.ByTransform)
+    assert isinstance(seen, correlogram.ByTransform)
     a, b = (ends.ravel() for ends in np.meshgrid(labels, labels))
-    for k in coarse.side_by_side(a, b, seen.at_once):
+    for k in correlogram.side_by_side(a, b, seen.at_once):
         seen.of(a[k : k + 1], b[k : k + 1])
         assert sum(len(blocks) for blocks in seen._spectra.values()) <= 40
 
 
 def test_pairs_side_by_side_are_all_pairs_and_few_labels_for_long() -> None:
     a, b = (ends.ravel() for ends in np.meshgrid(np.arange(20), np.arange(20)))
-    order = coarse.side_by_side(a, b, 8)
+    order = correlogram.side_by_side(a, b, 8)
     assert sorted(order.tolist()) == list(range(400))
     for k in range(0, 400, 16):
         assert len({*a[order[k : k + 16]].tolist(), *b[order[k : k + 16]].tolist()}) <= 8
 
 
 def test_beyond_the_limit_the_newest_time_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    t = np.arange(0.0, 10 * coarse.BLOCK, 50.0)
+    t = np.arange(0.0, 10 * correlogram.BLOCK, 50.0)
     zone = np.zeros(len(t), np.int32)
-    monkeypatch.setattr(coarse, "SPECTRA_MAX", 2)
+    monkeypatch.setattr(correlogram, "SPECTRA_MAX", 2)
     found = correlograms((t, zone), (t, zone), 1, 1.0).of(np.zeros(1, np.int32), np.zeros(1, np.int32))
-    assert found[0, LAGS] == np.sum(t >= t[-1] - 2 * coarse.BLOCK)
+    assert found[0, LAGS] == np.sum(t >= t[-1] - 2 * correlogram.BLOCK)
 
 
 def test_what_stands_out_is_the_peak_and_not_the_rhythm() -> None:
@@ -115,14 +116,14 @@ def test_what_stands_out_is_the_peak_and_not_the_rhythm() -> None:
 def test_the_quick_look_finds_the_row_with_a_peak() -> None:
     rows = np.concatenate([lag_counts(seed) for seed in range(300)])
     rows[277] = lag_counts(1, (50.0, 2.0, 40))
-    assert int(np.argmax(coarse.highest(rows))) == 277
-    assert len(coarse.highest(rows[:0])) == 0
+    assert int(np.argmax(correlogram.highest(rows))) == 277
+    assert len(correlogram.highest(rows[:0])) == 0
 
 
 def test_of_a_large_network_the_promising_pairs_of_cameras_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     walks = ring([0.0, 0.0, -25.0, 0.0, 0.0, 0.0, 8.0, 0.0])
     everything = walks.clocks()
-    monkeypatch.setattr(clocks, "ZONE_PAIRS_MAX", 8 * 8 + 7)  # of 28 pairs of cameras, a good quarter
+    monkeypatch.setattr(offsets, "ZONE_PAIRS_MAX", 8 * 8 + 7)  # of 28 pairs of cameras, a good quarter
     assert walks.clocks().offset == pytest.approx(everything.offset, abs=0.1)
 
 

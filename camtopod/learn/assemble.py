@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.learn.clocks import Clocks
+from camtopod.learn.clocks.offsets import Clocks
 from camtopod.learn.lacking import Lacking
 from camtopod.learn.links import LinkTable
 from camtopod.learn.settings import Settings

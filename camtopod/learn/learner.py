@@ -23,7 +23,7 @@ from msgspec.structs import replace
 from camtopod.learn.alarms import AlarmLog
 from camtopod.learn.assemble import assemble, link_records, zone_id
 from camtopod.learn.change import Change, find_changes, present
-from camtopod.learn.clocks import ClockKeeper
+from camtopod.learn.clocks.offsets import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
 from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lacking import lacking

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.learn.alarms import AlarmState
-from camtopod.learn.clocks import ClockState
+from camtopod.learn.clocks.offsets import ClockState
 from camtopod.learn.moved import Move
 from camtopod.learn.publishers import Publisher
 from camtopod.learn.scoring import ScorerState

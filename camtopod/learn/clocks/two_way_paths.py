@@ -14,7 +14,7 @@ import scipy.fft
 from scipy.ndimage import gaussian_filter1d
 
 from camtopod.arrays import Floats
-from camtopod.learn.coarse import LAGS, Counts, chance, standing_out
+from camtopod.learn.clocks.correlogram import LAGS, Counts, chance, standing_out
 
 SHIFT_SMOOTHING_BINS = 3.0
 TRANSFORM = 4 * 1024
