@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.candidates import Candidates
+from camtopod.learn.association.candidates import Candidates
 from camtopod.learn.learner import Learner
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.traffic.background_rate import local_rates

@@ -227,7 +227,7 @@ def coexisting(camera, entered, left, shift):
 
 
 def exposures(departures, bins, zones, until):
-    """`camtopod.learn.joint.exposures` by looking at every departure and bin."""
+    """`camtopod.learn.association.joint_fit.exposures` by looking at every departure and bin."""
     exposed = np.zeros((zones, bins.size))
     for t, zone, since in zip(departures.t, departures.zone, departures.since, strict=True):
         for k in range(bins.size):
@@ -455,7 +455,7 @@ def standing_out(departures, arrivals, zone, bins, exposure, chance, seen_min, w
 
 
 def likely(departures, arrivals, zone, sources, bins, exposure, chance, first, smoothing, constants):
-    """`camtopod.learn.screening._likely`: (departure, arrival) -> probability. ``first``: `excess` of a histogram."""
+    """`camtopod.learn.association.screening._likely`: (departure, arrival) -> probability. ``first``: `excess` of a histogram."""
     rounds, outside_first, start_floor, least = constants
     pairs = [
         (d, a) for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max)

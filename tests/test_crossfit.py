@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from camtopod.learn import crossfit
-from camtopod.learn.candidates import find_candidates
+from camtopod.learn.association.candidates import find_candidates
+from camtopod.learn.association.exposure import exposures
+from camtopod.learn.association.joint_fit import fit_jointly
 from camtopod.learn.crossfit import BETS, PARTS, Parts, cross_evidence
-from camtopod.learn.exposure import exposures
-from camtopod.learn.joint import fit_jointly
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 

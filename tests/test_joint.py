@@ -9,12 +9,12 @@ import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camtopod.learn import candidates as candidates_module
-from camtopod.learn import joint
-from camtopod.learn.candidates import Candidates, excess, find_candidates, newest
+from camtopod.learn.association import candidates as candidates_module
+from camtopod.learn.association import joint_fit
+from camtopod.learn.association.candidates import Candidates, excess, find_candidates, newest
+from camtopod.learn.association.exposure import exposures
+from camtopod.learn.association.joint_fit import Fit, JointFitter, fit_jointly
 from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.exposure import exposures
-from camtopod.learn.joint import Fit, JointFitter, fit_jointly
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.speed import (
@@ -156,13 +156,13 @@ def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: 
     hazard = np.random.default_rng(seed).random((fitter.pairs, SHORT.size)) * 0.05
     named = list(zip(found.source.tolist(), found.target.tolist(), strict=True))
     with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(joint, "ITERATIONS", iterations)
-        limits.setattr(joint, "SETTLING_ITERATIONS", iterations)
+        limits.setattr(joint_fit, "ITERATIONS", iterations)
+        limits.setattr(joint_fit, "SETTLING_ITERATIONS", iterations)
         fit = fitter.run(hazard.astype(np.float32))
     responsibility, counts, fresh, outside = naive.joint_fit(
         departures, arrivals, listed(found), dict(zip(named, hazard, strict=True)), SHORT,
         naive.exposures(departures, SHORT, 3, 60.0), 3, 0.5, sparsity, iterations,
-        (joint.LEAVE_FLOOR, joint.OUTSIDE_FLOOR, SMOOTHING_SD_BINS),
+        (joint_fit.LEAVE_FLOOR, joint_fit.OUTSIDE_FLOOR, SMOOTHING_SD_BINS),
     )  # fmt: skip
     assert fitter.responsibility == pytest.approx(np.array(responsibility), rel=SINGLE, abs=SINGLE)
     assert fit.counts == pytest.approx(np.array([counts[z] for z in named]), rel=SINGLE, abs=SINGLE)
@@ -179,7 +179,7 @@ def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: 
     even = (fit.hazard * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
     cells = SHORT.index(found.lag)
     assert fitter.flatness(fit.hazard) == pytest.approx(
-        [even[p] / max(fit.hazard[p, k], joint.NOTHING) for p, k in zip(found.pair, cells, strict=True)], rel=SINGLE
+        [even[p] / max(fit.hazard[p, k], joint_fit.NOTHING) for p, k in zip(found.pair, cells, strict=True)], rel=SINGLE
     )
     hedged = fitter.hedged(fit.hazard, 0.3)
     assert hedged == pytest.approx(0.7 * fit.hazard + 0.3 * even[:, None], rel=SINGLE, abs=SINGLE)

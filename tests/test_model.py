@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made import LINKED, Views, fit_posterior
 
-from camtopod.learn.candidates import find_candidates
+from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.change import Change
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX, model_of
 from camtopod.learn.posterior import Posterior

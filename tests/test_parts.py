@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
 from camtopod.arrays import ROWS_AT_ONCE, rows_together
-from camtopod.learn import candidates as module
-from camtopod.learn.candidates import find_candidates, together
-from camtopod.learn.joint import JointFitter
+from camtopod.learn.association import candidates as module
+from camtopod.learn.association.candidates import find_candidates, together
+from camtopod.learn.association.joint_fit import JointFitter
 from camtopod.learn.traffic.speed import Persistence
 from camtopod.topology.lag_bins import LagBins
 

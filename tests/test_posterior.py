@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
 from camtopod.learn import posterior as module
-from camtopod.learn.candidates import Candidates, find_candidates
-from camtopod.learn.joint import fit_jointly
+from camtopod.learn.association.candidates import Candidates, find_candidates
+from camtopod.learn.association.joint_fit import fit_jointly
 from camtopod.learn.posterior import Posterior, PosteriorFitter
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins

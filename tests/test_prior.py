@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
-from camtopod.learn.candidates import find_candidates
+from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.posterior import PosteriorFitter
 from camtopod.learn.prior import POOLING, RETURNING, TWO_WAY_TRANSITIONS, Prior
 from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins

@@ -8,11 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camtopod.learn import screening as module
-from camtopod.learn.candidates import EXCESS_SMOOTHING_SD_BINS, Candidates, excess, find_candidates, possible
-from camtopod.learn.joint import START_FLOOR
+from camtopod.learn.association import screening as module
+from camtopod.learn.association.candidates import (
+    EXCESS_SMOOTHING_SD_BINS,
+    Candidates,
+    excess,
+    find_candidates,
+    possible,
+)
+from camtopod.learn.association.joint_fit import START_FLOOR
+from camtopod.learn.association.screening import Screen, _joined, _likely, place, standing_out, whole
 from camtopod.learn.learner import Learner
-from camtopod.learn.screening import Screen, _joined, _likely, place, standing_out, whole
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures

@@ -13,7 +13,7 @@ from made import LINKED, Views, fit_posterior
 from bench.regimes import REGIMES
 from camtopod.learn import posterior, skipping
 from camtopod.learn import skipped as module
-from camtopod.learn.candidates import Candidates, find_candidates, number_pairs
+from camtopod.learn.association.candidates import Candidates, find_candidates, number_pairs
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.skipped import Legs, Through, legs_of, skip_hazards, skipped_beside, ways_through
 from camtopod.learn.traffic.events import Departures

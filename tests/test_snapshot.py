@@ -10,7 +10,7 @@ from functools import lru_cache
 import msgspec
 import pytest
 
-from camtopod.learn import screening
+from camtopod.learn.association import screening
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack

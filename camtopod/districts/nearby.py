@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Bools
-from camtopod.learn.screening import ends_of, followed_above_chance
+from camtopod.learn.association.screening import ends_of, followed_above_chance
 from camtopod.learn.traffic.labelled_events import Scene
 from camtopod.topology.lag_bins import LagBins
 

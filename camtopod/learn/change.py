@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from camtopod.arrays import Floats, Longs, rows_of
-from camtopod.learn.joint import Fit
+from camtopod.learn.association.joint_fit import Fit
 from camtopod.learn.links import LinkTable
 from camtopod.learn.significance import log_likelihood_ratio
 from camtopod.learn.traffic.events import Arrivals, Departures

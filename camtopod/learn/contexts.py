@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.candidates import Candidates, together
-from camtopod.learn.limits import context_cells_max
+from camtopod.learn.association.candidates import Candidates, together
+from camtopod.learn.association.limits import context_cells_max
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.candidates import Candidates
-from camtopod.learn.joint import Fit, JointFitter, adjust
+from camtopod.learn.association.candidates import Candidates
+from camtopod.learn.association.joint_fit import Fit, JointFitter, adjust
 from camtopod.learn.traffic.background_rate import Chance
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins

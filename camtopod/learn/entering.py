@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, rows_together
-from camtopod.learn.candidates import Candidates, first_hazards
-from camtopod.learn.joint import START_FLOOR
-from camtopod.learn.limits import entry_pairs_max
+from camtopod.learn.association.candidates import Candidates, first_hazards
+from camtopod.learn.association.joint_fit import START_FLOOR
+from camtopod.learn.association.limits import entry_pairs_max
 from camtopod.learn.passages import in_view
 from camtopod.learn.traffic.background_rate import Chance
 from camtopod.learn.traffic.events import Arrivals, Departures

@@ -22,10 +22,11 @@ from msgspec.structs import replace
 
 from camtopod.learn.alarms import AlarmLog
 from camtopod.learn.assemble import assemble, link_records, zone_id
+from camtopod.learn.association.joint_fit import Fit, fit_jointly
+from camtopod.learn.association.screening import Screen, place, whole
 from camtopod.learn.change import Change, find_changes, present
 from camtopod.learn.clocks.offsets import ClockKeeper
 from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.joint import Fit, fit_jointly
 from camtopod.learn.lacking import lacking
 from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
 from camtopod.learn.links import (
@@ -51,7 +52,6 @@ from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.publishers import RETURNS_MIN, Publisher
 from camtopod.learn.scoring import Scorer
-from camtopod.learn.screening import Screen, place, whole
 from camtopod.learn.settings import Settings
 from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.screening import Followed, place
+from camtopod.learn.association.screening import Followed, place
 from camtopod.learn.window.reorder_buffer import MICROSECONDS, Intake
 from camtopod.learn.window.sliding_window import GONE, Window
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints, rows_together
 from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.exposure import exposures
-from camtopod.learn.joint import Fit
+from camtopod.learn.association.exposure import exposures
+from camtopod.learn.association.joint_fit import Fit
 from camtopod.learn.settings import Settings
 from camtopod.learn.significance import log_likelihood_ratio, q_values
 from camtopod.learn.traffic.events import Arrivals, Departures

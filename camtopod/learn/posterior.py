@@ -23,15 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
-from camtopod.learn.candidates import Candidates
+from camtopod.learn.association.candidates import Candidates
+from camtopod.learn.association.joint_fit import NOTHING, Fit, JointFitter, Tables, within
+from camtopod.learn.association.limits import FOLLOWED_MAX
+from camtopod.learn.association.screening import not_overlapping
 from camtopod.learn.contexts import Contexts, Counted, Level, multipliers
 from camtopod.learn.doubt import doubts
 from camtopod.learn.entering import Entering
-from camtopod.learn.joint import NOTHING, Fit, JointFitter, Tables, within
-from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.prior import Prior
 from camtopod.learn.sampling import Sources, with_faint
-from camtopod.learn.screening import not_overlapping
 from camtopod.learn.skipped import Legs, legs_of, skip_hazards, skipped_beside, ways_through
 from camtopod.learn.skipping import Skipping
 from camtopod.learn.traffic.events import Arrivals, Departures

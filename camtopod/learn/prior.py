@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Singles, numbered, rows_together, summed
-from camtopod.learn.candidates import Candidates
+from camtopod.learn.association.candidates import Candidates
 from camtopod.topology.lag_bins import smooth
 
 POOLING = 1.0

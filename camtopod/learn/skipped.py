@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Longs
-from camtopod.learn.candidates import Candidates
+from camtopod.learn.association.candidates import Candidates
 from camtopod.learn.missed import joined
 from camtopod.learn.traffic.events import Departures
 from camtopod.topology.lag_bins import LagBins, smoother

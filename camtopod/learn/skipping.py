@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from camtopod.arrays import Floats, Indices, Ints, Longs, Singles
-from camtopod.learn.candidates import Candidates
+from camtopod.learn.association.candidates import Candidates
 from camtopod.topology.lag_bins import LagBins
 
 ODDS_FIRST, ODDS_MAX = 0.1, 2.0 / 3.0

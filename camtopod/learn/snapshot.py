@@ -16,11 +16,11 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.learn.alarms import AlarmState
+from camtopod.learn.association.screening import Followed
 from camtopod.learn.clocks.offsets import ClockState
 from camtopod.learn.moved import Move
 from camtopod.learn.publishers import Publisher
 from camtopod.learn.scoring import ScorerState
-from camtopod.learn.screening import Followed
 from camtopod.learn.settings import Settings
 from camtopod.learn.window.reorder_buffer import IntakeState
 from camtopod.learn.window.sliding_window import WindowState

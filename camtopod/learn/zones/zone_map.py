@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.arrays import Floats, Longs
-from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
+from camtopod.learn.association.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.zones.clutter import clutter_rates
 from camtopod.learn.zones.mixture import classify_cells
 from camtopod.learn.zones.partition import Cells, partition

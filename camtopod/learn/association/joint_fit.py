@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
-from camtopod.learn.candidates import Candidates, first_hazards, runs_of, together
-from camtopod.learn.exposure import exposures
+from camtopod.learn.association.candidates import Candidates, first_hazards, runs_of, together
+from camtopod.learn.association.exposure import exposures
 from camtopod.learn.traffic.background_rate import Chance
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.speed import (

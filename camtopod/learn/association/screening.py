@@ -22,7 +22,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.arrays import Bools, Floats, Ints, Longs, Rows, Singles, rows_of
-from camtopod.learn.candidates import (
+from camtopod.learn.association.candidates import (
     EXCESS_SMOOTHING_SD_BINS,
     RESPONSIBILITY_MAX,
     Candidates,
@@ -32,9 +32,9 @@ from camtopod.learn.candidates import (
     number_pairs,
     possible,
 )
-from camtopod.learn.exposure import exposures
-from camtopod.learn.joint import START_FLOOR
-from camtopod.learn.limits import (
+from camtopod.learn.association.exposure import exposures
+from camtopod.learn.association.joint_fit import START_FLOOR
+from camtopod.learn.association.limits import (
     JUDGED_MAX,
     LOOKED_PER_EVENT_MAX,
     WEIGHED_AT_ONCE,
