@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 
 from camtopod.arrays import Floats
 from camtopod.learn.change import Change, Trials, latest_change, present, threshold_nats
-from camtopod.learn.links import LinkTable, Transitions, tabulate
+from camtopod.learn.links.link_table import LinkTable, Transitions, tabulate
 from camtopod.topology.lag_bins import LagBins
 
 SURE = 0.95

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.learn import crossfit
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import fit_jointly
-from camtopod.learn.crossfit import BETS, PARTS, Parts, cross_evidence
+from camtopod.learn.links.cross_validation import BETS, PARTS, Parts, cross_evidence
+from camtopod.learn.links.link_table import cross_validation
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 
@@ -67,7 +67,7 @@ def test_bets_that_are_spread_over_all_lags_are_averaged_with_those_that_are_not
     each = []
     for shares in ((0.0,), (0.3,), (0.0, 0.3)):
         with pytest.MonkeyPatch.context() as chosen:
-            chosen.setattr(crossfit, "EVEN_SHARES", shares)
+            chosen.setattr(cross_validation, "EVEN_SHARES", shares)
             each.append(cross_evidence(departures, arrivals, fit, BINS, 3, 0.0, 2_000.0))
     alone, spread, both = each
     assert (alone != spread).any()

@@ -14,7 +14,7 @@ from camtopod.learn.association import joint_fit
 from camtopod.learn.association.candidates import Candidates, excess, find_candidates, newest
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import Fit, JointFitter, fit_jointly
-from camtopod.learn.crossfit import cross_evidence
+from camtopod.learn.links.cross_validation import cross_evidence
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.speed import (

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.learn.lacking import PASSAGES_MIN, Lacking, lacking
 from camtopod.learn.learner import Learner
-from camtopod.learn.links import TRANSITIONS_MIN, LinkTable
+from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
+from camtopod.learn.links.shortfall import PASSAGES_MIN, Lacking, lacking
+from camtopod.learn.links.significance import q_values, ratio_needed
+from camtopod.learn.links.transit_time import TransitFigures
 from camtopod.learn.settings import Settings
-from camtopod.learn.significance import q_values, ratio_needed
-from camtopod.learn.transit import TransitFigures
 from camtopod.records import Topology
 from camtopod.sim.network import SimSettings, simulate
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import Views
 
-from camtopod.learn.links import (
+from camtopod.learn.links.link_table import (
     TRANSITIONS_MIN,
     WEAK_LINKS_PER_ZONE_MAX,
     WEAK_TRANSITIONS_MIN,

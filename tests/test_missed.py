@@ -7,8 +7,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from camtopod.learn.links import LinkTable, Transitions, join, tabulate
-from camtopod.learn.missed import UNCERTAINTY, Odds, Ways, find_ways, unexplained, without_missed
+from camtopod.learn.links.link_table import LinkTable, Transitions, join, tabulate
+from camtopod.learn.links.missed_detections import UNCERTAINTY, Odds, Ways, find_ways, unexplained, without_missed
 from camtopod.learn.settings import Settings
 from camtopod.topology.lag_bins import LagBins
 

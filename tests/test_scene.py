@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.learn.passages import visible_transitions
+from camtopod.learn.links.visible_links import visible_transitions
 from camtopod.learn.traffic.labelled_events import Scene, number_zones, see
 from camtopod.learn.traffic.speed import WAY_PASSAGES_MIN
 from camtopod.learn.window.reorder_buffer import microseconds

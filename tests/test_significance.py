@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn.significance import log_likelihood_ratio, q_values
+from camtopod.learn.links.significance import log_likelihood_ratio, q_values
 
 RATIOS = st.lists(st.one_of(st.floats(-5, 40), st.sampled_from([0.0, 3.0])), max_size=25)
 

@@ -9,8 +9,8 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.transit import WEIGHT_MIN, peak, transit_figures, weighted_quantiles
+from camtopod.learn.links.link_table import mahalanobis, monte_carlo
+from camtopod.learn.links.transit_time import WEIGHT_MIN, peak, transit_figures, weighted_quantiles
 from camtopod.topology.lag_bins import LagBins
 
 BINS = LagBins(-20.0, 120.0)
@@ -153,9 +153,9 @@ def test_peak_at_the_ends_of_a_plateau_and_of_nothing() -> None:
 
 def test_iterations_of_the_thesis() -> None:
     """Section 5.1: sigma 0.5828 takes N = 348 with epsilon = 0.0134."""
-    assert montecarlo.iterations_needed(0.5828) == montecarlo.iterations_needed(0.5828, 0.0134) == 348
-    assert montecarlo.iterations_needed(1.0, 2.0) == 4
-    assert montecarlo.iterations_needed(0.0) == 0
+    assert monte_carlo.iterations_needed(0.5828) == monte_carlo.iterations_needed(0.5828, 0.0134) == 348
+    assert monte_carlo.iterations_needed(1.0, 2.0) == 4
+    assert monte_carlo.iterations_needed(0.0) == 0
 
 
 def a_density() -> np.ndarray:
@@ -167,8 +167,8 @@ def a_density() -> np.ndarray:
 def test_observations_keep_the_density_they_come_from() -> None:
     """The thesis's walk, which refuses nothing, does not."""
     density = np.repeat(a_density()[None, :], 60, axis=0)
-    found = montecarlo.observe(density, np.full(60, 2.0), BINS, 1)
-    assert found.shape == (60, montecarlo.OBSERVATIONS)
+    found = monte_carlo.observe(density, np.full(60, 2.0), BINS, 1)
+    assert found.shape == (60, monte_carlo.OBSERVATIONS)
     mass = density[0] * BINS.widths
     reached = np.concatenate(([0.0], np.cumsum(mass) / mass.sum()))
     distance, _ = scipy.stats.kstest(found.ravel(), lambda x: np.interp(x, BINS.edges, reached))
@@ -180,8 +180,8 @@ def test_observations_keep_the_density_they_come_from() -> None:
 def test_observations_move_and_stay_inside() -> None:
     """Where the density is nothing no observation goes, and the walk does go somewhere."""
     density = np.where((BINS.centres > 3) & (BINS.centres < 8), 1.0, 0.0)[None, :]
-    still = montecarlo.observe(density, np.zeros(1), BINS, 1)
-    moved = montecarlo.observe(density, np.ones(1), BINS, 1)
+    still = monte_carlo.observe(density, np.zeros(1), BINS, 1)
+    moved = monte_carlo.observe(density, np.ones(1), BINS, 1)
     for found in (still, moved):
         assert (density[0, BINS.index(found.ravel())] == 1).all()
     assert (np.diff(still) > -1.0).all()  # evenly spread, bin by bin
@@ -190,11 +190,11 @@ def test_observations_move_and_stay_inside() -> None:
 
 def test_observations_are_repeatable_and_of_nothing_none() -> None:
     density = a_density()[None, :]
-    one, again, other = (montecarlo.observe(density, np.ones(1), BINS, seed) for seed in (1, 1, 2))
+    one, again, other = (monte_carlo.observe(density, np.ones(1), BINS, seed) for seed in (1, 1, 2))
     assert (one == again).all()
     assert (one != other).any()
-    assert montecarlo.observe(np.zeros((0, BINS.size)), np.zeros(0), BINS, 1).shape == (0, 89)
-    assert np.isfinite(montecarlo.observe(np.zeros((1, BINS.size)), np.zeros(1), BINS, 1)).all()
+    assert monte_carlo.observe(np.zeros((0, BINS.size)), np.zeros(0), BINS, 1).shape == (0, 89)
+    assert np.isfinite(monte_carlo.observe(np.zeros((1, BINS.size)), np.zeros(1), BINS, 1)).all()
 
 
 # --- Mahalanobis ---

@@ -8,8 +8,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.learn.clocks.offsets import Clocks
-from camtopod.learn.lacking import Lacking
-from camtopod.learn.links import LinkTable
+from camtopod.learn.links.link_table import LinkTable
+from camtopod.learn.links.shortfall import Lacking
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.labelled_events import Scene, ZoneRef
 from camtopod.learn.window.sliding_window import Window

@@ -26,8 +26,8 @@ from scipy.special import chdtri
 
 from camtopod.arrays import Floats, Longs, rows_of
 from camtopod.learn.association.joint_fit import Fit
-from camtopod.learn.links import LinkTable
-from camtopod.learn.significance import log_likelihood_ratio
+from camtopod.learn.links.link_table import LinkTable
+from camtopod.learn.links.significance import log_likelihood_ratio
 from camtopod.learn.traffic.events import Arrivals, Departures
 
 FALSE_ALARM = 5e-3

@@ -15,7 +15,7 @@ from camtopod.arrays import Floats, rows_together
 from camtopod.learn.association.candidates import Candidates, first_hazards
 from camtopod.learn.association.joint_fit import START_FLOOR
 from camtopod.learn.association.limits import entry_pairs_max
-from camtopod.learn.passages import in_view
+from camtopod.learn.links.visible_links import in_view
 from camtopod.learn.traffic.background_rate import Chance
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins, smooth

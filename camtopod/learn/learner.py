@@ -26,10 +26,9 @@ from camtopod.learn.association.joint_fit import Fit, fit_jointly
 from camtopod.learn.association.screening import Screen, place, whole
 from camtopod.learn.change import Change, find_changes, present
 from camtopod.learn.clocks.offsets import ClockKeeper
-from camtopod.learn.crossfit import cross_evidence
-from camtopod.learn.lacking import lacking
 from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
-from camtopod.learn.links import (
+from camtopod.learn.links.cross_validation import cross_evidence
+from camtopod.learn.links.link_table import (
     TRANSITIONS_MIN,
     WEAK_TRANSITIONS_MIN,
     LinkTable,
@@ -43,12 +42,13 @@ from camtopod.learn.links import (
     tabulate,
     transitions_of,
 )
+from camtopod.learn.links.missed_detections import without_missed
+from camtopod.learn.links.shortfall import lacking
+from camtopod.learn.links.visible_links import visible_transitions, with_usual_stays
 from camtopod.learn.long_ways import with_long_ways
-from camtopod.learn.missed import without_missed
 from camtopod.learn.model import model_of
 from camtopod.learn.moved import Move, find_move
 from camtopod.learn.overlapping import Overlapping, find_overlapping, table_of, views_of
-from camtopod.learn.passages import visible_transitions, with_usual_stays
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
 from camtopod.learn.publishers import RETURNS_MIN, Publisher
 from camtopod.learn.scoring import Scorer

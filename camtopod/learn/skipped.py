@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Longs
 from camtopod.learn.association.candidates import Candidates
-from camtopod.learn.missed import joined
+from camtopod.learn.links.missed_detections import joined
 from camtopod.learn.traffic.events import Departures
 from camtopod.topology.lag_bins import LagBins, smoother
 from camtopod.topology.shared_constants import UNKNOWN_STAY_SECONDS

@@ -9,8 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn import mahalanobis, montecarlo
-from camtopod.learn.links import MONTE_CARLO_SEED
+from camtopod.learn.links.link_table import MONTE_CARLO_SEED, mahalanobis, monte_carlo
 from camtopod.learn.settings import Settings
 from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
 from camtopod.topology.lag_bins import LagBins, smooth
@@ -141,7 +140,7 @@ def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
     counts[0, start : start + len(link.histogram.mass)] = link.histogram.mass
     curve = smooth(counts)[0]
     density = curve / bins.widths
-    samples = montecarlo.observe(density, np.array([link.transit.sd]), bins, MONTE_CARLO_SEED)
+    samples = monte_carlo.observe(density, np.array([link.transit.sd]), bins, MONTE_CARLO_SEED)
     drawn = np.flatnonzero((density[0] > CURVE_SHARE_MIN * density[0].max()) | (counts[0] > 0))
     shown = slice(int(drawn[0]), int(drawn[-1]) + 1)
     return {

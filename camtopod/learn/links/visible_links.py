@@ -14,7 +14,7 @@ from camtopod.arrays import Floats, Longs, rows_of
 from camtopod.learn.association.candidates import find_candidates, in_reach, newest
 from camtopod.learn.association.joint_fit import fit_jointly
 from camtopod.learn.association.limits import fair_share
-from camtopod.learn.links import TRANSITIONS_MIN, LinkTable, Transitions, join, transitions_of
+from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable, Transitions, join, transitions_of
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.labelled_events import Scene

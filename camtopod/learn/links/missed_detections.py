@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Rows, rows_at, rows_together
-from camtopod.learn.links import TRANSITIONS_MIN, LinkTable
+from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
 from camtopod.topology.lag_bins import LagBins
 

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints, rows_together
-from camtopod.learn import mahalanobis, montecarlo
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import Fit
+from camtopod.learn.links.link_table import mahalanobis, monte_carlo
+from camtopod.learn.links.significance import log_likelihood_ratio, q_values
+from camtopod.learn.links.transit_time import MEDIAN_ERROR, TransitFigures, transit_figures
 from camtopod.learn.settings import Settings
-from camtopod.learn.significance import log_likelihood_ratio, q_values
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.speed import combined
-from camtopod.learn.transit import MEDIAN_ERROR, TransitFigures, transit_figures
 from camtopod.topology.lag_bins import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
@@ -161,7 +161,7 @@ def tabulate(
 def refresh_monte_carlo(table: LinkTable, bins: LagBins) -> LinkTable:
     """The table with ``Var(d)`` from Monte Carlo observations (thesis 4.3) in place of the few that were seen."""
     density = smooth(table.counts)[0] / bins.widths
-    samples = montecarlo.observe(density, np.nan_to_num(table.transit.sd), bins, MONTE_CARLO_SEED)
+    samples = monte_carlo.observe(density, np.nan_to_num(table.transit.sd), bins, MONTE_CARLO_SEED)
     chance = mahalanobis.chance_variance(bins.lag_min, bins.lag_max)
     return table._replace(variance=mahalanobis.distance_variance(samples, chance))
 

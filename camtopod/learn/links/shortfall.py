@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats, rows_at
-from camtopod.learn.links import TRANSITIONS_MIN, LinkTable
+from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
+from camtopod.learn.links.significance import ratio_needed
 from camtopod.learn.settings import Settings
-from camtopod.learn.significance import ratio_needed
 
 PASSAGES_MIN = 1.0
 """Fewest passages that an unpublished link is said to lack."""
