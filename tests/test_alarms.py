@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camtopod.learn.alarms import AlarmLog
-from camtopod.learn.change import Change
+from camtopod.learn.changes.alarms import AlarmLog
+from camtopod.learn.changes.change_points import Change
+from camtopod.learn.changes.silence import Silences, find_silences
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import pack, unpack
 from camtopod.records import Camera, Delta, Event, Topology
 from camtopod.topology.versions import ALARMS_KEPT_MAX, apply_delta, make_delta

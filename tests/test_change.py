@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from camtopod.arrays import Floats
-from camtopod.learn.change import Change, Trials, latest_change, present, threshold_nats
+from camtopod.learn.changes.change_points import Change, Trials, latest_change, present, threshold_nats
 from camtopod.learn.links.link_table import LinkTable, Transitions, tabulate
 from camtopod.topology.lag_bins import LagBins
 

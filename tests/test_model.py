@@ -7,7 +7,7 @@ import pytest
 from made import LINKED, Views, fit_posterior
 
 from camtopod.learn.association.candidates import find_candidates
-from camtopod.learn.change import Change
+from camtopod.learn.changes.change_points import Change
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX, model_of
 from camtopod.learn.posterior import Posterior
 from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef

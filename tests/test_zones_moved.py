@@ -6,8 +6,8 @@ import naive
 import numpy as np
 import pytest
 
+from camtopod.learn.changes.camera_moved import find_move
 from camtopod.learn.learner import Learner
-from camtopod.learn.moved import find_move
 from camtopod.learn.settings import Settings
 from camtopod.learn.window.sliding_window import Window
 from camtopod.learn.zones.zone_map import cell_sums, cells_of, find_zones

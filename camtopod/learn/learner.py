@@ -20,11 +20,14 @@ from collections.abc import Callable, Set
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.learn.alarms import AlarmLog
 from camtopod.learn.assemble import assemble, link_records, zone_id
 from camtopod.learn.association.joint_fit import Fit, fit_jointly
 from camtopod.learn.association.screening import Screen, place, whole
-from camtopod.learn.change import Change, find_changes, present
+from camtopod.learn.changes.alarms import AlarmLog
+from camtopod.learn.changes.camera_moved import Move, find_move
+from camtopod.learn.changes.change_points import Change, find_changes, present
+from camtopod.learn.changes.publishers import RETURNS_MIN, Publisher
+from camtopod.learn.changes.silence import Silences, find_silences
 from camtopod.learn.clocks.offsets import ClockKeeper
 from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
 from camtopod.learn.links.cross_validation import cross_evidence
@@ -47,13 +50,10 @@ from camtopod.learn.links.shortfall import lacking
 from camtopod.learn.links.visible_links import visible_transitions, with_usual_stays
 from camtopod.learn.long_ways import with_long_ways
 from camtopod.learn.model import model_of
-from camtopod.learn.moved import Move, find_move
 from camtopod.learn.overlapping import Overlapping, find_overlapping, table_of, views_of
 from camtopod.learn.posterior import Posterior, fit_followed, followed_of
-from camtopod.learn.publishers import RETURNS_MIN, Publisher
 from camtopod.learn.scoring import Scorer
 from camtopod.learn.settings import Settings
-from camtopod.learn.silence import Silences, find_silences
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.labelled_events import Scene, see

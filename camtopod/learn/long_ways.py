@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from camtopod.arrays import Bools, Floats, Ints, rows_of
 from camtopod.learn.association.candidates import Candidates
 from camtopod.learn.association.screening import Screen
-from camtopod.learn.change import Change
+from camtopod.learn.changes.change_points import Change
 from camtopod.learn.clocks.correlogram import LAGS, ROWS_AT_ONCE, Counts, chance, correlograms, side_by_side
 from camtopod.learn.links.link_table import LinkTable
 from camtopod.learn.posterior import Posterior

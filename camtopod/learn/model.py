@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from camtopod.arrays import Floats, rows_of
 from camtopod.learn.assemble import STAY_DECILES, zone_id
-from camtopod.learn.change import Change
+from camtopod.learn.changes.change_points import Change
 from camtopod.learn.contexts import LEVELS
 from camtopod.learn.overlapping import Overlapping
 from camtopod.learn.posterior import Posterior

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.learn.alarms import AlarmState
+from camtopod.learn.changes.alarms import AlarmState
 from camtopod.learn.scoring import ScorerState
 from camtopod.learn.snapshot import LearnerState
 from camtopod.learn.window.reorder_buffer import EventTime, EventTimeState, IntakeState, microseconds

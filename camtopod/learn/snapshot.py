@@ -15,11 +15,11 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from camtopod.learn.alarms import AlarmState
 from camtopod.learn.association.screening import Followed
+from camtopod.learn.changes.alarms import AlarmState
+from camtopod.learn.changes.camera_moved import Move
+from camtopod.learn.changes.publishers import Publisher
 from camtopod.learn.clocks.offsets import ClockState
-from camtopod.learn.moved import Move
-from camtopod.learn.publishers import Publisher
 from camtopod.learn.scoring import ScorerState
 from camtopod.learn.settings import Settings
 from camtopod.learn.window.reorder_buffer import IntakeState

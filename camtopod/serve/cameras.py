@@ -28,7 +28,7 @@ from typing import Any
 from msgspec import Struct, field
 
 from camtopod.config import Limits
-from camtopod.learn.publishers import Publisher
+from camtopod.learn.changes.publishers import Publisher
 from camtopod.records import Event
 from camtopod.serve.journal import Entry
 from camtopod.serve.learner_messages import Rewind

@@ -12,8 +12,8 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import rows_of
-from camtopod.learn.change import Change, Trials, latest_change, threshold_nats
-from camtopod.learn.silence import Silences
+from camtopod.learn.changes.change_points import Change, Trials, latest_change, threshold_nats
+from camtopod.learn.changes.silence import Silences
 from camtopod.learn.traffic.labelled_events import Scene
 from camtopod.records import Alarm, Camera
 from camtopod.topology.versions import ALARMS_KEPT_MAX
