@@ -70,7 +70,7 @@ class Task(Struct, frozen=True):
 
 def _untold(*levels: int) -> Callable[..., Any]:
     """Contexts of which some levels say nothing of any departure."""
-    every = import_module("camtopod.learn.contexts").Contexts._contexts
+    every = import_module("camtopod.learn.next_camera.contexts").Contexts._contexts
 
     def others(self: Any, *arguments: Any) -> Any:
         found = every(self, *arguments)

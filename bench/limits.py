@@ -31,9 +31,9 @@ from bench._jobs import done
 from bench._measure import TRAIN_SHARE, predict, prediction_figures
 from bench.regimes import REGIMES
 from camtopod.arrays import Singles
-from camtopod.learn import posterior
 from camtopod.learn.learner import Learner
-from camtopod.learn.posterior import PosteriorFitter
+from camtopod.learn.next_camera import fit
+from camtopod.learn.next_camera.fit import PosteriorFitter
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.sim.score import next_entries
@@ -91,7 +91,7 @@ class Told:
             return worth(fitter, overlapping)
 
         with (
-            patch.multiple(posterior, SWEEPS_MIN=sweeps, SWEEPS_MAX=sweeps, SAMPLES_SHARE=1.0),
+            patch.multiple(fit, SWEEPS_MIN=sweeps, SWEEPS_MAX=sweeps, SAMPLES_SHARE=1.0),
             patch.object(PosteriorFitter, "sample", begin),
             patch.object(PosteriorFitter, "worth_following", follow),
         ):

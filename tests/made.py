@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from camtopod.learn.association.candidates import Candidates
 from camtopod.learn.learner import Learner
-from camtopod.learn.posterior import Posterior, fit_followed, followed_of
+from camtopod.learn.next_camera.fit import Posterior, fit_followed, followed_of
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.records import TOPOLOGY_SCHEMA, Camera, Event, Link, Topology, Zone

@@ -221,7 +221,7 @@ def candidates(departures, arrivals, lag_min, lag_max):
 
 
 def coexisting(camera, entered, left, shift):
-    """`camtopod.learn.overlapping`: (exit, passage) of other cameras under way ``shift`` seconds after the exit."""
+    """`camtopod.learn.next_camera.overlapping_views`: (exit, passage) of other cameras under way ``shift`` seconds after the exit."""
     every = range(len(left))
     return {(i, k) for i in every for k in every if camera[i] != camera[k] and entered[k] <= left[i] + shift < left[k]}
 
@@ -514,7 +514,7 @@ def likeliest_before(departures, arrivals, pairs, responsibility, least):
 
 
 def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, back_off, least):
-    """`camtopod.learn.contexts.Contexts`: every candidate and departure is judged by all the others, one by one.
+    """`camtopod.learn.next_camera.contexts.Contexts`: every candidate and departure is judged by all the others, one by one.
 
     Returns for each level (departures by context, transitions by context and target); the shares; the leaving.
     """
@@ -585,7 +585,7 @@ def entry_kernels(departures, arrivals, candidates, bins, zones):
 
 
 def multiplier(before, after, most):
-    """`camtopod.learn.contexts.multipliers` of one pair of probabilities."""
+    """`camtopod.learn.next_camera.contexts.multipliers` of one pair of probabilities."""
     if after >= most * before:
         return 1.0 / most if after == 0 else most
     return max(after / before, 1.0 / most)

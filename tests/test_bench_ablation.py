@@ -33,7 +33,7 @@ def test_a_mechanism_is_left_out_for_a_while(mechanism: ablation.Mechanism) -> N
 
 
 def test_without_any_the_sampler_has_another_seed() -> None:
-    posterior = import_module("camtopod.learn.posterior")
+    posterior = import_module("camtopod.learn.next_camera.fit")
     before = posterior.SAMPLING_SEED
     with without("", before + 1):
         assert before + 1 == posterior.SAMPLING_SEED

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import Views
 
-from camtopod.learn import contexts as module
 from camtopod.learn.association.candidates import Candidates, find_candidates
-from camtopod.learn.contexts import LEVELS, Contexts, Level, multipliers
+from camtopod.learn.next_camera import contexts as module
+from camtopod.learn.next_camera.contexts import LEVELS, Contexts, Level, multipliers
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn.doubt import (
+from camtopod.learn.learner import Learner
+from camtopod.learn.next_camera.spurious import (
     CHANCE_PRIOR,
     CHANCE_TRANSITIONS,
     DEPARTURES_TO_TELL,
@@ -19,7 +20,6 @@ from camtopod.learn.doubt import (
     in_character,
     linked,
 )
-from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Prediction, Topology
 from camtopod.sim.network import simulate

@@ -9,7 +9,7 @@ from made import LINKED, Views, fit_posterior
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.changes.change_points import Change
 from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX, model_of
-from camtopod.learn.posterior import Posterior
+from camtopod.learn.next_camera.fit import Posterior
 from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef
 from camtopod.learn.window.sliding_window import Window
 from camtopod.predict.hazards import Hazards

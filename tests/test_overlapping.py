@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from camtopod.codec import read_topology, to_json
 from camtopod.districts.parts import part_of
-from camtopod.learn import overlapping
-from camtopod.learn.overlapping import Views, find_overlapping
+from camtopod.learn.next_camera import overlapping_views
+from camtopod.learn.next_camera.overlapping_views import Views, find_overlapping
 from camtopod.predict.hand_over import HandOver, look
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, InView, NextCamera, Prediction, Topology
@@ -37,8 +37,10 @@ def made(seed: int, n: int, cameras: int = 3, span: float = 300.0) -> Views:
 def test_open_passages_equal_a_double_loop(seed: int, n: int, shift: float) -> None:
     views = made(seed, n)
     with pytest.MonkeyPatch.context() as limits:
-        limits.setattr(overlapping, "OPEN_PAIRS_AT_ONCE", 5)
-        found = [pair for part in overlapping._open(views, slice(0, n), shift) for pair in zip(*part, strict=True)]
+        limits.setattr(overlapping_views, "OPEN_PAIRS_AT_ONCE", 5)
+        found = [
+            pair for part in overlapping_views._open(views, slice(0, n), shift) for pair in zip(*part, strict=True)
+        ]
     assert len(found) == len(set(found))
     assert set(found) == naive.coexisting(*views, shift)
 
@@ -46,7 +48,7 @@ def test_open_passages_equal_a_double_loop(seed: int, n: int, shift: float) -> N
 @given(st.integers(0, 10**6), st.integers(1, 200), st.integers(0, 300))
 def test_the_newest_exits_count_beyond_the_limit(seed: int, n: int, most: int) -> None:
     views = made(seed, n)
-    first = overlapping._newest(views, most)
+    first = overlapping_views._newest(views, most)
     pairs = [  # those of the same camera are counted, too, but for the passage itself
         sum(views.entered[k] <= views.left[i] < views.left[k] for k in range(n)) for i in range(n)
     ]

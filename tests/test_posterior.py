@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
-from camtopod.learn import posterior as module
 from camtopod.learn.association.candidates import Candidates, find_candidates
 from camtopod.learn.association.joint_fit import fit_jointly
-from camtopod.learn.posterior import Posterior, PosteriorFitter
+from camtopod.learn.next_camera import fit as module
+from camtopod.learn.next_camera.fit import Posterior, PosteriorFitter
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 

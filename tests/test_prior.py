@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
 from camtopod.learn.association.candidates import find_candidates
-from camtopod.learn.posterior import PosteriorFitter
-from camtopod.learn.prior import POOLING, RETURNING, TWO_WAY_TRANSITIONS, Prior
+from camtopod.learn.next_camera.fit import PosteriorFitter
+from camtopod.learn.next_camera.prior import POOLING, RETURNING, TWO_WAY_TRANSITIONS, Prior
 from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins
 
 SHORT = LagBins(-3.0, 8.0)

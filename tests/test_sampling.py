@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.regimes import REGIMES
-from camtopod.learn import posterior as module
 from camtopod.learn.learner import Learner
-from camtopod.learn.sampling import FAINT_TRANSITIONS, Sources, with_faint
+from camtopod.learn.next_camera import fit as module
+from camtopod.learn.next_camera.sampling import FAINT_TRANSITIONS, Sources, with_faint
 from camtopod.learn.settings import Settings
 from camtopod.topology.lag_bins import LagBins
 

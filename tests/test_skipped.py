@@ -11,11 +11,18 @@ from hypothesis import strategies as st
 from made import LINKED, Views, fit_posterior
 
 from bench.regimes import REGIMES
-from camtopod.learn import posterior, skipping
-from camtopod.learn import skipped as module
 from camtopod.learn.association.candidates import Candidates, find_candidates, number_pairs
-from camtopod.learn.posterior import Posterior
-from camtopod.learn.skipped import Legs, Through, legs_of, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.next_camera import fit, skip_rate
+from camtopod.learn.next_camera import skipped_cameras as module
+from camtopod.learn.next_camera.fit import Posterior
+from camtopod.learn.next_camera.skipped_cameras import (
+    Legs,
+    Through,
+    legs_of,
+    skip_hazards,
+    skipped_beside,
+    ways_through,
+)
 from camtopod.learn.traffic.events import Departures
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
@@ -99,7 +106,7 @@ def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch)
     networks = [REGIMES["short"].make(seed, 0.5) for seed in (20, 21)]
     with_ways = [foretold(*network) for network in networks]
     nothing = lambda *asked: (np.zeros(0, np.int64), np.zeros((0, asked[3].size)))  # noqa: E731
-    monkeypatch.setattr(posterior, "skip_hazards", nothing)
+    monkeypatch.setattr(fit, "skip_hazards", nothing)
     without = [foretold(*network) for network in networks]
     loss, top3 = (
         np.mean([one[figure] - other[figure] for one, other in zip(with_ways, without, strict=True)])
@@ -115,7 +122,7 @@ def test_ways_that_screening_left_out_are_foretold_beside_the_others() -> None:
     for u, a, b, v in ((0, 1, 2, 3), (2, 3, 4, 5)):
         taken = share(found, u, a) * share(found, b, v)
         assert share(without, u, v) == 0
-        assert share(found, u, v) == pytest.approx(skipping.ODDS_FIRST * taken, rel=0.05)
+        assert share(found, u, v) == pytest.approx(skip_rate.ODDS_FIRST * taken, rel=0.05)
     rows = [dict(zip(pairs_of(one), range(99), strict=False)) for one in (without, found)]
     assert list(rows[1]) == sorted(rows[1])
     old, new = list(rows[0].values()), [rows[1][pair] for pair in rows[0]]

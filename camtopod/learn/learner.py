@@ -50,8 +50,8 @@ from camtopod.learn.links.shortfall import lacking
 from camtopod.learn.links.visible_links import visible_transitions, with_usual_stays
 from camtopod.learn.long_ways import with_long_ways
 from camtopod.learn.model import model_of
-from camtopod.learn.overlapping import Overlapping, find_overlapping, table_of, views_of
-from camtopod.learn.posterior import Posterior, fit_followed, followed_of
+from camtopod.learn.next_camera.fit import Posterior, fit_followed, followed_of
+from camtopod.learn.next_camera.overlapping_views import Overlapping, find_overlapping, table_of, views_of
 from camtopod.learn.scoring import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera

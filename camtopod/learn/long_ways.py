@@ -23,7 +23,7 @@ from camtopod.learn.association.screening import Screen
 from camtopod.learn.changes.change_points import Change
 from camtopod.learn.clocks.correlogram import LAGS, ROWS_AT_ONCE, Counts, chance, correlograms, side_by_side
 from camtopod.learn.links.link_table import LinkTable
-from camtopod.learn.posterior import Posterior
+from camtopod.learn.next_camera.fit import Posterior
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 

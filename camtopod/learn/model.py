@@ -10,9 +10,9 @@ from msgspec.structs import replace
 from camtopod.arrays import Floats, rows_of
 from camtopod.learn.assemble import STAY_DECILES, zone_id
 from camtopod.learn.changes.change_points import Change
-from camtopod.learn.contexts import LEVELS
-from camtopod.learn.overlapping import Overlapping
-from camtopod.learn.posterior import Posterior
+from camtopod.learn.next_camera.contexts import LEVELS
+from camtopod.learn.next_camera.fit import Posterior
+from camtopod.learn.next_camera.overlapping_views import Overlapping
 from camtopod.learn.traffic.labelled_events import Scene
 from camtopod.learn.traffic.speed import Persistence, usual_stays
 from camtopod.learn.window.reorder_buffer import MICROSECONDS

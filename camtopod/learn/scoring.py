@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import Floats
-from camtopod.learn.posterior import Posterior
+from camtopod.learn.next_camera.fit import Posterior
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.window.reorder_buffer import MICROSECONDS
 from camtopod.predict.predictor import Predictor, PredictorState

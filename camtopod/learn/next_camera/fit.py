@@ -27,13 +27,13 @@ from camtopod.learn.association.candidates import Candidates
 from camtopod.learn.association.joint_fit import NOTHING, Fit, JointFitter, Tables, within
 from camtopod.learn.association.limits import FOLLOWED_MAX
 from camtopod.learn.association.screening import not_overlapping
-from camtopod.learn.contexts import Contexts, Counted, Level, multipliers
-from camtopod.learn.doubt import doubts
-from camtopod.learn.entering import Entering
-from camtopod.learn.prior import Prior
-from camtopod.learn.sampling import Sources, with_faint
-from camtopod.learn.skipped import Legs, legs_of, skip_hazards, skipped_beside, ways_through
-from camtopod.learn.skipping import Skipping
+from camtopod.learn.next_camera.contexts import Contexts, Counted, Level, multipliers
+from camtopod.learn.next_camera.entry_kernels import Entering
+from camtopod.learn.next_camera.prior import Prior
+from camtopod.learn.next_camera.sampling import Sources, with_faint
+from camtopod.learn.next_camera.skip_rate import Skipping
+from camtopod.learn.next_camera.skipped_cameras import Legs, legs_of, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.next_camera.spurious import doubts
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.shared_constants import LEAVE_FLOOR
