@@ -21,7 +21,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.learn.learner import Learner
-from camtopod.learn.scoring import Guess, Marks, Scorer, marks
+from camtopod.learn.self_score import Guess, Marks, Scorer, marks
 from camtopod.records import Event, Topology
 from camtopod.sim.network import simulate
 from camtopod.sim.score import ZONE_TOLERANCE, match_zones, next_entries

@@ -14,7 +14,7 @@ import pytest
 
 from camtopod.learn import learner as module
 from camtopod.learn.learner import Learner
-from camtopod.learn.leaving import GIVES_WAY_SECONDS
+from camtopod.learn.retired_cameras import GIVES_WAY_SECONDS
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack, unpack
 from camtopod.records import Event, Topology

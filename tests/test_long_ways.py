@@ -12,7 +12,7 @@ from made import learned_from
 
 from camtopod.client.gate import Gate
 from camtopod.codec import read_topology, to_json
-from camtopod.learn.long_ways import LongWay, delayed, find_long_ways
+from camtopod.learn.long_paths import LongWay, delayed, find_long_ways
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Link, Topology

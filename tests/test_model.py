@@ -8,8 +8,8 @@ from made import LINKED, Views, fit_posterior
 
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.changes.change_points import Change
-from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX, model_of
 from camtopod.learn.next_camera.fit import Posterior
+from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX, model_of
 from camtopod.learn.traffic.labelled_events import Passages, Scene, ZoneRef
 from camtopod.learn.window.sliding_window import Window
 from camtopod.predict.hazards import Hazards
@@ -133,6 +133,6 @@ def test_contexts_that_are_not_known_are_no_contexts(learned: tuple[Scene, Poste
 
 def test_only_so_many_outcomes_are_kept(learned: tuple[Scene, Posterior], monkeypatch: pytest.MonkeyPatch) -> None:
     assert OUTCOMES_PER_ZONE_MAX >= 3
-    monkeypatch.setattr("camtopod.learn.model.OUTCOMES_PER_ZONE_MAX", 1)
+    monkeypatch.setattr("camtopod.learn.prediction_model.OUTCOMES_PER_ZONE_MAX", 1)
     first = (made(learned).onward or [])[0]
     assert [outcome.to for outcome in first.next_] == ["b/1"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from camtopod.learn.learner import Learner
-from camtopod.learn.scoring import EXITS_PER_VERSION, PROBABILITY_FLOOR, SCORED_MAX, Guess, Scorer, marks
+from camtopod.learn.self_score import EXITS_PER_VERSION, PROBABILITY_FLOOR, SCORED_MAX, Guess, Scorer, marks
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, SelfScore
 from camtopod.sim.network import simulate

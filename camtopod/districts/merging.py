@@ -18,7 +18,7 @@ from camtopod.districts.parts import Part
 from camtopod.districts.places import Places
 from camtopod.districts.renaming import Names, renamed
 from camtopod.learn.assemble import by_clocks
-from camtopod.learn.model import OUTCOMES_PER_ZONE_MAX
+from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX
 from camtopod.learn.settings import Settings
 from camtopod.records import (
     TOPOLOGY_SCHEMA,

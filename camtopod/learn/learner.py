@@ -29,7 +29,6 @@ from camtopod.learn.changes.change_points import Change, find_changes, present
 from camtopod.learn.changes.publishers import RETURNS_MIN, Publisher
 from camtopod.learn.changes.silence import Silences, find_silences
 from camtopod.learn.clocks.offsets import ClockKeeper
-from camtopod.learn.leaving import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
 from camtopod.learn.links.cross_validation import cross_evidence
 from camtopod.learn.links.link_table import (
     TRANSITIONS_MIN,
@@ -48,11 +47,12 @@ from camtopod.learn.links.link_table import (
 from camtopod.learn.links.missed_detections import without_missed
 from camtopod.learn.links.shortfall import lacking
 from camtopod.learn.links.visible_links import visible_transitions, with_usual_stays
-from camtopod.learn.long_ways import with_long_ways
-from camtopod.learn.model import model_of
+from camtopod.learn.long_paths import with_long_ways
 from camtopod.learn.next_camera.fit import Posterior, fit_followed, followed_of
 from camtopod.learn.next_camera.overlapping_views import Overlapping, find_overlapping, table_of, views_of
-from camtopod.learn.scoring import Scorer
+from camtopod.learn.prediction_model import model_of
+from camtopod.learn.retired_cameras import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
+from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
 from camtopod.learn.traffic.events import Arrivals, Departures

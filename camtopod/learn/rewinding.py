@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.learn.changes.alarms import AlarmState
-from camtopod.learn.scoring import ScorerState
+from camtopod.learn.self_score import ScorerState
 from camtopod.learn.snapshot import LearnerState
 from camtopod.learn.window.reorder_buffer import EventTime, EventTimeState, IntakeState, microseconds
 from camtopod.learn.window.sliding_window import WindowState

@@ -20,7 +20,7 @@ from camtopod.learn.changes.alarms import AlarmState
 from camtopod.learn.changes.camera_moved import Move
 from camtopod.learn.changes.publishers import Publisher
 from camtopod.learn.clocks.offsets import ClockState
-from camtopod.learn.scoring import ScorerState
+from camtopod.learn.self_score import ScorerState
 from camtopod.learn.settings import Settings
 from camtopod.learn.window.reorder_buffer import IntakeState
 from camtopod.learn.window.sliding_window import WindowState
