@@ -24,9 +24,9 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from bench import _ratios
 from bench.scale import EVENTS_PER_OBJECT
-from camtopod.districts.dealing import Sharding
-from camtopod.districts.shard import ShardLearner
 from camtopod.records import Event
+from camtopod.sharding.assignment import Sharding
+from camtopod.sharding.shard_learner import ShardLearner
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.truth import Truth
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.districts import dealing as dealing_module
-from camtopod.districts.dealing import Dealing, Sharding, districts_of
+from camtopod.sharding import assignment as dealing_module
+from camtopod.sharding.assignment import Dealing, Sharding, districts_of
 
 CAMERAS = st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True)
 

@@ -20,7 +20,6 @@ from test_recovery import EVENTS, SETTINGS, Installation, uninterrupted
 
 from camtopod import codec
 from camtopod.codec import to_pack
-from camtopod.districts.dealing import Sharding
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
 from camtopod.serve import learner_messages, learner_start, learning, memory, recovery
@@ -41,6 +40,7 @@ from camtopod.serve.learner_messages import (
 from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_program import Pupil
 from camtopod.serve.share import Told
+from camtopod.sharding.assignment import Sharding
 
 FAULTY = "learners.faulty"
 

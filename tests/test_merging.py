@@ -7,9 +7,6 @@ from itertools import permutations
 import pytest
 from msgspec.structs import replace
 
-from camtopod.districts.merging import merge
-from camtopod.districts.parts import Part, part_of
-from camtopod.districts.places import Places
 from camtopod.learn.settings import Settings
 from camtopod.predict.predictor import Predictor
 from camtopod.records import (
@@ -30,6 +27,9 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
+from camtopod.sharding.match_zones import Places
+from camtopod.sharding.merge import merge
+from camtopod.sharding.parts import Part, part_of
 from camtopod.topology.versions import stamp
 
 SETTINGS = Settings()

@@ -13,12 +13,12 @@ from made import learned_from, passage
 from numpy.typing import NDArray
 
 from camtopod.codec import read_topology, to_json
-from camtopod.districts.parts import part_of
 from camtopod.learn.next_camera import overlapping_views
 from camtopod.learn.next_camera.overlapping_views import Views, find_overlapping
 from camtopod.predict.hand_over import HandOver, look
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, InView, NextCamera, Prediction, Topology
+from camtopod.sharding.parts import part_of
 from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
 
 BINS = offset_bins(LAG_SCALE_SECONDS, LAG_STEP)

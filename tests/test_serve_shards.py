@@ -21,8 +21,6 @@ from serving import T0, WAIT_SECONDS, numbered, small_config, wait_for, walkers
 from camtopod import codec
 from camtopod.cli import exits, main
 from camtopod.config import Config, KeepSettings
-from camtopod.districts.dealing import Sharding
-from camtopod.districts.shard import ShardLearner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve import merger as mergers
@@ -37,6 +35,8 @@ from camtopod.serve.sharing import Sharing
 from camtopod.serve.spool import Spool
 from camtopod.serve.subscriber import TopologyView
 from camtopod.serve.versions import Version
+from camtopod.sharding.assignment import Sharding
+from camtopod.sharding.shard_learner import ShardLearner
 from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
 

@@ -12,16 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from camtopod.districts.dealing import Dealing, Sharding
-from camtopod.districts.district import NEWCOMERS_MAX, District
-from camtopod.districts.line import Line
-from camtopod.districts.parts import Part
-from camtopod.districts.shard import ShardLearner, pack_shard, unpack_shard
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import NewerSnapshot, SnapshotError
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
+from camtopod.sharding.assignment import Dealing, Sharding
+from camtopod.sharding.district_learner import NEWCOMERS_MAX, District
+from camtopod.sharding.parts import Part
+from camtopod.sharding.shard_learner import ShardLearner, pack_shard, unpack_shard
+from camtopod.sharding.version_line import Line
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import score, score_predictions
 from camtopod.sim.truth import Truth

@@ -15,9 +15,9 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from camtopod.districts.dealing import Sharding
 from camtopod.learn.settings import Settings
 from camtopod.learn.window.reorder_buffer import EventTimeState
+from camtopod.sharding.assignment import Sharding
 
 LESSONS_MAX = 4_000
 """In one message: some hundred kilobytes, some hundredths of a second without a fit. Where the daemon's threads are

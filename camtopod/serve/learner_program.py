@@ -18,7 +18,6 @@ import traceback
 from collections.abc import Callable
 
 from camtopod import codec
-from camtopod.districts.shard import ShardLearner, ShardState, pack_shard, unpack_shard
 from camtopod.learn.learner import Learner
 from camtopod.learn.rewinding import rewound
 from camtopod.learn.settings import Settings
@@ -49,6 +48,7 @@ from camtopod.serve.learner_messages import (
     Unusable,
 )
 from camtopod.serve.share import Told
+from camtopod.sharding.shard_learner import ShardLearner, ShardState, pack_shard, unpack_shard
 from camtopod.topology.versions import make_delta
 
 NICENESS = 5

@@ -21,9 +21,6 @@ import msgspec
 
 from camtopod import codec
 from camtopod.config import KeepSettings
-from camtopod.districts.dealing import Dealing, Sharding
-from camtopod.districts.line import Line, LineState, age_of
-from camtopod.districts.parts import is_dealt
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
 from camtopod.serve import clock as clocks
@@ -32,6 +29,9 @@ from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.share import Told
 from camtopod.serve.storing import Storing
 from camtopod.serve.versions import Version
+from camtopod.sharding.assignment import Dealing, Sharding
+from camtopod.sharding.parts import is_dealt
+from camtopod.sharding.version_line import Line, LineState, age_of
 from camtopod.topology.versions import make_delta
 
 log = logging.getLogger(__name__)

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from camtopod.districts.dealing import Dealing, Sharding, districts_of
-from camtopod.districts.parts import Part
 from camtopod.keys.rules import STATUS
 from camtopod.learn.window.reorder_buffer import microseconds
 from camtopod.serve.learner_messages import Portion
+from camtopod.sharding.assignment import Dealing, Sharding, districts_of
+from camtopod.sharding.parts import Part
 
 SOON_SECONDS = 60.0
 """So long before its turn a guest is heard, as clocks differ and subscribing takes a moment."""

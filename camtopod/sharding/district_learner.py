@@ -20,15 +20,15 @@ from collections.abc import Callable, Set
 import numpy as np
 from msgspec import Struct
 
-from camtopod.districts.dealing import Dealing
-from camtopod.districts.nearby import find_nearby, with_cameras
-from camtopod.districts.parts import Part, part_of
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState
 from camtopod.learn.traffic.labelled_events import Scene
 from camtopod.learn.window.reorder_buffer import MICROSECONDS, microseconds
 from camtopod.records import Event, Topology
+from camtopod.sharding.assignment import Dealing
+from camtopod.sharding.neighbour_scan import find_nearby, with_cameras
+from camtopod.sharding.parts import Part, part_of
 
 NEIGHBOUR_TRANSITIONS_MIN = 2.0
 """A neighbour has sent at least this many objects, those left out that may as well be chance ..."""

@@ -7,8 +7,8 @@ from collections.abc import Set
 from msgspec import Struct
 from msgspec.structs import replace
 
-from camtopod.districts.dealing import Dealing
 from camtopod.records import Alarm, Model, Onward, Topology
+from camtopod.sharding.assignment import Dealing
 from camtopod.topology.histograms import short
 from camtopod.topology.versions import stamp
 

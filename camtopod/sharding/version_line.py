@@ -13,10 +13,10 @@ from collections.abc import Iterable
 from msgspec import Struct
 from msgspec.structs import replace
 
-from camtopod.districts.merging import merge
-from camtopod.districts.parts import Part
 from camtopod.learn.settings import Settings
 from camtopod.records import Alarm, Topology
+from camtopod.sharding.merge import merge
+from camtopod.sharding.parts import Part
 from camtopod.topology.versions import stamp
 
 AlarmKey = tuple[float, str, str, str]

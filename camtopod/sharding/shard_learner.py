@@ -12,14 +12,14 @@ from collections.abc import Callable, Set
 import msgspec
 from msgspec import Struct
 
-from camtopod.districts.dealing import Dealing, Sharding, districts_of
-from camtopod.districts.district import District, DistrictState, Hearing
-from camtopod.districts.line import Line, LineState
-from camtopod.districts.parts import Part
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import BYTES_MAX, LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.learn.window.reorder_buffer import MICROSECONDS, EventTimeState
 from camtopod.records import Event, Topology
+from camtopod.sharding.assignment import Dealing, Sharding, districts_of
+from camtopod.sharding.district_learner import District, DistrictState, Hearing
+from camtopod.sharding.parts import Part
+from camtopod.sharding.version_line import Line, LineState
 
 FORMAT = 1
 """Of a shard's snapshot: one with a higher number is refused."""

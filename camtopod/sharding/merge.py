@@ -14,9 +14,6 @@ from collections.abc import Iterable, Sequence
 import msgspec
 from msgspec.structs import replace
 
-from camtopod.districts.parts import Part
-from camtopod.districts.places import Places
-from camtopod.districts.renaming import Names, renamed
 from camtopod.learn.assemble import by_clocks
 from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX
 from camtopod.learn.settings import Settings
@@ -33,6 +30,9 @@ from camtopod.records import (
     Topology,
     Zone,
 )
+from camtopod.sharding.match_zones import Places
+from camtopod.sharding.parts import Part
+from camtopod.sharding.rename_zones import Names, renamed
 from camtopod.topology.camera_pairs import camera_pairs
 from camtopod.topology.histograms import DIGITS, scaled, short
 from camtopod.topology.markov_chain import markov_chain
