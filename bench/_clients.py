@@ -24,7 +24,7 @@ import zenoh
 
 from bench._site import Status
 from camtopod.codec import to_pack
-from camtopod.config import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.bus import Bus, dial, meet
 

@@ -31,7 +31,7 @@ import msgspec
 from msgspec import Struct
 
 from bench._site import resident
-from camtopod.config import BusSettings, Config, KeepSettings, Limits, StateSettings
+from camtopod.config.settings import BusSettings, Config, KeepSettings, Limits, StateSettings
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.serve import memory

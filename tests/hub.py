@@ -11,7 +11,7 @@ import msgspec
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
 from camtopod.client import Topology, aio
-from camtopod.config import BusSettings, SiteSettings
+from camtopod.config.settings import BusSettings, SiteSettings
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
 from camtopod.records import Topology as Version

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import msgspec
 
-from camtopod.config import BusSettings, Config, Limits, StateSettings
+from camtopod.config.settings import BusSettings, Config, Limits, StateSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.serve.daemon import Daemon

@@ -18,10 +18,10 @@ from typing import Any
 import pytest
 from serving import camtopod
 
-from camtopod import config
 from camtopod.cli import exits, main
 from camtopod.cli.common import configuration, start_logging
 from camtopod.cli.exits import CommandError, InputError
+from camtopod.config.settings import settings
 from camtopod.serve.bus import BusError
 from camtopod.serve.journal import Journal
 
@@ -214,7 +214,7 @@ def test_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["check"]) == 2
     capsys.readouterr()
     assert main.main(["check", "--example"]) == 0
-    config.parse(capsys.readouterr().out)
+    settings.parse(capsys.readouterr().out)
 
 
 def arguments(**given: Any) -> argparse.Namespace:
@@ -228,7 +228,7 @@ def test_the_command_line_is_on_top_of_the_file(tmp_path: Path) -> None:
     loaded = configuration(arguments(config=path, site="lab", connect=["tcp/h:1"], state="/y"))
     assert (loaded.site.name, loaded.dials, loaded.listens) == ("lab", ("tcp/h:1",), ())
     assert loaded.state_directory == Path("/y")
-    assert configuration(arguments()) == config.Config()
+    assert configuration(arguments()) == settings.Config()
 
 
 @pytest.mark.parametrize(
@@ -250,12 +250,12 @@ def test_where_the_state_is(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", "/home/someone")
-    assert config.Config().state_directory == Path("/home/someone/.local/state/camtopod")
+    assert settings.Config().state_directory == Path("/home/someone/.local/state/camtopod")
     monkeypatch.setenv("XDG_STATE_HOME", "/xdg")
-    assert config.Config().state_directory == Path("/xdg/camtopod")
+    assert settings.Config().state_directory == Path("/xdg/camtopod")
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/camtopod")
-    assert config.Config().state_directory == Path("/var/lib/camtopod")
-    assert config.parse('[state]\ndirectory = "~/x"').state_directory == Path("/home/someone/x")
+    assert settings.Config().state_directory == Path("/var/lib/camtopod")
+    assert settings.parse('[state]\ndirectory = "~/x"').state_directory == Path("/home/someone/x")
 
 
 # --- logs -----------------------------------------------------------------------------------------

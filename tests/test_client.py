@@ -19,7 +19,7 @@ from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, sm
 
 from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, view
 from camtopod.codec import read
-from camtopod.config import BusSettings, Config, TlsSettings
+from camtopod.config.settings import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority
 from camtopod.records import Event, Prediction

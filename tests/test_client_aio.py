@@ -13,7 +13,7 @@ from hub import LEFT, Hub, a_hub, there
 from serving import free_endpoint
 
 from camtopod.client import BusError, aio, view
-from camtopod.config import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config
 from camtopod.serve.bus import Bus, dial
 
 

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camtopod.cli.example import attribute_docs, example
-from camtopod.config import TABLES, CameraSettings, Config, ConfigError, load, parse
-from camtopod.toml_lines import key_lines
+from camtopod.config.settings import TABLES, CameraSettings, Config, ConfigError, load, parse
+from camtopod.config.toml_lines import key_lines
 
 EXAMPLE = Path(__file__).parent.parent / "deploy" / "camtopod.toml"
 

@@ -13,7 +13,7 @@ import zenoh
 from serving import free_endpoint, numbered, small_config, wait_for, walkers
 
 from camtopod.cli.main import COMMANDS, parser_of
-from camtopod.config import Config, parse
+from camtopod.config.settings import Config, parse
 from camtopod.keys import rules
 from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon

@@ -15,7 +15,7 @@ from camtopod.cli.init import SECRETS, written
 from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.cli.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.speaker import CLOSE_SECONDS
-from camtopod.config import Config, HealthSettings, parse
+from camtopod.config.settings import Config, HealthSettings, parse
 
 DEPLOY = Path(__file__).parent.parent / "deploy"
 UNITS = {"camtopod.service": "camtopod.service", "camtopod-grab@.service": "camtopod-grab@lobby.service"}

@@ -17,7 +17,7 @@ from serving import closing_event, free_endpoint, numbered, small_config, wait_f
 from camtopod import redact
 from camtopod.cli import doctor, machine
 from camtopod.cli.main import main
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.inspection import journal, spool

@@ -22,7 +22,7 @@ import pytest
 from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 from told_systemd import Systemd
 
-from camtopod.config import Config, HealthSettings, parse
+from camtopod.config.settings import Config, HealthSettings, parse
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve import health, self_check, systemd

@@ -13,7 +13,7 @@ from serving import T0, closing_event, numbered, small_config, wait_for, walkers
 
 from camtopod import codec
 from camtopod.cli.main import main
-from camtopod.config import SiteSettings
+from camtopod.config.settings import SiteSettings
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon

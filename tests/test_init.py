@@ -14,11 +14,11 @@ from scenes import FPS, Scene
 from serving import camtopod, small_config
 from streams import Host, hang_up, missing, rtsp_answer, served, silent, transcode
 
-from camtopod import config, redact
+from camtopod import redact
 from camtopod.cli import probe as probes
 from camtopod.cli.init import named
 from camtopod.cli.main import main
-from camtopod.config import VisionSettings
+from camtopod.config.settings import VisionSettings, settings
 from camtopod.serve.daemon import Daemon
 from camtopod.vision.probe import PIXELS_MAX, Probe
 from camtopod.web import pictures
@@ -134,7 +134,7 @@ def test_a_process_that_hangs_or_crashes_is_given_up(tmp_path: Path, monkeypatch
 )
 def test_a_camera_is_called_after_its_host_or_path(source: str, name: str) -> None:
     assert named([("", source)]) == {name: source}
-    config.parse(f'[cameras.{name}]\nsource = "0"')
+    settings.parse(f'[cameras.{name}]\nsource = "0"')
 
 
 def test_names_are_different_and_one_s_own_stay() -> None:
@@ -183,7 +183,7 @@ def test_passwords_go_into_files_of_their_own(
         assert "hunter2" not in text
         assert "JHeOzLkM0NvTzhGq" not in text
     assert "# MPEG-4, 192x144, 7 frames a second\n# a file is read once" in written
-    loaded = config.load(tmp_path / "site/camtopod.toml")
+    loaded = settings.load(tmp_path / "site/camtopod.toml")
     assert (loaded.site.name, loaded.cameras["yard"].source) == ("hq", str(tmp_path / "yard.mp4"))
     assert loaded.for_camera("front.door").cameras["front.door"].source == url
     assert main(["check", "site/camtopod.toml"]) == 0
@@ -210,7 +210,7 @@ def test_services_are_handed_every_source(
     assert (mode, PASSWORD in text) == (0o644, False)
     assert files == {"secrets/hall": (0o600, f"{url}\n"), "secrets/yard": (0o600, f"{tmp_path}/yard.mp4\n")}
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path / "site" / "secrets"))
-    loaded = config.load(tmp_path / "site/camtopod.toml")
+    loaded = settings.load(tmp_path / "site/camtopod.toml")
     assert loaded.health.listen == "127.0.0.1:8787"
     assert loaded.for_camera("hall").cameras["hall"].source == url
     assert main(["check", "site/camtopod.toml"]) == 0
@@ -218,7 +218,7 @@ def test_services_are_handed_every_source(
     elsewhere = ["--connect", "tcp/192.0.2.1:7447", "init", "--credentials", "4242", "--out", "box.toml"]
     assert main(elsewhere) == 66
     assert "systemctl enable --now camtopod-grab@device-4242\n" in capsys.readouterr().err
-    assert config.load(tmp_path / "box.toml").health.listen == "", "the daemon's, which is not here"
+    assert settings.load(tmp_path / "box.toml").health.listen == "", "the daemon's, which is not here"
 
 
 def test_nothing_is_overwritten_unless_told(
@@ -244,7 +244,7 @@ def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> N
     _, err = process.communicate(b"\nlobby=4242\n  4243  \n", timeout=60)
     assert process.returncode == 66
     assert err.decode().endswith(f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab\n")
-    loaded = config.load(out)
+    loaded = settings.load(out)
     assert ({name: each.source for name, each in loaded.cameras.items()}, loaded.bus.connect) == (
         {"lobby": "4242", "device-4243": "4243"}, ("tcp/192.0.2.1:7447",),
     )  # fmt: skip
@@ -372,7 +372,7 @@ def test_a_real_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     transcode(film, tmp_path / "served.mp4", FPS)
     with served(tmp_path / "served.mp4") as port:
         assert main(["init", f"rtsp://127.0.0.1:{port}/camera", "--out", str(tmp_path / "c.toml")]) == 0
-    loaded = config.load(tmp_path / "c.toml")
+    loaded = settings.load(tmp_path / "c.toml")
     assert loaded.cameras["camera"].source == f"rtsp://127.0.0.1:{port}/camera"
     rate = float(capsys.readouterr().err.partition("H.264, 192x144, ")[2].split()[0])
     assert rate == pytest.approx(FPS, rel=0.15)

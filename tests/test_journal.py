@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from serving import Failing
 
-from camtopod.config import KeepSettings
+from camtopod.config.settings import KeepSettings
 from camtopod.serve import database
 from camtopod.serve import journal as journals
 from camtopod.serve.database import Damaged, StateError

@@ -16,11 +16,11 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from cryptography.x509.verification import PolicyBuilder, Store, VerificationError
 from serving import small_config
 
-from camtopod import codec, redact, secret_files
+from camtopod import codec, redact
 from camtopod.cli import exits, main
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
-from camtopod.config import ConfigError, Limits, load, parse
+from camtopod.config.settings import ConfigError, Limits, load, parse, secret_files
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority, KeysError
 from camtopod.records import Event

@@ -17,7 +17,7 @@ import yaml
 from serving import WAIT_SECONDS, all_out, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
 from camtopod.cli.main import main
-from camtopod.config import Config, StateSettings, parse
+from camtopod.config.settings import Config, StateSettings, parse
 from camtopod.records import Event
 from camtopod.serve import bus as buses
 from camtopod.serve import health, metrics

@@ -11,7 +11,7 @@ import pytest
 from serving import WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 
 from camtopod.cli.reach import PARTIAL_SECONDS, SETTLE_SECONDS, Reach
-from camtopod.config import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config
 from camtopod.serve import bus as buses
 from camtopod.serve.daemon import Daemon
 

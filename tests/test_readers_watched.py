@@ -16,7 +16,7 @@ from told_systemd import Systemd
 
 from camtopod.cli import bridge, web
 from camtopod.cli.main import main
-from camtopod.config import BusSettings
+from camtopod.config.settings import BusSettings
 from camtopod.serve import bus as buses
 from camtopod.serve.mqtt import Board
 from camtopod.serve.subscriber import TopologyView

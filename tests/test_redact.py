@@ -10,7 +10,7 @@ import pytest
 
 from camtopod import redact
 from camtopod.cli.common import _Formatter
-from camtopod.config import ConfigError, parse
+from camtopod.config.settings import ConfigError, parse
 from camtopod.redact import HIDDEN
 
 SECRETS = ["secret", "p@ss:w/rd", "p%40ss%3Aw", "with space", "quote\"'<>", "ünïcode", "a://b@c", "#?&="]

@@ -13,7 +13,7 @@ import pytest
 from camtopod.cli.example import example
 from camtopod.cli.main import main
 from camtopod.cli.schema import schema, text
-from camtopod.config import TABLES, CameraSettings, parse
+from camtopod.config.settings import TABLES, CameraSettings, parse
 
 VALIDATOR = jsonschema.Draft7Validator(schema())
 

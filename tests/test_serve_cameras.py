@@ -12,7 +12,7 @@ import pytest
 from serving import T0, small_config, wait_for
 
 from camtopod.codec import event_from_bytes, to_pack
-from camtopod.config import Limits
+from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack

@@ -15,7 +15,7 @@ import pytest
 from serving import T0, closing_event, numbered, walkers
 
 from camtopod.codec import Rejected, to_pack
-from camtopod.config import Limits
+from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.cameras import Received

@@ -20,7 +20,7 @@ from serving import T0, WAIT_SECONDS, numbered, small_config, wait_for, walkers
 
 from camtopod import codec
 from camtopod.cli import exits, main
-from camtopod.config import Config, KeepSettings
+from camtopod.config.settings import Config, KeepSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve import merger as mergers

@@ -17,7 +17,7 @@ import pytest
 from serving import Failing
 
 from camtopod import codec
-from camtopod.config import Limits
+from camtopod.config.settings import Limits
 from camtopod.records import Event
 from camtopod.serve import database, spool_format, wal
 from camtopod.serve.database import StateError

@@ -20,7 +20,7 @@ import serving
 from serving import free_endpoint, small_config, wait_for
 
 from camtopod.cli.standard_streams import Unwaited
-from camtopod.config import BusSettings
+from camtopod.config.settings import BusSettings
 from camtopod.serve import bus as buses
 
 END_SECONDS = 5.0

@@ -21,12 +21,12 @@ import msgspec
 import pytest
 from serving import WAIT_SECONDS, small_config, wait_for
 
-from camtopod import config as configs
 from camtopod.cli import supervise
 from camtopod.cli.child import Child, backoff_after, in_words, restarted
 from camtopod.cli.common import Told, leaving, signals
 from camtopod.cli.heartbeat import Ear, Heart, Said
-from camtopod.config import CameraSettings, HealthSettings
+from camtopod.config.settings import CameraSettings, HealthSettings
+from camtopod.config.settings import settings as configs
 from camtopod.serve import bus as buses
 
 CHILD = """

@@ -27,7 +27,7 @@ from camtopod.cli import screen, watch
 from camtopod.cli.board import ALARMS_SHOWN, SILENT_SECONDS, Board, View, prediction_line
 from camtopod.cli.screen import REASON_ROWS_MAX, drawn
 from camtopod.cli.watch import lines
-from camtopod.config import BusSettings
+from camtopod.config.settings import BusSettings
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, InView, Link, NextCamera, Prediction, SelfScore, Topology, Transit
 from camtopod.serve.daemon import Daemon
 

@@ -21,7 +21,7 @@ from made_site import made_site
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
 from camtopod.cli.web import listening, names
-from camtopod.config import BusSettings
+from camtopod.config.settings import BusSettings
 from camtopod.records import Event, InView, Prediction
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from camtopod import config, secret_files
 from camtopod.cli import exits
 from camtopod.cli.common import with_options
 from camtopod.cli.exits import CommandError, InputError
+from camtopod.config.settings import secret_files, settings
 from camtopod.serve import guard
 
 
@@ -49,8 +49,8 @@ def run(args: argparse.Namespace) -> int:
     if path is None:
         raise CommandError("which configuration? camtopod check CONFIG", exits.USAGE)
     try:
-        loaded = with_options(args, config.load(path))
-    except config.ConfigError as error:
+        loaded = with_options(args, settings.load(path))
+    except settings.ConfigError as error:
         print(error, file=sys.stderr)
         return exits.CONFIG
     except OSError as error:

@@ -18,7 +18,7 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.heartbeat import Ear
-from camtopod.config import CameraSettings, HealthSettings
+from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.serve.systemd import SOCKET_VARIABLE
 from camtopod.vision.source import kind_of
 

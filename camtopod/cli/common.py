@@ -17,14 +17,14 @@ from typing import NamedTuple
 
 import msgspec
 
-from camtopod import config, secret_files
 from camtopod.cli import exits, standard_streams
 from camtopod.cli.exits import CommandError, InputError
+from camtopod.config.settings import secret_files, settings
+from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
 from camtopod.serve import systemd
 from camtopod.serve.progress import Progress
-from camtopod.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 from camtopod.visible import visible, visible_lines
 
 log = logging.getLogger(__name__)
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 _PARENT_LOOK_SECONDS = 0.5
 
 
-def accepted(args: argparse.Namespace) -> tuple[config.Config, bytes]:
+def accepted(args: argparse.Namespace) -> tuple[settings.Config, bytes]:
     """The configuration, and the file's content that says so. Raises `CommandError`."""
     try:
         raw = b"" if args.config is None else args.config.read_bytes()
@@ -41,7 +41,7 @@ def accepted(args: argparse.Namespace) -> tuple[config.Config, bytes]:
     return configuration(args, raw), raw
 
 
-def configuration(args: argparse.Namespace, raw: bytes | None = None) -> config.Config:
+def configuration(args: argparse.Namespace, raw: bytes | None = None) -> settings.Config:
     """The configuration with ``--site``, ``--connect``, ``--state`` on top. Raises `CommandError`.
 
     ``raw``: the file's content as it was read before, which a process that was started with ``--config-fd`` gets
@@ -50,11 +50,11 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> config.
     above = getattr(args, "config_fd", None)
     if raw is None and above is not None:
         raw = Path(f"/proc/self/fd/{above}").read_bytes()
-    loaded = config.Config()
+    loaded = settings.Config()
     if args.config is not None:
         try:
-            loaded = config.load(args.config, raw)
-        except config.ConfigError as error:
+            loaded = settings.load(args.config, raw)
+        except settings.ConfigError as error:
             raise CommandError(f"the configuration is wrong:\n{error}", exits.CONFIG) from None
         except OSError as error:
             raise InputError(f"cannot read {args.config}: {error.strerror}") from None
@@ -70,12 +70,12 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> config.
     return loaded
 
 
-def with_options(args: argparse.Namespace, loaded: config.Config) -> config.Config:
+def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.Config:
     """``--site``, ``--connect`` and ``--state`` on top of what a file says. Raises `CommandError`."""
     if args.site is not None:
         if not re.match(CAMERA_PATTERN, args.site):
             raise CommandError(f"--site {args.site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
-        loaded = msgspec.structs.replace(loaded, site=config.SiteSettings(args.site))
+        loaded = msgspec.structs.replace(loaded, site=settings.SiteSettings(args.site))
     if args.connect:
         for endpoint in args.connect:
             if not is_endpoint(endpoint):
@@ -85,7 +85,7 @@ def with_options(args: argparse.Namespace, loaded: config.Config) -> config.Conf
         bus = msgspec.structs.replace(loaded.bus, connect=tuple(args.connect), listen=())
         loaded = msgspec.structs.replace(loaded, bus=bus)
     if getattr(args, "state", None):
-        loaded = msgspec.structs.replace(loaded, state=config.StateSettings(args.state))
+        loaded = msgspec.structs.replace(loaded, state=settings.StateSettings(args.state))
     return loaded
 
 

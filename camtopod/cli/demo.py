@@ -31,7 +31,7 @@ from msgspec.structs import replace
 from camtopod.cli import exits
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
-from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
+from camtopod.config.settings import BusSettings, Config, Limits, SiteSettings, StateSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
 from camtopod.serve import bus as buses

@@ -21,11 +21,10 @@ from typing import Any
 
 import msgspec
 
-from camtopod import secret_files
 from camtopod.cli import exits, machine
 from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
-from camtopod.config import TABLES, Config
+from camtopod.config.settings import TABLES, Config, secret_files
 from camtopod.redact import redact, remember
 from camtopod.serve import clock, guard, inspection
 from camtopod.serve.bus import BusError, dial

@@ -15,7 +15,7 @@ from camtopod.adapt.scenescape import SceneScape
 from camtopod.cli import broker, exits
 from camtopod.cli.exits import CommandError
 from camtopod.cli.lines import LineReader, numbered, open_input
-from camtopod.config import RESERVED
+from camtopod.config.settings import RESERVED
 from camtopod.records import Event
 from camtopod.serve import mqtt
 

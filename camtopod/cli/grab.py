@@ -22,7 +22,7 @@ from camtopod.cli.child import restarted
 from camtopod.cli.common import Leaving, Told, accepted, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.cli.heartbeat import Heart
-from camtopod.config import RESERVED, CameraSettings, Config
+from camtopod.config.settings import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve import clock, systemd
 from camtopod.vision import complaints

@@ -25,7 +25,7 @@ from camtopod.cli.lines import LineReader, open_input
 from camtopod.cli.outcome import KNOWN_SECONDS, Outcome
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.records import CAMERA_PATTERN, Event
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.database import StateError

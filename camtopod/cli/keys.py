@@ -12,7 +12,7 @@ import msgspec
 from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.keys import rules
 from camtopod.keys.authority import (
     ACCESS,

@@ -18,7 +18,7 @@ from camtopod.cli.exits import STATE, CommandError, InputError
 from camtopod.cli.lines import LineReader
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.learn.window.reorder_buffer import EVENTS_PER_SECOND_MAX
 from camtopod.records import Topology

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import msgspec
 
-from camtopod import toml_lines
 from camtopod.cli import exits
 from camtopod.cli.child import in_words
 from camtopod.cli.exits import CommandError
-from camtopod.config import Config
+from camtopod.config.settings import Config, toml_lines
 from camtopod.redact import redact, remember
 from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible

@@ -12,7 +12,7 @@ from typing import Any
 from camtopod.cli import descriptors, exits
 from camtopod.cli.common import Told, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.serve import health, memory, metrics, systemd
 from camtopod.serve.bus import BusError, refusals_heard
 from camtopod.serve.daemon import Daemon

@@ -9,9 +9,9 @@ import msgspec
 from msgspec import Struct
 
 from camtopod.cli.example import attribute_docs
-from camtopod.config import RESERVED, TABLES, CameraSettings
+from camtopod.config.settings import RESERVED, TABLES, CameraSettings
+from camtopod.config.toml_tables import FLOAT_MAX
 from camtopod.records import CAMERA_PATTERN
-from camtopod.toml_tables import FLOAT_MAX
 
 
 def text() -> str:

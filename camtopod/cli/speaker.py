@@ -6,7 +6,7 @@ import logging
 import threading
 from typing import Any
 
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.serve import clock
 
 log = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from camtopod.cli.common import Told, accepted
 from camtopod.cli.exits import CommandError
 from camtopod.cli.reach import Reach
 from camtopod.cli.speaker import Speaker
-from camtopod.config import CameraSettings, Config
+from camtopod.config.settings import CameraSettings, Config
 from camtopod.serve import systemd
 
 log = logging.getLogger(__name__)

@@ -27,10 +27,10 @@ class Topology(View):
 
         ``site``: its name, ``site`` where neither this nor the configuration says it. ``connect``: an endpoint or
         several (``tcp/192.168.1.5:7447``); else those of the configuration, else this machine. ``config``: a
-        configuration's file or a `camtopod.config.Config`, for what else there is to say: `[bus.tls]` with the
+        configuration's file or a `camtopod.config.settings.Config`, for what else there is to say: `[bus.tls]` with the
         certificate that `camtopod keys reader` makes, or `connect_seconds`.
 
-        Raises `BusError`, an OSError, where nobody can be reached; `camtopod.config.ConfigError`, OSError for a file
+        Raises `BusError`, an OSError, where nobody can be reached; `camtopod.config.settings.ConfigError`, OSError for a file
         that cannot be read; ValueError for a site or endpoint that is none. That there is no daemon behind a router, or
         nothing learned, is no error: see `stale_since` and `current`.
         """

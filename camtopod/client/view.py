@@ -19,19 +19,20 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from camtopod import codec, secret_files
-from camtopod import config as configs
+from camtopod import codec
 from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
 from camtopod.client.inbox import Inbox
 from camtopod.client.news import News
+from camtopod.config.settings import secret_files
+from camtopod.config.settings import settings as configs
+from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 from camtopod.predict.predictor import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction
 from camtopod.records import Topology as Version
 from camtopod.serve import clock
 from camtopod.serve.bus import Bus, BusError, dial
 from camtopod.serve.subscriber import TopologyView
-from camtopod.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 
 log = logging.getLogger(__name__)
 
@@ -245,7 +246,7 @@ class View:
 
 
 def _settings(site: str | None, connect: str | Sequence[str], config: Settings) -> configs.Config:
-    """The configuration with site and endpoints on top. Raises `camtopod.config.ConfigError`, OSError, ValueError."""
+    """The configuration with site and endpoints on top. Raises `camtopod.config.settings.ConfigError`, OSError, ValueError."""
     settings = config if isinstance(config, configs.Config) else configs.Config()
     if isinstance(config, str | Path):
         settings = configs.load(Path(config))

@@ -27,7 +27,7 @@ from typing import Any
 
 from msgspec import Struct, field
 
-from camtopod.config import Limits
+from camtopod.config.settings import Limits
 from camtopod.learn.changes.publishers import Publisher
 from camtopod.records import Event
 from camtopod.serve.journal import Entry

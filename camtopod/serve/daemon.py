@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from camtopod import codec
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.learn.window.reorder_buffer import EventTime, microseconds
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact

@@ -10,7 +10,7 @@ import logging
 import threading
 from pathlib import Path
 
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.keys import rules
 from camtopod.serve.clock import Clock
 

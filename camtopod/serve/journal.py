@@ -24,7 +24,7 @@ from typing import Any, Literal, NamedTuple
 
 from msgspec import Struct
 
-from camtopod.config import KeepSettings
+from camtopod.config.settings import KeepSettings
 from camtopod.serve import database, journal_format
 from camtopod.serve.database import crc
 from camtopod.serve.journal_format import SCHEMA, last_entry, prepare, rescue

@@ -20,7 +20,7 @@ from pathlib import Path
 import msgspec
 
 from camtopod import codec
-from camtopod.config import KeepSettings
+from camtopod.config.settings import KeepSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
 from camtopod.serve import clock as clocks

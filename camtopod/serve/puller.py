@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 
 from camtopod import codec
-from camtopod.config import Limits
+from camtopod.config.settings import Limits
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.progress import Mark

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from camtopod import codec
-from camtopod.config import Limits
+from camtopod.config.settings import Limits
 from camtopod.learn.window.reorder_buffer import MICROSECONDS
 from camtopod.learn.window.reorder_buffer import EventTime as LearnedTime
 from camtopod.records import CAMERA_CHARACTERS_MAX, Event

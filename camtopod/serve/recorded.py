@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 
 from camtopod import codec
-from camtopod.config import KeepSettings
+from camtopod.config.settings import KeepSettings
 from camtopod.learn.learner import Learner
 from camtopod.learn.snapshot import pack
 from camtopod.records import Event

@@ -12,7 +12,7 @@ import threading
 
 import msgspec
 
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.serve.bus import Bus, BusError, dial
 from camtopod.serve.progress import Mark
 from camtopod.serve.rivals import ROLE

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from camtopod import codec
-from camtopod.config import Config
+from camtopod.config.settings import Config
 from camtopod.records import Topology
 from camtopod.serve.bus import Bus, OnMessage, QueryError
 from camtopod.serve.clock import Clock

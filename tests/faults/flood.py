@@ -6,7 +6,7 @@ import sys
 import time
 
 from camtopod.codec import to_pack
-from camtopod.config import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus import dial
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 
-from camtopod.config import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config
 from camtopod.serve.bus import meet
 
 if __name__ == "__main__":

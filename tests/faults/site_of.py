@@ -22,7 +22,7 @@ from serving import camtopod, free_endpoint, wait_for
 
 from camtopod import codec
 from camtopod.cli import exits
-from camtopod.config import BusSettings, Config, parse
+from camtopod.config.settings import BusSettings, Config, parse
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
 from camtopod.serve.bus import Bus, dial

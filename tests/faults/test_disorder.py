@@ -16,7 +16,7 @@ from sizes import size
 from traffic import crossings, last_event
 
 from camtopod.codec import to_pack
-from camtopod.config import Limits
+from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Ack, Event

@@ -19,7 +19,7 @@ import pytest
 from serving import T0, camtopod, free_endpoint, small_config, wait_for
 from test_refill import raws
 
-from camtopod.config import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon

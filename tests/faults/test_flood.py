@@ -21,7 +21,7 @@ from site_of import HERE
 from sizes import size
 
 from bench._site import resident
-from camtopod.config import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.inbox import Inbox, Message

@@ -22,7 +22,7 @@ from sizes import size
 from streams import missing, served, transcode
 from test_cameras import children_of
 
-from camtopod.config import KeepSettings, SiteSettings
+from camtopod.config.settings import KeepSettings, SiteSettings
 from camtopod.serve.bus import dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal

@@ -24,7 +24,7 @@ from serving import T0, WAIT_SECONDS, camtopod, closing_event, small_config, wai
 
 from camtopod.cli import exits
 from camtopod.cli.main import main
-from camtopod.config import BusSettings, Config, TlsSettings
+from camtopod.config.settings import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority
 from camtopod.serve.bus import BusError, dial, meet

@@ -17,7 +17,7 @@ from serving import camtopod as program
 from site_of import READY_SECONDS
 from sizes import size
 
-from camtopod.config import BusSettings
+from camtopod.config.settings import BusSettings
 from camtopod.records import Event
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.publisher import Publisher

@@ -19,7 +19,7 @@ from sizes import size
 from camtopod import codec
 from camtopod.codec import EVENT_BYTES_MAX, T_MAX, T_MIN, Rejected, to_pack
 from camtopod.codec import event_from_bytes as decode
-from camtopod.config import SiteSettings
+from camtopod.config.settings import SiteSettings
 from camtopod.records import Ack, Event
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus, QueryError

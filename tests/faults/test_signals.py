@@ -21,7 +21,7 @@ from serving import T0, WAIT_SECONDS, free_endpoint, numbered, small_config, wai
 from sizes import size
 
 from camtopod.cli.child import Child
-from camtopod.config import CameraSettings, HealthSettings
+from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.records import Event
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.daemon import Daemon

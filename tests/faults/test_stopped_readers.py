@@ -22,7 +22,7 @@ from serving import wait_for
 from test_intruders import HQ, Keys, Puppet, RealDaemon, client, tls_table
 
 from camtopod import codec
-from camtopod.config import BusSettings, Config, SiteSettings
+from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Ack, Event, Prediction
 from camtopod.serve import sockets
 from camtopod.serve.bus import Bus, dial, meet

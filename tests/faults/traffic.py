@@ -18,7 +18,7 @@ from pathlib import Path
 import msgspec
 
 from camtopod.codec import to_pack
-from camtopod.config import BusSettings, Config
+from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.publisher import Publisher

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from camtopod import codec
-from camtopod.config import KeepSettings
+from camtopod.config.settings import KeepSettings
 from camtopod.records import Event
 from camtopod.serve.database import damaged_files
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion

@@ -14,11 +14,20 @@ import msgspec
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from camtopod import redact, secret_files, toml_lines
+from camtopod import redact
+from camtopod.config.settings import secret_files, toml_lines
+from camtopod.config.toml_tables import (
+    DEFAULT_ENDPOINT,
+    Endpoint,
+    Problem,
+    TableReader,
+    did_you_mean,
+    is_endpoint,
+    syntax,
+)
 from camtopod.learn.settings import Settings
 from camtopod.records import CAMERA_PATTERN
 from camtopod.sharding.assignment import Sharding
-from camtopod.toml_tables import DEFAULT_ENDPOINT, Endpoint, Problem, TableReader, did_you_mean, is_endpoint, syntax
 from camtopod.vision.settings import VisionSettings
 
 RESERVED = ("daemon",)
