@@ -34,10 +34,10 @@ from bench._site import resident
 from camtopod.config.settings import BusSettings, Config, KeepSettings, Limits, StateSettings
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
-from camtopod.serve import memory
 from camtopod.serve.bus import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.publisher import Publisher
+from camtopod.serve.runtime import memory
 from camtopod.serve.spool import Spool
 from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings

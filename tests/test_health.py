@@ -25,13 +25,14 @@ from told_systemd import Systemd
 from camtopod.config.settings import Config, HealthSettings, parse
 from camtopod.records import Event
 from camtopod.serve import bus as buses
-from camtopod.serve import health, self_check, systemd
+from camtopod.serve import health, self_check
 from camtopod.serve.bus import Bus, BusError
-from camtopod.serve.changes import changes
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.live import Live
-from camtopod.serve.progress import Progress
 from camtopod.serve.puller import Puller
+from camtopod.serve.runtime import systemd
+from camtopod.serve.runtime.progress import Progress
+from camtopod.serve.runtime.reload import changes
 
 # --- marks ----------------------------------------------------------------------------------------
 

@@ -22,7 +22,7 @@ from camtopod import codec
 from camtopod.codec import to_pack
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve import learner_messages, learner_start, learning, memory, recovery
+from camtopod.serve import learner_messages, learner_start, learning, recovery
 from camtopod.serve.learner_messages import (
     Answer,
     Begin,
@@ -39,6 +39,7 @@ from camtopod.serve.learner_messages import (
 )
 from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_program import Pupil
+from camtopod.serve.runtime import memory
 from camtopod.serve.share import Told
 from camtopod.sharding.assignment import Sharding
 

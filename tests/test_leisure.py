@@ -15,8 +15,8 @@ from camtopod.codec import read_in_parts, to_pack
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology
-from camtopod.serve.leisure import PAUSE_SECONDS_MAX, PAUSE_TIMES, WORK_SECONDS, Leisure, let_go
 from camtopod.serve.live import Live
+from camtopod.serve.runtime.background_work import PAUSE_SECONDS_MAX, PAUSE_TIMES, WORK_SECONDS, Leisure, let_go
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
 
@@ -101,7 +101,7 @@ def test_nothing_is_left_of_what_is_let_go_of_and_what_is_used_stays_whole() -> 
 def test_predictions_go_on_while_a_version_is_prepared_and_are_by_the_old_one_until_it_is_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("camtopod.serve.leisure.WORK_SECONDS", 0.0)
+    monkeypatch.setattr("camtopod.serve.runtime.background_work.WORK_SECONDS", 0.0)
     first = learned()
     second = replace(first, version=first.version + 1)
     made: list[Prediction] = []
@@ -131,7 +131,7 @@ def test_predictions_go_on_while_a_version_is_prepared_and_are_by_the_old_one_un
 
 
 def test_who_is_in_a_hurry_makes_no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("camtopod.serve.leisure.WORK_SECONDS", 0.0)
+    monkeypatch.setattr("camtopod.serve.runtime.background_work.WORK_SECONDS", 0.0)
     topology, rests = learned(), list[float]()
     live = Live(lambda _: None, rest=rests.append)
     live.use(topology)

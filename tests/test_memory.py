@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from camtopod.records import Event
-from camtopod.serve import memory
 from camtopod.serve.cameras import Received
 from camtopod.serve.inbox import Message
 from camtopod.serve.journal import Entry
+from camtopod.serve.runtime import memory
 
 RESIDENT = """
 import os, threading, sys

@@ -27,8 +27,8 @@ from camtopod.serve.database import StateError, crc
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learning import Learning
-from camtopod.serve.progress import no_beat
 from camtopod.serve.recovery import recover
+from camtopod.serve.runtime.progress import no_beat
 from camtopod.serve.versions import Version
 
 SETTINGS = msgspec.structs.replace(small_config(Path()).learn, lateness_seconds=5.0)

@@ -31,13 +31,13 @@ from camtopod.serve.cameras import (
     Cameras,
     Received,
 )
-from camtopod.serve.clock import steady_beside, wall
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.receiver import Receiver
-from camtopod.serve.rejects import SAMPLES_MAX, Rejects
 from camtopod.serve.rivals import NAMED_MAX, Rivals
+from camtopod.serve.runtime.clock import steady_beside, wall
+from camtopod.serve.runtime.rejects import SAMPLES_MAX, Rejects
 
 DAY = 86_400.0
 

@@ -24,11 +24,11 @@ from camtopod.records import Ack, Event, Prediction, Topology
 from camtopod.serve import bus as buses
 from camtopod.serve.bus import Bus, BusError, QueryError
 from camtopod.serve.cameras import Received
-from camtopod.serve.clock import ulid
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.database import crc
 from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.publisher import Publisher
+from camtopod.serve.runtime.clock import ulid
 from camtopod.serve.spool import Spool
 from camtopod.serve.subscriber import TopologyView
 from camtopod.topology.versions import digest_of, make_delta

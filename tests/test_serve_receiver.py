@@ -22,9 +22,9 @@ from camtopod.serve.cameras import Received
 from camtopod.serve.database import Damaged
 from camtopod.serve.journal import Entry, Journal, Snapshot
 from camtopod.serve.live import Live
-from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.puller import read_batch
 from camtopod.serve.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
+from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import everything
 from camtopod.serve.spool import SpoolBatch
 from camtopod.serve.versions import Version

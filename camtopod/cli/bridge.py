@@ -18,7 +18,7 @@ from camtopod.export.homeassistant import DISCOVERY, PREFIX, Counted, Messages, 
 from camtopod.records import CAMERA_PATTERN, Prediction
 from camtopod.serve import mqtt
 from camtopod.serve.bus import Bus, BusError, QueryError, dial
-from camtopod.serve.progress import Progress
+from camtopod.serve.runtime.progress import Progress
 from camtopod.serve.subscriber import TopologyView
 
 LOOK_SECONDS = 1.0

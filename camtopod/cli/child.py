@@ -19,7 +19,7 @@ from typing import Any
 from camtopod.cli import exits
 from camtopod.cli.heartbeat import Ear
 from camtopod.config.settings import CameraSettings, HealthSettings
-from camtopod.serve.systemd import SOCKET_VARIABLE
+from camtopod.serve.runtime.systemd import SOCKET_VARIABLE
 from camtopod.vision.source import kind_of
 
 log = logging.getLogger(__name__)

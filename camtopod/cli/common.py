@@ -23,8 +23,8 @@ from camtopod.config.settings import secret_files, settings
 from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
-from camtopod.serve import systemd
-from camtopod.serve.progress import Progress
+from camtopod.serve.runtime import systemd
+from camtopod.serve.runtime.progress import Progress
 from camtopod.visible import visible, visible_lines
 
 log = logging.getLogger(__name__)

@@ -35,10 +35,10 @@ from camtopod.config.settings import BusSettings, Config, Limits, SiteSettings, 
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
 from camtopod.serve import bus as buses
-from camtopod.serve import clock as clocks
 from camtopod.serve import guard
 from camtopod.serve.bus import Bus, BusError, dial
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.runtime import clock as clocks
 from camtopod.sim.floor import Plan, Walk, passages, site, stroll, truth_of
 from camtopod.sim.picture import Times, camera_times, write_map
 from camtopod.sim.render import SUFFIX, render

@@ -26,9 +26,10 @@ from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
 from camtopod.config.settings import TABLES, Config, secret_files
 from camtopod.redact import redact, remember
-from camtopod.serve import clock, guard, inspection
+from camtopod.serve import guard, inspection
 from camtopod.serve.bus import BusError, dial
 from camtopod.serve.database import StateError
+from camtopod.serve.runtime import clock
 from camtopod.visible import visible
 
 FILES_MAX = 200

@@ -24,7 +24,7 @@ from camtopod.cli.exits import CommandError
 from camtopod.cli.heartbeat import Heart
 from camtopod.config.settings import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
-from camtopod.serve import clock, systemd
+from camtopod.serve.runtime import clock, systemd
 from camtopod.vision import complaints
 from camtopod.vision.source import AGAIN, kind_of
 

@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Struct
 
 from camtopod.redact import redact
-from camtopod.serve import systemd
+from camtopod.serve.runtime import systemd
 
 REASON_CHARACTERS_MAX = 300
 _READ_BYTES = 65536

@@ -25,7 +25,7 @@ from camtopod.keys.authority import (
     day,
     write_public,
 )
-from camtopod.serve import clock
+from camtopod.serve.runtime import clock
 
 DEFAULT_FOLDER = Path("camtopod-keys")
 DAYS = 5 * 365

@@ -13,10 +13,11 @@ from camtopod.cli import descriptors, exits
 from camtopod.cli.common import Told, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.config.settings import Config
-from camtopod.serve import health, memory, metrics, systemd
+from camtopod.serve import health, metrics
 from camtopod.serve.bus import BusError, refusals_heard
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.database import StateError
+from camtopod.serve.runtime import memory, systemd
 
 log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ import threading
 from typing import Any
 
 from camtopod.config.settings import Config
-from camtopod.serve import clock
+from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
 

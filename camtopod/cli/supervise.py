@@ -16,7 +16,7 @@ from camtopod.cli.exits import CommandError
 from camtopod.cli.reach import Reach
 from camtopod.cli.speaker import Speaker
 from camtopod.config.settings import CameraSettings, Config
-from camtopod.serve import systemd
+from camtopod.serve.runtime import systemd
 
 log = logging.getLogger(__name__)
 

@@ -25,8 +25,8 @@ from camtopod.cli.board import (
 )
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
-from camtopod.serve import clock
 from camtopod.serve.bus import BusError, dial
+from camtopod.serve.runtime import clock
 from camtopod.serve.subscriber import TopologyView
 from camtopod.visible import visible
 

@@ -17,9 +17,9 @@ from typing import Any
 from camtopod.cli import descriptors, exits
 from camtopod.cli.common import configuration, leaving, start_logging, until_signal, watched
 from camtopod.cli.exits import CommandError
-from camtopod.serve import clock
 from camtopod.serve.bus import BusError, dial
-from camtopod.serve.progress import Progress
+from camtopod.serve.runtime import clock
+from camtopod.serve.runtime.progress import Progress
 
 log = logging.getLogger(__name__)
 

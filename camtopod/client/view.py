@@ -30,8 +30,8 @@ from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 from camtopod.predict.predictor import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction
 from camtopod.records import Topology as Version
-from camtopod.serve import clock
 from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.serve.runtime import clock
 from camtopod.serve.subscriber import TopologyView
 
 log = logging.getLogger(__name__)

@@ -12,7 +12,7 @@ from camtopod.learn.window.reorder_buffer import EventTime, microseconds
 from camtopod.records import Ack
 from camtopod.serve.bus import Bus
 from camtopod.serve.cameras import Received
-from camtopod.serve.progress import Beat
+from camtopod.serve.runtime.progress import Beat
 from camtopod.serve.streams import Key
 
 

@@ -26,7 +26,8 @@ from camtopod.config.settings import BusSettings, Config
 from camtopod.keys.rules import PREFIX
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
-from camtopod.serve import clock, guard, refusals, sockets
+from camtopod.serve import guard, refusals, sockets
+from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
 

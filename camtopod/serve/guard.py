@@ -12,7 +12,7 @@ from pathlib import Path
 
 from camtopod.config.settings import Config
 from camtopod.keys import rules
-from camtopod.serve.clock import Clock
+from camtopod.serve.runtime.clock import Clock
 
 log = logging.getLogger(__name__)
 

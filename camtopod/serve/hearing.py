@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable
 
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus, OnMessage
-from camtopod.serve.clock import Clock
-from camtopod.serve.progress import Beat, no_beat
+from camtopod.serve.runtime.clock import Clock
+from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import Share
 
 log = logging.getLogger(__name__)

@@ -24,7 +24,6 @@ from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import Topology
 from camtopod.serve import learner_messages as messages
-from camtopod.serve import memory
 from camtopod.serve.learner_messages import (
     Answer,
     Begin,
@@ -47,6 +46,7 @@ from camtopod.serve.learner_messages import (
     Teach,
     Unusable,
 )
+from camtopod.serve.runtime import memory
 from camtopod.serve.share import Told
 from camtopod.sharding.shard_learner import ShardLearner, ShardState, pack_shard, unpack_shard
 from camtopod.topology.versions import make_delta

@@ -16,7 +16,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from camtopod.serve import memory
 from camtopod.serve.cameras import Received
 from camtopod.serve.corrections import read_rewind
 from camtopod.serve.journal import Entry, Journal, Snapshot
@@ -36,8 +35,9 @@ from camtopod.serve.learner_messages import (
     Teach,
 )
 from camtopod.serve.learner_process import LearnerEnded, LearnerProcess
-from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.recovery import Recovered, note_failure
+from camtopod.serve.runtime import memory
+from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.versions import Version, head_of
 
 log = logging.getLogger(__name__)

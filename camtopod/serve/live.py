@@ -10,10 +10,10 @@ from camtopod import codec
 from camtopod.cooperative import Pause, no_pause
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology
-from camtopod.serve import memory
 from camtopod.serve.bus import QueryError
 from camtopod.serve.cameras import Received
-from camtopod.serve.leisure import Leisure, let_go
+from camtopod.serve.runtime import memory
+from camtopod.serve.runtime.background_work import Leisure, let_go
 from camtopod.serve.share import everything
 from camtopod.serve.versions import for_prediction
 

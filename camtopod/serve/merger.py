@@ -23,9 +23,9 @@ from camtopod import codec
 from camtopod.config.settings import KeepSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
-from camtopod.serve import clock as clocks
 from camtopod.serve.journal import Journal, Snapshot
-from camtopod.serve.progress import Beat, no_beat
+from camtopod.serve.runtime import clock as clocks
+from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import Told
 from camtopod.serve.storing import Storing
 from camtopod.serve.versions import Version

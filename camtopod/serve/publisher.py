@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 
 from camtopod import codec
 from camtopod.records import Ack, Event
-from camtopod.serve import clock
 from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.database import StateError
-from camtopod.serve.rejects import Rejects
+from camtopod.serve.runtime import clock
+from camtopod.serve.runtime.rejects import Rejects
 from camtopod.serve.spool import Spool, SpoolBatch
 
 log = logging.getLogger(__name__)

@@ -15,9 +15,9 @@ from camtopod import codec
 from camtopod.config.settings import Limits
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus import Bus, QueryError
-from camtopod.serve.progress import Mark
 from camtopod.serve.receiver import Pulled
-from camtopod.serve.rejects import Rejects
+from camtopod.serve.runtime.progress import Mark
+from camtopod.serve.runtime.rejects import Rejects
 from camtopod.serve.spool import SpoolBatch
 
 log = logging.getLogger(__name__)

@@ -24,7 +24,6 @@ from camtopod.records import CAMERA_CHARACTERS_MAX, Event
 from camtopod.serve.acks import Acks
 from camtopod.serve.bus import Bus, Ear, Heard
 from camtopod.serve.cameras import Cameras, Received
-from camtopod.serve.clock import Clock, steady_beside
 from camtopod.serve.corrections import rewind
 from camtopod.serve.duplicates import Duplicates
 from camtopod.serve.event_time import EventTime
@@ -32,8 +31,9 @@ from camtopod.serve.handover import Handover
 from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.merge import Merge
-from camtopod.serve.progress import Beat, no_beat
-from camtopod.serve.rejects import Rejects
+from camtopod.serve.runtime.clock import Clock, steady_beside
+from camtopod.serve.runtime.progress import Beat, no_beat
+from camtopod.serve.runtime.rejects import Rejects
 from camtopod.serve.share import everything
 from camtopod.serve.spool import SpoolBatch
 from camtopod.serve.storing import Storing

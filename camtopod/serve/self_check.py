@@ -14,8 +14,8 @@ import msgspec
 
 from camtopod.config.settings import Config
 from camtopod.serve.bus import Bus, BusError, dial
-from camtopod.serve.progress import Mark
 from camtopod.serve.rivals import ROLE
+from camtopod.serve.runtime.progress import Mark
 
 log = logging.getLogger(__name__)
 

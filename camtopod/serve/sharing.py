@@ -13,12 +13,12 @@ from camtopod import codec
 from camtopod.config.settings import Config
 from camtopod.records import Topology
 from camtopod.serve.bus import Bus, OnMessage, QueryError
-from camtopod.serve.clock import Clock
 from camtopod.serve.hearing import Hearing
 from camtopod.serve.learning import Learning
 from camtopod.serve.merger import Merger
-from camtopod.serve.progress import Beat, no_beat
 from camtopod.serve.rivals import ROLE
+from camtopod.serve.runtime.clock import Clock
+from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import Share, Told
 from camtopod.serve.subscriber import TopologyView
 from camtopod.serve.versions import Version

@@ -24,7 +24,8 @@ from msgspec import Meta, Struct
 from camtopod import codec
 from camtopod.config.settings import Limits
 from camtopod.records import CameraId, Event
-from camtopod.serve import clock, database, spool_format
+from camtopod.serve import database, spool_format
+from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
 

@@ -14,10 +14,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 
-from camtopod.serve.clock import Clock
 from camtopod.serve.database import StateError
 from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.serve.progress import Beat, no_beat
+from camtopod.serve.runtime.clock import Clock
+from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.versions import Version
 
 log = logging.getLogger(__name__)

@@ -34,8 +34,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from camtopod.records import CAMERA_PATTERN, Topology
 from camtopod.serve.bus import Bus
-from camtopod.serve.clock import Clock
-from camtopod.serve.progress import Beat, Progress
+from camtopod.serve.runtime.clock import Clock
+from camtopod.serve.runtime.progress import Beat, Progress
 from camtopod.web.feed import Feed
 from camtopod.web.history import changes
 from camtopod.web.mailbox import Hub
