@@ -26,7 +26,7 @@ from bench._site import Status
 from camtopod.codec import to_pack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Ack, Event, Prediction
-from camtopod.serve.bus import Bus, dial, meet
+from camtopod.serve.bus.session import Bus, dial, meet
 
 PREFIX = "camtopo/site"
 ACK_SECONDS = 0.2

@@ -7,7 +7,7 @@ from typing import Any
 
 from camtopod import codec
 from camtopod.records import Topology
-from camtopod.serve.bus import QueryError
+from camtopod.serve.bus.session import QueryError
 
 
 class OneBus:

@@ -12,7 +12,7 @@ from one_bus import OneBus
 
 from camtopod.cli.web import listening, names
 from camtopod.records import Topology
-from camtopod.serve.bus import Bus
+from camtopod.serve.bus.session import Bus
 from camtopod.web import app
 
 

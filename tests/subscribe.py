@@ -9,8 +9,8 @@ from pathlib import Path
 from serving import small_config
 
 from camtopod.codec import to_json
-from camtopod.serve.bus import dial
-from camtopod.serve.subscriber import TopologyView
+from camtopod.serve.bus.session import dial
+from camtopod.serve.bus.topology_subscriber import TopologyView
 
 if __name__ == "__main__":
     stop = threading.Event()

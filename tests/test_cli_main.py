@@ -22,7 +22,7 @@ from camtopod.cli import exits, main
 from camtopod.cli.common import configuration, start_logging
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config.settings import settings
-from camtopod.serve.bus import BusError
+from camtopod.serve.bus.session import BusError
 from camtopod.serve.journal import Journal
 
 
@@ -177,7 +177,7 @@ def test_a_package_that_is_missing_is_named(
     monkeypatch.setitem(main.COMMANDS, "probe", ("camtopod.cli.none_such", ""))
     assert main.main(["probe"]) == 1
     monkeypatch.setitem(sys.modules, "zenoh", None)
-    monkeypatch.delitem(sys.modules, "camtopod.serve.bus", raising=False)
+    monkeypatch.delitem(sys.modules, "camtopod.serve.bus.session", raising=False)
     for module in ("run", "watch", "ingest"):
         monkeypatch.delitem(sys.modules, f"camtopod.cli.{module}", raising=False)
     monkeypatch.delitem(sys.modules, "camtopod.serve.daemon", raising=False)

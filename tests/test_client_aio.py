@@ -14,7 +14,7 @@ from serving import free_endpoint
 
 from camtopod.client import BusError, aio, view
 from camtopod.config.settings import BusSettings, Config
-from camtopod.serve.bus import Bus, dial
+from camtopod.serve.bus.session import Bus, dial
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from serving import T0, closing_event, free_endpoint, numbered, small_config, wa
 
 from camtopod.codec import to_json
 from camtopod.records import Event
-from camtopod.serve.bus import dial
+from camtopod.serve.bus.session import dial
 
 EXAMPLES = Path(__file__).parent / "examples"
 README = (Path(__file__).parent.parent / "README.md").read_text()

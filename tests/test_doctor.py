@@ -18,7 +18,7 @@ from camtopod import redact
 from camtopod.cli import doctor, machine
 from camtopod.cli.main import main
 from camtopod.config.settings import Config
-from camtopod.serve.bus import BusError, dial
+from camtopod.serve.bus.session import BusError, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.inspection import journal, spool
 from camtopod.serve.publisher import Publisher

@@ -24,9 +24,9 @@ from told_systemd import Systemd
 
 from camtopod.config.settings import Config, HealthSettings, parse
 from camtopod.records import Event
-from camtopod.serve import bus as buses
-from camtopod.serve import health, self_check
-from camtopod.serve.bus import Bus, BusError
+from camtopod.serve import health
+from camtopod.serve.bus.session import Bus, BusError, self_check
+from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.live import Live
 from camtopod.serve.puller import Puller

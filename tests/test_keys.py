@@ -24,8 +24,7 @@ from camtopod.config.settings import ConfigError, Limits, load, parse, secret_fi
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority, KeysError
 from camtopod.records import Event
-from camtopod.serve import guard
-from camtopod.serve.bus import meet
+from camtopod.serve.bus.session import access, meet
 
 NOW = 1_800_000_000.0
 DAY = 86400.0
@@ -262,9 +261,9 @@ def test_the_examples_it_writes_are_right_where_they_are_copied_to(tmp_path: Pat
             config = config.for_camera(name)
             assert config.cameras[name].source == "rtsp://u:hunter2@192.0.2.7/x"
             assert "hunter2" not in redact.redact("it was hunter2")
-        guard.check_files(config)
+        access.check_files(config)
         assert config.dials == (("tls/127.0.0.1:7447",) if name == "daemon" else ("tls/hub.example:7447",))
-    assert guard.read_access(load(tmp_path / "box-daemon/camtopod.toml"), lambda: NOW) is not None
+    assert access.read_access(load(tmp_path / "box-daemon/camtopod.toml"), lambda: NOW) is not None
 
 
 # --- the rules --------------------------------------------------------------------------------------
@@ -464,7 +463,7 @@ def test_a_plain_endpoint_beside_certificates_is_said(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_what_is_open_is_said(text: str, said: str | None) -> None:
-    found = guard.openness(parse(text))
+    found = access.openness(parse(text))
     if said is None:
         assert found is None
     else:
@@ -489,7 +488,7 @@ def test_the_access_list_is_checked(tmp_path: Path, authority: Authority) -> Non
     ):
         if content is not None:
             (tmp_path / "access.json").write_bytes(content)
-        with pytest.raises(guard.AccessError, match=why):
-            guard.read_access(load(path), lambda: NOW)
-    with pytest.raises(guard.AccessError, match=r"cannot read .*/a: No such file"):
-        guard.check_files(load(path))
+        with pytest.raises(access.AccessError, match=why):
+            access.read_access(load(path), lambda: NOW)
+    with pytest.raises(access.AccessError, match=r"cannot read .*/a: No such file"):
+        access.check_files(load(path))

@@ -19,9 +19,9 @@ import pytest
 from mosquitto import PROGRAM, mosquitto
 from serving import T0, small_config, wait_for
 
+from camtopod import mqtt
 from camtopod.cli import exits
 from camtopod.cli.main import main
-from camtopod.serve import mqtt
 from camtopod.serve.daemon import Daemon
 
 USER, PASSWORD = "camtopod", "hunter2-long"

@@ -12,7 +12,7 @@ from serving import WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_fo
 
 from camtopod.cli.reach import PARTIAL_SECONDS, SETTLE_SECONDS, Reach
 from camtopod.config.settings import BusSettings, Config
-from camtopod.serve import bus as buses
+from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 
 CAMERAS = ("hall", "lobby", "yard")

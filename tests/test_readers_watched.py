@@ -17,9 +17,9 @@ from told_systemd import Systemd
 from camtopod.cli import bridge, web
 from camtopod.cli.main import main
 from camtopod.config.settings import BusSettings
-from camtopod.serve import bus as buses
-from camtopod.serve.mqtt import Board
-from camtopod.serve.subscriber import TopologyView
+from camtopod.mqtt import Board
+from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.web.feed import Feed
 
 STALL_SECONDS = 1.0

@@ -17,8 +17,9 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack
 from camtopod.records import Event
-from camtopod.serve import bus as buses
-from camtopod.serve.bus import BusError
+from camtopod.serve.bus.session import BusError
+from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus.single_daemon import NAMED_MAX, Rivals
 from camtopod.serve.cameras import (
     BELIEVED_SECONDS,
     DOUBLED_SECONDS,
@@ -35,7 +36,6 @@ from camtopod.serve.daemon import Daemon
 from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.receiver import Receiver
-from camtopod.serve.rivals import NAMED_MAX, Rivals
 from camtopod.serve.runtime.clock import steady_beside, wall
 from camtopod.serve.runtime.rejects import SAMPLES_MAX, Rejects
 

@@ -21,8 +21,9 @@ from serving import T0, all_out, closing_event, numbered, small_config, wait_for
 from camtopod import codec
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction, Topology
-from camtopod.serve import bus as buses
-from camtopod.serve.bus import Bus, BusError, QueryError
+from camtopod.serve.bus.session import Bus, BusError, QueryError
+from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.cameras import Received
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.database import crc
@@ -30,7 +31,6 @@ from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.runtime.clock import ulid
 from camtopod.serve.spool import Spool
-from camtopod.serve.subscriber import TopologyView
 from camtopod.topology.versions import digest_of, make_delta
 
 NOW = T0 + 20 * serving.SPAN_SECONDS

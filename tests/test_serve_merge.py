@@ -10,7 +10,7 @@ from serving import T0, small_config, wait_for
 
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.serve import bus as buses
+from camtopod.serve.bus.session import session as buses
 from camtopod.serve.cameras import Received
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Entry

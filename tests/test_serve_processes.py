@@ -21,7 +21,7 @@ from serving import camtopod, closing_event, free_endpoint, small_config, wait_f
 from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.serve.bus.session import Bus, BusError, dial
 from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool

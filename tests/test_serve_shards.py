@@ -24,16 +24,16 @@ from camtopod.config.settings import Config, KeepSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve import merger as mergers
-from camtopod.serve.bus import Bus, BusError, QueryError, dial
+from camtopod.serve.bus.session import Bus, BusError, QueryError, dial
+from camtopod.serve.bus.single_daemon import Rivals
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.hearing import SMALL_CAMERAS_MAX, Hearing
 from camtopod.serve.merger import Merger
 from camtopod.serve.publisher import Publisher
-from camtopod.serve.rivals import Rivals
 from camtopod.serve.share import Share, Told
 from camtopod.serve.sharing import Sharing
 from camtopod.serve.spool import Spool
-from camtopod.serve.subscriber import TopologyView
 from camtopod.serve.versions import Version
 from camtopod.sharding.assignment import Sharding
 from camtopod.sharding.shard_learner import ShardLearner

@@ -21,7 +21,7 @@ from serving import free_endpoint, small_config, wait_for
 
 from camtopod.cli.standard_streams import Unwaited
 from camtopod.config.settings import BusSettings
-from camtopod.serve import bus as buses
+from camtopod.serve.bus.session import session as buses
 
 END_SECONDS = 5.0
 

@@ -27,7 +27,7 @@ from camtopod.cli.common import Told, leaving, signals
 from camtopod.cli.heartbeat import Ear, Heart, Said
 from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.config.settings import settings as configs
-from camtopod.serve import bus as buses
+from camtopod.serve.bus.session import session as buses
 
 CHILD = """
 import os, pathlib, signal, sys, time

@@ -28,8 +28,8 @@ from camtopod.cli.main import main
 from camtopod.cli.screen import drawn
 from camtopod.cli.watch import lines
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, Camera, Link, NextCamera, Prediction, Topology, Transit
-from camtopod.serve import bus as buses
-from camtopod.serve.bus import Bus
+from camtopod.serve.bus.session import Bus
+from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.visible import visible, visible_lines
 

@@ -13,7 +13,7 @@ from one_bus import OneBus
 from serving import wait_for
 
 from camtopod.records import Event, InView, Look, NextCamera, Prediction
-from camtopod.serve.bus import Bus
+from camtopod.serve.bus.session import Bus
 from camtopod.web import feed, mailbox
 from camtopod.web.feed import Feed
 from camtopod.web.mailbox import BYTES_MAX, MESSAGES_MAX, PASSING_MAX, RESYNC, Hub, Mailbox

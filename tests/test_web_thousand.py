@@ -16,7 +16,7 @@ from serving import small_config, wait_for
 from camtopod import codec
 from camtopod.cli.web import listening, names
 from camtopod.records import Event, Topology
-from camtopod.serve import bus as buses
+from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal, StoredVersion
 from camtopod.serve.versions import Version

@@ -9,17 +9,16 @@ import re
 import threading
 from typing import Any
 
-from camtopod import codec
+from camtopod import codec, mqtt
 from camtopod.cli import broker, descriptors, exits
 from camtopod.cli.common import configuration, start_logging, until_signal, watched
 from camtopod.cli.exits import CommandError
 from camtopod.export import homeassistant
 from camtopod.export.homeassistant import DISCOVERY, PREFIX, Counted, Messages, Said, SiteSaid, Topics
 from camtopod.records import CAMERA_PATTERN, Prediction
-from camtopod.serve import mqtt
-from camtopod.serve.bus import Bus, BusError, QueryError, dial
+from camtopod.serve.bus.session import Bus, BusError, QueryError, dial
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.runtime.progress import Progress
-from camtopod.serve.subscriber import TopologyView
 
 LOOK_SECONDS = 1.0
 """How often what has changed is published."""

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from camtopod import mqtt
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config.settings import secret_files
-from camtopod.serve import mqtt
 
 log = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ from camtopod.cli import exits
 from camtopod.cli.common import with_options
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config.settings import secret_files, settings
-from camtopod.serve import guard
+from camtopod.serve.bus.session import access
 
 
 def add_parser(subparsers: Any) -> None:
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
     warnings = secret_files.exposed(loaded.secrets(path))
-    warnings += [] if (open_to := guard.openness(loaded)) is None else [open_to]
+    warnings += [] if (open_to := access.openness(loaded)) is None else [open_to]
     for warning in warnings:
         print(f"{path}: warning: {warning}", file=sys.stderr)
     print(f"{path}: no mistakes; site {loaded.site.name}, {_cameras(len(loaded.cameras))}", file=sys.stderr)

@@ -34,9 +34,8 @@ from camtopod.codec import to_json
 from camtopod.config.settings import BusSettings, Config, Limits, SiteSettings, StateSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
-from camtopod.serve import bus as buses
-from camtopod.serve import guard
-from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.serve.bus.session import Bus, BusError, access, dial
+from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.runtime import clock as clocks
 from camtopod.sim.floor import Plan, Walk, passages, site, stroll, truth_of
@@ -212,7 +211,7 @@ def _watch(recording: Recording, work: Path) -> Topology:
 @contextlib.contextmanager
 def _openness_said(config: Config) -> Iterator[None]:
     """In the block the daemon does not warn of a bus without certificates: said here, for a bus that soon ends."""
-    warning = guard.openness(config)
+    warning = access.openness(config)
     log = logging.getLogger(buses.__name__)
 
     def other(record: logging.LogRecord) -> bool:

@@ -26,8 +26,8 @@ from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
 from camtopod.config.settings import TABLES, Config, secret_files
 from camtopod.redact import redact, remember
-from camtopod.serve import guard, inspection
-from camtopod.serve.bus import BusError, dial
+from camtopod.serve import inspection
+from camtopod.serve.bus.session import BusError, access, dial
 from camtopod.serve.database import StateError
 from camtopod.serve.runtime import clock
 from camtopod.visible import visible
@@ -126,7 +126,7 @@ def _configuration(config: Config, path: Path | None) -> Iterator[str]:
     for file in config.secrets(path or Path()):
         yield f"holds a secret: {file} ({_mode(file)})"
     yield from secret_files.exposed(config.secrets(path or Path()))
-    if (open_to := guard.openness(config)) is not None:
+    if (open_to := access.openness(config)) is not None:
         yield open_to
 
 

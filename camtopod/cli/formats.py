@@ -8,6 +8,7 @@ import re
 import threading
 from collections.abc import Iterator
 
+from camtopod import mqtt
 from camtopod.adapt.adapter import ANY_CAMERA, LINE_BYTES_MAX, Adapter, Size
 from camtopod.adapt.frigate import Frigate
 from camtopod.adapt.mot import Mot
@@ -17,7 +18,6 @@ from camtopod.cli.exits import CommandError
 from camtopod.cli.lines import LineReader, numbered, open_input
 from camtopod.config.settings import RESERVED
 from camtopod.records import Event
-from camtopod.serve import mqtt
 
 FORMATS = ("jsonl", "frigate", "mot", "scenescape")
 _OPTIONS = {

@@ -29,7 +29,7 @@ from camtopod.vision import complaints
 from camtopod.vision.source import AGAIN, kind_of
 
 if TYPE_CHECKING:
-    from camtopod.serve.bus import Bus
+    from camtopod.serve.bus.session import Bus
     from camtopod.serve.publisher import Publisher
     from camtopod.vision.grabber import Grabber
 
@@ -198,7 +198,7 @@ def _to_bus(
     told: Told,
     heart: Heart,
 ) -> int:
-    from camtopod.serve.bus import BusError, dial
+    from camtopod.serve.bus.session import BusError, dial
     from camtopod.serve.database import StateError
     from camtopod.serve.publisher import Publisher
     from camtopod.serve.spool import open_spool
@@ -315,7 +315,7 @@ class _Connection:
         """Dial in the background until there is a bus; events wait in the spool."""
 
         def keep() -> None:
-            from camtopod.serve.bus import BusError, dial
+            from camtopod.serve.bus.session import BusError, dial
 
             while not self._closed.is_set():
                 try:

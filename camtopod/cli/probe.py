@@ -17,7 +17,7 @@ from camtopod.cli.child import in_words
 from camtopod.cli.exits import CommandError
 from camtopod.config.settings import Config, toml_lines
 from camtopod.redact import redact, remember
-from camtopod.serve.bus import BusError, dial
+from camtopod.serve.bus.session import BusError, dial
 from camtopod.visible import visible
 from camtopod.vision.probe import LOOK_SECONDS, Probe, Question
 from camtopod.vision.settings import VisionSettings

@@ -14,7 +14,7 @@ from camtopod.cli.common import Told, configuration, leaving, signals, start_log
 from camtopod.cli.exits import CommandError
 from camtopod.config.settings import Config
 from camtopod.serve import health, metrics
-from camtopod.serve.bus import BusError, refusals_heard
+from camtopod.serve.bus.session import BusError, refusals_heard
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.database import StateError
 from camtopod.serve.runtime import memory, systemd

@@ -42,7 +42,7 @@ class Speaker:
         self._something.wait()
         if self._closed.is_set():
             return
-        from camtopod.serve.bus import Bus, dial
+        from camtopod.serve.bus.session import Bus, dial
 
         buses: dict[str, Bus] = {}  # one a camera: each may have a certificate of its own
         while not self._closed.is_set():

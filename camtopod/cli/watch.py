@@ -25,9 +25,9 @@ from camtopod.cli.board import (
 )
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
-from camtopod.serve.bus import BusError, dial
+from camtopod.serve.bus.session import BusError, dial
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.runtime import clock
-from camtopod.serve.subscriber import TopologyView
 from camtopod.visible import visible
 
 REFRESH_SECONDS = 0.5

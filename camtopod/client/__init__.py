@@ -13,6 +13,6 @@ from camtopod.adapt.tracks import TrackEvents
 from camtopod.client.errors import NothingLearned, UnknownPlace
 from camtopod.client.gate import Gate
 from camtopod.client.topology import Predictions, Topology
-from camtopod.serve.bus import BusError
+from camtopod.serve.bus.session import BusError
 
 __all__ = ["BusError", "Gate", "NothingLearned", "Predictions", "Topology", "TrackEvents", "UnknownPlace"]

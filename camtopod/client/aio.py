@@ -19,7 +19,7 @@ from camtopod.client.news import News
 from camtopod.client.view import Settings, View
 from camtopod.records import Prediction
 from camtopod.records import Topology as Version
-from camtopod.serve.bus import BusError
+from camtopod.serve.bus.session import BusError
 
 T = TypeVar("T")
 

@@ -1,4 +1,4 @@
-"""What can go wrong beside the bus (`camtopod.serve.bus.BusError`), and finding the place that a name means."""
+"""What can go wrong beside the bus (`camtopod.serve.bus.session.BusError`), and finding the place that a name means."""
 
 from __future__ import annotations
 

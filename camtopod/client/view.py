@@ -1,6 +1,6 @@
 """What a program holds of a site: the newest version of its topology, and what can be said by it at once.
 
-A thread keeps it up to date: `camtopod.serve.subscriber.TopologyView` applies each delta to the version before it,
+A thread keeps it up to date: `camtopod.serve.bus.topology_subscriber.TopologyView` applies each delta to the version before it,
 checks that the digest comes out, and fetches the whole where a version is missing or the daemon has begun anew.
 """
 
@@ -30,9 +30,9 @@ from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 from camtopod.predict.predictor import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction
 from camtopod.records import Topology as Version
-from camtopod.serve.bus import Bus, BusError, dial
+from camtopod.serve.bus.session import Bus, BusError, dial
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.runtime import clock
-from camtopod.serve.subscriber import TopologyView
 
 log = logging.getLogger(__name__)
 

@@ -27,9 +27,11 @@ from camtopod.config.settings import Config
 from camtopod.learn.window.reorder_buffer import EventTime, microseconds
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
-from camtopod.serve.bus import HANGS_SECONDS, JSON, Bus, QueryError, dial, meet
+from camtopod.serve.bus.access import boxes
+from camtopod.serve.bus.self_check import SelfCheck
+from camtopod.serve.bus.session import HANGS_SECONDS, JSON, Bus, QueryError, dial, meet
+from camtopod.serve.bus.single_daemon import Rivals
 from camtopod.serve.database import StateError
-from camtopod.serve.guard import boxes
 from camtopod.serve.journal import Journal
 from camtopod.serve.learner_process import LearnerProcess
 from camtopod.serve.learning import Learning
@@ -37,11 +39,9 @@ from camtopod.serve.live import Live
 from camtopod.serve.puller import Puller
 from camtopod.serve.receiver import Receiver
 from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover, told_by
-from camtopod.serve.rivals import Rivals
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.runtime.progress import Mark, Progress
 from camtopod.serve.runtime.reload import changes
-from camtopod.serve.self_check import SelfCheck
 from camtopod.serve.share import Share, Whole
 from camtopod.serve.versions import Newest, Version, head_of
 

@@ -10,7 +10,7 @@ from camtopod import codec
 from camtopod.cooperative import Pause, no_pause
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology
-from camtopod.serve.bus import QueryError
+from camtopod.serve.bus.session import QueryError
 from camtopod.serve.cameras import Received
 from camtopod.serve.runtime import memory
 from camtopod.serve.runtime.background_work import Leisure, let_go

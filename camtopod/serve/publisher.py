@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from camtopod import codec
 from camtopod.records import Ack, Event
-from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.bus.session import Bus, QueryError
 from camtopod.serve.database import StateError
 from camtopod.serve.runtime import clock
 from camtopod.serve.runtime.rejects import Rejects

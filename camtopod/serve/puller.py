@@ -14,7 +14,7 @@ from collections.abc import Callable
 from camtopod import codec
 from camtopod.config.settings import Limits
 from camtopod.records import CAMERA_PATTERN
-from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.bus.session import Bus, QueryError
 from camtopod.serve.receiver import Pulled
 from camtopod.serve.runtime.progress import Mark
 from camtopod.serve.runtime.rejects import Rejects

@@ -22,7 +22,7 @@ from camtopod.learn.window.reorder_buffer import MICROSECONDS
 from camtopod.learn.window.reorder_buffer import EventTime as LearnedTime
 from camtopod.records import CAMERA_CHARACTERS_MAX, Event
 from camtopod.serve.acks import Acks
-from camtopod.serve.bus import Bus, Ear, Heard
+from camtopod.serve.bus.session import Bus, Ear, Heard
 from camtopod.serve.cameras import Cameras, Received
 from camtopod.serve.corrections import rewind
 from camtopod.serve.duplicates import Duplicates

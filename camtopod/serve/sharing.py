@@ -12,15 +12,15 @@ from pathlib import Path
 from camtopod import codec
 from camtopod.config.settings import Config
 from camtopod.records import Topology
-from camtopod.serve.bus import Bus, OnMessage, QueryError
+from camtopod.serve.bus.session import Bus, OnMessage, QueryError
+from camtopod.serve.bus.single_daemon import ROLE
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.hearing import Hearing
 from camtopod.serve.learning import Learning
 from camtopod.serve.merger import Merger
-from camtopod.serve.rivals import ROLE
 from camtopod.serve.runtime.clock import Clock
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import Share, Told
-from camtopod.serve.subscriber import TopologyView
 from camtopod.serve.versions import Version
 
 log = logging.getLogger(__name__)

@@ -20,10 +20,10 @@ import msgspec
 from camtopod import codec
 from camtopod.predict.hand_over import seen_now
 from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction, Topology
-from camtopod.serve.bus import Bus
+from camtopod.serve.bus.session import Bus
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.runtime.clock import Clock
 from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.subscriber import TopologyView
 from camtopod.web.drawing import Map, change, draw
 from camtopod.web.mailbox import Hub
 from camtopod.web.stories import Stories

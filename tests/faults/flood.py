@@ -8,7 +8,7 @@ import time
 from camtopod.codec import to_pack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
-from camtopod.serve.bus import dial
+from camtopod.serve.bus.session import dial
 
 _STEP_SECONDS = 0.01
 

@@ -6,7 +6,7 @@ import signal
 import sys
 
 from camtopod.config.settings import BusSettings, Config
-from camtopod.serve.bus import meet
+from camtopod.serve.bus.session import meet
 
 if __name__ == "__main__":
     with meet(Config(bus=BusSettings(listen=(sys.argv[1],)))):

@@ -25,7 +25,7 @@ from camtopod.cli import exits
 from camtopod.config.settings import BusSettings, Config, parse
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
-from camtopod.serve.bus import Bus, dial
+from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.journal import Journal
 
 HERE = Path(__file__).parent

@@ -21,7 +21,7 @@ from test_refill import raws
 
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
-from camtopod.serve.bus import Bus, dial
+from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool

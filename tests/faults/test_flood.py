@@ -23,7 +23,7 @@ from sizes import size
 from bench._site import resident
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
-from camtopod.serve.bus import Bus, dial
+from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool

@@ -16,7 +16,7 @@ from serving import T0, WAIT_SECONDS, small_config, wait_for
 from test_full_disk import full, small_disk
 
 from camtopod.records import Event
-from camtopod.serve.bus import dial
+from camtopod.serve.bus.session import dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher

@@ -23,7 +23,7 @@ from streams import missing, served, transcode
 from test_cameras import children_of
 
 from camtopod.config.settings import KeepSettings, SiteSettings
-from camtopod.serve.bus import dial
+from camtopod.serve.bus.session import dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher

@@ -27,11 +27,11 @@ from camtopod.cli.main import main
 from camtopod.config.settings import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority
-from camtopod.serve.bus import BusError, dial, meet
+from camtopod.serve.bus.session import BusError, dial, meet
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
-from camtopod.serve.subscriber import TopologyView
 
 HQ = "camtopo/hq"
 PUPPET = Path(__file__).parent / "puppet.py"

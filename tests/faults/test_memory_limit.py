@@ -19,7 +19,7 @@ from sizes import size
 
 from camtopod.config.settings import BusSettings
 from camtopod.records import Event
-from camtopod.serve.bus import Bus, dial
+from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
 

@@ -11,7 +11,7 @@ import pytest
 from serving import T0, small_config, wait_for
 
 from camtopod.records import Event
-from camtopod.serve import bus as buses
+from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher

@@ -23,7 +23,7 @@ from sizes import size
 from camtopod.cli.child import Child
 from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.records import Event
-from camtopod.serve.bus import BusError, dial
+from camtopod.serve.bus.session import BusError, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher

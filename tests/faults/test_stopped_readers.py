@@ -24,10 +24,9 @@ from test_intruders import HQ, Keys, Puppet, RealDaemon, client, tls_table
 from camtopod import codec
 from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Ack, Event, Prediction
-from camtopod.serve import sockets
-from camtopod.serve.bus import Bus, dial, meet
+from camtopod.serve.bus.session import Bus, dial, meet, sockets
+from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.journal import Journal, StoredVersion
-from camtopod.serve.subscriber import TopologyView
 
 SITE_CAMERAS = 150
 """Their topology has some hundred kilobytes, so that a link takes a few of them at most."""

@@ -20,7 +20,7 @@ import msgspec
 from camtopod.codec import to_pack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
-from camtopod.serve.bus import BusError, dial
+from camtopod.serve.bus.session import BusError, dial
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
 

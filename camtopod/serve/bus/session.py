@@ -26,7 +26,7 @@ from camtopod.config.settings import BusSettings, Config
 from camtopod.keys.rules import PREFIX
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
-from camtopod.serve import guard, refusals, sockets
+from camtopod.serve.bus.session import access, refusals, sockets
 from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
@@ -125,7 +125,7 @@ class Bus:
         self._declared: list[Any] = []
         self._ears: list[Ear] = []
         self._closed = threading.Event()
-        self._doorkeeper: guard.Doorkeeper | None = None
+        self._doorkeeper: access.Doorkeeper | None = None
         self._putting: dict[int, tuple[float, str]] = {}  # by thread: since when (monotonic), and on which key
 
     def put(self, key: str, noun: Any, schema: str) -> None:
@@ -272,7 +272,7 @@ class Bus:
         key = self._full(f"alive/{role}/*")
         self._declared.append(self._session.liveliness().declare_subscriber(key, change, history=True))
 
-    def watch_door(self, doorkeeper: guard.Doorkeeper) -> None:
+    def watch_door(self, doorkeeper: access.Doorkeeper) -> None:
         """Tell ``doorkeeper`` who connects. Closing these connections will not block the bus."""
 
         def change(event: zenoh.LinkEvent) -> None:
@@ -335,13 +335,13 @@ def dial(config: Config) -> Bus:
     """Open a client session, trying for ``bus.connect_seconds``. Raises `BusError`."""
     endpoints = config.dials
     try:
-        guard.check_files(config)
-    except guard.AccessError as error:
+        access.check_files(config)
+    except access.AccessError as error:
         raise BusError(str(error)) from None
     deadline = time.monotonic() + config.bus.connect_seconds
     while True:
         try:
-            session = _open(config, guard.settings(config, "client"), connect=endpoints)
+            session = _open(config, access.settings(config, "client"), connect=endpoints)
         except zenoh.ZError as error:
             if time.monotonic() >= deadline:
                 also = ", and does it accept this certificate" if config.bus.tls.ca else ""
@@ -360,17 +360,17 @@ def meet(config: Config, shared: bool = False) -> Bus:
     ``shared``: the other shards of the site come here with what they have learned. A port 0 stands for a free one. Says
     what is open to whom. Raises `BusError`.
     """
-    if (open_to := guard.openness(config)) is not None:
+    if (open_to := access.openness(config)) is not None:
         log.warning("%s", open_to)
     if not config.listens:
         return dial(config)
     endpoints = [_with_port(endpoint) for endpoint in config.listens]
     try:
-        guard.check_files(config)
-        access = guard.read_access(config, clock.wall)
-        values = guard.settings(config, "router", access, shared)
+        access.check_files(config)
+        access = access.read_access(config, clock.wall)
+        values = access.settings(config, "router", access, shared)
         session = _open(config, values, connect=config.bus.connect, listen=endpoints)
-    except guard.AccessError as error:
+    except access.AccessError as error:
         raise BusError(str(error)) from None
     except zenoh.ZError as error:
         raise BusError(
@@ -379,7 +379,7 @@ def meet(config: Config, shared: bool = False) -> Bus:
         ) from None
     sockets.limit_waiting(endpoints)
     bus = Bus(session, config.site.name, endpoints[0], config.bus)
-    bus.watch_door(guard.Doorkeeper(access))
+    bus.watch_door(access.Doorkeeper(access))
     return bus
 
 

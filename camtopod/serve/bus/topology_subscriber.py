@@ -11,7 +11,7 @@ from msgspec import Struct
 from camtopod import codec
 from camtopod.keys.rules import STATUS
 from camtopod.records import Delta, Topology
-from camtopod.serve.bus import Bus, QueryError
+from camtopod.serve.bus.session import Bus, QueryError
 from camtopod.topology.versions import apply_delta
 
 log = logging.getLogger(__name__)

@@ -25,7 +25,7 @@ class AccessError(OSError):
 
 
 def settings(config: Config, mode: str, access: rules.Access | None = None, shared: bool = False) -> rules.Settings:
-    """Everything that a session of zenoh is told, except the endpoints. ``shared``: as `camtopod.serve.bus.meet`."""
+    """Everything that a session of zenoh is told, except the endpoints. ``shared``: as `camtopod.serve.bus.session.meet`."""
     values = rules.quiet(mode)
     tls = config.bus.tls
     if tls.ca:

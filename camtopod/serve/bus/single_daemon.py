@@ -13,7 +13,7 @@ import re
 import threading
 import time
 
-from camtopod.serve.bus import Bus, BusError
+from camtopod.serve.bus.session import Bus, BusError
 
 log = logging.getLogger(__name__)
 

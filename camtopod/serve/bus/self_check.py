@@ -13,8 +13,8 @@ import threading
 import msgspec
 
 from camtopod.config.settings import Config
-from camtopod.serve.bus import Bus, BusError, dial
-from camtopod.serve.rivals import ROLE
+from camtopod.serve.bus.session import Bus, BusError, dial
+from camtopod.serve.bus.single_daemon import ROLE
 from camtopod.serve.runtime.progress import Mark
 
 log = logging.getLogger(__name__)
