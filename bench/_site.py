@@ -21,8 +21,8 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack
 from camtopod.records import Event
-from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.runtime.clock import ulid, wall
+from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
 

@@ -23,7 +23,7 @@ from camtopod.cli.common import configuration, start_logging
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.config.settings import settings
 from camtopod.serve.bus.session import BusError
-from camtopod.serve.journal import Journal
+from camtopod.serve.storage.journal import Journal
 
 
 @pytest.fixture(autouse=True)

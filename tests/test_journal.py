@@ -13,11 +13,11 @@ import pytest
 from serving import Failing
 
 from camtopod.config.settings import KeepSettings
-from camtopod.serve import database
-from camtopod.serve import journal as journals
-from camtopod.serve.database import Damaged, StateError
-from camtopod.serve.journal import BOOTS_KEPT_MAX, DAY_SECONDS, Entry, Journal, Snapshot, StoredVersion
-from camtopod.serve.storing import Storing
+from camtopod.serve.storage import journal as journals
+from camtopod.serve.storage import sqlite_file
+from camtopod.serve.storage.journal import BOOTS_KEPT_MAX, DAY_SECONDS, Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.journal_writer import Storing
+from camtopod.serve.storage.sqlite_file import Damaged, StateError
 
 OLD = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -373,7 +373,7 @@ def test_how_far_made_up_cameras_had_come_is_forgotten(journal: Journal, monkeyp
 def test_damage_in_a_journal_too_large_to_be_looked_through_is_found_out_at_the_next_start(
     journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(database, "SCAN_BYTES_MAX", 0)
+    monkeypatch.setattr(sqlite_file, "SCAN_BYTES_MAX", 0)
     journal.set_meta("epoch", "E")
     journal.commit([entry(n) for n in range(1, 2000)], snapshot=Snapshot(1, "E", b"state"))
     journal.close()

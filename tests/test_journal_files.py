@@ -16,10 +16,10 @@ from typing import Any
 
 import pytest
 
-from camtopod.serve import database
-from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.serve.open_files import Displaced
 from camtopod.serve.spool import Spool
+from camtopod.serve.storage import sqlite_file
+from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.open_files import Displaced
 
 SCHEMA = "CREATE TABLE IF NOT EXISTS one (id INTEGER PRIMARY KEY)"
 Harm = Callable[[Path], None]
@@ -179,7 +179,7 @@ def test_entries_of_another_program_are_no_reason_to_count_ones_own_as_stored(jo
 
 def test_any_database_can_be_asked(tmp_path: Path) -> None:
     """A spool's, too."""
-    with closing(database.connect(tmp_path / "one.db", SCHEMA)) as connection:
+    with closing(sqlite_file.connect(tmp_path / "one.db", SCHEMA)) as connection:
         connection.check()
         connection.execute("INSERT INTO one VALUES (1)")
         connection.check()

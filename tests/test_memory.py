@@ -14,8 +14,8 @@ import pytest
 from camtopod.records import Event
 from camtopod.serve.cameras import Received
 from camtopod.serve.inbox import Message
-from camtopod.serve.journal import Entry
 from camtopod.serve.runtime import memory
+from camtopod.serve.storage.journal import Entry
 
 RESIDENT = """
 import os, threading, sys
@@ -71,7 +71,7 @@ print(resident_bytes() - before)
 """
 
 JOURNAL = f"""{RESIDENT}
-from camtopod.serve.journal import Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.journal import Journal, Snapshot, StoredVersion
 journal = Journal(Path(sys.argv[1]))
 before = resident_bytes()
 for number in (1, 2):

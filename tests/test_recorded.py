@@ -17,7 +17,7 @@ from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.journal import Journal
+from camtopod.serve.storage.journal import Journal
 
 LEARN = Settings(refit_share=0.2)
 RECORDED = sorted(numbered(walkers(60), "recorded"), key=lambda event: event.t)

@@ -20,16 +20,17 @@ from camtopod.codec import to_pack
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.serve import corrections, recovery, wal
+from camtopod.serve import corrections, recovery
 from camtopod.serve.cameras import Received
 from camtopod.serve.corrections import rewind
-from camtopod.serve.database import StateError, crc
-from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learning import Learning
 from camtopod.serve.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
-from camtopod.serve.versions import Version
+from camtopod.serve.storage import wal_check
+from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.packed_version import Version
+from camtopod.serve.storage.sqlite_file import StateError, crc
 
 SETTINGS = msgspec.structs.replace(small_config(Path()).learn, lateness_seconds=5.0)
 EVENTS = [*sorted(numbered(walkers(60)), key=lambda event: event.t), closing_event()]
@@ -367,7 +368,7 @@ def test_what_a_damaged_log_has_lost_may_have_been_published(tmp_path: Path) -> 
         for first in range(0, 150, 30):
             one.learn(EVENTS[first : first + 30])
         log = bytearray((state / "journal.db-wal").read_bytes())
-        begin = 32 + (wal.read(state / "journal.db").commits[-4] - 1) * (24 + 4096)
+        begin = 32 + (wal_check.read(state / "journal.db").commits[-4] - 1) * (24 + 4096)
         log[begin + 1000] ^= 1
         killed = tmp_path / "killed"
         killed.mkdir()

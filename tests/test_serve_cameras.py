@@ -34,10 +34,10 @@ from camtopod.serve.cameras import (
 )
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.inbox import Inbox, Message
-from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.receiver import Receiver
 from camtopod.serve.runtime.clock import steady_beside, wall
 from camtopod.serve.runtime.rejects import SAMPLES_MAX, Rejects
+from camtopod.serve.storage.journal import Entry, Journal
 
 DAY = 86_400.0
 

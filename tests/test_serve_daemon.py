@@ -26,11 +26,11 @@ from camtopod.serve.bus.session import session as buses
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.cameras import Received
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.database import crc
-from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.runtime.clock import ulid
 from camtopod.serve.spool import Spool
+from camtopod.serve.storage.journal import Entry, Journal
+from camtopod.serve.storage.sqlite_file import crc
 from camtopod.topology.versions import digest_of, make_delta
 
 NOW = T0 + 20 * serving.SPAN_SECONDS

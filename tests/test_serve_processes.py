@@ -22,9 +22,9 @@ from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
 from camtopod.serve.bus.session import Bus, BusError, dial
-from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
+from camtopod.serve.storage.journal import Journal
 
 
 class Installation:

@@ -19,15 +19,15 @@ from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.cameras import Received
-from camtopod.serve.database import Damaged
-from camtopod.serve.journal import Entry, Journal, Snapshot
 from camtopod.serve.live import Live
 from camtopod.serve.puller import read_batch
 from camtopod.serve.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import everything
 from camtopod.serve.spool import SpoolBatch
-from camtopod.serve.versions import Version
+from camtopod.serve.storage.journal import Entry, Journal, Snapshot
+from camtopod.serve.storage.packed_version import Version
+from camtopod.serve.storage.sqlite_file import Damaged
 
 
 class Acks:
@@ -232,7 +232,7 @@ class Disk:
 def test_whatever_the_disk_does_until_the_end_what_is_acknowledged_is_there_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    monkeypatch.setattr("camtopod.serve.storing._RETRY_SECONDS", 0.0)
+    monkeypatch.setattr("camtopod.serve.storage.journal_writer._RETRY_SECONDS", 0.0)
     chance = random.Random(seed)
     bench = Bench(tmp_path, commit_events_max=1, ack_seconds=1e-9)
     monkeypatch.setattr(bench.journal, "commit", Disk(bench, chance, chance.randint(1, 6)).commit)
@@ -423,7 +423,7 @@ def test_a_camera_with_a_grabber_is_stored_beside_any_number_of_names(tmp_path: 
 def test_a_journal_over_its_size_is_back_within_it_however_much_is_stored_between_two_snapshots(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camtopod.serve.journal.PRUNED_ROWS_MAX", 10)
+    monkeypatch.setattr("camtopod.serve.storage.journal.PRUNED_ROWS_MAX", 10)
     bench = Bench(tmp_path)
     bench.journal._keep = type(bench.journal._keep)(journal_bytes_max=1)
     for snapshots in range(1, 4):

@@ -34,7 +34,7 @@ from camtopod.serve.publisher import Publisher
 from camtopod.serve.share import Share, Told
 from camtopod.serve.sharing import Sharing
 from camtopod.serve.spool import Spool
-from camtopod.serve.versions import Version
+from camtopod.serve.storage.packed_version import Version
 from camtopod.sharding.assignment import Sharding
 from camtopod.sharding.shard_learner import ShardLearner
 from camtopod.sim.network import simulate

@@ -19,9 +19,10 @@ from serving import Failing
 from camtopod import codec
 from camtopod.config.settings import Limits
 from camtopod.records import Event
-from camtopod.serve import database, spool_format, wal
-from camtopod.serve.database import StateError
+from camtopod.serve import spool_format
 from camtopod.serve.spool import Spool, open_spool
+from camtopod.serve.storage import sqlite_file, wal_check
+from camtopod.serve.storage.sqlite_file import StateError
 
 
 def event(number: int, camera: str = "lobby") -> Event:
@@ -365,7 +366,7 @@ def test_a_spool_of_a_newer_format_is_refused_and_left_alone(spool: Spool, tmp_p
     spool.close()
     with pytest.raises(StateError, match="format 3"):
         Spool(tmp_path / "spool.db", "b", events_max=10)
-    assert database.damaged_files(tmp_path / "spool.db") == []
+    assert sqlite_file.damaged_files(tmp_path / "spool.db") == []
 
 
 def test_a_damaged_spool_is_set_aside_and_what_can_be_read_goes_on(tmp_path: Path, caplog: Any) -> None:
@@ -402,24 +403,24 @@ def test_a_damaged_event_is_not_given_and_its_neighbours_are(spool: Spool) -> No
 
 def test_a_disk_that_damages_every_file_is_not_filled_up(tmp_path: Path) -> None:
     path = tmp_path / "spool.db"
-    for _ in range(database.DAMAGED_FILES_MAX):
+    for _ in range(sqlite_file.DAMAGED_FILES_MAX):
         path.write_bytes(b"rubbish " * 1000)
         Spool(path, "b", events_max=10).close()
     path.write_bytes(b"rubbish " * 1000)
     with pytest.raises(StateError, match="see to the disk"):
         Spool(path, "b", events_max=10)
     assert path.read_bytes() == b"rubbish " * 1000
-    assert [one.name for one in database.damaged_files(path)] == [f"spool.db.damaged-{n}" for n in range(1, 9)]
+    assert [one.name for one in sqlite_file.damaged_files(path)] == [f"spool.db.damaged-{n}" for n in range(1, 9)]
 
 
 def test_a_read_only_file_is_not_taken_for_a_damaged_one(tmp_path: Path) -> None:
     error = sqlite3.OperationalError("attempt to write a readonly database")
     error.sqlite_errorcode = sqlite3.SQLITE_READONLY
     (tmp_path / "one.db").write_bytes(b"")
-    assert database.is_damage(error, tmp_path / "one.db")
-    assert not database.is_damage(error, tmp_path / "missing" / "one.db")
+    assert sqlite_file.is_damage(error, tmp_path / "one.db")
+    assert not sqlite_file.is_damage(error, tmp_path / "missing" / "one.db")
     error.sqlite_errorcode = sqlite3.SQLITE_FULL
-    assert not database.is_damage(error, tmp_path / "one.db")
+    assert not sqlite_file.is_damage(error, tmp_path / "one.db")
 
 
 def test_text_that_is_no_text_any_more_damages_its_row_alone(spool: Spool) -> None:
@@ -434,7 +435,7 @@ def damaged_log(spool: Spool, tmp_path: Path) -> Path:
         spool.append([event(n)])
     path = copy_of(tmp_path / "spool.db", tmp_path / "killed")
     log = bytearray(path.with_name("spool.db-wal").read_bytes())
-    frame = wal.read(tmp_path / "spool.db").commits[3] - 1
+    frame = wal_check.read(tmp_path / "spool.db").commits[3] - 1
     log[32 + frame * (24 + 4096) + 1000] ^= 1
     path.with_name("spool.db-wal").write_bytes(log)
     return path
@@ -448,7 +449,7 @@ def test_a_damaged_log_is_copied_once(spool: Spool, tmp_path: Path, caplog: Any)
         Spool(path, "boot-2", events_max=1000).close()
         path.with_name("spool.db-wal").unlink(missing_ok=True)
         shutil.copyfile(tmp_path / "spool.db", path)
-    assert database.damaged_files(path.with_name("spool.db-wal")) == [path.with_name("spool.db-wal.damaged-1")]
+    assert sqlite_file.damaged_files(path.with_name("spool.db-wal")) == [path.with_name("spool.db-wal.damaged-1")]
     assert path.with_name("spool.db-wal.damaged-1").read_bytes() == log
     assert "transactions cannot be read; a copy is" in caplog.text
 
@@ -456,7 +457,7 @@ def test_a_damaged_log_is_copied_once(spool: Spool, tmp_path: Path, caplog: Any)
 def test_the_copy_of_a_damaged_log_is_nobody_elses_to_read(spool: Spool, tmp_path: Path) -> None:
     path = damaged_log(spool, tmp_path)
     Spool(path, "boot-2", events_max=1000).close()
-    [aside] = database.damaged_files(path.with_name("spool.db-wal"))
+    [aside] = sqlite_file.damaged_files(path.with_name("spool.db-wal"))
     assert aside.stat().st_mode & 0o777 == 0o600
 
 
@@ -472,7 +473,7 @@ def test_a_log_that_cannot_be_copied_leaves_no_part_of_a_copy(
 
     monkeypatch.setattr(shutil, "copyfileobj", full)
     Spool(path, "boot-2", events_max=1000).close()
-    assert database.damaged_files(path.with_name("spool.db-wal")) == []
+    assert sqlite_file.damaged_files(path.with_name("spool.db-wal")) == []
     assert "transactions cannot be read; there is no copy: No space left on device" in caplog.text
 
 
@@ -487,10 +488,10 @@ def test_torn_frames_that_look_like_two_commits_are_no_damage(spool: Spool, tmp_
     path = copy_of(tmp_path / "spool.db", tmp_path / "killed")
     with path.with_name("spool.db-wal").open("r+b") as file:
         salts = file.read(24)[16:]
-        file.seek(32 + max(wal.read(path).frames) * (24 + 4096))
+        file.seek(32 + max(wal_check.read(path).frames) * (24 + 4096))
         for _ in range(2):
             file.write(b"\0\0\0\1" + b"\0\0\0\5" + salts + bytes(8) + b"torn" * 1024)
-    assert len(wal.read(path).commits) >= 2
+    assert len(wal_check.read(path).commits) >= 2
     again = Spool(path, "boot-2", events_max=1000)
     assert (len(again), again.statistics()["damaged_files"]) == (1, 0)
     again.close()
@@ -499,7 +500,7 @@ def test_torn_frames_that_look_like_two_commits_are_no_damage(spool: Spool, tmp_
 def test_damage_in_a_spool_too_large_to_be_scanned_is_found_out_at_the_next_start(
     spool: Spool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(database, "SCAN_BYTES_MAX", 0)
+    monkeypatch.setattr(sqlite_file, "SCAN_BYTES_MAX", 0)
     spool.append([event(n) for n in range(900)])
     spool.close()
     path = tmp_path / "spool.db"
@@ -508,7 +509,7 @@ def test_damage_in_a_spool_too_large_to_be_scanned_is_found_out_at_the_next_star
     content[begin : begin + 4096] = b"\xaa" * 4096
     path.write_bytes(content)
     unsuspecting = Spool(path, "boot-2", events_max=1000)
-    with pytest.raises(database.Damaged, match="it is set aside at the next start"):
+    with pytest.raises(sqlite_file.Damaged, match="it is set aside at the next start"):
         unsuspecting.batch("lobby", "boot-1", 0, 1000)
     unsuspecting.close()
     again = Spool(path, "boot-3", events_max=1000)
@@ -519,10 +520,10 @@ def test_damage_in_a_spool_too_large_to_be_scanned_is_found_out_at_the_next_star
 
 def test_a_connection_that_is_not_closed_is_reported(tmp_path: Path) -> None:
     schema = "CREATE TABLE IF NOT EXISTS one (a)"
-    database.connect(tmp_path / "one.db", schema)
+    sqlite_file.connect(tmp_path / "one.db", schema)
     with pytest.warns(ResourceWarning, match="unclosed"):
         gc.collect()
-    database.connect(tmp_path / "one.db", schema).close()
+    sqlite_file.connect(tmp_path / "one.db", schema).close()
     gc.collect()
 
 

@@ -12,7 +12,7 @@ from camtopod.codec import to_pack
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Topology
-from camtopod.serve.versions import Newest, for_prediction, head_of
+from camtopod.serve.storage.packed_version import Newest, for_prediction, head_of
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
 

@@ -18,8 +18,8 @@ from camtopod.cli.web import listening, names
 from camtopod.records import Event, Topology
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.journal import Journal, StoredVersion
-from camtopod.serve.versions import Version
+from camtopod.serve.storage.journal import Journal, StoredVersion
+from camtopod.serve.storage.packed_version import Version
 from camtopod.topology.versions import make_delta, stamp
 from camtopod.web import app
 

@@ -26,16 +26,16 @@ from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
 from camtopod.config.settings import TABLES, Config, secret_files
 from camtopod.redact import redact, remember
-from camtopod.serve import inspection
 from camtopod.serve.bus.session import BusError, access, dial
-from camtopod.serve.database import StateError
 from camtopod.serve.runtime import clock
+from camtopod.serve.storage import inspect_state
+from camtopod.serve.storage.sqlite_file import StateError
 from camtopod.visible import visible
 
 FILES_MAX = 200
 """Of the state directory."""
 _BUNDLES = (".tar.gz", ".tgz")
-_LOOKS = {"journal.db": inspection.journal, "spools-of-*/*.db": inspection.spool}
+_LOOKS = {"journal.db": inspect_state.journal, "spools-of-*/*.db": inspect_state.spool}
 _SECRET_NAME = re.compile(r"(?i)pass|pwd|secret|token|credential")
 _SECRET_CHARACTERS_MIN = 6
 """Of an environment variable: 'true' and 'false' are no secrets."""

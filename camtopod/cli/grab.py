@@ -96,8 +96,8 @@ def _all(args: argparse.Namespace, told: Told) -> int:
 
 def _refuse_a_second(config: Config, stop: threading.Event) -> None:
     """Raises `CommandError` if another grabber has the spool of a camera and does not end within `HANDOVER_SECONDS`."""
-    from camtopod.serve.database import held_by
     from camtopod.serve.spool import spool_path
+    from camtopod.serve.storage.sqlite_file import held_by
 
     paths = {camera: spool_path(config.state_directory, config.site.name, camera) for camera in config.cameras}
     deadline = time.monotonic() + HANDOVER_SECONDS
@@ -199,9 +199,9 @@ def _to_bus(
     heart: Heart,
 ) -> int:
     from camtopod.serve.bus.session import BusError, dial
-    from camtopod.serve.database import StateError
     from camtopod.serve.publisher import Publisher
     from camtopod.serve.spool import open_spool
+    from camtopod.serve.storage.sqlite_file import StateError
 
     with contextlib.ExitStack() as stack:
         try:

@@ -22,9 +22,9 @@ from camtopod.config.settings import Config
 from camtopod.learn.learner import STEPS, Learner
 from camtopod.learn.window.reorder_buffer import EVENTS_PER_SECOND_MAX
 from camtopod.records import Topology
-from camtopod.serve.database import StateError
-from camtopod.serve.recorded import RecordedState
 from camtopod.serve.runtime.clock import wall
+from camtopod.serve.storage.recorded_state import RecordedState
+from camtopod.serve.storage.sqlite_file import StateError
 
 EPOCH = "recording"
 """Epoch of a topology learned from files: the same files give the same bytes."""

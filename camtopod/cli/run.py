@@ -16,8 +16,8 @@ from camtopod.config.settings import Config
 from camtopod.serve import health, metrics
 from camtopod.serve.bus.session import BusError, refusals_heard
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.database import StateError
 from camtopod.serve.runtime import memory, systemd
+from camtopod.serve.storage.sqlite_file import StateError
 
 log = logging.getLogger(__name__)
 

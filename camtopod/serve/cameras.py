@@ -30,8 +30,8 @@ from msgspec import Struct, field
 from camtopod.config.settings import Limits
 from camtopod.learn.changes.publishers import Publisher
 from camtopod.records import Event
-from camtopod.serve.journal import Entry
 from camtopod.serve.learner_messages import Rewind
+from camtopod.serve.storage.journal import Entry
 
 log = logging.getLogger(__name__)
 

@@ -16,8 +16,8 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.serve.journal import Entry, Journal
 from camtopod.serve.learner_messages import Rewind
+from camtopod.serve.storage.journal import Entry, Journal
 
 log = logging.getLogger(__name__)
 

@@ -31,8 +31,6 @@ from camtopod.serve.bus.access import boxes
 from camtopod.serve.bus.self_check import SelfCheck
 from camtopod.serve.bus.session import HANGS_SECONDS, JSON, Bus, QueryError, dial, meet
 from camtopod.serve.bus.single_daemon import Rivals
-from camtopod.serve.database import StateError
-from camtopod.serve.journal import Journal
 from camtopod.serve.learner_process import LearnerProcess
 from camtopod.serve.learning import Learning
 from camtopod.serve.live import Live
@@ -43,7 +41,9 @@ from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.runtime.progress import Mark, Progress
 from camtopod.serve.runtime.reload import changes
 from camtopod.serve.share import Share, Whole
-from camtopod.serve.versions import Newest, Version, head_of
+from camtopod.serve.storage.journal import Journal
+from camtopod.serve.storage.packed_version import Newest, Version, head_of
+from camtopod.serve.storage.sqlite_file import StateError
 
 if TYPE_CHECKING:
     from camtopod.serve.sharing import Sharing

@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterator
 
 from camtopod.serve.cameras import Received
 from camtopod.serve.corrections import read_rewind
-from camtopod.serve.journal import Entry, Journal, Snapshot
 from camtopod.serve.learner_messages import (
     LESSONS_MAX,
     OUT_OF_MEMORY,
@@ -38,7 +37,8 @@ from camtopod.serve.learner_process import LearnerEnded, LearnerProcess
 from camtopod.serve.recovery import Recovered, note_failure
 from camtopod.serve.runtime import memory
 from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.versions import Version, head_of
+from camtopod.serve.storage.journal import Entry, Journal, Snapshot
+from camtopod.serve.storage.packed_version import Version, head_of
 
 log = logging.getLogger(__name__)
 

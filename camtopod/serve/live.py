@@ -15,7 +15,7 @@ from camtopod.serve.cameras import Received
 from camtopod.serve.runtime import memory
 from camtopod.serve.runtime.background_work import Leisure, let_go
 from camtopod.serve.share import everything
-from camtopod.serve.versions import for_prediction
+from camtopod.serve.storage.packed_version import for_prediction
 
 
 class Live:

@@ -23,12 +23,12 @@ from camtopod import codec
 from camtopod.config.settings import KeepSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
-from camtopod.serve.journal import Journal, Snapshot
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import Told
-from camtopod.serve.storing import Storing
-from camtopod.serve.versions import Version
+from camtopod.serve.storage.journal import Journal, Snapshot
+from camtopod.serve.storage.journal_writer import Storing
+from camtopod.serve.storage.packed_version import Version
 from camtopod.sharding.assignment import Dealing, Sharding
 from camtopod.sharding.parts import is_dealt
 from camtopod.sharding.version_line import Line, LineState, age_of

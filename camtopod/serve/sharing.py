@@ -21,7 +21,7 @@ from camtopod.serve.merger import Merger
 from camtopod.serve.runtime.clock import Clock
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import Share, Told
-from camtopod.serve.versions import Version
+from camtopod.serve.storage.packed_version import Version
 
 log = logging.getLogger(__name__)
 

@@ -24,8 +24,9 @@ from msgspec import Meta, Struct
 from camtopod import codec
 from camtopod.config.settings import Limits
 from camtopod.records import CameraId, Event
-from camtopod.serve import database, spool_format
+from camtopod.serve import spool_format
 from camtopod.serve.runtime import clock
+from camtopod.serve.storage import sqlite_file
 
 log = logging.getLogger(__name__)
 
@@ -80,18 +81,18 @@ class Spool:
         self.path = path
         """The file."""
         self._events_max, self._bytes_max, self._kept_max = events_max, bytes_max, kept_events_max
-        self._lock = database.Lock(path.with_suffix(".lock"))
+        self._lock = sqlite_file.Lock(path.with_suffix(".lock"))
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
             try:
-                with database.damage_noticed(path):
+                with sqlite_file.damage_noticed(path):
                     self._db, rescued = spool_format.open_file(path)
                     undo.callback(self._db.close)
                     self._acked = spool_format.acked(self._db)
                     self._promised = tuple(spool_format.meta(self._db, key) for key in PROMISED)
                     self._recount()
             except sqlite3.Error as error:
-                raise database.StateError(f"cannot read {path}: {error}; it is left as it is") from None
+                raise sqlite_file.StateError(f"cannot read {path}: {error}; it is left as it is") from None
             undo.pop_all()
         self.boot = self._first_boot = boot
         """This spool's incarnation."""
@@ -112,12 +113,12 @@ class Spool:
         An event that is in the spool already (same camera, boot and seq) is stored once. After an error the
         same call may be repeated: whether its events were durable after all is asked of the file.
         """
-        with self._mutex, database.damage_noticed(self.path):
+        with self._mutex, sqlite_file.damage_noticed(self.path):
             if not self._sure:
                 self._ask_the_file(self._number(events)[0])
             numbered, seqs = self._number(events)
             self._sure = False  # should this raise, its rows may be there or not
-            with database.transaction(self._db):
+            with sqlite_file.transaction(self._db):
                 self._write_down()
                 added = self._db.executemany(_INSERT, [_row(event) for event in numbered]).rowcount
                 for camera in seqs.keys() & {event.camera for event in numbered}:
@@ -143,11 +144,11 @@ class Spool:
         What was acknowledged is kept for the daemon that has done so, or for its successor at the same endpoint. When
         it is neither, the kept events are deleted: it would take them for its own.
         """
-        with self._mutex, database.damage_noticed(self.path):
+        with self._mutex, sqlite_file.damage_noticed(self.path):
             if self._promised == (daemon, endpoint):
                 return
             same = (daemon and daemon == self._promised[0]) or endpoint == self._promised[1]
-            with database.transaction(self._db):
+            with sqlite_file.transaction(self._db):
                 self._write_down()
                 forgotten = 0 if same else self._forget(self._kept)
                 for key, value in zip(PROMISED, (daemon, endpoint), strict=True):
@@ -169,7 +170,7 @@ class Spool:
         daemon is told of these events once more, and acknowledges them again. Of an older boot it is written at once:
         the daemon knows only a camera's newest boots again, and there may be many after a time without it.
         """
-        with self._mutex, database.damage_noticed(self.path):
+        with self._mutex, sqlite_file.damage_noticed(self.path):
             before = self._acked.get((camera, boot), -1)
             given = max(before, self._given(camera, boot))
             if seq > given and boot == self.boot:
@@ -190,7 +191,7 @@ class Spool:
         """Events of ``camera`` from ``from_seq`` of ``boot`` on, acknowledged or not; if there are none, those
         not acknowledged of the oldest other boot. Should there be both, by turns. No ``boot``: of the oldest.
         """
-        with self._mutex, database.damage_noticed(self.path):
+        with self._mutex, sqlite_file.damage_noticed(self.path):
             chosen, start = self._choose(camera, boot, from_seq)
             acked = self._acked.get((camera, chosen))
             rows, more = self._good_rows(camera, chosen, start, events_max)
@@ -206,32 +207,32 @@ class Spool:
 
     def cameras(self) -> list[str]:
         """The cameras with events that are not acknowledged."""
-        with self._mutex, database.damage_noticed(self.path):
+        with self._mutex, sqlite_file.damage_noticed(self.path):
             cameras = self._db.execute("SELECT DISTINCT camera FROM event").fetchall()
             return [camera for (camera,) in cameras if self._waiting(camera)]
 
     def statistics(self) -> dict[str, int]:
         """Counters for the status."""
-        with self._mutex, database.damage_noticed(self.path):
+        with self._mutex, sqlite_file.damage_noticed(self.path):
             return {
                 "unacknowledged": self._held - self._kept,
                 "kept": self._kept,
                 "dropped": self.dropped,
                 "damaged_events": len(self._damaged),
-                "damaged_files": len(database.damaged_files(self.path))
-                + len(database.damaged_files(self.path.with_name(f"{self.path.name}-wal"))),
+                "damaged_files": len(sqlite_file.damaged_files(self.path))
+                + len(sqlite_file.damaged_files(self.path.with_name(f"{self.path.name}-wal"))),
             }
 
     def __len__(self) -> int:
         """Events not acknowledged."""
-        with self._mutex, database.damage_noticed(self.path):
+        with self._mutex, sqlite_file.damage_noticed(self.path):
             return self._held - self._kept
 
     def close(self) -> None:
         """Close the file; what is in it stays for the next time."""
-        with self._mutex, database.damage_noticed(self.path):
+        with self._mutex, sqlite_file.damage_noticed(self.path):
             try:
-                with database.transaction(self._db):
+                with sqlite_file.transaction(self._db):
                     self._write_down()
             except sqlite3.ProgrammingError:
                 pass  # closed already
@@ -270,7 +271,7 @@ class Spool:
             spool_format.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
 
     def _write_acks(self) -> None:
-        with database.transaction(self._db):
+        with sqlite_file.transaction(self._db):
             self._write_down()
         self._boot_written = True
         self._unwritten.clear()
@@ -382,7 +383,7 @@ class Spool:
             "SELECT id, camera, boot, seq, raw, crc FROM event WHERE camera = ? AND boot = ? AND seq >= ? ORDER BY seq",
             (camera, boot, start),
         ):
-            if database.crc(*row[:-1]) != row[-1]:
+            if sqlite_file.crc(*row[:-1]) != row[-1]:
                 if id_ not in self._damaged:
                     self._damaged.add(id_)
                     log.error("event %s of camera %s in the spool %s is damaged", row[2], camera, self.path)
@@ -406,7 +407,7 @@ class Spool:
 
 def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
     raw = codec.to_pack(event)
-    return event.camera, event.boot, event.seq, raw, database.crc(event.camera, event.boot, event.seq, raw)
+    return event.camera, event.boot, event.seq, raw, sqlite_file.crc(event.camera, event.boot, event.seq, raw)
 
 
 def spool_path(directory: Path, site: str, name: str) -> Path:
@@ -428,8 +429,8 @@ def _adopt(older: Path, path: Path) -> None:
     """Take over the spool of an older program, which did not tell sites apart."""
     if path.exists() or not older.exists():
         return
-    lock = database.Lock(older.with_suffix(".lock"))
+    lock = sqlite_file.Lock(older.with_suffix(".lock"))
     try:
-        database.move(older, path)
+        sqlite_file.move(older, path)
     finally:
         lock.close()

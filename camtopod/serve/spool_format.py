@@ -8,7 +8,7 @@ import sqlite3
 from pathlib import Path
 from typing import NamedTuple
 
-from camtopod.serve import database
+from camtopod.serve.storage import sqlite_file
 
 log = logging.getLogger(__name__)
 
@@ -40,13 +40,13 @@ def open_file(path: Path) -> Opened:
     """Open or make a spool's file; one that is there is not written to, so that a full disk is no hindrance. Raises
     `database.StateError`, `sqlite3.Error`.
     """
-    connection, _ = database.connect_or_begin_anew(path, SCHEMA, _prepare)
+    connection, _ = sqlite_file.connect_or_begin_anew(path, SCHEMA, _prepare)
     with contextlib.ExitStack() as undo:
         undo.callback(connection.close)
         rescued = 0
-        for aside in database.damaged_files(path)[-1:]:
+        for aside in sqlite_file.damaged_files(path)[-1:]:
             if meta(connection, "rescued") != aside.name:
-                with database.transaction(connection):
+                with sqlite_file.transaction(connection):
                     rescued = _rescue(connection, aside)
                     set_row(connection, "meta", "rescued", aside.name)
                     set_row(connection, "meta", "format", str(FORMAT))
@@ -81,7 +81,7 @@ def acked(connection: sqlite3.Connection) -> dict[tuple[str, str], int]:
 def set_row(connection: sqlite3.Connection, table: str, *columns: str | int) -> None:
     """Insert or replace a row of one of the small tables."""
     marks = "?, " * len(columns)
-    connection.execute(f"INSERT OR REPLACE INTO {table} VALUES ({marks}?)", (*columns, database.crc(*columns)))
+    connection.execute(f"INSERT OR REPLACE INTO {table} VALUES ({marks}?)", (*columns, sqlite_file.crc(*columns)))
 
 
 def _prepare(connection: sqlite3.Connection) -> None:
@@ -94,14 +94,14 @@ def _prepare(connection: sqlite3.Connection) -> None:
         _from_format_1(connection)
         return
     if "crc" not in columns:
-        raise database.Damaged("the spool has no table meta")
+        raise sqlite_file.Damaged("the spool has no table meta")
     _check(connection, "meta")
     found = connection.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
     if found is None:
         if connection.execute("SELECT COUNT(*) FROM meta").fetchone()[0]:
-            raise database.Damaged("the spool does not say which format it has")
+            raise sqlite_file.Damaged("the spool does not say which format it has")
     elif int(found[0]) > FORMAT:
-        raise database.StateError(
+        raise sqlite_file.StateError(
             f"the spool has format {found[0]}, this program {FORMAT}: use the one that wrote it, or move the file away"
         )
     for table in _SMALL_TABLES:
@@ -110,8 +110,8 @@ def _prepare(connection: sqlite3.Connection) -> None:
 
 def _check(connection: sqlite3.Connection, table: str) -> None:
     for *columns, crc in connection.execute(f"SELECT * FROM {table}"):
-        if database.crc(*columns) != crc:
-            raise database.Damaged(f"a row of the spool's table {table} is damaged")
+        if sqlite_file.crc(*columns) != crc:
+            raise sqlite_file.Damaged(f"a row of the spool's table {table} is damaged")
 
 
 def _from_format_1(connection: sqlite3.Connection) -> None:
@@ -128,7 +128,7 @@ def _from_format_1(connection: sqlite3.Connection) -> None:
         set_row(connection, "count", camera, seq)
     connection.executemany(
         "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?)",
-        ((*row, database.crc(*row[1:])) for row in connection.execute("SELECT * FROM event_1 ORDER BY id")),
+        ((*row, sqlite_file.crc(*row[1:])) for row in connection.execute("SELECT * FROM event_1 ORDER BY id")),
     )
     for table in tables:
         connection.execute(f"DROP TABLE {table}_1")
@@ -137,10 +137,10 @@ def _from_format_1(connection: sqlite3.Connection) -> None:
 def _rescue(connection: sqlite3.Connection, aside: Path) -> int:
     """Take over what is good in a damaged file; returns how many events."""
     events = 0
-    for row in database.readable(aside, "event", "id"):
-        if len(row) == 6 and database.crc(*row[1:-1]) == row[-1]:
+    for row in sqlite_file.readable(aside, "event", "id"):
+        if len(row) == 6 and sqlite_file.crc(*row[1:-1]) == row[-1]:
             events += connection.execute("INSERT OR IGNORE INTO event VALUES (?, ?, ?, ?, ?, ?)", row).rowcount
-    for row in database.readable(aside, "acked", "camera"):
-        if len(row) == 4 and database.crc(*row[:-1]) == row[-1]:
+    for row in sqlite_file.readable(aside, "acked", "camera"):
+        if len(row) == 4 and sqlite_file.crc(*row[:-1]) == row[-1]:
             connection.execute("INSERT OR REPLACE INTO acked VALUES (?, ?, ?, ?)", row)
     return events

@@ -26,7 +26,7 @@ from camtopod.config.settings import BusSettings, Config, parse
 from camtopod.learn.learner import Learner
 from camtopod.records import Event, Topology
 from camtopod.serve.bus.session import Bus, dial
-from camtopod.serve.journal import Journal
+from camtopod.serve.storage.journal import Journal
 
 HERE = Path(__file__).parent
 OUTAGE_SECONDS_MAX = 60.0

@@ -24,10 +24,10 @@ from written import CAMERAS, EPOCH, KEEP
 
 from camtopod import codec
 from camtopod.records import Event
-from camtopod.serve import wal
-from camtopod.serve.database import StateError
-from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.spool import Spool
+from camtopod.serve.storage import wal_check
+from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.sqlite_file import StateError
 
 STEPS = 90
 SNAPSHOT_BYTES = 5000
@@ -117,7 +117,7 @@ def files_of(directory: Path) -> Content:
 
 
 def log_end(path: Path) -> int:
-    return 32 + max(wal.read(path).frames, default=0) * (24 + 4096)
+    return 32 + max(wal_check.read(path).frames, default=0) * (24 + 4096)
 
 
 def journal_streams(directory: Path) -> dict[tuple[str, str], int]:
@@ -291,7 +291,7 @@ def test_the_harness_sees_silent_damage(
         for table in ("event", "meta", "count", "acked"):
             connection.execute(f"UPDATE {table} SET crc = 0")
     before = installation.spool._replace(content={"spool.db-wal": b""} | files_of(quick_path / "image"))
-    monkeypatch.setattr("camtopod.serve.database.crc", lambda *columns: 0)
+    monkeypatch.setattr("camtopod.serve.storage.sqlite_file.crc", lambda *columns: 0)
     flips = (damaged(before, "spool.db", chance) for _ in range(100))
     verdicts = [verdict(before, look_into_spool(image, quick_path / "image")) for image in flips]
     assert any(one.startswith(("WRONG", "SILENT")) for one in verdicts)

@@ -25,7 +25,7 @@ from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
-from camtopod.serve.storing import SLOW_SECONDS
+from camtopod.serve.storage.journal_writer import SLOW_SECONDS
 
 NOW = T0 + 10_000.0
 BEFORE, AFTER = 300, 20
@@ -340,7 +340,7 @@ class Hanging:
 def test_the_status_is_answered_while_the_disk_hangs(
     grabber: Grabber, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camtopod.serve.storing.SLOW_SECONDS", SLOW_SECONDS / 10)
+    monkeypatch.setattr("camtopod.serve.storage.journal_writer.SLOW_SECONDS", SLOW_SECONDS / 10)
     let_in, let_out = threading.Event(), threading.Event()
     with Daemon(small_config(tmp_path / "state"), clock=lambda: NOW) as daemon, grabber.at(daemon.endpoint) as bus:
         journal = daemon._journal

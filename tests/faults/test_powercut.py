@@ -15,8 +15,8 @@ from sizes import size
 from vfs import Vfs
 from written import Open, State, WrittenJournal, WrittenSpool
 
-from camtopod.serve import database
-from camtopod.serve.database import StateError
+from camtopod.serve.storage import sqlite_file
+from camtopod.serve.storage.sqlite_file import StateError
 
 QUICK_STEPS = {"journal": 45, "spool": 25}
 CAMPAIGN_STEPS = 520
@@ -133,7 +133,7 @@ def test_campaign_of_the_canary(quick_path: Path, disk_watch: Vfs) -> None:
     assert len(outcome.lost) > outcome.images.total() // 10
 
 
-class _MadeUnderFull(database.Connection):
+class _MadeUnderFull(sqlite_file.Connection):
     def execute(self, statement: str, *parameters: Any) -> sqlite3.Cursor:
         return super().execute(statement.replace("synchronous=EXTRA", "synchronous=FULL"), *parameters)
 
@@ -142,7 +142,7 @@ def without_table(make_under_full: bool, base: Path, watch: Vfs, monkeypatch: py
     """The images, after the table was made durably, in which there is none."""
     schema = "CREATE TABLE IF NOT EXISTS event (id INTEGER PRIMARY KEY)"
     record = Record()
-    real = database._switch_to_wal
+    real = sqlite_file._switch_to_wal
 
     def made(connection: sqlite3.Connection, path: Path) -> None:
         record.mark("done", 0)
@@ -151,9 +151,9 @@ def without_table(make_under_full: bool, base: Path, watch: Vfs, monkeypatch: py
     base.mkdir()
     with monkeypatch.context() as patch, watch.watching(record):
         if make_under_full:
-            patch.setattr(database, "Connection", _MadeUnderFull)
-        patch.setattr(database, "_switch_to_wal", made)
-        database.connect(base / "one.db", schema).close()
+            patch.setattr(sqlite_file, "Connection", _MadeUnderFull)
+        patch.setattr(sqlite_file, "_switch_to_wal", made)
+        sqlite_file.connect(base / "one.db", schema).close()
     found = []
     for image in images(record.ops, 3, seed=1):
         if image.done >= 0:

@@ -13,9 +13,9 @@ from serving import T0, small_config, wait_for
 from camtopod.records import Event
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
+from camtopod.serve.storage.journal import Journal
 
 EVENTS = 60
 FILES = ("journal.db", "journal.db-wal")

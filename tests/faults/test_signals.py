@@ -25,9 +25,9 @@ from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.records import Event
 from camtopod.serve.bus.session import BusError, dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.journal import Journal
 from camtopod.serve.publisher import Publisher
 from camtopod.serve.spool import Spool
+from camtopod.serve.storage.journal import Journal
 
 STOP_SECONDS_MAX = 9.5
 """deploy/'s TimeoutStopSec= is 10."""

@@ -26,7 +26,7 @@ from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.bus.session import Bus, dial, meet, sockets
 from camtopod.serve.bus.topology_subscriber import TopologyView
-from camtopod.serve.journal import Journal, StoredVersion
+from camtopod.serve.storage.journal import Journal, StoredVersion
 
 SITE_CAMERAS = 150
 """Their topology has some hundred kilobytes, so that a link takes a few of them at most."""

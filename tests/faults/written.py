@@ -13,9 +13,9 @@ from typing import Protocol
 from camtopod import codec
 from camtopod.config.settings import KeepSettings
 from camtopod.records import Event
-from camtopod.serve.database import damaged_files
-from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.spool import Spool
+from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.sqlite_file import damaged_files
 
 KEEP = KeepSettings(journal_bytes_max=150_000, history_bytes_max=20_000)
 EPOCH = "e1"

@@ -10,8 +10,8 @@ import sqlite3
 import zlib
 from pathlib import Path
 
-from camtopod.serve.database import Damaged, StateError, crc, readable
-from camtopod.serve.witness import Known
+from camtopod.serve.storage.sqlite_file import Damaged, StateError, crc, readable
+from camtopod.serve.storage.witness import Known
 
 log = logging.getLogger(__name__)
 

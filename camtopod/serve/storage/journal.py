@@ -25,11 +25,11 @@ from typing import Any, Literal, NamedTuple
 from msgspec import Struct
 
 from camtopod.config.settings import KeepSettings
-from camtopod.serve import database, journal_format
-from camtopod.serve.database import crc
-from camtopod.serve.journal_format import SCHEMA, last_entry, prepare, rescue
-from camtopod.serve.open_files import Displaced
-from camtopod.serve.witness import Witness
+from camtopod.serve.storage import journal_schema, sqlite_file
+from camtopod.serve.storage.journal_schema import SCHEMA, last_entry, prepare, rescue
+from camtopod.serve.storage.open_files import Displaced
+from camtopod.serve.storage.sqlite_file import crc
+from camtopod.serve.storage.witness import Witness
 
 log = logging.getLogger(__name__)
 
@@ -91,7 +91,7 @@ class Journal:
     def __init__(self, directory: Path, keep: KeepSettings | None = None) -> None:
         self._keep = keep or KeepSettings()
         self._mutex = threading.RLock()
-        self._lock = database.Lock(directory / "journal.lock")
+        self._lock = sqlite_file.Lock(directory / "journal.lock")
         self._witness = Witness(self._lock)
         self._path = directory / "journal.db"
         self._followed: set[tuple[str, str | None]] = set()  # (camera, boot) that had entries since the start
@@ -103,29 +103,29 @@ class Journal:
         """Entries that were lost before the journal was opened, as far as that is known."""
         with contextlib.ExitStack() as undo:
             undo.callback(self._lock.close)
-            self._db, self.set_aside = database.connect_or_begin_anew(self._path, SCHEMA, prepare)
+            self._db, self.set_aside = sqlite_file.connect_or_begin_anew(self._path, SCHEMA, prepare)
             undo.callback(self._db.close)
             try:
-                with database.damage_noticed(self._path):
+                with sqlite_file.damage_noticed(self._path):
                     if last_entry(self._db) == 0:
                         self._rescue()
                     self._last = last_entry(self._db)
                     self._compare()
             except sqlite3.Error as error:
-                raise database.StateError(f"cannot read {self._path}: {error}; it is left as it is") from None
+                raise sqlite_file.StateError(f"cannot read {self._path}: {error}; it is left as it is") from None
             undo.pop_all()
         self.status()  # so that there are numbers from the start
 
     def _rescue(self) -> None:
         """Into a journal that is empty; the one before it may have been set aside in an earlier try."""
-        for aside in database.damaged_files(self._path)[-1:]:
-            with database.transaction(self._db):
+        for aside in sqlite_file.damaged_files(self._path)[-1:]:
+            with sqlite_file.transaction(self._db):
                 rescued = rescue(self._db, aside)
             log.error("%d entries were read out of the damaged journal %s", rescued, aside)
 
     def _compare(self) -> None:
         """Begin a new epoch, and say so, if the journal is older than it was."""
-        known, found = self._witness.known, journal_format.how_far(self._db)
+        known, found = self._witness.known, journal_schema.how_far(self._db)
         self.missing = max(0, known.entries - found.entries)
         if found.is_older_than(known):
             log.error(
@@ -133,22 +133,22 @@ class Journal:
                 "the cameras' spools still have them, and a new epoch begins",
                 self._path, found.entries + self.missing, found.entries,
             )  # fmt: skip
-            with database.transaction(self._db):
-                journal_format.begin_behind(self._db, known)
-        self._witness.note(journal_format.how_far(self._db))
+            with sqlite_file.transaction(self._db):
+                journal_schema.begin_behind(self._db, known)
+        self._witness.note(journal_schema.how_far(self._db))
 
     def meta(self, key: str) -> str | None:
         """A value kept by `set_meta`; None also if it is damaged."""
-        with self._mutex, database.damage_noticed(self._path):
-            return journal_format.read_meta(self._db, key)
+        with self._mutex, sqlite_file.damage_noticed(self._path):
+            return journal_schema.read_meta(self._db, key)
 
     def set_meta(self, key: str, value: str) -> None:
         """Keep a value. Raises `sqlite3.Error`."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             self._check()
-            journal_format.write_meta(self._db, key, value)
+            journal_schema.write_meta(self._db, key, value)
             self._check()
-            self._witness.note(journal_format.how_far(self._db))
+            self._witness.note(journal_schema.how_far(self._db))
 
     def commit(
         self,
@@ -163,7 +163,7 @@ class Journal:
         A commit can fail although its rows are durable; so a repetition first asks the file. Without anything to store
         the files are checked all the same (`Displaced`), which is cheap.
         """
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             self._check()
             if not entries and not versions and snapshot is None:
                 return
@@ -171,7 +171,7 @@ class Journal:
             streams: Iterable[tuple[str, str | None]] = ()
             if not entries or not self._has(len(entries)):
                 self._sure = False  # an error leaves open whether the rows are there
-                with database.transaction(self._db):
+                with sqlite_file.transaction(self._db):
                     streams = self._add_entries(entries, int(now))
                     for version in versions:
                         self._add_version(version, int(now))
@@ -182,7 +182,7 @@ class Journal:
             self._last += len(entries)
 
             known = self._witness.known
-            newest = journal_format.last_version(self._db) if versions else known.versions
+            newest = journal_schema.last_version(self._db) if versions else known.versions
             self._witness.note(known._replace(entries=self._last, versions=newest))
             if len(self._followed) > STREAMS_KEPT_MAX:
                 self._followed.clear()
@@ -192,7 +192,7 @@ class Journal:
         """When the newest entries (or versions, if there are no entries) were stored, Unix seconds: the median, for a
         clock may have been wrong for a few. None: there are neither. Raises `sqlite3.Error`.
         """
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             for table in ("entry", "version"):
                 newest = f"SELECT stored FROM {table} ORDER BY id DESC LIMIT ?"
                 if rows := self._db.execute(newest, (USUAL_STAMPS,)).fetchall():
@@ -203,7 +203,7 @@ class Journal:
         """Forget some of what is older than is to be kept (``now``: Unix seconds); to be called now and then, and again
         if there is more. Raises `sqlite3.Error`.
         """
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             self._check()
             keep, oldest = self._keep, self._oldest_snapshot()
             size, free, pages = (self._pragma(name) for name in ("page_size", "freelist_count", "page_count"))
@@ -211,7 +211,7 @@ class Journal:
             first = self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0]
             until = min(first + PRUNED_ROWS_MAX, oldest + 1)
             kept_from = math.inf if too_large else now - keep.journal_days * DAY_SECONDS
-            with database.transaction(self._db):
+            with sqlite_file.transaction(self._db):
                 gone = self._db.execute("DELETE FROM entry WHERE id < ? AND stored < ?", (until, kept_from)).rowcount
                 self._db.execute(
                     "DELETE FROM stream WHERE entry <= (SELECT entry FROM stream ORDER BY entry DESC LIMIT 1 OFFSET ?)",
@@ -232,7 +232,7 @@ class Journal:
         last = len(self) if up_to is None else up_to
         after = max(after, self.first() - 1)  # what is older has been forgotten
         while after < last:
-            with self._mutex, database.damage_noticed(self._path):
+            with self._mutex, sqlite_file.damage_noticed(self._path):
                 rows = self._db.execute(
                     "SELECT * FROM entry WHERE id > ? AND id <= ? ORDER BY id LIMIT ?", (after, last, CHUNK_ENTRIES)
                 ).fetchall()
@@ -245,7 +245,7 @@ class Journal:
 
     def corrections(self, after: int) -> list[tuple[int, Entry]]:
         """The corrections behind the entry ``after``, as (id, entry). Raises `sqlite3.Error`."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             rows = self._db.execute(
                 "SELECT * FROM entry WHERE id > ? AND kind IN ('rewind', 'leave-out') ORDER BY id", (after,)
             ).fetchall()
@@ -253,13 +253,13 @@ class Journal:
 
     def senders(self, after: int, up_to: int) -> dict[str, int]:
         """How many events each camera has among the entries behind ``after``. Raises `sqlite3.Error`."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             counted = "SELECT camera, COUNT(*) FROM entry WHERE id > ? AND id <= ? AND kind = 'event' GROUP BY camera"
             return dict(self._db.execute(counted, (after, up_to)).fetchall())
 
     def numbered(self, camera: str, boot: str, seq: int) -> Entry | None:
         """The entry with this number; None if it is not kept any more, or damaged. Raises `sqlite3.Error`."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             numbered = "SELECT * FROM entry WHERE camera = ? AND boot = ? AND seq = ?"
             row = self._db.execute(numbered, (camera, boot, seq)).fetchone()
         return Entry(*row[2:7]) if row is not None and crc(*row[:7]) == row[7] else None
@@ -269,7 +269,7 @@ class Journal:
 
         A damaged row is left out: its publisher's events come again, as far as it has them, and count once.
         """
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             rows = self._db.execute("SELECT camera, boot, seq, entry, crc FROM stream ORDER BY entry").fetchall()
         damaged = sum(crc(*row[:4]) != row[4] for row in rows)
         if damaged:
@@ -278,14 +278,14 @@ class Journal:
 
     def versions(self, epoch: str) -> dict[int, str]:
         """Version -> digest of the newest versions of an epoch that may have been published."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             return dict(
                 self._db.execute("SELECT version, digest FROM version WHERE epoch = ? ORDER BY version", (epoch,))
             )
 
     def version(self, epoch: str, version: int | None = None) -> bytes | None:
         """The topology of a version, or of the newest, as JSON; None if it is not kept or damaged."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             row = self._db.execute(
                 "SELECT * FROM version WHERE epoch = ? AND version = COALESCE(?, "
                 "(SELECT MAX(version) FROM version WHERE epoch = ?)) AND size > 0",
@@ -300,13 +300,13 @@ class Journal:
 
     def newest_version(self) -> bytes | None:
         """The topology stored last, of whatever epoch, as JSON; None if there is none."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             row = self._db.execute("SELECT epoch, version FROM version WHERE size > 0 ORDER BY id DESC").fetchone()
         return None if row is None else self.version(*row)
 
     def snapshots(self) -> list[Snapshot]:
         """Newest first; damaged ones are left out and reported."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             rows = self._db.execute("SELECT * FROM snapshot ORDER BY position DESC").fetchall()
         for row in rows:
             if crc(*row[:4]) != row[4]:
@@ -315,7 +315,7 @@ class Journal:
 
     def first(self) -> int:
         """The oldest entry that is kept; 0 if there is none."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             return int(self._db.execute("SELECT COALESCE(MIN(id), 0) FROM entry").fetchone()[0])
 
     def __len__(self) -> int:
@@ -324,7 +324,7 @@ class Journal:
 
     def size(self) -> int:
         """Bytes in use in the database."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             return self._pragma("page_size") * (self._pragma("page_count") - self._pragma("freelist_count"))
 
     def status(self) -> dict[str, Any]:
@@ -343,15 +343,15 @@ class Journal:
 
     def damaged_files(self) -> list[Path]:
         """What was set aside of the database and its log and is still there, for somebody to look at."""
-        return [*database.damaged_files(self._path), *self.damaged_logs()]
+        return [*sqlite_file.damaged_files(self._path), *self.damaged_logs()]
 
     def damaged_logs(self) -> list[Path]:
         """Of its log alone, the newest last: transactions that had been committed are not in the database."""
-        return database.damaged_files(self._path.with_name(f"{self._path.name}-wal"))
+        return sqlite_file.damaged_files(self._path.with_name(f"{self._path.name}-wal"))
 
     def close(self) -> None:
         """Close and let go of the directory; may be called twice."""
-        with self._mutex, database.damage_noticed(self._path):
+        with self._mutex, sqlite_file.damage_noticed(self._path):
             self._db.close()
             self._lock.close()
 
@@ -408,7 +408,7 @@ class Journal:
             self._db.execute(f"{insert} SELECT {', '.join('?' * len(values))} WHERE ?1 IS NOT NULL", values)
 
     def _add_version(self, version: StoredVersion, stored: int) -> None:
-        number = journal_format.last_version(self._db) + 1
+        number = journal_schema.last_version(self._db) + 1
         content = zlib.compress(version.content, _COMPRESSION) if version.content else b""
         row = (number, version.epoch, version.version, stored, version.digest, len(content), content)
         self._insert_large("INSERT OR IGNORE INTO version", row)

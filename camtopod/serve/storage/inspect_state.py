@@ -9,7 +9,7 @@ import contextlib
 import sqlite3
 from pathlib import Path
 
-from camtopod.serve.database import StateError
+from camtopod.serve.storage.sqlite_file import StateError
 
 _JOURNAL = {
     "first entry": "SELECT MIN(id) FROM entry",

@@ -11,7 +11,7 @@ import os
 import sqlite3
 from pathlib import Path
 
-from camtopod.serve import wal
+from camtopod.serve.storage import wal_check
 
 _HEAD_BYTES = 100
 """The header of a database: it counts the changes of the file, and its free pages."""
@@ -60,7 +60,7 @@ class OpenFiles:
         size, log_size = (place.check() for place in self._places)
         try:
             head, indexed = self._read()
-            log_is_whole = wal.is_whole(self._log, log_size, indexed)
+            log_is_whole = wal_check.is_whole(self._log, log_size, indexed)
         except OSError as error:
             raise Displaced(f"{self._path} cannot be read any more: {error.strerror}") from None
 
@@ -74,4 +74,4 @@ class OpenFiles:
         self._bytes, self._head, self._indexed = size, head, indexed
 
     def _read(self) -> tuple[bytes, bytes]:
-        return os.pread(self._database, _HEAD_BYTES, 0), os.pread(self._index, wal.INDEX_BYTES, 0)
+        return os.pread(self._database, _HEAD_BYTES, 0), os.pread(self._index, wal_check.INDEX_BYTES, 0)

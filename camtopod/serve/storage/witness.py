@@ -11,7 +11,7 @@ import logging
 import zlib
 from typing import NamedTuple
 
-from camtopod.serve.database import Lock
+from camtopod.serve.storage.sqlite_file import Lock
 
 log = logging.getLogger(__name__)
 

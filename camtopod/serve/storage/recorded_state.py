@@ -17,9 +17,9 @@ from camtopod.config.settings import KeepSettings
 from camtopod.learn.learner import Learner
 from camtopod.learn.snapshot import pack
 from camtopod.records import Event
-from camtopod.serve.database import StateError
-from camtopod.serve.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.runtime.clock import ulid
+from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.sqlite_file import StateError
 
 ENTRIES_AT_ONCE = 10_000
 """Entries that one transaction stores."""

@@ -23,8 +23,8 @@ from typing import Any
 
 import msgspec
 
-from camtopod.serve import wal
-from camtopod.serve.open_files import Identity, OpenFiles
+from camtopod.serve.storage import wal_check
+from camtopod.serve.storage.open_files import Identity, OpenFiles
 
 log = logging.getLogger(__name__)
 
@@ -128,7 +128,7 @@ class Connection(sqlite3.Connection):
         """Make `check` look at the files of ``path``; ``index``: as of `wal.open_index`, kept. Raises `OSError`."""
         self.execute("PRAGMA page_count").fetchall()  # now SQLite has opened the log
         database, log = (self.keep(os.open(f"{path}{suffix}", os.O_RDONLY | os.O_CLOEXEC)) for suffix in ("", "-wal"))
-        if index is None and (index := wal.open_index(path)) is not None:
+        if index is None and (index := wal_check.open_index(path)) is not None:
             self.keep(index)
         if index is not None:
             self._files = OpenFiles(path, database, log, index)
@@ -161,7 +161,7 @@ def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], Non
     """
     try:
         _make_private(path)
-        written = wal.read(path)
+        written = wal_check.read(path)
         if (written.frames or written.headless) and path.stat().st_size == 0:  # SQLite would delete the log
             raise Damaged(f"{path} is damaged: it is empty or was missing, and its log is still there")
         database = sqlite3.connect(
@@ -172,7 +172,7 @@ def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], Non
             undo.callback(database.close)
             database.execute("PRAGMA synchronous=EXTRA")
             _scan(database, path)
-            if (index := wal.open_index(path)) is not None:
+            if (index := wal_check.open_index(path)) is not None:
                 database.keep(index)
             _report_lost(path, written, index)
             with transaction(database):
@@ -374,9 +374,9 @@ def _suspicion(path: Path) -> Path:
     return path.with_name(f"{path.name}.suspect")
 
 
-def _report_lost(path: Path, written: wal.Log, index: int | None) -> None:
+def _report_lost(path: Path, written: wal_check.Log, index: int | None) -> None:
     """Say what SQLite left out of the log, and keep a copy of a log that was damaged."""
-    lost = wal.lost(path, written, index)
+    lost = wal_check.lost(path, written, index)
     if lost.damaged:
         try:
             copy = f"a copy is {_copy_aside(Path(f'{path}-wal'))}"
