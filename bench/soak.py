@@ -36,9 +36,9 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime import memory
-from camtopod.serve.spool import Spool
 from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
 

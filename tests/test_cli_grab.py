@@ -21,7 +21,7 @@ from camtopod.codec import event_from_json
 from camtopod.records import Event
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
+from camtopod.serve.outbox.publisher import Publisher
 from camtopod.vision import grabber as grabbers
 from camtopod.vision.errors import SourceError
 

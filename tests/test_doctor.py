@@ -20,8 +20,8 @@ from camtopod.cli.main import main
 from camtopod.config.settings import Config
 from camtopod.serve.bus.session import BusError, dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import open_spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import open_spool
 from camtopod.serve.storage.inspect_state import journal, spool
 
 SECRETS = {

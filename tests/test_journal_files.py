@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage import sqlite_file
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.open_files import Displaced

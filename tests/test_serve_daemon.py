@@ -26,9 +26,9 @@ from camtopod.serve.bus.session import session as buses
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.cameras import Received
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime.clock import ulid
-from camtopod.serve.spool import Spool
 from camtopod.serve.storage.journal import Entry, Journal
 from camtopod.serve.storage.sqlite_file import crc
 from camtopod.topology.versions import digest_of, make_delta

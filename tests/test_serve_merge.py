@@ -14,8 +14,8 @@ from camtopod.serve.bus.session import session as buses
 from camtopod.serve.cameras import Received
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.merge import HOLD_SECONDS_MAX, SETTLE_SECONDS, STUCK_SECONDS, Merge
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Entry
 
 

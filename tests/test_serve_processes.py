@@ -22,8 +22,8 @@ from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
 from camtopod.serve.bus.session import Bus, BusError, dial
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Journal
 
 

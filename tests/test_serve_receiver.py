@@ -20,11 +20,11 @@ from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.cameras import Received
 from camtopod.serve.live import Live
+from camtopod.serve.outbox.spool import SpoolBatch
 from camtopod.serve.puller import read_batch
 from camtopod.serve.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import everything
-from camtopod.serve.spool import SpoolBatch
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot
 from camtopod.serve.storage.packed_version import Version
 from camtopod.serve.storage.sqlite_file import Damaged

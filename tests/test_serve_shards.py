@@ -30,10 +30,10 @@ from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.hearing import SMALL_CAMERAS_MAX, Hearing
 from camtopod.serve.merger import Merger
-from camtopod.serve.publisher import Publisher
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.share import Share, Told
 from camtopod.serve.sharing import Sharing
-from camtopod.serve.spool import Spool
 from camtopod.serve.storage.packed_version import Version
 from camtopod.sharding.assignment import Sharding
 from camtopod.sharding.shard_learner import ShardLearner

@@ -19,8 +19,8 @@ from serving import Failing
 from camtopod import codec
 from camtopod.config.settings import Limits
 from camtopod.records import Event
-from camtopod.serve import spool_format
-from camtopod.serve.spool import Spool, open_spool
+from camtopod.serve.outbox import spool_schema
+from camtopod.serve.outbox.spool import Spool, open_spool
 from camtopod.serve.storage import sqlite_file, wal_check
 from camtopod.serve.storage.sqlite_file import StateError
 
@@ -295,7 +295,7 @@ def test_a_spool_that_cannot_be_read_is_closed_again(
         raise sqlite3.OperationalError("disk I/O error")
 
     with monkeypatch.context() as patch:
-        patch.setattr(spool_format, read, fails)
+        patch.setattr(spool_schema, read, fails)
         with pytest.raises(StateError, match="disk I/O error"):
             Spool(path, "boot-2", events_max=10)
     Spool(path, "boot-3", events_max=10).close()  # nothing holds its lock
@@ -362,7 +362,7 @@ def test_a_spool_of_the_first_format_goes_on(tmp_path: Path) -> None:
 
 def test_a_spool_of_a_newer_format_is_refused_and_left_alone(spool: Spool, tmp_path: Path) -> None:
     spool.append([event(1)])
-    spool_format.set_row(spool._db, "meta", "format", "3")
+    spool_schema.set_row(spool._db, "meta", "format", "3")
     spool.close()
     with pytest.raises(StateError, match="format 3"):
         Spool(tmp_path / "spool.db", "b", events_max=10)

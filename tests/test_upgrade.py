@@ -19,8 +19,8 @@ from camtopod.cli.main import main
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import open_spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import open_spool
 
 NOW = T0 + 20 * SPAN_SECONDS
 VERSION = 4

@@ -30,7 +30,7 @@ from camtopod.vision.source import AGAIN, kind_of
 
 if TYPE_CHECKING:
     from camtopod.serve.bus.session import Bus
-    from camtopod.serve.publisher import Publisher
+    from camtopod.serve.outbox.publisher import Publisher
     from camtopod.vision.grabber import Grabber
 
 log = logging.getLogger(__name__)
@@ -96,7 +96,7 @@ def _all(args: argparse.Namespace, told: Told) -> int:
 
 def _refuse_a_second(config: Config, stop: threading.Event) -> None:
     """Raises `CommandError` if another grabber has the spool of a camera and does not end within `HANDOVER_SECONDS`."""
-    from camtopod.serve.spool import spool_path
+    from camtopod.serve.outbox.spool import spool_path
     from camtopod.serve.storage.sqlite_file import held_by
 
     paths = {camera: spool_path(config.state_directory, config.site.name, camera) for camera in config.cameras}
@@ -199,8 +199,8 @@ def _to_bus(
     heart: Heart,
 ) -> int:
     from camtopod.serve.bus.session import BusError, dial
-    from camtopod.serve.publisher import Publisher
-    from camtopod.serve.spool import open_spool
+    from camtopod.serve.outbox.publisher import Publisher
+    from camtopod.serve.outbox.spool import open_spool
     from camtopod.serve.storage.sqlite_file import StateError
 
     with contextlib.ExitStack() as stack:

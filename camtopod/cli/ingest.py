@@ -28,8 +28,8 @@ from camtopod.codec import to_json
 from camtopod.config.settings import Config
 from camtopod.records import CAMERA_PATTERN, Event
 from camtopod.serve.bus.session import BusError, dial
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import open_spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import open_spool
 from camtopod.serve.storage.sqlite_file import StateError
 
 log = logging.getLogger(__name__)

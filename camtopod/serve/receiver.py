@@ -30,11 +30,11 @@ from camtopod.serve.event_time import EventTime
 from camtopod.serve.handover import Handover
 from camtopod.serve.inbox import Inbox, Message
 from camtopod.serve.merge import Merge
+from camtopod.serve.outbox.spool import SpoolBatch
 from camtopod.serve.runtime.clock import Clock, steady_beside
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.runtime.rejects import Rejects
 from camtopod.serve.share import everything
-from camtopod.serve.spool import SpoolBatch
 from camtopod.serve.storage.journal import Entry, Journal
 from camtopod.serve.storage.journal_writer import Storing
 from camtopod.serve.storage.packed_version import Version

@@ -24,7 +24,7 @@ from written import CAMERAS, EPOCH, KEEP
 
 from camtopod import codec
 from camtopod.records import Event
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage import wal_check
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.sqlite_file import StateError

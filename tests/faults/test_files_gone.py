@@ -23,8 +23,8 @@ from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal_writer import SLOW_SECONDS
 
 NOW = T0 + 10_000.0

@@ -25,8 +25,8 @@ from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus.session import Bus, dial
 from camtopod.serve.inbox import Inbox, Message
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 
 QUIET = [f"quiet{number}" for number in range(19)]
 PER_SECOND = 10_000

@@ -18,8 +18,8 @@ from test_full_disk import full, small_disk
 from camtopod.records import Event
 from camtopod.serve.bus.session import dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Journal
 
 __all__ = ["small_disk"]

@@ -25,8 +25,8 @@ from test_cameras import children_of
 from camtopod.config.settings import KeepSettings, SiteSettings
 from camtopod.serve.bus.session import dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool, spool_path
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool, spool_path
 from camtopod.serve.storage.journal import Journal
 
 CAMERA = "lobby"

@@ -30,8 +30,8 @@ from camtopod.keys.authority import Authority
 from camtopod.serve.bus.session import BusError, dial, meet
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 
 HQ = "camtopo/hq"
 PUPPET = Path(__file__).parent / "puppet.py"

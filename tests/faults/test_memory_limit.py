@@ -20,8 +20,8 @@ from sizes import size
 from camtopod.config.settings import BusSettings
 from camtopod.records import Event
 from camtopod.serve.bus.session import Bus, dial
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 
 ADDRESS_SPACE_BYTES = 2_400_000 * 1024
 """As `ulimit -v 2400000`; the libraries alone take most of one gigabyte of it."""

@@ -24,8 +24,8 @@ from camtopod.records import Ack, Event
 from camtopod.serve.bus.session import Bus, QueryError
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool, SpoolBatch
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool, SpoolBatch
 
 NOW = T0 + 20 * serving.SPAN_SECONDS
 

@@ -13,8 +13,8 @@ from serving import T0, small_config, wait_for
 from camtopod.records import Event
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Journal
 
 EVENTS = 60

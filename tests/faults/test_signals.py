@@ -25,8 +25,8 @@ from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.records import Event
 from camtopod.serve.bus.session import BusError, dial
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Journal
 
 STOP_SECONDS_MAX = 9.5

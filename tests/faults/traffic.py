@@ -21,8 +21,8 @@ from camtopod.codec import to_pack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus.session import BusError, dial
-from camtopod.serve.publisher import Publisher
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
 
 T0 = 1_700_000_000.0
 CAMERAS = ("a", "b", "c")

@@ -13,7 +13,7 @@ from typing import Protocol
 from camtopod import codec
 from camtopod.config.settings import KeepSettings
 from camtopod.records import Event
-from camtopod.serve.spool import Spool
+from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.sqlite_file import damaged_files
 

@@ -129,7 +129,7 @@ class Bus:
         self._putting: dict[int, tuple[float, str]] = {}  # by thread: since when (monotonic), and on which key
 
     def put(self, key: str, noun: Any, schema: str) -> None:
-        """Publish a noun, as MessagePack. What becomes of it is not known; see `camtopod.serve.spool`."""
+        """Publish a noun, as MessagePack. What becomes of it is not known; see `camtopod.serve.outbox.spool`."""
         self.put_raw(key, codec.to_pack(noun), schema)
 
     def put_raw(self, key: str, payload: bytes, schema: str, attachment: bytes | None = None) -> None:

@@ -2,7 +2,7 @@
 
 A damaged file is set aside, never deleted, and a new one is begun. SQLite itself notices little damage: a torn
 log reads as a shorter one, a flipped bit in a value as another value. So the log is looked at before (`wal`), every
-row carries a `crc`, and a grabber remembers what was acknowledged (`camtopod.serve.spool`).
+row carries a `crc`, and a grabber remembers what was acknowledged (`camtopod.serve.outbox.spool`).
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from msgspec import Meta, Struct
 from camtopod import codec
 from camtopod.config.settings import Limits
 from camtopod.records import CameraId, Event
-from camtopod.serve import spool_format
+from camtopod.serve.outbox import spool_schema
 from camtopod.serve.runtime import clock
 from camtopod.serve.storage import sqlite_file
 
@@ -86,10 +86,10 @@ class Spool:
             undo.callback(self._lock.close)
             try:
                 with sqlite_file.damage_noticed(path):
-                    self._db, rescued = spool_format.open_file(path)
+                    self._db, rescued = spool_schema.open_file(path)
                     undo.callback(self._db.close)
-                    self._acked = spool_format.acked(self._db)
-                    self._promised = tuple(spool_format.meta(self._db, key) for key in PROMISED)
+                    self._acked = spool_schema.acked(self._db)
+                    self._promised = tuple(spool_schema.meta(self._db, key) for key in PROMISED)
                     self._recount()
             except sqlite3.Error as error:
                 raise sqlite_file.StateError(f"cannot read {path}: {error}; it is left as it is") from None
@@ -122,7 +122,7 @@ class Spool:
                 self._write_down()
                 added = self._db.executemany(_INSERT, [_row(event) for event in numbered]).rowcount
                 for camera in seqs.keys() & {event.camera for event in numbered}:
-                    spool_format.set_row(self._db, "count", camera, seqs[camera])
+                    spool_schema.set_row(self._db, "count", camera, seqs[camera])
                 forgotten, dropped = self._make_room(self._held + added)
             self._seqs, self._sure = seqs, True
             self._held += added - forgotten - dropped
@@ -134,7 +134,7 @@ class Spool:
             self._boot_written = True
             self._unwritten.clear()
             if forgotten:
-                self._acked = spool_format.acked(self._db)
+                self._acked = spool_schema.acked(self._db)
             return numbered
 
     def asked_by(self, daemon: str, endpoint: str) -> None:
@@ -152,13 +152,13 @@ class Spool:
                 self._write_down()
                 forgotten = 0 if same else self._forget(self._kept)
                 for key, value in zip(PROMISED, (daemon, endpoint), strict=True):
-                    spool_format.set_row(self._db, "meta", key, value)
+                    spool_schema.set_row(self._db, "meta", key, value)
             self._boot_written = True
             self._unwritten.clear()
             self._promised = daemon, endpoint
             self._kept -= forgotten
             self._held -= forgotten
-            self._acked = spool_format.acked(self._db)
+            self._acked = spool_schema.acked(self._db)
 
     def ack(self, camera: str, boot: str, seq: int) -> bool:
         """Everything of (camera, boot) up to ``seq`` is safe elsewhere. Raises `sqlite3.Error`.
@@ -266,9 +266,9 @@ class Spool:
     def _write_down(self) -> None:
         """Within a transaction: what is known and not in the file yet."""
         if not self._boot_written:
-            spool_format.write_boot(self._db, self.boot)
+            spool_schema.write_boot(self._db, self.boot)
         for camera, boot in self._unwritten:
-            spool_format.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
+            spool_schema.set_row(self._db, "acked", camera, boot, self._acked[camera, boot])
 
     def _write_acks(self) -> None:
         with sqlite_file.transaction(self._db):
@@ -279,8 +279,8 @@ class Spool:
     def _ask_the_file(self, again: list[Event]) -> None:
         """After an error: what it did store, if it is not ``again`` the same, keeps its numbers."""
         given = {_row(event) for event in again}
-        self._boot_written = spool_format.meta(self._db, "boot") == self.boot
-        stored = spool_format.counts(self._db) if self._boot_written else {}
+        self._boot_written = spool_schema.meta(self._db, "boot") == self.boot
+        stored = spool_schema.counts(self._db) if self._boot_written else {}
         for camera, last in stored.items():
             ahead = self._db.execute(
                 "SELECT camera, boot, seq, raw, crc FROM event WHERE camera = ? AND boot = ? AND seq > ?",
@@ -300,7 +300,7 @@ class Spool:
         dropped = min(self._surplus(held - forgotten), _DELETED_MAX) if only_others else 0
         if dropped:
             self._db.execute("DELETE FROM event WHERE id IN (SELECT id FROM event ORDER BY id LIMIT ?)", (dropped,))
-            spool_format.set_row(self._db, "meta", "dropped", str(self.dropped + dropped))
+            spool_schema.set_row(self._db, "meta", "dropped", str(self.dropped + dropped))
         return forgotten, dropped
 
     def _forget(self, count: int) -> int:
@@ -398,7 +398,7 @@ class Spool:
         self._kept = sum(
             self._count("camera = ? AND boot = ? AND seq <= ?", *stream, seq) for stream, seq in self._acked.items()
         )
-        self.dropped = int(spool_format.meta(self._db, "dropped") or 0)
+        self.dropped = int(spool_schema.meta(self._db, "dropped") or 0)
         """Events dropped because the spool was full, since its file was made."""
 
     def _count(self, where: str, *parameters: str | int) -> int:
