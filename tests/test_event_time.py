@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from camtopod.serve.event_time import EventTime
+from camtopod.serve.ingest.idle_time import EventTime
 
 
 def test_time_follows_the_clock_when_the_learner_waits_for_it_and_is_told_once() -> None:

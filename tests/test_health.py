@@ -28,8 +28,8 @@ from camtopod.serve import health
 from camtopod.serve.bus.session import Bus, BusError, self_check
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest.puller import Puller
 from camtopod.serve.live import Live
-from camtopod.serve.puller import Puller
 from camtopod.serve.runtime import systemd
 from camtopod.serve.runtime.progress import Progress
 from camtopod.serve.runtime.reload import changes

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from camtopod.records import Event
-from camtopod.serve.cameras import Received
-from camtopod.serve.inbox import Message
+from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.ingest.inbox import Message
 from camtopod.serve.runtime import memory
 from camtopod.serve.storage.journal import Entry
 

@@ -21,8 +21,8 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.serve import corrections, recovery
-from camtopod.serve.cameras import Received
 from camtopod.serve.corrections import rewind
+from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learning import Learning
 from camtopod.serve.recovery import recover

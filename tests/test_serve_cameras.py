@@ -20,7 +20,8 @@ from camtopod.records import Event
 from camtopod.serve.bus.session import BusError
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.bus.single_daemon import NAMED_MAX, Rivals
-from camtopod.serve.cameras import (
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest.camera_registry import (
     BELIEVED_SECONDS,
     DOUBLED_SECONDS,
     EARLY_SECONDS_MAX,
@@ -32,9 +33,8 @@ from camtopod.serve.cameras import (
     Cameras,
     Received,
 )
-from camtopod.serve.daemon import Daemon
-from camtopod.serve.inbox import Inbox, Message
-from camtopod.serve.receiver import Receiver
+from camtopod.serve.ingest.inbox import Inbox, Message
+from camtopod.serve.ingest.receiver import Receiver
 from camtopod.serve.runtime.clock import steady_beside, wall
 from camtopod.serve.runtime.rejects import SAMPLES_MAX, Rejects
 from camtopod.serve.storage.journal import Entry, Journal

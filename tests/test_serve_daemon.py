@@ -24,8 +24,8 @@ from camtopod.records import Ack, Event, Prediction, Topology
 from camtopod.serve.bus.session import Bus, BusError, QueryError
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.bus.topology_subscriber import TopologyView
-from camtopod.serve.cameras import Received
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime.clock import ulid

@@ -18,11 +18,11 @@ from camtopod.codec import Rejected, to_pack
 from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction
-from camtopod.serve.cameras import Received
+from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.ingest.puller import read_batch
+from camtopod.serve.ingest.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
 from camtopod.serve.live import Live
 from camtopod.serve.outbox.spool import SpoolBatch
-from camtopod.serve.puller import read_batch
-from camtopod.serve.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.share import everything
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camtopod.serve.streams import JUMP_MAX, Streams
+from camtopod.serve.ingest.sequencing import JUMP_MAX, Streams
 
 KEY = ("lobby", "b1")
 

@@ -31,11 +31,11 @@ from camtopod.serve.bus.access import boxes
 from camtopod.serve.bus.self_check import SelfCheck
 from camtopod.serve.bus.session import HANGS_SECONDS, JSON, Bus, QueryError, dial, meet
 from camtopod.serve.bus.single_daemon import Rivals
+from camtopod.serve.ingest.puller import Puller
+from camtopod.serve.ingest.receiver import Receiver
 from camtopod.serve.learner_process import LearnerProcess
 from camtopod.serve.learning import Learning
 from camtopod.serve.live import Live
-from camtopod.serve.puller import Puller
-from camtopod.serve.receiver import Receiver
 from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover, told_by
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.runtime.progress import Mark, Progress

@@ -16,8 +16,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from camtopod.serve.cameras import Received
 from camtopod.serve.corrections import read_rewind
+from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.learner_messages import (
     LESSONS_MAX,
     OUT_OF_MEMORY,

@@ -11,7 +11,7 @@ from camtopod.cooperative import Pause, no_pause
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.bus.session import QueryError
-from camtopod.serve.cameras import Received
+from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.runtime import memory
 from camtopod.serve.runtime.background_work import Leisure, let_go
 from camtopod.serve.share import everything

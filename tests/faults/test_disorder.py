@@ -20,8 +20,8 @@ from camtopod.config.settings import Limits
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Ack, Event
-from camtopod.serve.cameras import Received
-from camtopod.serve.receiver import Receiver
+from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.ingest.receiver import Receiver
 
 LATENESS = Settings().lateness_seconds
 SPAN_SECONDS = 600.0

@@ -24,7 +24,7 @@ from bench._site import resident
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus.session import Bus, dial
-from camtopod.serve.inbox import Inbox, Message
+from camtopod.serve.ingest.inbox import Inbox, Message
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 

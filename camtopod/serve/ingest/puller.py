@@ -15,8 +15,8 @@ from camtopod import codec
 from camtopod.config.settings import Limits
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus.session import Bus, QueryError
+from camtopod.serve.ingest.receiver import Pulled
 from camtopod.serve.outbox.spool import SpoolBatch
-from camtopod.serve.receiver import Pulled
 from camtopod.serve.runtime.progress import Mark
 from camtopod.serve.runtime.rejects import Rejects
 

@@ -11,9 +11,9 @@ from msgspec.structs import asdict
 from camtopod.learn.window.reorder_buffer import EventTime, microseconds
 from camtopod.records import Ack
 from camtopod.serve.bus.session import Bus
-from camtopod.serve.cameras import Received
+from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.ingest.sequencing import Key
 from camtopod.serve.runtime.progress import Beat
-from camtopod.serve.streams import Key
 
 
 class Counts(Struct):

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Sequence
 
-from camtopod.serve.cameras import Received
+from camtopod.serve.ingest.camera_registry import Received
 
 
 class Handover:

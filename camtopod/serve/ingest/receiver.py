@@ -21,15 +21,16 @@ from camtopod.config.settings import Limits
 from camtopod.learn.window.reorder_buffer import MICROSECONDS
 from camtopod.learn.window.reorder_buffer import EventTime as LearnedTime
 from camtopod.records import CAMERA_CHARACTERS_MAX, Event
-from camtopod.serve.acks import Acks
 from camtopod.serve.bus.session import Bus, Ear, Heard
-from camtopod.serve.cameras import Cameras, Received
 from camtopod.serve.corrections import rewind
-from camtopod.serve.duplicates import Duplicates
-from camtopod.serve.event_time import EventTime
-from camtopod.serve.handover import Handover
-from camtopod.serve.inbox import Inbox, Message
-from camtopod.serve.merge import Merge
+from camtopod.serve.ingest.acks import Acks
+from camtopod.serve.ingest.backlog import Merge
+from camtopod.serve.ingest.camera_registry import Cameras, Received
+from camtopod.serve.ingest.duplicates import Duplicates
+from camtopod.serve.ingest.idle_time import EventTime
+from camtopod.serve.ingest.inbox import Inbox, Message
+from camtopod.serve.ingest.sequencing import Streams
+from camtopod.serve.ingest.store_queue import Handover
 from camtopod.serve.outbox.spool import SpoolBatch
 from camtopod.serve.runtime.clock import Clock, steady_beside
 from camtopod.serve.runtime.progress import Beat, no_beat
@@ -38,7 +39,6 @@ from camtopod.serve.share import everything
 from camtopod.serve.storage.journal import Entry, Journal
 from camtopod.serve.storage.journal_writer import Storing
 from camtopod.serve.storage.packed_version import Version
-from camtopod.serve.streams import Streams
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 
 from msgspec import Struct, field
 
-from camtopod.serve.cameras import Received
+from camtopod.serve.ingest.camera_registry import Received
 
 BACKLOG_SECONDS = 2.0
 """An answer of a spool that spans more event time than this is a backlog."""

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 
 from camtopod import codec
 from camtopod.records import Event
+from camtopod.serve.ingest.sequencing import Key
 from camtopod.serve.runtime.clock import Clock
 from camtopod.serve.storage.journal import Entry, Journal
-from camtopod.serve.streams import Key
 
 log = logging.getLogger(__name__)
 
