@@ -22,8 +22,7 @@ from camtopod import codec
 from camtopod.codec import to_pack
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve import learner_messages, learner_start, learning, recovery
-from camtopod.serve.learner_messages import (
+from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
     Board,
@@ -37,8 +36,16 @@ from camtopod.serve.learner_messages import (
     Taught,
     Teach,
 )
-from camtopod.serve.learner_process import PROGRAM, LearnerEnded, LearnerProcess
-from camtopod.serve.learner_program import Pupil
+from camtopod.serve.learner_process.process import (
+    PROGRAM,
+    LearnerEnded,
+    LearnerProcess,
+    feeder,
+    messages,
+    recovery,
+    start,
+)
+from camtopod.serve.learner_process.worker import Pupil
 from camtopod.serve.runtime import memory
 from camtopod.serve.share import Told
 from camtopod.sharding.assignment import Sharding
@@ -74,8 +81,8 @@ def alive(pid: int) -> bool:
 def test_how_much_is_taught_at_a_time_changes_nothing(
     most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(learning, "LESSONS_MAX", most)
-    monkeypatch.setattr(learning, "GATHER_SECONDS", 0.0)
+    monkeypatch.setattr(feeder, "LESSONS_MAX", most)
+    monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
     with contextlib.closing(Installation(tmp_path)) as one:
         for first in range(0, len(EVENTS), 50):
             one.learning.feed(one.store(EVENTS[first : first + 50]))
@@ -88,9 +95,9 @@ def test_what_is_more_than_is_kept_in_memory_is_learned_from_the_journal(
     queued: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It comes while the learner is at it, now from the queue and now from the journal."""
-    monkeypatch.setattr(learning, "QUEUED_EVENTS_MAX", queued)
-    monkeypatch.setattr(learning, "LESSONS_MAX", 8)
-    monkeypatch.setattr(learning, "GATHER_SECONDS", 0.0)
+    monkeypatch.setattr(feeder, "QUEUED_EVENTS_MAX", queued)
+    monkeypatch.setattr(feeder, "LESSONS_MAX", 8)
+    monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
     waiting, stop, came = (
         iter([EVENTS[first : first + 11] for first in range(0, len(EVENTS), 11)]),
         threading.Event(),
@@ -127,7 +134,7 @@ def test_what_a_snapshot_took_is_given_back(monkeypatch: pytest.MonkeyPatch) -> 
     """As much as everything learned; at most once in a version."""
     done: list[str] = []
     monkeypatch.setattr(memory, "give_back", lambda: done.append("given back"))
-    monkeypatch.setattr(learner_messages, "send", lambda _, answer: done.append(type(answer).__name__))
+    monkeypatch.setattr(messages, "send", lambda _, answer: done.append(type(answer).__name__))
     monkeypatch.setattr(os, "nice", lambda _: 0)
     asked: queue.SimpleQueue[Question] = queue.SimpleQueue()
     for question in (Begin(SETTINGS, "s", "E", {}, False), Save(), NewEpoch("F")):
@@ -186,7 +193,7 @@ def test_what_nobody_asks_for_is_not_loaded(spared: bool) -> None:
 import sys
 from camtopod.serve import learner_start
 {"learner_start.spare()" if spared else ""}
-import camtopod.serve.learner_program
+import camtopod.serve.learner_process.worker
 print(*(part for part in learner_start.SPARED if "numpy." + part in sys.modules))
 import numpy.f2py, numpy.testing
 numpy.testing.assert_array_equal(numpy.zeros(2), [0.0, 0.0])
@@ -194,7 +201,7 @@ numpy.f2py.get_include()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ([] if spared else ["testing", "f2py"])
-    assert learner_start.__name__ == PROGRAM
+    assert start.__name__ == PROGRAM
 
 
 def test_it_gives_way(process: LearnerProcess) -> None:
@@ -216,7 +223,7 @@ def test_a_question_that_takes_too_long_ends_it(process: LearnerProcess) -> None
 
 
 def test_an_endless_step_holds_up_no_stop_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(learning, "FINISH_SECONDS", 0.3)
+    monkeypatch.setattr(feeder, "FINISH_SECONDS", 0.3)
     stop = threading.Event()
     with contextlib.closing(Installation(tmp_path, program=FAULTY)) as one:
         one.learn(EVENTS[:100])

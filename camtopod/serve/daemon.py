@@ -33,10 +33,10 @@ from camtopod.serve.bus.session import HANGS_SECONDS, JSON, Bus, QueryError, dia
 from camtopod.serve.bus.single_daemon import Rivals
 from camtopod.serve.ingest.puller import Puller
 from camtopod.serve.ingest.receiver import Receiver
-from camtopod.serve.learner_process import LearnerProcess
-from camtopod.serve.learning import Learning
+from camtopod.serve.learner_process.feeder import Learning
+from camtopod.serve.learner_process.process import LearnerProcess
+from camtopod.serve.learner_process.recovery import Recovered, newest_topology, recent_events, recover, told_by
 from camtopod.serve.live import Live
-from camtopod.serve.recovery import Recovered, newest_topology, recent_events, recover, told_by
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.runtime.progress import Mark, Progress
 from camtopod.serve.runtime.reload import changes

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from camtopod.keys.rules import STATUS
 from camtopod.learn.window.reorder_buffer import microseconds
-from camtopod.serve.learner_messages import Portion
+from camtopod.serve.learner_process.messages import Portion
 from camtopod.sharding.assignment import Dealing, Sharding, districts_of
 from camtopod.sharding.parts import Part
 

@@ -16,7 +16,7 @@ from camtopod.serve.bus.session import Bus, OnMessage, QueryError
 from camtopod.serve.bus.single_daemon import ROLE
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.hearing import Hearing
-from camtopod.serve.learning import Learning
+from camtopod.serve.learner_process.feeder import Learning
 from camtopod.serve.merger import Merger
 from camtopod.serve.runtime.clock import Clock
 from camtopod.serve.runtime.progress import Beat, no_beat

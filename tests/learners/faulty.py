@@ -1,4 +1,4 @@
-"""In place of `camtopod.serve.learner_program`: a learner to which an event does what its track says."""
+"""In place of `camtopod.serve.learner_process.worker`: a learner to which an event does what its track says."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
-from camtopod.serve.learner_program import main
+from camtopod.serve.learner_process.worker import main
 
 
 class FaultyLearner(Learner):

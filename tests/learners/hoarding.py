@@ -1,10 +1,10 @@
-"""In place of `camtopod.serve.learner_program`: a learner of which the first two versions of epoch E come at once."""
+"""In place of `camtopod.serve.learner_process.worker`: a learner of which the first two versions of epoch E come at once."""
 
 from __future__ import annotations
 
 from camtopod.learn.learner import Learner
 from camtopod.records import Topology
-from camtopod.serve.learner_program import main
+from camtopod.serve.learner_process.worker import main
 
 
 class HoardingLearner(Learner):

@@ -30,7 +30,7 @@ from msgspec import Struct, field
 from camtopod.config.settings import Limits
 from camtopod.learn.changes.publishers import Publisher
 from camtopod.records import Event
-from camtopod.serve.learner_messages import Rewind
+from camtopod.serve.learner_process.messages import Rewind
 from camtopod.serve.storage.journal import Entry
 
 log = logging.getLogger(__name__)

@@ -22,7 +22,6 @@ from camtopod.learn.window.reorder_buffer import MICROSECONDS
 from camtopod.learn.window.reorder_buffer import EventTime as LearnedTime
 from camtopod.records import CAMERA_CHARACTERS_MAX, Event
 from camtopod.serve.bus.session import Bus, Ear, Heard
-from camtopod.serve.corrections import rewind
 from camtopod.serve.ingest.acks import Acks
 from camtopod.serve.ingest.backlog import Merge
 from camtopod.serve.ingest.camera_registry import Cameras, Received
@@ -31,6 +30,7 @@ from camtopod.serve.ingest.idle_time import EventTime
 from camtopod.serve.ingest.inbox import Inbox, Message
 from camtopod.serve.ingest.sequencing import Streams
 from camtopod.serve.ingest.store_queue import Handover
+from camtopod.serve.learner_process.corrections import rewind
 from camtopod.serve.outbox.spool import SpoolBatch
 from camtopod.serve.runtime.clock import Clock, steady_beside
 from camtopod.serve.runtime.progress import Beat, no_beat

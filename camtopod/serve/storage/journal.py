@@ -53,7 +53,7 @@ _ROWS_AT_ONCE = (1_000, 100, 10, 1)
 EntryKind = Literal["event", "future", "refused", "advance", "rewind", "leave-out"]
 """``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
 ``advance``: event time went on without an event; ``raw`` is the time as decimal text.
-``rewind``, ``leave-out``: what had been learned is corrected, in a new epoch; see `camtopod.serve.corrections`."""
+``rewind``, ``leave-out``: what had been learned is corrected, in a new epoch; see `camtopod.serve.learner_process.corrections`."""
 
 
 class Entry(Struct, frozen=True, gc=False):

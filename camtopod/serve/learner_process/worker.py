@@ -1,6 +1,6 @@
 """The learner in a process of its own, so that a refit takes the interpreter from nobody who receives or predicts.
 
-`camtopod.serve.learner_process` starts it by `learner_start`, asks on its standard input and reads its standard output.
+`camtopod.serve.learner_process.process` starts it by `learner_start`, asks on its standard input and reads its standard output.
 It neither stores nor publishes and keeps no ledger: it ends, at once and with what it knows, when the daemon does. An
 exception ends it, too; its traceback goes to standard error, and the daemon sees on the board at which entry of the
 journal it was.
@@ -23,8 +23,7 @@ from camtopod.learn.rewinding import rewound
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import Topology
-from camtopod.serve import learner_messages as messages
-from camtopod.serve.learner_messages import (
+from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
     Board,
@@ -46,6 +45,7 @@ from camtopod.serve.learner_messages import (
     Teach,
     Unusable,
 )
+from camtopod.serve.learner_process.process import messages
 from camtopod.serve.runtime import memory
 from camtopod.serve.share import Told
 from camtopod.sharding.shard_learner import ShardLearner, ShardState, pack_shard, unpack_shard

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.serve.learner_messages import Rewind
+from camtopod.serve.learner_process.messages import Rewind
 from camtopod.serve.storage.journal import Entry, Journal
 
 log = logging.getLogger(__name__)

@@ -12,10 +12,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from camtopod.serve import learner_messages as messages
-from camtopod.serve.learner_messages import Answer, Board, Question
+from camtopod.serve.learner_process.messages import Answer, Board, Question
+from camtopod.serve.learner_process.process import messages
 
-PROGRAM = "camtopod.serve.learner_start"
+PROGRAM = "camtopod.serve.learner_process.start"
 END_SECONDS = 5.0
 """For the system to end a process that was killed."""
 _LOOK_SECONDS = 0.2

@@ -1,6 +1,6 @@
 """How the learner's process begins: without what NumPy would load by the way and nobody here asks for.
 
-    python -m camtopod.serve.learner_start BOARD
+    python -m camtopod.serve.learner_process.start BOARD
 
 SciPy looks at everything that NumPy names, which loads NumPy's test tools and its Fortran front end: 8 MB. With
 something else in their places they are not loaded until somebody imports them by name.
@@ -22,7 +22,7 @@ def spare() -> None:
 def begin() -> None:
     """Learn until the daemon ends; never returns."""
     spare()
-    from camtopod.serve.learner_program import main
+    from camtopod.serve.learner_process.worker import main
 
     main()
 

@@ -16,9 +16,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from camtopod.serve.corrections import read_rewind
 from camtopod.serve.ingest.camera_registry import Received
-from camtopod.serve.learner_messages import (
+from camtopod.serve.learner_process.corrections import read_rewind
+from camtopod.serve.learner_process.messages import (
     LESSONS_MAX,
     OUT_OF_MEMORY,
     Answer,
@@ -33,8 +33,8 @@ from camtopod.serve.learner_messages import (
     Taught,
     Teach,
 )
-from camtopod.serve.learner_process import LearnerEnded, LearnerProcess
-from camtopod.serve.recovery import Recovered, note_failure
+from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
+from camtopod.serve.learner_process.recovery import Recovered, note_failure
 from camtopod.serve.runtime import memory
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot
