@@ -47,7 +47,7 @@ from camtopod.serve.learner_process.process import (
 )
 from camtopod.serve.learner_process.worker import Pupil
 from camtopod.serve.runtime import memory
-from camtopod.serve.share import Told
+from camtopod.serve.shards.membership import Told
 from camtopod.sharding.assignment import Sharding
 
 FAULTY = "learners.faulty"

@@ -23,17 +23,17 @@ from camtopod.cli import exits, main
 from camtopod.config.settings import Config, KeepSettings
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Topology
-from camtopod.serve import merger as mergers
 from camtopod.serve.bus.session import Bus, BusError, QueryError, dial
 from camtopod.serve.bus.single_daemon import Rivals
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.hearing import SMALL_CAMERAS_MAX, Hearing
-from camtopod.serve.merger import Merger
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
-from camtopod.serve.share import Share, Told
-from camtopod.serve.sharing import Sharing
+from camtopod.serve.shards import site_merger as mergers
+from camtopod.serve.shards.membership import Share, Told
+from camtopod.serve.shards.shard_exchange import Sharing
+from camtopod.serve.shards.site_merger import Merger
+from camtopod.serve.shards.subscriptions import SMALL_CAMERAS_MAX, Hearing
 from camtopod.serve.storage.packed_version import Version
 from camtopod.sharding.assignment import Sharding
 from camtopod.sharding.shard_learner import ShardLearner

@@ -40,13 +40,13 @@ from camtopod.serve.live import Live
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.runtime.progress import Mark, Progress
 from camtopod.serve.runtime.reload import changes
-from camtopod.serve.share import Share, Whole
+from camtopod.serve.shards.membership import Share, Whole
 from camtopod.serve.storage.journal import Journal
 from camtopod.serve.storage.packed_version import Newest, Version, head_of
 from camtopod.serve.storage.sqlite_file import StateError
 
 if TYPE_CHECKING:
-    from camtopod.serve.sharing import Sharing
+    from camtopod.serve.shards.shard_exchange import Sharing
 
 log = logging.getLogger(__name__)
 
@@ -316,7 +316,7 @@ class Daemon:
             self._on_version, storing.on_snapshot, self._receiver.on_deadline, self._new_epoch,
         )  # fmt: skip
         if isinstance(share, Share):
-            from camtopod.serve.sharing import Sharing  # brings what learning needs, which is not small
+            from camtopod.serve.shards.shard_exchange import Sharing  # brings what learning needs, which is not small
 
             self._sharing = Sharing(
                 self._config, share, directory, bus, self._learning, told_by(process), self._clock, self._use

@@ -14,7 +14,7 @@ from camtopod.serve.bus.session import QueryError
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.runtime import memory
 from camtopod.serve.runtime.background_work import Leisure, let_go
-from camtopod.serve.share import everything
+from camtopod.serve.shards.membership import everything
 from camtopod.serve.storage.packed_version import for_prediction
 
 

@@ -35,7 +35,7 @@ from camtopod.serve.outbox.spool import SpoolBatch
 from camtopod.serve.runtime.clock import Clock, steady_beside
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.runtime.rejects import Rejects
-from camtopod.serve.share import everything
+from camtopod.serve.shards.membership import everything
 from camtopod.serve.storage.journal import Entry, Journal
 from camtopod.serve.storage.journal_writer import Storing
 from camtopod.serve.storage.packed_version import Version

@@ -47,7 +47,7 @@ from camtopod.serve.learner_process.messages import (
 )
 from camtopod.serve.learner_process.process import messages
 from camtopod.serve.runtime import memory
-from camtopod.serve.share import Told
+from camtopod.serve.shards.membership import Told
 from camtopod.sharding.shard_learner import ShardLearner, ShardState, pack_shard, unpack_shard
 from camtopod.topology.versions import make_delta
 

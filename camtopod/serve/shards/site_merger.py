@@ -25,7 +25,7 @@ from camtopod.learn.settings import Settings
 from camtopod.records import Topology
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.share import Told
+from camtopod.serve.shards.membership import Told
 from camtopod.serve.storage.journal import Journal, Snapshot
 from camtopod.serve.storage.journal_writer import Storing
 from camtopod.serve.storage.packed_version import Version

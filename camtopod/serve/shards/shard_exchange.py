@@ -15,12 +15,12 @@ from camtopod.records import Topology
 from camtopod.serve.bus.session import Bus, OnMessage, QueryError
 from camtopod.serve.bus.single_daemon import ROLE
 from camtopod.serve.bus.topology_subscriber import TopologyView
-from camtopod.serve.hearing import Hearing
 from camtopod.serve.learner_process.feeder import Learning
-from camtopod.serve.merger import Merger
 from camtopod.serve.runtime.clock import Clock
 from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.share import Share, Told
+from camtopod.serve.shards.membership import Share, Told
+from camtopod.serve.shards.site_merger import Merger
+from camtopod.serve.shards.subscriptions import Hearing
 from camtopod.serve.storage.packed_version import Version
 
 log = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus.session import Bus, OnMessage
 from camtopod.serve.runtime.clock import Clock
 from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.share import Share
+from camtopod.serve.shards.membership import Share
 
 log = logging.getLogger(__name__)
 
