@@ -24,12 +24,12 @@ from told_systemd import Systemd
 
 from camtopod.config.settings import Config, HealthSettings, parse
 from camtopod.records import Event
-from camtopod.serve import health
 from camtopod.serve.bus.session import Bus, BusError, self_check
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.puller import Puller
 from camtopod.serve.live import Live
+from camtopod.serve.monitoring import health
 from camtopod.serve.runtime import systemd
 from camtopod.serve.runtime.progress import Progress
 from camtopod.serve.runtime.reload import changes

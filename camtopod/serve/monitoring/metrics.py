@@ -18,7 +18,7 @@ from camtopod import codec
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.bus.session import Bus, QueryError
 from camtopod.serve.daemon import Daemon
-from camtopod.serve.health import Page
+from camtopod.serve.monitoring.health import Page
 
 if TYPE_CHECKING:
     from prometheus_client import Metric as Family
