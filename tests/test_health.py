@@ -28,7 +28,7 @@ from camtopod.serve.bus.session import Bus, BusError, self_check
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.puller import Puller
-from camtopod.serve.live import Live
+from camtopod.serve.live_predictions import Live
 from camtopod.serve.monitoring import health
 from camtopod.serve.runtime import systemd
 from camtopod.serve.runtime.progress import Progress

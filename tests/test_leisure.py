@@ -15,7 +15,7 @@ from camtopod.codec import read_in_parts, to_pack
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology
-from camtopod.serve.live import Live
+from camtopod.serve.live_predictions import Live
 from camtopod.serve.runtime.background_work import PAUSE_SECONDS_MAX, PAUSE_TIMES, WORK_SECONDS, Leisure, let_go
 
 EVENTS = [*numbered(walkers(60)), closing_event()]

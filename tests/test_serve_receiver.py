@@ -21,7 +21,7 @@ from camtopod.records import Ack, Event, Prediction
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.ingest.puller import read_batch
 from camtopod.serve.ingest.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
-from camtopod.serve.live import Live
+from camtopod.serve.live_predictions import Live
 from camtopod.serve.outbox.spool import SpoolBatch
 from camtopod.serve.runtime.progress import Beat, no_beat
 from camtopod.serve.shards.membership import everything

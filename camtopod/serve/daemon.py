@@ -36,7 +36,7 @@ from camtopod.serve.ingest.receiver import Receiver
 from camtopod.serve.learner_process.feeder import Learning
 from camtopod.serve.learner_process.process import LearnerProcess
 from camtopod.serve.learner_process.recovery import Recovered, newest_topology, recent_events, recover, told_by
-from camtopod.serve.live import Live
+from camtopod.serve.live_predictions import Live
 from camtopod.serve.runtime import clock as clocks
 from camtopod.serve.runtime.progress import Mark, Progress
 from camtopod.serve.runtime.reload import changes
