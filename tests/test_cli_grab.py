@@ -23,7 +23,7 @@ from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.vision import grabber as grabbers
-from camtopod.vision.errors import SourceError
+from camtopod.vision.source.errors import SourceError
 
 EVENTS = [Event("lobby", "entry", T0 + n, 0.5, 0.25, str(n)) for n in range(20)]
 

@@ -8,11 +8,11 @@ import sys
 
 import pytest
 
-from camtopod.vision.complaints import LEVEL_VARIABLE, LEVEL_WARNINGS, listening
+from camtopod.vision.source.ffmpeg_log import LEVEL_VARIABLE, LEVEL_WARNINGS, listening
 
 PRINTS_AS_C_DOES = """
 import ctypes, sys
-from camtopod.vision.complaints import listening
+from camtopod.vision.source.ffmpeg_log import listening
 
 libc = ctypes.CDLL(None)
 libc.printf(b"before\\n")

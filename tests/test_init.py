@@ -20,7 +20,7 @@ from camtopod.cli.init import named
 from camtopod.cli.main import main
 from camtopod.config.settings import VisionSettings, settings
 from camtopod.serve.daemon import Daemon
-from camtopod.vision.probe import PIXELS_MAX, Probe
+from camtopod.vision.source.probe import PIXELS_MAX, Probe
 from camtopod.web import pictures
 
 QUICK = VisionSettings(open_timeout_seconds=1.0, read_timeout_seconds=1.0)

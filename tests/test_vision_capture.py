@@ -17,11 +17,11 @@ from streams import FaultProxy, missing, served, transcode
 from watched import best_offset, match, shifted
 
 from camtopod.records import Event
-from camtopod.vision.capture import Capture
-from camtopod.vision.errors import SourceError
 from camtopod.vision.grabber import Grabber
-from camtopod.vision.recorded import RecordedSource
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source.capture import Capture
+from camtopod.vision.source.errors import SourceError
+from camtopod.vision.source.recorded import RecordedSource
 
 SECONDS = 14.0
 QUICK = VisionSettings(

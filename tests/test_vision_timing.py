@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camtopod.vision.capture import Cadence
-from camtopod.vision.source import kind_of, percent_encoded
-from camtopod.vision.timing import StampClock
+from camtopod.vision.source.capture import Cadence
+from camtopod.vision.source.frame_times import StampClock
+from camtopod.vision.source.source_url import kind_of, percent_encoded
 
 
 def errors(stamps: np.ndarray, captured: np.ndarray, delays: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from camtopod.cli import exits
 from camtopod.cli.heartbeat import Ear
 from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.serve.runtime.systemd import SOCKET_VARIABLE
-from camtopod.vision.source import kind_of
+from camtopod.vision.source.source_url import kind_of
 
 log = logging.getLogger(__name__)
 

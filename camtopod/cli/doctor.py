@@ -109,7 +109,7 @@ def _remember_secrets(config: Config) -> None:
 
 
 def _video() -> list[str]:
-    from camtopod.vision.probe import decoders
+    from camtopod.vision.source.probe import decoders
 
     return decoders()
 

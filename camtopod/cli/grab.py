@@ -25,8 +25,7 @@ from camtopod.cli.heartbeat import Heart
 from camtopod.config.settings import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.runtime import clock, systemd
-from camtopod.vision import complaints
-from camtopod.vision.source import AGAIN, kind_of
+from camtopod.vision.source.source_url import AGAIN, ffmpeg_log, kind_of
 
 if TYPE_CHECKING:
     from camtopod.serve.bus.session import Bus
@@ -112,7 +111,7 @@ def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
     redact.remember(settings.source)
     with contextlib.ExitStack() as stack:
         output = stack.enter_context(os.fdopen(os.dup(1), "wb")) if args.out == "-" else None
-        heard = stack.enter_context(complaints.listening())  # FFmpeg talks on standard output from here on
+        heard = stack.enter_context(ffmpeg_log.listening())  # FFmpeg talks on standard output from here on
         from camtopod.vision.grabber import Grabber
 
         heart = Heart(args.beat_fd)

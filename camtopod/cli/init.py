@@ -20,7 +20,7 @@ from camtopod.cli.exits import CommandError, InputError
 from camtopod.config.settings import TABLES, Config, secret_files, settings
 from camtopod.redact import holds_secret, redact
 from camtopod.visible import visible
-from camtopod.vision.source import kind_of, percent_encoded
+from camtopod.vision.source.source_url import kind_of, percent_encoded
 from camtopod.web import pictures
 
 SECRETS = "secrets"

@@ -19,11 +19,11 @@ from camtopod.config.settings import Config, toml_lines
 from camtopod.redact import redact, remember
 from camtopod.serve.bus.session import BusError, dial
 from camtopod.visible import visible
-from camtopod.vision.probe import LOOK_SECONDS, Probe, Question
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source.probe import LOOK_SECONDS, Probe, Question
 from camtopod.web import pictures
 
-PROGRAM = "camtopod.vision.probe"
+PROGRAM = "camtopod.vision.source.probe"
 PROCESSES_MAX = 8
 START_SECONDS = 30.0
 """What a process may take beyond its look, to load its libraries on a machine that is busy."""

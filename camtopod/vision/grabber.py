@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from camtopod.records import Event
-from camtopod.vision.complaints import Complaints
-from camtopod.vision.live import LiveSource
-from camtopod.vision.recorded import RecordedSource
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source import kind_of
+from camtopod.vision.source.ffmpeg_log import Complaints
+from camtopod.vision.source.live import LiveSource
+from camtopod.vision.source.recorded import RecordedSource
+from camtopod.vision.source.source_url import kind_of
 from camtopod.vision.watcher import Watcher
 
 State = Literal["connecting", "running", "stalled", "ended"]

@@ -23,10 +23,10 @@ from streams import FaultProxy, Host, hang_up, missing, rtsp_answer, served, sil
 from camtopod.cli.heartbeat import Ear
 from camtopod.codec import event_from_json
 from camtopod.serve.daemon import Daemon
-from camtopod.vision import live
-from camtopod.vision.complaints import Complaints, listening, reason_in
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source.ffmpeg_log import Complaints, listening, reason_in
+from camtopod.vision.source.source_url import live
 
 FILM_SECONDS = 14.0
 SPEED = 3.0

@@ -1,6 +1,6 @@
 """A look at a source for some seconds: what it is, and in words what is wrong with it. A process of its own:
 
-    python -m camtopod.vision.probe
+    python -m camtopod.vision.source.probe
 
 reads `Question` from standard input and writes `Probe` to standard output, both as JSON.
 """
@@ -15,11 +15,11 @@ import cv2
 import msgspec
 from msgspec import Struct
 
-from camtopod.vision.capture import Capture
-from camtopod.vision.complaints import Complaints, listening
-from camtopod.vision.recorded import RecordedSource
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source import kind_of
+from camtopod.vision.source.capture import Capture
+from camtopod.vision.source.ffmpeg_log import Complaints, listening
+from camtopod.vision.source.recorded import RecordedSource
+from camtopod.vision.source.source_url import kind_of
 
 LOOK_SECONDS = 2.0
 """So long frames are counted, after the first one."""

@@ -21,7 +21,7 @@ import numpy as np
 from camtopod.vision.background import Luma
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.shrink import shrunk
-from camtopod.vision.source import kind_of, percent_encoded
+from camtopod.vision.source.source_url import kind_of, percent_encoded
 
 STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"
 """A small probe gives the first frame after 0.6 s instead of 1.9 s."""

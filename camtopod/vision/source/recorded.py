@@ -7,9 +7,9 @@ import time
 from collections.abc import Iterator
 from typing import Literal
 
-from camtopod.vision.capture import Cadence, Capture, Frame
-from camtopod.vision.errors import SourceError
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source.capture import Cadence, Capture, Frame
+from camtopod.vision.source.errors import SourceError
 
 FPS_UNKNOWN = 25.0
 """Assumed where a file has neither time stamps nor a frame rate."""

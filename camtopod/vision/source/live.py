@@ -14,11 +14,11 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Literal
 
-from camtopod.vision.capture import Cadence, Capture, Frame
-from camtopod.vision.complaints import Complaints
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source import AGAIN
-from camtopod.vision.timing import StampClock
+from camtopod.vision.source.capture import Cadence, Capture, Frame
+from camtopod.vision.source.ffmpeg_log import Complaints
+from camtopod.vision.source.frame_times import StampClock
+from camtopod.vision.source.source_url import AGAIN
 
 QUEUE_FRAMES = 8
 SETTLE_SECONDS = 1.0
