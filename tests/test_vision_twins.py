@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from camtopod.vision import background, blobs, kalman, motion, shake, shrink, stature, tracks
+from camtopod.vision import kalman, stature, tracks
+from camtopod.vision.detect import background, blobs, motion, shake, shrink
+from camtopod.vision.detect.wiener import temporal_noise
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.wiener import temporal_noise
 
 Picture = npt.NDArray[np.uint8]
 seeds = pytest.mark.parametrize("seed", range(6))

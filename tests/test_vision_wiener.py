@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camtopod.vision.wiener import temporal_noise, wiener
+from camtopod.vision.detect.wiener import temporal_noise, wiener
 
 
 @given(

@@ -10,8 +10,8 @@ from __future__ import annotations
 from statistics import median
 
 from camtopod.records import Event, Kind
+from camtopod.vision.detect.motion import Box
 from camtopod.vision.doors import Doors
-from camtopod.vision.motion import Box
 from camtopod.vision.track import Changes, Sighting, Track
 
 BORDER_SHARE = 0.025

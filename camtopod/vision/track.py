@@ -6,8 +6,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from camtopod.vision.detect.motion import Box
 from camtopod.vision.kalman import Kalman, Vector
-from camtopod.vision.motion import Box
 
 HISTORY_SIGHTINGS = 16
 """So many of an object's latest sightings are kept."""

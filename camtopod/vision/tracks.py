@@ -19,10 +19,10 @@ from typing import Protocol
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from camtopod.vision.blobs import Blob
+from camtopod.vision.detect.blobs import Blob
+from camtopod.vision.detect.motion import Box
 from camtopod.vision.handover import find_handover
 from camtopod.vision.kalman import Kalman
-from camtopod.vision.motion import Box
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.stature import Stature
 from camtopod.vision.track import HISTORY_SIGHTINGS, Changes, Sighting, Track

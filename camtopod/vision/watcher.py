@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from camtopod.records import Event
-from camtopod.vision.background import Luma
-from camtopod.vision.blobs import find_blobs
 from camtopod.vision.crossings import Crossings, went_somewhere
-from camtopod.vision.motion import MotionDetector
+from camtopod.vision.detect.background import Luma
+from camtopod.vision.detect.blobs import find_blobs
+from camtopod.vision.detect.motion import MotionDetector
+from camtopod.vision.detect.shrink import shrunk
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.shrink import shrunk
 from camtopod.vision.track import Track
 from camtopod.vision.tracks import Tracker
 

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from camtopod.vision.background import Luma
+from camtopod.vision.detect.background import Luma
+from camtopod.vision.detect.shrink import shrunk
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.shrink import shrunk
 from camtopod.vision.source.source_url import kind_of, percent_encoded
 
 STREAM_OPTIONS = "rtsp_transport;tcp|probesize;32768|analyzeduration;300000"

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from camtopod.vision.background import Background, Luma
+from camtopod.vision.detect.background import Background, Luma
+from camtopod.vision.detect.shake import shift
+from camtopod.vision.detect.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.shake import shift
-from camtopod.vision.wiener import NOISE_TO_FILTER, temporal_noise, wiener
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels; right and bottom exclusive."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from camtopod.vision.background import Luma
+from camtopod.vision.detect.background import Luma
 
 _ROW_STEP = 4
 _OUTLIER = 40

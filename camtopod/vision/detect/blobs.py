@@ -9,8 +9,8 @@ from functools import cache
 import cv2
 import numpy as np
 
-from camtopod.vision.background import Luma
-from camtopod.vision.motion import Box, Motion
+from camtopod.vision.detect.background import Luma
+from camtopod.vision.detect.motion import Box, Motion
 
 FRAGMENT_PIXELS_MIN = 6
 AREA_SHARE_MIN = 0.0004

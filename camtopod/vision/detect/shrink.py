@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import cv2
 
-from camtopod.vision.background import Luma
+from camtopod.vision.detect.background import Luma
 
 
 def shrunk(picture: Luma, width_max: int) -> Luma:
