@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from camtopod.vision.detect.motion import Box
-from camtopod.vision.kalman import Kalman, Vector
+from camtopod.vision.track.kalman import Kalman, Vector
 
 HISTORY_SIGHTINGS = 16
 """So many of an object's latest sightings are kept."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from camtopod.vision.detect.motion import Box
-from camtopod.vision.track import Sighting
+from camtopod.vision.track.track import Sighting
 
 CHANGE_HEIGHTS = 0.35
 """So far the blob must draw back to the border, and come out again,"""

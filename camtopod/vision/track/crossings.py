@@ -11,8 +11,8 @@ from statistics import median
 
 from camtopod.records import Event, Kind
 from camtopod.vision.detect.motion import Box
-from camtopod.vision.doors import Doors
-from camtopod.vision.track import Changes, Sighting, Track
+from camtopod.vision.track.doors import Doors
+from camtopod.vision.track.track import Changes, Sighting, Track
 
 BORDER_SHARE = 0.025
 """A box this near the border is at it, share of the picture's diagonal."""

@@ -21,11 +21,11 @@ from scipy.optimize import linear_sum_assignment
 
 from camtopod.vision.detect.blobs import Blob
 from camtopod.vision.detect.motion import Box
-from camtopod.vision.handover import find_handover
-from camtopod.vision.kalman import Kalman
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.stature import Stature
-from camtopod.vision.track import HISTORY_SIGHTINGS, Changes, Sighting, Track
+from camtopod.vision.track.kalman import Kalman
+from camtopod.vision.track.stature import Stature
+from camtopod.vision.track.swap import find_handover
+from camtopod.vision.track.track import HISTORY_SIGHTINGS, Changes, Sighting, Track
 
 GATE_HEIGHTS = 0.35
 """A head or foot this far from where it is expected (plus two sigma) is still the same person's."""
