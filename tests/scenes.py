@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from camtopod.records import Event
+from camtopod.vision.pipeline import Watcher
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.watcher import Watcher
 
 FPS = 7.0
 WIDTH, HEIGHT = 192, 144

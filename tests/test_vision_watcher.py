@@ -7,8 +7,8 @@ import pytest
 from scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
 
 from camtopod.records import Event
+from camtopod.vision.pipeline import Watcher
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.watcher import Watcher
 
 
 def passages(events: list[Event]) -> list[tuple[str, str]]:

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from camtopod.records import Event
+from camtopod.vision.pipeline import Watcher
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.ffmpeg_log import Complaints
 from camtopod.vision.source.live import LiveSource
 from camtopod.vision.source.recorded import RecordedSource
 from camtopod.vision.source.source_url import kind_of
-from camtopod.vision.watcher import Watcher
 
 State = Literal["connecting", "running", "stalled", "ended"]
 
