@@ -21,7 +21,7 @@ from bench import _ratios
 from bench._measure import LINK_METHODS, TAKE_CANDIDATES
 from bench.baselines.crossings import candidates, crossings
 from bench.scale import EVENTS_PER_OBJECT, learn
-from camtopod.cli.export import load
+from camtopod.cli.commands.export import load
 from camtopod.codec import to_json
 from camtopod.learn.settings import Settings
 from camtopod.records import Event

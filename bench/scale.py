@@ -22,7 +22,7 @@ from msgspec import Struct, to_builtins
 
 from bench import _ratios
 from bench._ratios import Row, Table, spread
-from camtopod.cli.export import load
+from camtopod.cli.commands.export import load
 from camtopod.codec import to_json
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import Score, score

@@ -15,7 +15,7 @@ from pathlib import Path
 import shtab
 
 from camtopod import __version__
-from camtopod.cli.completion import SHELLS
+from camtopod.cli.commands.completion import SHELLS
 from camtopod.cli.example import example
 from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.cli.schema import text as schema

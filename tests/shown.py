@@ -10,7 +10,7 @@ from typing import Any, cast
 from chromium import Browser
 from one_bus import OneBus
 
-from camtopod.cli.web import listening, names
+from camtopod.cli.commands.web import listening, names
 from camtopod.records import Topology
 from camtopod.serve.bus.session import Bus
 from camtopod.web import app

@@ -185,7 +185,7 @@ def test_it_tells_the_one_above_that_it_gets_on(
 def test_without_a_daemon_events_wait_in_the_spool(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("camtopod.cli.grab.DRAIN_SECONDS", 0.1)
+    monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.1)
     meeting = buses.meet(small_config(tmp_path))
     arguments = [
         "--connect",
@@ -200,7 +200,7 @@ def test_without_a_daemon_events_wait_in_the_spool(
     assert main(arguments) == 1
     assert "20 events are not acknowledged: is `camtopod run` running for site site?" in capsys.readouterr().err
     with Daemon(small_config(tmp_path / "daemon"), meeting) as daemon:
-        monkeypatch.setattr("camtopod.cli.grab.DRAIN_SECONDS", serving.WAIT_SECONDS)
+        monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", serving.WAIT_SECONDS)
         assert main(arguments) == 0
         assert daemon.status()["events"]["stored"] == 2 * len(EVENTS)
     meeting.close()
@@ -211,7 +211,7 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
     above: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ended as failed it would be started again, and all events be there twice."""
-    monkeypatch.setattr("camtopod.cli.grab.DRAIN_SECONDS", 0.05)
+    monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", 0.05)
     ear, said, looks = Ear(), [], 0
     really_drained = Publisher.drained
 

@@ -14,7 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from camtopod.cli import exits, main, progress
-from camtopod.cli.learn import EPOCH
+from camtopod.cli.commands.learn import EPOCH
 from camtopod.cli.lines import LineReader
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
 from camtopod.records import Event, Prediction, Topology

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from camtopod.cli.completion import SHELLS
+from camtopod.cli.commands.completion import SHELLS
 from camtopod.cli.main import COMMANDS, main
 
 BASH = """

@@ -15,7 +15,7 @@ import msgspec
 import pytest
 from serving import small_config, wait_for
 
-from camtopod.cli import demo
+from camtopod.cli.commands import demo
 from camtopod.cli.main import main
 from camtopod.records import Topology
 from camtopod.serve.bus.session import session as buses

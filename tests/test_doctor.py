@@ -15,7 +15,8 @@ import pytest
 from serving import closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
 from camtopod import redact
-from camtopod.cli import doctor, machine
+from camtopod.cli import machine
+from camtopod.cli.commands import doctor
 from camtopod.cli.main import main
 from camtopod.config.settings import Config
 from camtopod.serve.bus.session import BusError, dial

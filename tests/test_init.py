@@ -16,7 +16,7 @@ from streams import Host, hang_up, missing, rtsp_answer, served, silent, transco
 
 from camtopod import redact
 from camtopod.cli import probe as probes
-from camtopod.cli.init import named
+from camtopod.cli.commands.init import named
 from camtopod.cli.main import main
 from camtopod.config.settings import VisionSettings, settings
 from camtopod.serve.daemon import Daemon

@@ -14,7 +14,7 @@ import pytest
 from serving import WAIT_SECONDS, free_endpoint, small_config, wait_for
 from told_systemd import Systemd
 
-from camtopod.cli import bridge, web
+from camtopod.cli.commands import bridge, web
 from camtopod.cli.main import main
 from camtopod.config.settings import BusSettings
 from camtopod.mqtt import Board

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from serving import SPAN_SECONDS, T0, closing_event, numbered, small_config, wait_for, walkers
 
 from camtopod.cli import exits, main
-from camtopod.cli import learn as command
+from camtopod.cli.commands import learn as command
 from camtopod.codec import read, to_json
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings

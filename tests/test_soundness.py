@@ -15,7 +15,7 @@ import msgspec
 import pytest
 from made_site import made_site
 
-from camtopod.cli import export, report
+from camtopod.cli.commands import export, report
 from camtopod.cli.main import main
 from camtopod.codec import Rejected, read_topology, to_json
 from camtopod.export import FORMATS

@@ -22,11 +22,11 @@ from test_watch import Terminal
 
 from camtopod import codec
 from camtopod.cli.board import Board
+from camtopod.cli.commands.watch import lines
 from camtopod.cli.common import _Formatter
 from camtopod.cli.lines import LineReader
 from camtopod.cli.main import main
 from camtopod.cli.screen import drawn
-from camtopod.cli.watch import lines
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, Camera, Link, NextCamera, Prediction, Topology, Transit
 from camtopod.serve.bus.session import Bus
 from camtopod.serve.bus.session import session as buses

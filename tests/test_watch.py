@@ -23,10 +23,11 @@ from rich.console import Console
 from serving import camtopod, free_endpoint, small_config, wait_for
 
 from camtopod import codec
-from camtopod.cli import screen, watch
+from camtopod.cli import screen
 from camtopod.cli.board import ALARMS_SHOWN, SILENT_SECONDS, Board, View, prediction_line
+from camtopod.cli.commands import watch
+from camtopod.cli.commands.watch import lines
 from camtopod.cli.screen import REASON_ROWS_MAX, drawn
-from camtopod.cli.watch import lines
 from camtopod.config.settings import BusSettings
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, InView, Link, NextCamera, Prediction, SelfScore, Topology, Transit
 from camtopod.serve.daemon import Daemon

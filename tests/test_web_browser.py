@@ -20,7 +20,7 @@ from chromium import Browser
 from made_site import made_site
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
-from camtopod.cli.web import listening, names
+from camtopod.cli.commands.web import listening, names
 from camtopod.config.settings import BusSettings
 from camtopod.records import Event, InView, Prediction
 from camtopod.serve.bus.session import Bus

@@ -23,7 +23,7 @@ from one_bus import OneBus
 from serving import free_endpoint, small_config, wait_for
 
 from camtopod.cli import exits, main
-from camtopod.cli.web import address, is_loopback, listening, names
+from camtopod.cli.commands.web import address, is_loopback, listening, names
 from camtopod.config.settings import BusSettings
 from camtopod.serve.bus.session import Bus
 from camtopod.serve.bus.session import session as buses

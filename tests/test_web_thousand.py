@@ -14,7 +14,7 @@ from made_site import AS_OF, made_site
 from serving import small_config, wait_for
 
 from camtopod import codec
-from camtopod.cli.web import listening, names
+from camtopod.cli.commands.web import listening, names
 from camtopod.records import Event, Topology
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon

@@ -643,6 +643,6 @@ def test_one_certificate_for_the_cameras_of_another_program(
 
     assert ingest("door", "yard") == exits.DONE
     assert daemon.status()["events"]["stored"] == 100
-    monkeypatch.setattr("camtopod.cli.ingest.PATIENCE_SECONDS", 1.0)
+    monkeypatch.setattr("camtopod.cli.commands.ingest.PATIENCE_SECONDS", 1.0)
     assert ingest("hall") == exits.BUS
     assert daemon.status()["events"]["stored"] == 100

@@ -6,8 +6,8 @@ import argparse
 import sys
 from typing import Any
 
+from camtopod.cli.commands.export import load
 from camtopod.cli.exits import InputError
-from camtopod.cli.export import load
 from camtopod.cli.lines import Line, LineReader
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
