@@ -15,7 +15,7 @@ import pytest
 import serving
 from serving import T0, small_config, wait_for
 
-from camtopod.cli.heartbeat import Ear, Said
+from camtopod.cli.cameras.heartbeat import Ear, Said
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json
 from camtopod.records import Event

@@ -38,7 +38,7 @@ def _root_logger() -> Iterator[None]:
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     """A command ``probe`` which keeps its arguments and does what ``act`` says."""
-    module = types.ModuleType("camtopod.cli.probe")
+    module = types.ModuleType("camtopod.cli.cameras.probe")
     module.seen = []  # type: ignore[attr-defined]
     module.act = lambda args: 0  # type: ignore[attr-defined]
 
@@ -50,8 +50,8 @@ def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
         return int(module.act(args))
 
     module.add_parser, module.run = add_parser, run  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "camtopod.cli.probe", module)
-    monkeypatch.setitem(main.COMMANDS, "probe", ("camtopod.cli.probe", "for this test"))
+    monkeypatch.setitem(sys.modules, "camtopod.cli.cameras.probe", module)
+    monkeypatch.setitem(main.COMMANDS, "probe", ("camtopod.cli.cameras.probe", "for this test"))
     return module
 
 

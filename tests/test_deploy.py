@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from pages import FENCED, invocations
 
+from camtopod.cli.cameras.status_reporter import CLOSE_SECONDS
 from camtopod.cli.commands.grab import LEAVE_SECONDS as GRAB_LEAVE_SECONDS
 from camtopod.cli.commands.init import SECRETS, written
 from camtopod.cli.commands.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.main import COMMANDS, parser_of
-from camtopod.cli.speaker import CLOSE_SECONDS
 from camtopod.config.settings import Config, HealthSettings, parse
 
 DEPLOY = Path(__file__).parent.parent / "deploy"

@@ -15,7 +15,7 @@ from serving import camtopod, small_config
 from streams import Host, hang_up, missing, rtsp_answer, served, silent, transcode
 
 from camtopod import redact
-from camtopod.cli import probe as probes
+from camtopod.cli.cameras import probe as probes
 from camtopod.cli.commands.init import named
 from camtopod.cli.main import main
 from camtopod.config.settings import VisionSettings, settings

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from serving import WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
 
-from camtopod.cli.reach import PARTIAL_SECONDS, SETTLE_SECONDS, Reach
+from camtopod.cli.cameras.daemon_reach import PARTIAL_SECONDS, SETTLE_SECONDS, Reach
 from camtopod.config.settings import BusSettings, Config
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon

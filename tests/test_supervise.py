@@ -21,10 +21,10 @@ import msgspec
 import pytest
 from serving import WAIT_SECONDS, small_config, wait_for
 
-from camtopod.cli import supervise
-from camtopod.cli.child import Child, backoff_after, in_words, restarted
+from camtopod.cli.cameras import supervisor
+from camtopod.cli.cameras.camera_process import Child, backoff_after, in_words, restarted
+from camtopod.cli.cameras.heartbeat import Ear, Heart, Said
 from camtopod.cli.common import Told, leaving, signals
-from camtopod.cli.heartbeat import Ear, Heart, Said
 from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.config.settings import settings as configs
 from camtopod.serve.bus.session import session as buses
@@ -76,7 +76,7 @@ class Box:
         self.statuses: list[int] = []
         self._thread: threading.Thread | None = None
         monkeypatch.setattr(
-            supervise, "command",
+            supervisor, "command",
             lambda camera, args, config_fd, restarts, last_end, fd: [
                 sys.executable, "-c", CHILD, camera, str(restarts), str(fd), str(folder)
             ],
@@ -90,7 +90,7 @@ class Box:
         text = self.file.read_bytes()
         config = configs.load(self.file)
         self._thread = threading.Thread(
-            target=lambda: self.statuses.append(supervise.supervise(self.args, config, text, self.told))
+            target=lambda: self.statuses.append(supervisor.supervise(self.args, config, text, self.told))
         )
         self._thread.start()
 
@@ -205,7 +205,7 @@ def test_a_signal_s_number_is_no_exit_status(box: Box) -> None:
 
 
 def test_one_that_will_not_end_is_killed(box: Box, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("camtopod.cli.child.STOP_SECONDS", 0.3)
+    monkeypatch.setattr("camtopod.cli.cameras.camera_process.STOP_SECONDS", 0.3)
     box.configure("deaf", "good")
     box.start()
     wait_for(lambda: bool(box.beats("deaf")) and bool(box.beats("good")), "both")
@@ -295,11 +295,11 @@ def test_a_camera_s_command_line_has_no_source_in_it() -> None:
         config=Path("c.toml"), site="hq", connect=["tcp/h:1"], log_format="json", state="/s", start=None, speed=2.0,
         realtime=True,
     )  # fmt: skip
-    text = " ".join(supervise.command("lobby", args, 7, 3, "hung for 30 s", 9))
+    text = " ".join(supervisor.command("lobby", args, 7, 3, "hung for 30 s", 9))
     assert "--config c.toml --log-format json --site hq --connect tcp/h:1 grab --camera lobby" in text
     assert "--config-fd 7 --beat-fd 9 --restarts 3 --last-end hung for 30 s" in text
     assert text.endswith("--state /s --speed 2.0 --realtime")
-    assert "--restarts" not in supervise.command("lobby", args, 7, 0, "", 9)
+    assert "--restarts" not in supervisor.command("lobby", args, 7, 0, "", 9)
 
 
 def test_backoff_grows_has_jitter_and_starts_anew_after_a_steady_run() -> None:

@@ -20,7 +20,7 @@ from scenes import FPS, Person, Scene, line
 from serving import WAIT_SECONDS, camtopod, small_config, wait_for
 from streams import FaultProxy, Host, hang_up, missing, rtsp_answer, served, silent, transcode
 
-from camtopod.cli.heartbeat import Ear
+from camtopod.cli.cameras.heartbeat import Ear
 from camtopod.codec import event_from_json
 from camtopod.serve.daemon import Daemon
 from camtopod.vision.grabber import Grabber

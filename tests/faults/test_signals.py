@@ -20,7 +20,7 @@ import pytest
 from serving import T0, WAIT_SECONDS, free_endpoint, numbered, small_config, wait_for, walkers
 from sizes import size
 
-from camtopod.cli.child import Child
+from camtopod.cli.cameras.camera_process import Child
 from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.records import Event
 from camtopod.serve.bus.session import BusError, dial

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"{path}: no mistakes; site {loaded.site.name}, {_cameras(len(loaded.cameras))}", file=sys.stderr)
     if not args.probe:
         return exits.DONE
-    from camtopod.cli.probe import check_site
+    from camtopod.cli.cameras.probe import check_site
 
     return check_site(path, loaded, args.pictures)
 

@@ -71,7 +71,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Messages go to standard error. A camera that cannot be watched at the moment is in the configuration, too."""
-    from camtopod.cli.probe import probe_all
+    from camtopod.cli.cameras.probe import probe_all
 
     settings = configuration(args)
     cameras = named(_given(args.sources))

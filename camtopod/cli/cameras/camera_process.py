@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.heartbeat import Ear
+from camtopod.cli.cameras.heartbeat import Ear
 from camtopod.config.settings import CameraSettings, HealthSettings
 from camtopod.serve.runtime.systemd import SOCKET_VARIABLE
 from camtopod.vision.source.source_url import kind_of

@@ -10,11 +10,11 @@ import time
 from collections.abc import Sequence
 
 from camtopod.cli import exits, standard_streams
-from camtopod.cli.child import STOP_SECONDS, Child
+from camtopod.cli.cameras.camera_process import STOP_SECONDS, Child
+from camtopod.cli.cameras.daemon_reach import Reach
+from camtopod.cli.cameras.status_reporter import Speaker
 from camtopod.cli.common import Told, accepted
 from camtopod.cli.exits import CommandError
-from camtopod.cli.reach import Reach
-from camtopod.cli.speaker import Speaker
 from camtopod.config.settings import CameraSettings, Config
 from camtopod.serve.runtime import systemd
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from camtopod.cli import exits
-from camtopod.cli.child import in_words
+from camtopod.cli.cameras.camera_process import in_words
 from camtopod.cli.exits import CommandError
 from camtopod.config.settings import Config, toml_lines
 from camtopod.redact import redact, remember
