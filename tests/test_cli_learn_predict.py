@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from camtopod.cli import exits, main, progress
 from camtopod.cli.commands.learn import EPOCH
-from camtopod.cli.lines import LineReader
+from camtopod.cli.events.event_lines import LineReader
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
 from camtopod.records import Event, Prediction, Topology
 from camtopod.sim.network import SimSettings, simulate

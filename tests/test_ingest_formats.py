@@ -127,7 +127,7 @@ def test_what_cannot_be_read_or_written(tmp_path: Path, recording: Path, capsys:
 
 
 def test_a_line_without_end_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    for name in ("camtopod.cli.formats", "camtopod.cli.lines"):
+    for name in ("camtopod.cli.events.input_formats", "camtopod.cli.events.event_lines"):
         monkeypatch.setattr(f"{name}.LINE_BYTES_MAX", 5000)
     path = tmp_path / "x"
     path.write_bytes(b'{"a":"' + b"x" * 100_000 + b'"}\n' + b"\n".join(says.passage()))

@@ -24,7 +24,7 @@ from camtopod import codec
 from camtopod.cli.board import Board
 from camtopod.cli.commands.watch import lines
 from camtopod.cli.common import _Formatter
-from camtopod.cli.lines import LineReader
+from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.main import main
 from camtopod.cli.screen import drawn
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, Camera, Link, NextCamera, Prediction, Topology, Transit

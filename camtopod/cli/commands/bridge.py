@@ -10,8 +10,9 @@ import threading
 from typing import Any
 
 from camtopod import codec, mqtt
-from camtopod.cli import broker, descriptors, exits
+from camtopod.cli import descriptors, exits
 from camtopod.cli.common import configuration, start_logging, until_signal, watched
+from camtopod.cli.events import broker_options
 from camtopod.cli.exits import CommandError
 from camtopod.export import homeassistant
 from camtopod.export.homeassistant import DISCOVERY, PREFIX, Counted, Messages, Said, SiteSaid, Topics
@@ -41,7 +42,7 @@ def add_parser(subparsers: Any) -> None:
         default=DISCOVERY,
         help="Home Assistant's discovery prefix (default: %(default)s)",
     )
-    broker.add_options(parser)
+    broker_options.add_options(parser)
 
 
 class Site:
@@ -115,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
     descriptors.raise_limit()
     config = configuration(args)
-    target = broker.named(args, args.url, PREFIX)
+    target = broker_options.named(args, args.url, PREFIX)
     topics = Topics(config.site.name, target.prefix, args.discovery.strip("/"))
     with contextlib.ExitStack() as stack, until_signal() as stop:
         try:
@@ -123,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
         site = Site(bus, topics, config.limits.cameras_max)
-        with broker.connecting(exits.FAILED):
+        with broker_options.connecting(exits.FAILED):
             board = stack.enter_context(contextlib.closing(mqtt.Board(target, topics.bridge)))
         progress = Progress()
         mark = progress.watch("bridge", config.health.stall_seconds)

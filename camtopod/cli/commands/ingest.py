@@ -19,10 +19,10 @@ import msgspec
 
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
+from camtopod.cli.events.event_lines import LineReader, open_input
+from camtopod.cli.events.input_formats import FORMATS, add_options, events
+from camtopod.cli.events.publish_outcome import KNOWN_SECONDS, Outcome
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.formats import FORMATS, add_options, events
-from camtopod.cli.lines import LineReader, open_input
-from camtopod.cli.outcome import KNOWN_SECONDS, Outcome
 from camtopod.cli.progress import Progress
 from camtopod.codec import to_json
 from camtopod.config.settings import Config

@@ -9,8 +9,8 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.commands.export import TOO_LONG, TOPOLOGY_BYTES_MAX, load
+from camtopod.cli.events.event_lines import numbered
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.lines import numbered
 from camtopod.cli.progress import Progress
 from camtopod.codec import Rejected, read_topology
 from camtopod.records import Topology

@@ -13,9 +13,10 @@ from camtopod.adapt.adapter import ANY_CAMERA, LINE_BYTES_MAX, Adapter, Size
 from camtopod.adapt.frigate import Frigate
 from camtopod.adapt.mot import Mot
 from camtopod.adapt.scenescape import SceneScape
-from camtopod.cli import broker, exits
+from camtopod.cli import exits
+from camtopod.cli.events import broker_options
+from camtopod.cli.events.event_lines import LineReader, numbered, open_input
 from camtopod.cli.exits import CommandError
-from camtopod.cli.lines import LineReader, numbered, open_input
 from camtopod.config.settings import RESERVED
 from camtopod.records import Event
 
@@ -51,7 +52,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--fps", type=float, metavar="N", help="mot: frames a second")
     group.add_argument("--start", type=float, metavar="SECONDS", help="mot: time of the first frame (default 0)")
     group = parser.add_argument_group("MQTT", "FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX (frigate, scenescape)")
-    broker.add_options(group)
+    broker_options.add_options(group)
 
 
 def events(
@@ -114,6 +115,6 @@ def _sizes(given: list[str]) -> dict[str, Size]:
 
 
 def _messages(args: argparse.Namespace, topic: str) -> mqtt.Messages:
-    source = broker.named(args, args.file)
-    with broker.connecting(exits.INPUT):
+    source = broker_options.named(args, args.file)
+    with broker_options.connecting(exits.INPUT):
         return mqtt.Messages(source, topic)
