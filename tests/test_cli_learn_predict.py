@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from camtopod.cli import exits, main, progress
+from camtopod.cli import exits, main
 from camtopod.cli.commands.learn import EPOCH
 from camtopod.cli.events.event_lines import LineReader
+from camtopod.cli.terminal import progress
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
 from camtopod.records import Event, Prediction, Topology
 from camtopod.sim.network import SimSettings, simulate

@@ -10,10 +10,10 @@ import pytest
 from made_site import made_site
 from serving import closing_event, walkers
 
-from camtopod.cli import progress
 from camtopod.cli.commands import ingest, simulate
 from camtopod.cli.main import main
-from camtopod.cli.progress import Progress
+from camtopod.cli.terminal import progress
+from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
 
 

@@ -19,7 +19,7 @@ import pytest
 import serving
 from serving import free_endpoint, small_config, wait_for
 
-from camtopod.cli.standard_streams import Unwaited
+from camtopod.cli.terminal.standard_streams import Unwaited
 from camtopod.config.settings import BusSettings
 from camtopod.serve.bus.session import session as buses
 

@@ -21,12 +21,12 @@ from serving import free_endpoint, small_config, wait_for
 from test_watch import Terminal
 
 from camtopod import codec
-from camtopod.cli.board import Board
 from camtopod.cli.commands.watch import lines
 from camtopod.cli.common import _Formatter
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.main import main
-from camtopod.cli.screen import drawn
+from camtopod.cli.terminal.screen import drawn
+from camtopod.cli.terminal.site_state import Board
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, Camera, Link, NextCamera, Prediction, Topology, Transit
 from camtopod.serve.bus.session import Bus
 from camtopod.serve.bus.session import session as buses

@@ -23,11 +23,11 @@ from rich.console import Console
 from serving import camtopod, free_endpoint, small_config, wait_for
 
 from camtopod import codec
-from camtopod.cli import screen
-from camtopod.cli.board import ALARMS_SHOWN, SILENT_SECONDS, Board, View, prediction_line
 from camtopod.cli.commands import watch
 from camtopod.cli.commands.watch import lines
-from camtopod.cli.screen import REASON_ROWS_MAX, drawn
+from camtopod.cli.terminal import screen
+from camtopod.cli.terminal.screen import REASON_ROWS_MAX, drawn
+from camtopod.cli.terminal.site_state import ALARMS_SHOWN, SILENT_SECONDS, Board, View, prediction_line
 from camtopod.config.settings import BusSettings
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, InView, Link, NextCamera, Prediction, SelfScore, Topology, Transit
 from camtopod.serve.daemon import Daemon
@@ -275,7 +275,9 @@ def test_plain_lines_where_it_is_not_installed_or_not_wanted(tmp_path: Path, mon
     monkeypatch.setenv("TERM", "dumb")
     monkeypatch.setattr(screen, "Console", lambda: Console(force_terminal=True, file=io.StringIO()))
     assert not watch._on_screen(lambda: Board().view(None, "hq", NOW), stop)
-    for name in [name for name in sys.modules if name == "camtopod.cli.screen" or name.partition(".")[0] == "rich"]:
+    for name in [
+        name for name in sys.modules if name == "camtopod.cli.terminal.screen" or name.partition(".")[0] == "rich"
+    ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rich", None)
     assert not watch._on_screen(lambda: Board().view(None, "hq", NOW), stop)

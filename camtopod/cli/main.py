@@ -27,7 +27,8 @@ from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
 from camtopod import __version__
-from camtopod.cli import exits, standard_streams
+from camtopod.cli import exits
+from camtopod.cli.terminal import standard_streams
 from camtopod.redact import redact
 from camtopod.visible import visible, visible_lines
 

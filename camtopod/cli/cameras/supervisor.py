@@ -9,12 +9,13 @@ import sys
 import time
 from collections.abc import Sequence
 
-from camtopod.cli import exits, standard_streams
+from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import STOP_SECONDS, Child
 from camtopod.cli.cameras.daemon_reach import Reach
 from camtopod.cli.cameras.status_reporter import Speaker
 from camtopod.cli.common import Told, accepted
 from camtopod.cli.exits import CommandError
+from camtopod.cli.terminal import standard_streams
 from camtopod.config.settings import CameraSettings, Config
 from camtopod.serve.runtime import systemd
 

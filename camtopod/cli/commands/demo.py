@@ -29,7 +29,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.progress import Progress
+from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
 from camtopod.config.settings import BusSettings, Config, Limits, SiteSettings, StateSettings
 from camtopod.learn.settings import Settings

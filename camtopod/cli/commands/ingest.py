@@ -23,7 +23,7 @@ from camtopod.cli.events.event_lines import LineReader, open_input
 from camtopod.cli.events.input_formats import FORMATS, add_options, events
 from camtopod.cli.events.publish_outcome import KNOWN_SECONDS, Outcome
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.progress import Progress
+from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
 from camtopod.config.settings import Config
 from camtopod.records import CAMERA_PATTERN, Event

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 from camtopod.cli.common import configuration
 from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import STATE, CommandError, InputError
-from camtopod.cli.progress import Progress
+from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
 from camtopod.config.settings import Config
 from camtopod.learn.learner import STEPS, Learner

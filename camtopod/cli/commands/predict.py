@@ -9,7 +9,7 @@ from typing import Any
 from camtopod.cli.commands.export import load
 from camtopod.cli.events.event_lines import Line, LineReader
 from camtopod.cli.exits import InputError
-from camtopod.cli.progress import Progress
+from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
 from camtopod.predict.predictor import Predictor
 

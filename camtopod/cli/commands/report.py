@@ -11,7 +11,7 @@ from camtopod.cli import exits
 from camtopod.cli.commands.export import TOO_LONG, TOPOLOGY_BYTES_MAX, load
 from camtopod.cli.events.event_lines import numbered
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.progress import Progress
+from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import Rejected, read_topology
 from camtopod.records import Topology
 from camtopod.web.bundle import page

@@ -11,7 +11,7 @@ from typing import IO, Any
 from msgspec import Struct
 
 from camtopod.cli import exits
-from camtopod.cli.progress import Progress
+from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
 from camtopod.records import Event
 from camtopod.sim.crowd import CrowdSettings, simulate_crowd

@@ -12,7 +12,9 @@ from collections.abc import Callable
 from typing import Any
 
 from camtopod.cli import exits
-from camtopod.cli.board import (
+from camtopod.cli.common import configuration, start_logging, until_signal
+from camtopod.cli.exits import CommandError
+from camtopod.cli.terminal.site_state import (
     Board,
     View,
     alarm_line,
@@ -23,8 +25,6 @@ from camtopod.cli.board import (
     topology_lines,
     transit,
 )
-from camtopod.cli.common import configuration, start_logging, until_signal
-from camtopod.cli.exits import CommandError
 from camtopod.serve.bus.session import BusError, dial
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.runtime import clock
@@ -111,7 +111,7 @@ def _on_screen(look: Callable[[], View], stop: threading.Event) -> bool:
     if not sys.stdout.isatty():
         return False
     try:
-        from camtopod.cli.screen import show
+        from camtopod.cli.terminal.screen import show
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "rich":
             raise

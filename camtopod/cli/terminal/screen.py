@@ -17,7 +17,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from camtopod.cli.board import (
+from camtopod.cli.terminal.site_state import (
     View,
     alarm_line,
     busiest_links,
