@@ -16,9 +16,9 @@ import shtab
 
 from camtopod import __version__
 from camtopod.cli.commands.completion import SHELLS
-from camtopod.cli.example import example
+from camtopod.cli.generated.config_schema import text as schema
+from camtopod.cli.generated.example_config import example
 from camtopod.cli.main import COMMANDS, parser_of
-from camtopod.cli.schema import text as schema
 
 ROOT = Path(__file__).parent.parent
 _FILES = (

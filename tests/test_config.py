@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camtopod.cli.example import attribute_docs, example
+from camtopod.cli.generated.example_config import attribute_docs, example
 from camtopod.config.settings import TABLES, CameraSettings, Config, ConfigError, load, parse
 from camtopod.config.toml_lines import key_lines
 

@@ -10,9 +10,9 @@ from typing import Any
 import jsonschema
 import pytest
 
-from camtopod.cli.example import example
+from camtopod.cli.generated.config_schema import schema, text
+from camtopod.cli.generated.example_config import example
 from camtopod.cli.main import main
-from camtopod.cli.schema import schema, text
 from camtopod.config.settings import TABLES, CameraSettings, parse
 
 VALIDATOR = jsonschema.Draft7Validator(schema())

@@ -34,12 +34,12 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Mistakes go to standard error as ``file:line: what``, and so do warnings of what is open to others."""
     if args.example:
-        from camtopod.cli.example import example
+        from camtopod.cli.generated.example_config import example
 
         sys.stdout.write(example())
         return exits.DONE
     if args.schema:
-        from camtopod.cli.schema import text
+        from camtopod.cli.generated.config_schema import text
 
         sys.stdout.write(text())
         return exits.DONE

@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 
 from camtopod.cli import exits
 from camtopod.cli.common import configuration
-from camtopod.cli.example import table
 from camtopod.cli.exits import CommandError, InputError
+from camtopod.cli.generated.example_config import table
 from camtopod.config.settings import TABLES, Config, secret_files, settings
 from camtopod.redact import holds_secret, redact
 from camtopod.visible import visible

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from camtopod.cli.example import attribute_docs
+from camtopod.cli.generated.example_config import attribute_docs
 from camtopod.config.settings import RESERVED, TABLES, CameraSettings
 from camtopod.config.toml_tables import FLOAT_MAX
 from camtopod.records import CAMERA_PATTERN
