@@ -15,7 +15,7 @@ import pytest
 from serving import closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
 from camtopod import redact
-from camtopod.cli import machine
+from camtopod.cli import machine_report
 from camtopod.cli.commands import doctor
 from camtopod.cli.main import main
 from camtopod.config.settings import Config
@@ -179,7 +179,7 @@ def test_a_wrong_configuration_and_nothing_there(
     def away(config: Config) -> NoReturn:
         raise BusError(f"the bus at {', '.join(config.dials)} is away")
 
-    monkeypatch.setattr(machine.shutil, "which", lambda name: None)
+    monkeypatch.setattr(machine_report.shutil, "which", lambda name: None)
     monkeypatch.setattr(doctor, "dial", away)
     assert main(["--config", str(path), "--connect", "tcp/192.0.2.1:7447", "doctor"]) == 0
     text = capsys.readouterr().out
@@ -224,7 +224,10 @@ def test_the_clock_s_keeper_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyP
     program.write_text("#!/bin/sh\necho 'System time : 0.000012 seconds fast of NTP time'\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    assert "chronyc: System time : 0.000012 seconds fast of NTP time" in machine.clock(5.0)
+    assert "chronyc: System time : 0.000012 seconds fast of NTP time" in machine_report.clock(5.0)
     program.write_text("#!/bin/sh\nexit 1\n")
-    monkeypatch.setattr(machine, "CLOCK_COMMANDS", machine.CLOCK_COMMANDS[:1])
-    assert machine.clock(5.0) == ["now: 5.000", "synchronisation unknown: neither chronyc nor timedatectl answers"]
+    monkeypatch.setattr(machine_report, "CLOCK_COMMANDS", machine_report.CLOCK_COMMANDS[:1])
+    assert machine_report.clock(5.0) == [
+        "now: 5.000",
+        "synchronisation unknown: neither chronyc nor timedatectl answers",
+    ]

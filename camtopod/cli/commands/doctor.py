@@ -21,7 +21,7 @@ from typing import Any
 
 import msgspec
 
-from camtopod.cli import exits, machine
+from camtopod.cli import exits, machine_report
 from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
 from camtopod.config.settings import TABLES, Config, secret_files
@@ -65,9 +65,9 @@ def run(args: argparse.Namespace) -> int:
             config = with_options(args, config)
     _remember_secrets(config)
     parts: dict[str, Callable[[], list[str]]] = {
-        "versions": machine.versions,
-        "machine": machine.machine,
-        "clock": lambda: machine.clock(clock.wall()),
+        "versions": machine_report.versions,
+        "machine": machine_report.machine,
+        "clock": lambda: machine_report.clock(clock.wall()),
         "video": _video,
         "configuration": lambda: mistakes.splitlines() or list(_configuration(config, args.config)),
         "state": lambda: list(_state(config)),
