@@ -17,7 +17,7 @@ import pytest
 from hub import LEFT, NOW, Hub, a_hub, later, learned, put, running, there
 from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
 
-from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, view
+from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, site_view
 from camtopod.codec import read
 from camtopod.config.settings import BusSettings, Config, TlsSettings
 from camtopod.keys import rules
@@ -105,10 +105,10 @@ def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
 
 
 def test_of_shards_the_first_is_the_one_that_counts() -> None:
-    assert view._leads("01KAP3V6QZ")
-    assert view._leads("0of8-01KAP3V6QZ")
-    assert not view._leads("3of8-01KAP3V6QZ")
-    assert not view._leads("10of16-01KAP3V6QZ")
+    assert site_view._leads("01KAP3V6QZ")
+    assert site_view._leads("0of8-01KAP3V6QZ")
+    assert not site_view._leads("3of8-01KAP3V6QZ")
+    assert not site_view._leads("10of16-01KAP3V6QZ")
 
 
 # --- what is said ---------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import pytest
 from hub import LEFT, Hub, a_hub, there
 from serving import free_endpoint
 
-from camtopod.client import BusError, aio, view
+from camtopod.client import BusError, aio, site_view
 from camtopod.config.settings import BusSettings, Config
 from camtopod.serve.bus.session import Bus, dial
 
@@ -101,7 +101,7 @@ def test_giving_up_twice_leaves_nothing_open(hub: Hub, monkeypatch: pytest.Monke
         opened.append(dial(config))
         return opened[-1]
 
-    monkeypatch.setattr(view, "dial", slowly)
+    monkeypatch.setattr(site_view, "dial", slowly)
 
     async def main() -> None:
         task = asyncio.create_task(aio.Topology.connect(connect=hub.daemon.endpoint).__aenter__())

@@ -12,7 +12,7 @@
 from camtopod.adapt.tracks import TrackEvents
 from camtopod.client.errors import NothingLearned, UnknownPlace
 from camtopod.client.gate import Gate
-from camtopod.client.topology import Predictions, Topology
+from camtopod.client.site import Predictions, Topology
 from camtopod.serve.bus.session import BusError
 
 __all__ = ["BusError", "Gate", "NothingLearned", "Predictions", "Topology", "TrackEvents", "UnknownPlace"]

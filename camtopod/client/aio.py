@@ -14,9 +14,9 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
 from typing import TypeVar
 
-from camtopod.client.inbox import WAITING_MAX, Inbox
-from camtopod.client.news import News
-from camtopod.client.view import Settings, View
+from camtopod.client.prediction_queue import WAITING_MAX, Inbox
+from camtopod.client.site_view import Settings, View
+from camtopod.client.wakeup import News
 from camtopod.records import Prediction
 from camtopod.records import Topology as Version
 from camtopod.serve.bus.session import BusError

@@ -6,7 +6,7 @@ import re
 from collections import deque
 
 from camtopod import codec
-from camtopod.client.news import News
+from camtopod.client.wakeup import News
 from camtopod.records import CAMERA_PATTERN, Prediction
 from camtopod.serve.bus.session import Bus
 

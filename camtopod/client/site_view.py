@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from camtopod import codec
 from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
-from camtopod.client.inbox import Inbox
-from camtopod.client.news import News
+from camtopod.client.prediction_queue import Inbox
+from camtopod.client.wakeup import News
 from camtopod.config.settings import secret_files
 from camtopod.config.settings import settings as configs
 from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint

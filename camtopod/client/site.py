@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from camtopod.client.inbox import WAITING_MAX, Inbox
-from camtopod.client.view import Settings, View
+from camtopod.client.prediction_queue import WAITING_MAX, Inbox
+from camtopod.client.site_view import Settings, View
 from camtopod.records import Prediction
 from camtopod.records import Topology as Version
 
