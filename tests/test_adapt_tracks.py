@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camtopod.adapt import tracks
-from camtopod.adapt.joining import Joiner
+from camtopod.adapt.box_linking import Joiner
 from camtopod.client import TrackEvents
 from camtopod.records import Event
 

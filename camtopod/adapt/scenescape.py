@@ -16,7 +16,7 @@ from msgspec import Meta, Struct
 
 from camtopod import codec
 from camtopod.adapt.adapter import Sizes, checked, payload, size_of
-from camtopod.adapt.joining import Box, Joiner
+from camtopod.adapt.box_linking import Box, Joiner
 from camtopod.adapt.tracks import TrackEvents
 from camtopod.codec import Rejected
 from camtopod.records import CameraId, Event
