@@ -16,7 +16,7 @@ from camtopod.learn.long_paths import LongWay, delayed, find_long_ways
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Link, Topology
-from camtopod.web.stories import Stories
+from camtopod.web.explanations import Stories
 
 T0 = 1e6
 WALKS = 700

@@ -16,7 +16,7 @@ from made_site import made_site
 from camtopod import codec
 from camtopod.cli import exits, main
 from camtopod.records import Topology
-from camtopod.web import bundle, report
+from camtopod.web import report, single_file
 
 SITE = msgspec.structs.replace(made_site(12), version=3)
 
@@ -97,11 +97,11 @@ def test_a_large_sites_most_walked_links_are_told(tmp_path: Path, monkeypatch: p
 
 
 def test_every_module_is_in_the_script_before_those_that_use_it() -> None:
-    script = bundle.scripts()
-    modules = [path.name.removesuffix(".js") for path in Path(str(bundle.STATIC)).glob("*.js")]
+    script = single_file.scripts()
+    modules = [path.name.removesuffix(".js") for path in Path(str(single_file.STATIC)).glob("*.js")]
     at = {name: script.index(f"const module_{name} = ") for name in modules}
     for name in modules:
-        source = (Path(str(bundle.STATIC)) / f"{name}.js").read_text("utf-8")
+        source = (Path(str(single_file.STATIC)) / f"{name}.js").read_text("utf-8")
         assert all(at[other] < at[name] for other in re.findall(r'from "\./(\w+)\.js"', source))
     assert "import " not in re.sub(r"//.*", "", script)
     assert not re.search(r"^export ", script, re.MULTILINE)

@@ -25,8 +25,8 @@ from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
 from camtopod.sim.network import SimSettings, simulate
 from camtopod.soundness import problems
-from camtopod.web.bundle import page
 from camtopod.web.report import gather
+from camtopod.web.single_file import page
 
 
 def learned(settings: SimSettings) -> Topology:

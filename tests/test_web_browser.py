@@ -27,8 +27,8 @@ from camtopod.serve.bus.session import Bus
 from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.web import app, report
-from camtopod.web.bundle import page
-from camtopod.web.drawing import draw
+from camtopod.web.map_data import draw
+from camtopod.web.single_file import page
 
 HOSTILE = "<img src=x onerror=\"document.title='owned'\"><script>document.title='owned'</script> no frame for 31 s"
 DOTTED = "gate.1-_x"

@@ -16,8 +16,8 @@ from made_site import made_link, made_site
 from shown import Shown, opened
 
 from camtopod.records import Camera, Pair, SelfScore, Topology, Zone
-from camtopod.web import mailbox, report
-from camtopod.web.bundle import page
+from camtopod.web import outbox, report
+from camtopod.web.single_file import page
 
 SITE = made_site(9)
 SCORE = SelfScore(200, 1, 1.1, 0.75, 0.91, 1.6, 0.55)
@@ -192,7 +192,7 @@ def test_a_version_that_is_no_number_is_as_if_none_were_named(browser: Browser) 
 
 
 def test_a_page_too_many_is_told_so(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mailbox, "PAGES_MAX", 1)
+    monkeypatch.setattr(outbox, "PAGES_MAX", 1)
     shown = Shown(SITE)
     with shown.serving():
         with contextlib.closing(urllib.request.urlopen(f"{shown.address}live", timeout=20)):

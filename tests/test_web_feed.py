@@ -14,9 +14,9 @@ from serving import wait_for
 
 from camtopod.records import Event, InView, Look, NextCamera, Prediction
 from camtopod.serve.bus.session import Bus
-from camtopod.web import feed, mailbox
+from camtopod.web import feed, outbox
 from camtopod.web.feed import Feed
-from camtopod.web.mailbox import BYTES_MAX, MESSAGES_MAX, PASSING_MAX, RESYNC, Hub, Mailbox
+from camtopod.web.outbox import BYTES_MAX, MESSAGES_MAX, PASSING_MAX, RESYNC, Hub, Mailbox
 
 SITE = made_site(12)
 NEWER = msgspec.structs.replace(SITE, version=2, links=SITE.links[1:])
@@ -282,9 +282,9 @@ def test_messages_come_in_order_from_any_thread_to_those_they_are_for() -> None:
 def test_so_many_pages_and_no_more() -> None:
     async def fill() -> list[Mailbox | None]:
         hub = Hub()
-        boxes = [hub.open(None) for _ in range(mailbox.PAGES_MAX + 1)]
+        boxes = [hub.open(None) for _ in range(outbox.PAGES_MAX + 1)]
         hub.leave(cast(Mailbox, boxes[0]))
         return [*boxes, hub.open(None)]
 
     boxes = asyncio.run(fill())
-    assert [box is None for box in boxes] == [False] * mailbox.PAGES_MAX + [True, False]
+    assert [box is None for box in boxes] == [False] * outbox.PAGES_MAX + [True, False]

@@ -18,7 +18,7 @@ from shown import Shown, opened
 
 from camtopod.records import Camera, Event, Link, SelfScore, Topology
 from camtopod.web import report
-from camtopod.web.bundle import page
+from camtopod.web.single_file import page
 
 SITE = made_site(9)
 FIRST = SITE.cameras[0].id

@@ -9,8 +9,8 @@ from made_site import made_link, made_site
 from msgspec.structs import replace
 
 from camtopod.records import Lacks, Link, Pair, Topology
-from camtopod.web.drawing import Map, MapCamera, MapChange, change, doubt, draw, map_edges
 from camtopod.web.layout import Place, places
+from camtopod.web.map_data import Map, MapCamera, MapChange, change, doubt, draw, map_edges
 
 SETTLED = Pair(("a", "b"), "overlapped", "overlapped", "overlapped")
 

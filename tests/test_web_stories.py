@@ -11,8 +11,8 @@ import pytest
 from made_site import BINS, SHARE, made_link, made_site
 
 from camtopod.records import Lacks, Link, Pair, Topology
-from camtopod.web.history import Change, changes, summary
-from camtopod.web.stories import Stories, why, why_pair
+from camtopod.web.explanations import Stories, why, why_pair
+from camtopod.web.version_diff import Change, changes, summary
 
 SITE = made_site(12)
 LINK = next(link for link in SITE.links if link.relation == "unseen")

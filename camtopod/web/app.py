@@ -37,10 +37,10 @@ from camtopod.serve.bus.session import Bus
 from camtopod.serve.runtime.clock import Clock
 from camtopod.serve.runtime.progress import Beat, Progress
 from camtopod.web.feed import Feed
-from camtopod.web.history import changes
-from camtopod.web.mailbox import Hub
-from camtopod.web.past import Past
+from camtopod.web.outbox import Hub
 from camtopod.web.pictures import picture_of
+from camtopod.web.version_cache import Past
+from camtopod.web.version_diff import changes
 
 log = logging.getLogger(__name__)
 

@@ -24,9 +24,9 @@ from camtopod.serve.bus.session import Bus
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.runtime.clock import Clock
 from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.web.drawing import Map, change, draw
-from camtopod.web.mailbox import Hub
-from camtopod.web.stories import Stories
+from camtopod.web.explanations import Stories
+from camtopod.web.map_data import Map, change, draw
+from camtopod.web.outbox import Hub
 
 log = logging.getLogger(__name__)
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from camtopod.records import Link, Topology
-from camtopod.web.drawing import draw
-from camtopod.web.history import changes, summary
+from camtopod.web.explanations import Stories
+from camtopod.web.map_data import draw
 from camtopod.web.pictures import TYPES, picture_of
-from camtopod.web.stories import Stories
+from camtopod.web.version_diff import changes, summary
 
 LINKS_MAX = 3_000
 """Links that are told in full, the most walked first; a large site has more than a browser opens as one file."""

@@ -14,8 +14,8 @@ from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import Rejected, read_topology
 from camtopod.records import Topology
-from camtopod.web.bundle import page
 from camtopod.web.report import gather
+from camtopod.web.single_file import page
 
 OLDER_MAX = 200
 """Older versions on the time line; each is as large as the topology."""

@@ -13,7 +13,7 @@ from camtopod.learn.links.link_table import MONTE_CARLO_SEED, mahalanobis, monte
 from camtopod.learn.settings import Settings
 from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
 from camtopod.topology.lag_bins import LagBins, smooth
-from camtopod.web.drawing import doubt, in_words, nearness
+from camtopod.web.map_data import doubt, in_words, nearness
 
 CURVE_SHARE_MIN = 0.004
 """Where the fitted curve is lower than this share of its peak it is not drawn."""
