@@ -19,15 +19,15 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from bench.scenes.crowd import CrowdSettings, simulate_crowd
+from bench.scenes.hall import HallSettings, simulate_hall
+from bench.scenes.road import RoadSettings, simulate_road
+from bench.scenes.walkway import WalkwaySettings, simulate_walkway
 from camtopod.learn.settings import Settings as LearnSettings
 from camtopod.records import Event
-from camtopod.sim.crowd import CrowdSettings, simulate_crowd
-from camtopod.sim.hall import HallSettings, simulate_hall
 from camtopod.sim.network import SimSettings, simulate
-from camtopod.sim.road import RoadSettings, simulate_road
 from camtopod.sim.score import next_entries
 from camtopod.sim.truth import CLUTTER, Truth
-from camtopod.sim.walkway import WalkwaySettings, simulate_walkway
 
 TRAIN_SHARE = 0.7
 GRID = 5

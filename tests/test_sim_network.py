@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.scenes.road import RoadSettings, simulate_road
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json, to_json
 from camtopod.records import Event
 from camtopod.sim.layout import ZONE_SEPARATION, make_layout
 from camtopod.sim.network import SimSettings, simulate
-from camtopod.sim.road import RoadSettings, simulate_road
 from camtopod.sim.score import next_entries
 from camtopod.sim.setup import make_setup
 from camtopod.sim.truth import Truth, mode_of, transit_of

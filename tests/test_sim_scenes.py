@@ -12,16 +12,16 @@ import msgspec
 import numpy as np
 import pytest
 
+from bench.scenes.crowd import CrowdSettings, simulate_crowd
+from bench.scenes.floor_plan import Piece, Walks, make_pieces, sampled, sightings, walk
+from bench.scenes.hall import HallSettings, simulate_hall
+from bench.scenes.recording import Faults, Sightings, broken, clipped, recorded
+from bench.scenes.road import GREEN_SHARE, RoadSettings, _green, simulate_road
+from bench.scenes.walkway import WalkwaySettings, simulate_walkway
 from camtopod.codec import event_from_json, to_json
 from camtopod.records import Event
-from camtopod.sim.crowd import CrowdSettings, simulate_crowd
-from camtopod.sim.hall import HallSettings, simulate_hall
-from camtopod.sim.plan import Piece, Walks, make_pieces, sampled, sightings, walk
-from camtopod.sim.recording import Faults, Sightings, broken, clipped, recorded
-from camtopod.sim.road import GREEN_SHARE, RoadSettings, _green, simulate_road
 from camtopod.sim.score import next_entries
 from camtopod.sim.truth import CLUTTER, Truth
-from camtopod.sim.walkway import WalkwaySettings, simulate_walkway
 
 Recording = tuple[list[Event], Truth]
 SCENES: dict[str, Callable[[int], Recording]] = {

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.scenes.recording import events_of
 from camtopod.arrays import Floats, Longs
 from camtopod.records import Event, Transit
 from camtopod.sim.layout import Layout
-from camtopod.sim.recording import events_of
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.setup import Setup, turned
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth, pairs_of, transit_of

@@ -10,16 +10,16 @@ from typing import IO, Any
 
 from msgspec import Struct
 
+from bench.scenes.crowd import CrowdSettings, simulate_crowd
+from bench.scenes.hall import HallSettings, simulate_hall
+from bench.scenes.road import RoadSettings, simulate_road
+from bench.scenes.walkway import WalkwaySettings, simulate_walkway
 from camtopod.cli import exits
 from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
 from camtopod.records import Event
-from camtopod.sim.crowd import CrowdSettings, simulate_crowd
-from camtopod.sim.hall import HallSettings, simulate_hall
 from camtopod.sim.network import SimSettings, simulate
-from camtopod.sim.road import RoadSettings, simulate_road
 from camtopod.sim.truth import Truth
-from camtopod.sim.walkway import WalkwaySettings, simulate_walkway
 
 SCENES: dict[str, tuple[type[Struct], Callable[[Any], tuple[list[Event], Truth]]]] = {
     "network": (SimSettings, simulate),

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
+from bench.scenes.floor_plan import SPEED_SD, WALKING_SPEED, make_pieces, sampled, sightings, walk
+from bench.scenes.hall import on_rim
+from bench.scenes.recording import Faults, check, recorded
 from camtopod.arrays import Floats
 from camtopod.records import Event
-from camtopod.sim.hall import on_rim
-from camtopod.sim.plan import SPEED_SD, WALKING_SPEED, make_pieces, sampled, sightings, walk
-from camtopod.sim.recording import Faults, check, recorded
 from camtopod.sim.truth import Truth
 
 PASSING, STROLLING = 0.4, 0.35

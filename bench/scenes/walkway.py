@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec import Struct
 
+from bench.scenes.recording import Faults, Sightings, broken, check, clipped, recorded
 from camtopod.arrays import Floats
 from camtopod.records import Event
-from camtopod.sim.recording import Faults, Sightings, broken, check, clipped, recorded
 from camtopod.sim.truth import Truth
 
 SIDES = (

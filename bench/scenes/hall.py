@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
+from bench.scenes.floor_plan import SPEED_SD, WALKING_SPEED, make_pieces, sampled, sightings, walk
+from bench.scenes.recording import Faults, check, recorded
 from camtopod.arrays import Floats
 from camtopod.records import Event
-from camtopod.sim.plan import SPEED_SD, WALKING_SPEED, make_pieces, sampled, sightings, walk
-from camtopod.sim.recording import Faults, check, recorded
 from camtopod.sim.truth import Truth
 
 DOORS = (8, 12)

@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 from msgspec import Struct
 
+from bench.scenes.recording import Faults, Sightings, check, recorded
 from camtopod.arrays import Floats
 from camtopod.records import Event
-from camtopod.sim.recording import Faults, Sightings, check, recorded
 from camtopod.sim.truth import Truth
 
 STREET_METRES = (200.0, 1200.0)

@@ -12,9 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from bench.scenes.recording import GAP_SECONDS, Sightings, join
 from camtopod.arrays import Bools, Floats, Longs
 from camtopod.sim.floor import View
-from camtopod.sim.recording import GAP_SECONDS, Sightings, join
 
 LEG_KNOTS = 8
 """Points between which a leg of a walk is straight."""
