@@ -23,8 +23,8 @@ from camtopod.learn.snapshot import pack
 from camtopod.records import Event
 from camtopod.serve.runtime.clock import ulid, wall
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
+from camtopod.sim.simulation import simulate
 
 EVENTS_PER_OBJECT = 12.0
 """About so many events an object makes on its way through a made-up network of a hundred cameras."""

@@ -23,9 +23,9 @@ from msgspec.structs import replace
 from camtopod.learn.learner import Learner
 from camtopod.learn.self_score import Guess, Marks, Scorer, marks
 from camtopod.records import Event, Topology
-from camtopod.sim.network import simulate
 from camtopod.sim.score import ZONE_TOLERANCE, match_zones, next_entries
 from camtopod.sim.settings import SimSettings
+from camtopod.sim.simulation import simulate
 from camtopod.sim.truth import TrueLink, Truth
 
 JOBS = ("close", "open", "steady", "score")

@@ -23,8 +23,8 @@ from camtopod.codec import to_json
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, NextCamera, Prediction, Topology
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries, score, score_predictions
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import CLUTTER, Truth
 
 TRAIN_SHARE = 0.7

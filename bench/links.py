@@ -25,8 +25,8 @@ from camtopod.cli.commands.export import load
 from camtopod.codec import to_json
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import score
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
 
 EVENTS_PER_SECOND_MIN = 20_000.0

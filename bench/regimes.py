@@ -25,8 +25,8 @@ from bench.scenes.road import RoadSettings, simulate_road
 from bench.scenes.walkway import WalkwaySettings, simulate_walkway
 from camtopod.learn.settings import Settings as LearnSettings
 from camtopod.records import Event
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import CLUTTER, Truth
 
 TRAIN_SHARE = 0.7

@@ -25,8 +25,8 @@ from camtopod.learn.snapshot import pack
 from camtopod.records import Event
 from camtopod.serve.runtime.clock import ulid
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
+from camtopod.sim.simulation import simulate
 
 SETTINGS = Settings(refit_share=0.9, refit_hours=100.0)
 """Few versions, to be ready to measure soon; the state is as large as with many."""

@@ -24,8 +24,8 @@ from bench import _ratios
 from bench._ratios import Row, Table, spread
 from camtopod.cli.commands.export import load
 from camtopod.codec import to_json
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import Score, score
+from camtopod.sim.simulation import SimSettings, simulate
 
 STEP_MAX = 1.3
 """Cost of an event over that on the site a tenth of the size, at most."""

@@ -27,7 +27,7 @@ from bench.scale import EVENTS_PER_OBJECT
 from camtopod.records import Event
 from camtopod.sharding.assignment import Sharding
 from camtopod.sharding.shard_learner import ShardLearner
-from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
 
 DISTRICTS_PER_SHARD = 4

@@ -39,8 +39,8 @@ from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.runtime import memory
-from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
+from camtopod.sim.simulation import simulate
 
 DAY_SECONDS = 86_400.0
 MEMORY_FROM_DAY, DISK_FROM_DAY = 2, 5

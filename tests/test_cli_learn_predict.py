@@ -19,7 +19,7 @@ from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.terminal import progress
 from camtopod.codec import EVENT_BYTES_MAX, read, to_json
 from camtopod.records import Event, Prediction, Topology
-from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.versions import apply_delta, digest_of, make_delta
 
 EVENTS, TRUTH = simulate(SimSettings(cameras=3, hours=0.25, seed=1))

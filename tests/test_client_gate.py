@@ -31,8 +31,8 @@ from camtopod.records import (
     ZoneModel,
 )
 from camtopod.sim.calibration import calibration_error
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.grid import block_of
 from camtopod.topology.lag_bins import LagBins
 

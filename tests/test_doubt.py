@@ -22,8 +22,8 @@ from camtopod.learn.next_camera.spurious import (
 )
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Prediction, Topology
-from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
+from camtopod.sim.simulation import simulate
 
 ONCE = Settings(refit_share=1e9, refit_hours=1e9)
 """Everything is learned in one fit."""

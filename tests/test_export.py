@@ -25,7 +25,7 @@ from camtopod.export.aicity import camera_numbers
 from camtopod.export.graph import edges
 from camtopod.export.svg import spring_layout
 from camtopod.records import Camera, Topology
-from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.simulation import SimSettings, simulate
 
 TOPOLOGY = topology_of(simulate(SimSettings(cameras=7, hours=0.5, seed=2))[1])
 PAIRS = {(pair.cameras, pair.relation == "overlapped") for pair in TOPOLOGY.pairs}

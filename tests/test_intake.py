@@ -20,8 +20,8 @@ from camtopod.learn.window.reorder_buffer import (
 )
 from camtopod.learn.window.sliding_window import reorder_buffer as module
 from camtopod.records import Event
-from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
+from camtopod.sim.simulation import simulate
 
 
 def event(t: float, camera: str = "a", kind: str = "entry", **rest: object) -> Event:

@@ -12,7 +12,7 @@ from camtopod.learn.links.significance import q_values, ratio_needed
 from camtopod.learn.links.transit_time import TransitFigures
 from camtopod.learn.settings import Settings
 from camtopod.records import Topology
-from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.simulation import SimSettings, simulate
 
 SETTINGS = Settings()
 HOUR = 3600.0

@@ -17,8 +17,8 @@ from camtopod.codec import read, to_json
 from camtopod.learn.learner import GONE_ZONES_MAX, REFIT_EVENTS_MIN, STEPS, Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Link, Topology
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import score
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.versions import apply_delta, digest_of, make_delta
 
 QUICK = Settings(version_seconds=10.0, refit_share=0.3)

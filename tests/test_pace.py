@@ -14,8 +14,8 @@ from camtopod.learn.traffic.speed import usual_stays
 from camtopod.predict.predictor import Predictor
 from camtopod.predict.speed import Paces
 from camtopod.records import Camera, Model, Pace, Topology, Way, Zone
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries
+from camtopod.sim.simulation import SimSettings, simulate
 
 ZONES = [Zone("a/1", "a", 9, 9), Zone("a/2", "a", 9, 9)]
 

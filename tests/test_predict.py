@@ -39,8 +39,8 @@ from camtopod.records import (
     Zone,
     ZoneModel,
 )
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import score_predictions
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.shared_constants import (

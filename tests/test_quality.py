@@ -16,8 +16,8 @@ from bench.regimes import REGIMES
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import CLUTTER, Truth
 
 

@@ -11,8 +11,8 @@ from made import topology_of
 
 from camtopod.records import Event, NextCamera, Pair, Prediction
 from camtopod.sim.calibration import calibration_error, calibration_floor
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import clock_errors, score, score_predictions
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, Truth
 
 TRUTH = simulate(SimSettings(cameras=4, hours=0.3))[1]

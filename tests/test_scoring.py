@@ -11,9 +11,9 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.self_score import EXITS_PER_VERSION, PROBABILITY_FLOOR, SCORED_MAX, Guess, Scorer, marks
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, SelfScore
-from camtopod.sim.network import simulate
 from camtopod.sim.score import next_entries
 from camtopod.sim.settings import SimSettings
+from camtopod.sim.simulation import simulate
 
 GUESS = Guess(0.0, "a", 3, {"": 0.2, "b": 0.5, "c": 0.2, "d": 0.06, "e": 0.04}, {"": 0.3, "c": 0.7})
 

@@ -22,8 +22,8 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import Score, score
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins
 
 BINS = LagBins(-20.0, 60.0)

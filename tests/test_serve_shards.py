@@ -37,8 +37,8 @@ from camtopod.serve.shards.subscriptions import SMALL_CAMERAS_MAX, Hearing
 from camtopod.serve.storage.packed_version import Version
 from camtopod.sharding.assignment import Sharding
 from camtopod.sharding.shard_learner import ShardLearner
-from camtopod.sim.network import simulate
 from camtopod.sim.settings import SimSettings
+from camtopod.sim.simulation import simulate
 
 SETTINGS = Settings(refit_share=0.3)
 SHARDING = Sharding(districts=4)

@@ -22,8 +22,8 @@ from camtopod.sharding.district_learner import NEWCOMERS_MAX, District
 from camtopod.sharding.parts import Part
 from camtopod.sharding.shard_learner import ShardLearner, pack_shard, unpack_shard
 from camtopod.sharding.version_line import Line
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import score, score_predictions
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
 
 SETTINGS = Settings(refit_share=1.0)

@@ -17,10 +17,10 @@ from bench.scenes.road import RoadSettings, simulate_road
 from camtopod.cli.main import main
 from camtopod.codec import event_from_json, to_json
 from camtopod.records import Event
+from camtopod.sim.faults import make_setup
 from camtopod.sim.layout import ZONE_SEPARATION, make_layout
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import next_entries
-from camtopod.sim.setup import make_setup
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth, mode_of, transit_of
 
 small = st.builds(

@@ -9,8 +9,8 @@ import pytest
 from made import topology_of
 
 from camtopod.records import Event, NextCamera, Prediction
-from camtopod.sim.network import SimSettings, simulate
 from camtopod.sim.score import match_zones, next_entries, score, score_predictions
+from camtopod.sim.simulation import SimSettings, simulate
 
 EVENTS, TRUTH = simulate(SimSettings(cameras=6, hours=0.5))
 PERFECT = topology_of(TRUTH)

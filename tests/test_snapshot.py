@@ -15,7 +15,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import Event
-from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.simulation import SimSettings, simulate
 
 SETTINGS = Settings(refit_share=0.3, window_events_max=2500)
 NETWORKS = {

@@ -23,7 +23,7 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Topology
-from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.soundness import problems
 from camtopod.web.report import gather
 from camtopod.web.single_file import page

@@ -18,7 +18,7 @@ from camtopod.cli import exits
 from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
 from camtopod.records import Event
-from camtopod.sim.network import SimSettings, simulate
+from camtopod.sim.simulation import SimSettings, simulate
 from camtopod.sim.truth import Truth
 
 SCENES: dict[str, tuple[type[Struct], Callable[[Any], tuple[list[Event], Truth]]]] = {

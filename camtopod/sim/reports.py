@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from bench.scenes.recording import events_of
 from camtopod.arrays import Floats, Longs
 from camtopod.records import Event, Transit
+from camtopod.sim.faults import Setup, turned
 from camtopod.sim.layout import Layout
 from camtopod.sim.settings import SimSettings
-from camtopod.sim.setup import Setup, turned
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth, pairs_of, transit_of
-from camtopod.sim.walking import Passages, jitter, paces
+from camtopod.sim.walkers import Passages, jitter, paces
 
 TRANSIT_DRAWS = 20_000
 CLUTTER_TRACK_SHARE = 0.5

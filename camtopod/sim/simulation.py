@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.records import Event
-from camtopod.sim.report import report, truth_of
+from camtopod.sim.faults import make_setup
+from camtopod.sim.reports import report, truth_of
 from camtopod.sim.settings import SimSettings, check
-from camtopod.sim.setup import make_setup
 from camtopod.sim.truth import Truth
-from camtopod.sim.walking import walk, with_companions
+from camtopod.sim.walkers import walk, with_companions
 
 __all__ = ["SimSettings", "simulate"]
 

@@ -7,9 +7,9 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs
+from camtopod.sim.faults import Setup
 from camtopod.sim.layout import WALKING_SPEED, Choices
 from camtopod.sim.settings import SimSettings
-from camtopod.sim.setup import Setup
 
 PASSAGES_MAX = 100
 """A walker leaves the network after this many passages at the latest."""
