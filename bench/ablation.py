@@ -33,10 +33,10 @@ import numpy as np
 from msgspec import Struct
 
 from bench import real
-from bench._jobs import done
-from bench._measure import measure as measure_regime
-from bench._real_figures import calibration_error
 from bench.regimes import REGIMES
+from bench.support.jobs import done
+from bench.support.measure import measure as measure_regime
+from bench.support.real_figures import calibration_error
 from camtopod.learn.traffic.speed import NO_PERSISTENCE
 
 REAL = "real"

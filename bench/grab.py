@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import cv2
 
-from bench import _films, _ratios
 from bench.baselines import frigate
+from bench.support import films, ratios
 from camtopod.vision.grabber import Grabber
 
 DECODING = "decoding alone"
@@ -48,17 +48,17 @@ class Film(NamedTuple):
     @property
     def title(self) -> str:
         """With its bit rate."""
-        rate = 8e-6 * self.path.stat().st_size * _films.FPS / self.frames
+        rate = 8e-6 * self.path.stat().st_size * films.FPS / self.frames
         return f"{self.size_name} {self.scene}, {rate:.1f} Mbit/s"
 
 
 def main(argv: list[str]) -> int:
     """Print the tables; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench grab", description="What a camera costs.")
-    _ratios.add_arguments(parser, ROUNDS)
+    ratios.add_arguments(parser, ROUNDS)
     parser.add_argument("--seconds", type=float, default=SECONDS, help="length of a film")
     parser.add_argument("--films", type=Path, metavar="FOLDER", help="where films are kept")
-    parser.add_argument("--crf", type=int, default=_films.CRF, help="quality of the films: lower is more bits")
+    parser.add_argument("--crf", type=int, default=films.CRF, help="quality of the films: lower is more bits")
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
     given = parser.parse_args(argv)
     if shutil.which("ffmpeg") is None:
@@ -68,9 +68,9 @@ def main(argv: list[str]) -> int:
         tables = []
         for film in films(given.films or Path(folder), given.sizes, given.seconds, given.crf):
             tables.append(measure(film, given.rounds))
-            print("\n".join(_ratios.lines(tables[-1])), seen(film), sep="\n", end="\n\n", flush=True)
+            print("\n".join(ratios.lines(tables[-1])), seen(film), sep="\n", end="\n\n", flush=True)
     if given.json:
-        _ratios.write(given.json, "grab", tables, opencv=cv2.__version__, ffmpeg=ffmpeg_version())
+        ratios.write(given.json, "grab", tables, opencv=cv2.__version__, ffmpeg=ffmpeg_version())
     return 0
 
 
@@ -83,17 +83,17 @@ def films(folder: Path, sizes: list[str], seconds: float, crf: int) -> list[Film
             path = folder / f"{size_name}-{scene}-{seconds:g}s-crf{crf}.mp4"
             if not path.exists():
                 part = path.with_suffix(".part.mp4")
-                _films.film(part, SIZES[size_name], _films.people(many, pause, seed=3), seconds, crf)
+                films.film(part, SIZES[size_name], films.people(many, pause, seed=3), seconds, crf)
                 part.rename(path)
-            result.append(Film(size_name, scene, SIZES[size_name], path, round(seconds * _films.FPS)))
+            result.append(Film(size_name, scene, SIZES[size_name], path, round(seconds * films.FPS)))
     return result
 
 
-def measure(film: Film, rounds: int) -> _ratios.Table:
+def measure(film: Film, rounds: int) -> ratios.Table:
     """Milliseconds of CPU a streamed frame, of everybody."""
 
     def per_frame(run: Callable[..., object], *arguments: object) -> Callable[[], float]:
-        return lambda: 1000 * _ratios.cpu_seconds_of(lambda: run(film, *arguments)) / film.frames
+        return lambda: 1000 * ratios.cpu_seconds_of(lambda: run(film, *arguments)) / film.frames
 
     contestants = {
         DECODING: per_frame(decode),
@@ -102,9 +102,9 @@ def measure(film: Film, rounds: int) -> _ratios.Table:
         frigate_at(SMALL_DETECT): per_frame(frigates_way, SMALL_DETECT),
         "the program ffmpeg, decoding alone": per_frame(decode_by_ffmpeg),
     }
-    costs = _ratios.take_turns(contestants, rounds)
+    costs = ratios.take_turns(contestants, rounds)
     wanted = {GRABBER: RATIO_MAX[film.size_name, film.scene]}
-    return _ratios.compare(film.title, "CPU ms a frame", costs, DECODING, wanted)
+    return ratios.compare(film.title, "CPU ms a frame", costs, DECODING, wanted)
 
 
 def frigate_at(detect: tuple[int, int]) -> str:
@@ -134,7 +134,7 @@ def grab(film: Film) -> Grabber:
 def frigates_way(film: Film, detect: tuple[int, int]) -> None:
     """ffmpeg pipes raw frames, OpenCV looks for motion."""
     frames, _ = frigate.watch(film.path, *detect)
-    assert abs(frames - film.frames * frigate.FPS / _films.FPS) <= 2, f"{frames} frames looked at"
+    assert abs(frames - film.frames * frigate.FPS / films.FPS) <= 2, f"{frames} frames looked at"
 
 
 def decode_by_ffmpeg(film: Film) -> None:

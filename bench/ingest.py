@@ -16,9 +16,9 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from bench import _ratios, _site
-from bench._clients import client, learned_status, ready_at, result, status_of, write_events
-from bench._site import learned_site, running, traffic
+from bench.support import ratios, site
+from bench.support.clients import client, learned_status, ready_at, result, status_of, write_events
+from bench.support.site import learned_site, running, traffic
 
 BARE, QUIET, FITTING = "zenoh + msgspec, doing nothing", "daemon, no version due", "daemon, a version a minute"
 NEVER = "refit_share = 1e9\nrefit_hours = 1e9"
@@ -34,9 +34,9 @@ class Lost(RuntimeError):
 def main(argv: list[str]) -> int:
     """Measure; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench ingest", description="The daemon's rate of events.")
-    _site.add_arguments(parser)
+    site.add_arguments(parser)
     parser.add_argument("--events", type=int, default=200_000)
-    _ratios.add_arguments(parser, rounds=5)
+    ratios.add_arguments(parser, rounds=5)
     given = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -44,7 +44,7 @@ def main(argv: list[str]) -> int:
         events = write_events(
             folder / "events", traffic(given.cameras, EVENTS_PER_SECOND_PER_CAMERA * given.cameras, given.events)
         )
-        costs = _ratios.take_turns(
+        costs = ratios.take_turns(
             {
                 BARE: partial(bare, folder, events, given.events),
                 QUIET: partial(daemon, folder, learned, events, given.events, NEVER),
@@ -53,12 +53,12 @@ def main(argv: list[str]) -> int:
             given.rounds,
         )
     at_most = {QUIET: COST_MAX, FITTING: COST_MAX}
-    table = _ratios.compare(f"{given.events} events of {given.cameras} cameras", "us an event", costs, BARE, at_most)
-    print("\n".join(_ratios.lines(table)))
+    table = ratios.compare(f"{given.events} events of {given.cameras} cameras", "us an event", costs, BARE, at_most)
+    print("\n".join(ratios.lines(table)))
     for row in table.rows:
         print(f"  {row.name}: {1e6 / row.cost.median:,.0f} events/s, {1 / row.ratio.median:.2f} of the bare rate")
     if given.json:
-        _ratios.write(given.json, "ingest", [table], cameras=given.cameras, events=given.events)
+        ratios.write(given.json, "ingest", [table], cameras=given.cameras, events=given.events)
     return 0
 
 

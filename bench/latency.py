@@ -18,9 +18,9 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from bench import _ratios, _site
-from bench._clients import client, learned_status, ready_at, result, status_of, write_events
-from bench._site import learned_site, running, traffic
+from bench.support import ratios, site
+from bench.support.clients import client, learned_status, ready_at, result, status_of, write_events
+from bench.support.site import learned_site, running, traffic
 
 BARE, QUIET, REFITTING = "bare zenoh", "daemon", "daemon, refitting"
 LEARN = {
@@ -93,10 +93,10 @@ class Case:
 def main(argv: list[str]) -> int:
     """Measure; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench latency", description="From an exit to its prediction.")
-    _site.add_arguments(parser)
+    site.add_arguments(parser)
     parser.add_argument("--rate", type=float, default=1000.0, help="events a second, half of them exits")
     parser.add_argument("--seconds", type=float, default=20.0)
-    _ratios.add_arguments(parser, rounds=5)
+    ratios.add_arguments(parser, rounds=5)
     given = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as name:
         learned = learned_site(given.site or Path(name), given.cameras, given.learned)
@@ -106,18 +106,18 @@ def main(argv: list[str]) -> int:
             REFITTING: partial(case.daemon, REFITTING),
             BARE: case.bare,
         }
-        p50 = _ratios.take_turns(ways, given.rounds)
-    p99 = {name: [one.quantile(0.99) for one in case.rounds[name][_ratios.WARM_ROUNDS :]] for name in p50}
+        p50 = ratios.take_turns(ways, given.rounds)
+    p99 = {name: [one.quantile(0.99) for one in case.rounds[name][ratios.WARM_ROUNDS :]] for name in p50}
     fitting = {name: p99[name] for name in (QUIET, REFITTING)}
     tables = [
-        _ratios.compare("median", "ms", p50, BARE, {QUIET: P50_MAX}),
-        _ratios.compare("99th percentile", "ms", p99, BARE, {QUIET: P99_MAX}),
-        _ratios.compare("99th percentile, while fitting anew", "ms", fitting, QUIET, {REFITTING: REFIT_P99_MAX}),
+        ratios.compare("median", "ms", p50, BARE, {QUIET: P50_MAX}),
+        ratios.compare("99th percentile", "ms", p99, BARE, {QUIET: P99_MAX}),
+        ratios.compare("99th percentile, while fitting anew", "ms", fitting, QUIET, {REFITTING: REFIT_P99_MAX}),
     ]
     for table in tables:
-        print("\n".join(_ratios.lines(table)))
+        print("\n".join(ratios.lines(table)))
     versions = [one.versions for one in case.rounds[REFITTING]]
     print(f"versions made while measuring, a round: {min(versions)} .. {max(versions)}")
     if given.json:
-        _ratios.write(given.json, "latency", tables, cameras=given.cameras, rate=given.rate, versions=versions)
+        ratios.write(given.json, "latency", tables, cameras=given.cameras, rate=given.rate, versions=versions)
     return 0

@@ -27,9 +27,9 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from bench._jobs import done
-from bench._measure import TRAIN_SHARE, predict, prediction_figures
 from bench.regimes import REGIMES
+from bench.support.jobs import done
+from bench.support.measure import TRAIN_SHARE, predict, prediction_figures
 from camtopod.arrays import Singles
 from camtopod.learn.learner import Learner
 from camtopod.learn.next_camera import fit

@@ -17,10 +17,10 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench import _ratios
-from bench._measure import LINK_METHODS, TAKE_CANDIDATES
 from bench.baselines.crossings import candidates, crossings
 from bench.scale import EVENTS_PER_OBJECT, learn
+from bench.support import ratios
+from bench.support.measure import LINK_METHODS, TAKE_CANDIDATES
 from camtopod.cli.commands.export import load
 from camtopod.codec import to_json
 from camtopod.learn.settings import Settings
@@ -58,22 +58,22 @@ def main(argv: Sequence[str]) -> int:
     found = score(topology, truth)
     quickest = min((name for name in costs if name != OURS), key=lambda name: sum(costs[name]))
     tables = [
-        _ratios.compare("a version a minute", "CPU s", costs, quickest, at_most={OURS: 1.0 / TIMES_FASTER_MIN}),
-        _ratios.compare(
+        ratios.compare("a version a minute", "CPU s", costs, quickest, at_most={OURS: 1.0 / TIMES_FASTER_MIN}),
+        ratios.compare(
             "events a second of CPU", "events/s",
             {OURS: [len(events) / cost for cost in costs[OURS]], TO_REACH: [EVENTS_PER_SECOND_MIN] * arguments.rounds},
             TO_REACH, at_least={OURS: 1.0},
         ),
     ]  # fmt: skip
     for table in tables:
-        print(*_ratios.lines(table), sep="\n")
+        print(*ratios.lines(table), sep="\n")
     print(
         f"camtopod learn: {memory:.0f} MB, {topology.version} versions, "
         f"links: precision {found.link_precision:.3f}, recall {found.link_recall:.3f}"
     )
     if arguments.json is not None:
         facts = {"events": len(events), "minutes": minutes, "memory_mb": memory, "versions": topology.version}
-        _ratios.write(arguments.json, "links", tables, **facts)
+        ratios.write(arguments.json, "links", tables, **facts)
     return 0
 
 
@@ -101,5 +101,5 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--events", type=int, default=1_000_000, help="events of the recording, about")
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument("--rate", type=float, default=0.3, help="events a second and camera (default 0.3)")
-    _ratios.add_arguments(parser, rounds=1)
+    ratios.add_arguments(parser, rounds=1)
     return parser.parse_args(argv)

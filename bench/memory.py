@@ -17,10 +17,10 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from bench import _ratios
-from bench._clients import client, result, status_of, write_events
-from bench._ratios import Row, Spread, Table
-from bench._site import LEARNED_PER_SECOND_PER_CAMERA, most_at_once, resident, running, traffic
+from bench.support import ratios
+from bench.support.clients import client, result, status_of, write_events
+from bench.support.ratios import Row, Spread, Table
+from bench.support.site import LEARNED_PER_SECOND_PER_CAMERA, most_at_once, resident, running, traffic
 
 MEGABYTES_MAX = {100: 300.0, 1_000: 1_000.0, 10_000: 4_000.0}
 """To reach; at another number of cameras there is no figure."""
@@ -60,7 +60,7 @@ def main(argv: list[str]) -> int:
         once = Spread(taken.most, taken.settled, taken.added)
         rows.append(Row(f"{cameras} cameras", once, Spread(share, share, share), None if allowed is None else 1.0))
     if given.json:
-        _ratios.write(given.json, "memory", [Table("resident memory of the daemon", "MB", "what is allowed", rows)])
+        ratios.write(given.json, "memory", [Table("resident memory of the daemon", "MB", "what is allowed", rows)])
     return 0
 
 

@@ -34,9 +34,9 @@ from typing import NamedTuple
 
 import msgspec
 
-from bench._measure import GROUPS, Record, measure
-from bench._table import tables
 from bench.regimes import REGIMES
+from bench.support.measure import GROUPS, Record, measure
+from bench.support.table import tables
 from camtopod.codec import read, to_json
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, Pair

@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct, to_builtins
 
-from bench._jobs import done
-from bench._real_figures import (
+from bench.support.jobs import done
+from bench.support.real_figures import (
     SEARCH_RECALLS,
     TELLABLE_NATS,
     LinkFigures,
@@ -35,7 +35,7 @@ from bench._real_figures import (
     prediction_figures,
     who_figures,
 )
-from bench._recordings import SPURIOUS_TRANSITIONS_MAX, CameraPair, Recording, load, tellable
+from bench.support.recordings import SPURIOUS_TRANSITIONS_MAX, CameraPair, Recording, load, tellable
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 

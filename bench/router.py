@@ -15,10 +15,10 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from bench import _ratios
-from bench._clients import client, ready_at, result, write_events
-from bench._site import traffic
 from bench.ingest import EVENTS_PER_SECOND_PER_CAMERA, Lost
+from bench.support import ratios
+from bench.support.clients import client, ready_at, result, write_events
+from bench.support.site import traffic
 
 
 def main(argv: list[str]) -> int:
@@ -27,22 +27,22 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument("--events", type=int, default=200_000)
     parser.add_argument("--readers", default="1,4", help="how many hear everything, comma-separated")
-    _ratios.add_arguments(parser, rounds=3)
+    ratios.add_arguments(parser, rounds=3)
     given = parser.parse_args(argv)
     counts = [int(count) for count in given.readers.split(",")]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rate = EVENTS_PER_SECOND_PER_CAMERA * given.cameras
         events = write_events(folder / "events", traffic(given.cameras, rate, given.events))
-        costs = _ratios.take_turns(
+        costs = ratios.take_turns(
             {_name(count): partial(passed_on, folder, events, given.events, count) for count in counts}, given.rounds
         )
-    table = _ratios.compare(f"{given.events} events passed on", "us a message", costs, _name(counts[0]))
-    print("\n".join(_ratios.lines(table)))
+    table = ratios.compare(f"{given.events} events passed on", "us a message", costs, _name(counts[0]))
+    print("\n".join(ratios.lines(table)))
     for row in table.rows:
         print(f"  {row.name}: {1e6 / row.cost.median:,.0f} messages a second of a core")
     if given.json:
-        _ratios.write(given.json, "router", [table], cameras=given.cameras, events=given.events)
+        ratios.write(given.json, "router", [table], cameras=given.cameras, events=given.events)
     return 0
 
 

@@ -20,8 +20,8 @@ from pathlib import Path
 
 from msgspec import Struct, to_builtins
 
-from bench import _ratios
-from bench._ratios import Row, Table, spread
+from bench.support import ratios
+from bench.support.ratios import Row, Table, spread
 from camtopod.cli.commands.export import load
 from camtopod.codec import to_json
 from camtopod.sim.score import Score, score
@@ -62,14 +62,14 @@ def main(argv: Sequence[str]) -> int:
             sizes.append(measure(Path(folder), cameras, arguments.hours, arguments.rate, arguments.rounds))
             print(line(sizes), flush=True)
     if arguments.json is not None:
-        _ratios.write(arguments.json, "scale", tables(sizes), sizes=to_builtins(sizes))
+        ratios.write(arguments.json, "scale", tables(sizes), sizes=to_builtins(sizes))
     return 0
 
 
 def tables(sizes: Sequence[Size]) -> list[Table]:
     """Each size beside the one before, and the memory of each beside what is allowed."""
     steps = [
-        _ratios.compare(
+        ratios.compare(
             f"cost of an event, {before.cameras} to {now.cameras} cameras", "us",
             {name(size): size.each_microseconds for size in (before, now)}, name(before), at_most={name(now): STEP_MAX},
         )
@@ -134,5 +134,5 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--cameras", default="100,1000,10000", help="sizes of site, comma-separated")
     parser.add_argument("--hours", type=float, default=0.5, help="length of the recordings (default 0.5)")
     parser.add_argument("--rate", type=float, default=0.1, help="events a second and camera (default 0.1)")
-    _ratios.add_arguments(parser, rounds=1)
+    ratios.add_arguments(parser, rounds=1)
     return parser.parse_args(argv)

@@ -22,8 +22,8 @@ from msgspec import Struct, to_builtins
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from bench import _ratios
 from bench.scale import EVENTS_PER_OBJECT
+from bench.support import ratios
 from camtopod.records import Event
 from camtopod.sharding.assignment import Sharding
 from camtopod.sharding.shard_learner import ShardLearner
@@ -71,15 +71,15 @@ def main(argv: Sequence[str]) -> int:
                 costs.setdefault(run.name, []).append(run.seconds / run.own * 1e6)
             done += runs
         wanted = {name: 1.0 + SAME_WITHIN for name in costs if name != "one shard"}
-        tables.append(_ratios.compare(f"cost of an own event, cameras dealt {dealt}", "us", costs, "one shard", wanted))
-        print(*_ratios.lines(tables[-1]), sep="\n")
+        tables.append(ratios.compare(f"cost of an own event, cameras dealt {dealt}", "us", costs, "one shard", wanted))
+        print(*ratios.lines(tables[-1]), sep="\n")
         for run in runs:
             heard = f"heard {run.heard / run.own:.2f} times as many"
             heard += f", {run.known_heard / max(run.known_own, 1):.2f} times once neighbours are known"
             heard += f" (its own and its true neighbours: {run.known_near / max(run.known_own, 1):.2f})"
             print(f"    {run.name}: {run.own} own events, {heard}; {run.site} on the whole site")
     if arguments.json is not None:
-        _ratios.write(arguments.json, "shards", tables, work=to_builtins(done))
+        ratios.write(arguments.json, "shards", tables, work=to_builtins(done))
     return 0
 
 
@@ -133,5 +133,5 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--shards", type=int, default=4, help="on the larger one (default 4)")
     parser.add_argument("--hours", type=float, default=0.5, help="length of the recordings (default 0.5)")
     parser.add_argument("--rate", type=float, default=0.1, help="events a second and camera (default 0.1)")
-    _ratios.add_arguments(parser, rounds=1)
+    ratios.add_arguments(parser, rounds=1)
     return parser.parse_args(argv)

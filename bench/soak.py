@@ -30,7 +30,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from bench._site import resident
+from bench.support.site import resident
 from camtopod.config.settings import BusSettings, Config, KeepSettings, Limits, StateSettings
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings

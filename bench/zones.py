@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import _ratios, _zone_speed
+from bench.support import ratios, zone_speed
 from camtopod.arrays import Floats
 from camtopod.learn.zones.daspec import bandwidth, data_spectroscopy
 from camtopod.learn.zones.zone_map import cell_sums, find_zones, refresh_zones
@@ -74,17 +74,17 @@ def main(argv: list[str]) -> int:
     parser.add_argument("cameras", type=int, nargs="?", default=8, help="of each kind (default 8)")
     parser.add_argument("first", type=int, nargs="?", default=FIRST_SEED, help="seed of the first")
     parser.add_argument("--speed", action="store_true", help="only what zones cost")
-    parser.add_argument("--events", type=int, nargs="+", default=_zone_speed.EVENTS, help="in the window, for the cost")
-    _ratios.add_arguments(parser, rounds=7)
+    parser.add_argument("--events", type=int, nargs="+", default=zone_speed.EVENTS, help="in the window, for the cost")
+    ratios.add_arguments(parser, rounds=7)
     given = parser.parse_args(argv)
     if not given.speed:
         rightness(given.cameras, given.first)
     makers = [partial(camera, given.first, kind) for kind in KINDS if kind.name in SPEED_KINDS]
-    tables = _zone_speed.tables(makers, given.rounds, given.events)
+    tables = zone_speed.tables(makers, given.rounds, given.events)
     for table in tables:
-        print(*_ratios.lines(table), sep="\n", end="\n\n", flush=True)
+        print(*ratios.lines(table), sep="\n", end="\n\n", flush=True)
     if given.json:
-        _ratios.write(given.json, "zones", tables)
+        ratios.write(given.json, "zones", tables)
     return 0
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench._measure import TRAIN_SHARE, predict, prediction_figures
+from bench.support.measure import TRAIN_SHARE, predict, prediction_figures
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event

@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from bench._measure import by_range
 from bench.baselines.anonymous import anonymous, fit
 from bench.baselines.closest import LITERAL, closest
 from bench.baselines.correlation import correlation
@@ -19,6 +18,7 @@ from bench.baselines.information import information
 from bench.baselines.told import told, told_score, transit_error
 from bench.baselines.transfer import by_delay, transfer
 from bench.baselines.zoning import methods
+from bench.support.measure import by_range
 from camtopod.records import Event, Pair, Transit
 from camtopod.sim.score import score_predictions
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from serving import wait_for
 
-from bench import _ratios, ingest, latency, memory, router
-from bench._site import most_at_once, resident, traffic
+from bench import ingest, latency, memory, router
+from bench.support import ratios
+from bench.support.site import most_at_once, resident, traffic
 
 SMALL = ["--cameras", "4", "--learned", "400", "--rounds", "1"]
 
@@ -25,7 +26,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 @pytest.fixture(autouse=True)
 def cold(monkeypatch: pytest.MonkeyPatch) -> None:
     """No round to warm up."""
-    monkeypatch.setattr(_ratios, "WARM_ROUNDS", 0)
+    monkeypatch.setattr(ratios, "WARM_ROUNDS", 0)
 
 
 def test_the_same_network_at_every_rate() -> None:

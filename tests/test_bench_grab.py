@@ -1,4 +1,4 @@
-"""What a camera costs, measured small: the parts of `bench grab`, and the arithmetic of `bench._ratios`."""
+"""What a camera costs, measured small: the parts of `bench grab`, and the arithmetic of `bench.support.ratios`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench import _films, _ratios, grab
+from bench import grab
 from bench.baselines import frigate
+from bench.support import films, ratios
 
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
 
@@ -24,7 +25,7 @@ def test_everybody_has_a_turn_in_every_round_and_another_one_begins() -> None:
         turns.append(name)
         return float(len(turns))
 
-    costs = _ratios.take_turns({"a": lambda: contestant("a"), "b": lambda: contestant("b")}, 2)
+    costs = ratios.take_turns({"a": lambda: contestant("a"), "b": lambda: contestant("b")}, 2)
     assert turns == ["a", "b", "b", "a", "a", "b"]
     assert costs == {"a": [4.0, 5.0], "b": [3.0, 6.0]}
 
@@ -32,24 +33,24 @@ def test_everybody_has_a_turn_in_every_round_and_another_one_begins() -> None:
 def test_ratios_are_taken_within_a_round() -> None:
     """The machine is twice as slow in the second round and ten times in the third: the ratio does not see it."""
     costs = {"base": [1.0, 2.0, 10.0], "other": [1.5, 3.0, 15.0]}
-    table = _ratios.compare("title", "s", costs, "base", {"other": 1.4})
+    table = ratios.compare("title", "s", costs, "base", {"other": 1.4})
     base, other = table.rows
     assert (base.ratio.median, other.ratio.low, other.ratio.median, other.ratio.high) == (1.0, 1.5, 1.5, 1.5)
     assert other.cost.median == 3.0
     assert (base.reached, other.reached) == (None, False)
-    assert _ratios.compare("title", "s", costs, "base", {"other": 1.5}).rows[1].reached is True
-    assert "<= 1.40 NO" in _ratios.lines(table)[2]
+    assert ratios.compare("title", "s", costs, "base", {"other": 1.5}).rows[1].reached is True
+    assert "<= 1.40 NO" in ratios.lines(table)[2]
 
 
 def test_quartiles() -> None:
-    assert _ratios.spread([4.0, 1.0, 2.0, 3.0, 5.0]) == _ratios.Spread(3.0, 2.0, 4.0)
-    assert _ratios.spread([4.0, 1.0]) == _ratios.Spread(2.5, 1.0, 4.0)
+    assert ratios.spread([4.0, 1.0, 2.0, 3.0, 5.0]) == ratios.Spread(3.0, 2.0, 4.0)
+    assert ratios.spread([4.0, 1.0]) == ratios.Spread(2.5, 1.0, 4.0)
 
 
 def test_the_time_of_children_counts() -> None:
     work = "x = 0\nfor i in range(3_000_000): x += i"
-    assert _ratios.cpu_seconds_of(lambda: subprocess.run([sys.executable, "-c", work], check=True)) > 0.05
-    assert _ratios.cpu_seconds_of(lambda: None) < 0.05
+    assert ratios.cpu_seconds_of(lambda: subprocess.run([sys.executable, "-c", work], check=True)) > 0.05
+    assert ratios.cpu_seconds_of(lambda: None) < 0.05
 
 
 def test_frigates_motion_is_seen_where_it_is() -> None:
@@ -85,9 +86,9 @@ def test_measured_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 @needs_ffmpeg
 def test_who_walks_through_a_film_is_seen(tmp_path: Path) -> None:
-    walker = _films.Walker(0.8, 0.3, 4.0, 60.0, True, (30, 30, 30, 20, 20, 20))
-    path = _films.film(tmp_path / "film.mp4", (640, 360), [walker], 17.0)
-    frames = 17 * _films.FPS
+    walker = films.Walker(0.8, 0.3, 4.0, 60.0, True, (30, 30, 30, 20, 20, 20))
+    path = films.film(tmp_path / "film.mp4", (640, 360), [walker], 17.0)
+    frames = 17 * films.FPS
     figures = grab.grab(grab.Film("360p", "quiet", (640, 360), path, frames)).statistics()
     assert (figures["entries"], figures["exits"]) == (1, 1)
     looked_at, moving = frigate.watch(path, 640, 360)

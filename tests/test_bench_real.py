@@ -9,7 +9,7 @@ import pytest
 from made_walks import WALKS, a_recording
 
 from bench import real
-from bench._real_figures import (
+from bench.support.real_figures import (
     LEAVE,
     ToldChain,
     calibration_error,
@@ -20,7 +20,7 @@ from bench._real_figures import (
     told_odds,
     who_figures,
 )
-from bench._recordings import Recording, load, tellable
+from bench.support.recordings import Recording, load, tellable
 from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 

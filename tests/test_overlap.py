@@ -13,7 +13,7 @@ from thesis import (
     table_5_4_transit,
 )
 
-from bench._overlap_rows import overlap_rows
+from bench.support.overlap_rows import overlap_rows
 
 
 def test_table_5_3_exactly() -> None:

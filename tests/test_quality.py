@@ -9,10 +9,10 @@ import msgspec
 import pytest
 
 import bench.quality as quality
-from bench._measure import TRAIN_SHARE, Record, baselines, by_their_clocks, measure, network_figures, serve
-from bench._table import mean_and_error, tables
 from bench.baselines.findings import Ranked
 from bench.regimes import REGIMES
+from bench.support.measure import TRAIN_SHARE, Record, baselines, by_their_clocks, measure, network_figures, serve
+from bench.support.table import mean_and_error, tables
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event

@@ -20,7 +20,7 @@ from serving import camtopod, free_endpoint, wait_for
 from site_of import HERE
 from sizes import size
 
-from bench._site import resident
+from bench.support.site import resident
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Event
 from camtopod.serve.bus.session import Bus, dial

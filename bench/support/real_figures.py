@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 from scipy.optimize import linear_sum_assignment
 
-from bench._recordings import SPURIOUS_TRANSITIONS_MAX, Passage, Recording, pairs_of
+from bench.support.recordings import SPURIOUS_TRANSITIONS_MAX, Passage, Recording, pairs_of
 from camtopod.arrays import Floats
 from camtopod.client import Gate
 from camtopod.predict.hand_over import added_up

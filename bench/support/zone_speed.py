@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import _ratios
+from bench.support import ratios
 from camtopod.arrays import Floats
 from camtopod.learn.zones.clutter import FLOOR_CHANCE, clutter_rates, dense_cells, groups_of
 from camtopod.learn.zones.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy
@@ -38,7 +38,7 @@ NEW_SHARE = 0.05
 """Of the events in the window, those that have come since the zones were last learned."""
 
 
-def tables(cameras: Sequence[Camera], rounds: int, events: Sequence[int] = EVENTS) -> list[_ratios.Table]:
+def tables(cameras: Sequence[Camera], rounds: int, events: Sequence[int] = EVENTS) -> list[ratios.Table]:
     """Every comparison. Raises ModuleNotFoundError without scikit-learn."""
     import sklearn.cluster  # noqa: F401  # before the limit, which holds for the libraries that are loaded
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
@@ -47,7 +47,7 @@ def tables(cameras: Sequence[Camera], rounds: int, events: Sequence[int] = EVENT
         return [*flatness(cameras, rounds, events), *against_points(cameras, rounds)]
 
 
-def flatness(cameras: Sequence[Camera], rounds: int, events: Sequence[int]) -> list[_ratios.Table]:
+def flatness(cameras: Sequence[Camera], rounds: int, events: Sequence[int]) -> list[ratios.Table]:
     """The same cameras with ever more events."""
     windows: dict[int, list[tuple[CellSums, ZoneMap]]] = {n: [] for n in events}
     for camera in cameras:
@@ -63,16 +63,16 @@ def flatness(cameras: Sequence[Camera], rounds: int, events: Sequence[int]) -> l
         EVERYWHERE: {n: [partial(_plain, one) for one in counts[n]] for n in events},
     }
     return [
-        _ratios.compare(
+        ratios.compare(
             title, "CPU ms a camera",
-            _ratios.take_turns({_named(n): _timed(own[n], 1 if title == EVERYWHERE else None) for n in events}, rounds),
+            ratios.take_turns({_named(n): _timed(own[n], 1 if title == EVERYWHERE else None) for n in events}, rounds),
             _named(events[0]), {_named(n): FLAT_MAX for n in events[1:]},
         )
         for title, own in jobs.items()
     ]  # fmt: skip
 
 
-def against_points(cameras: Sequence[Camera], rounds: int) -> list[_ratios.Table]:
+def against_points(cameras: Sequence[Camera], rounds: int) -> list[ratios.Table]:
     """Ours with the events in the window that the others see as points."""
     from sklearn.cluster import HDBSCAN, SpectralClustering
 
@@ -88,7 +88,7 @@ def against_points(cameras: Sequence[Camera], rounds: int) -> list[_ratios.Table
             if name == "SpectralClustering":
                 method = SpectralClustering(zones, gamma=0.5 / _bandwidth(sums) ** 2, random_state=0)
             theirs.append(partial(method.fit_predict, positions))
-        costs = _ratios.take_turns(
+        costs = ratios.take_turns(
             {
                 REFRESHED: _timed([partial(refresh_zones, *one) for one in windows]),
                 GROUPS: _timed([partial(groups_of, _dense(sums)) for sums, _ in windows]),
@@ -99,7 +99,7 @@ def against_points(cameras: Sequence[Camera], rounds: int) -> list[_ratios.Table
         for ours in (REFRESHED, GROUPS):
             both = {one: costs[one] for one in (ours, name)}
             title = f"{name} of {n:,} points"
-            result.append(_ratios.compare(title, "CPU ms a camera", both, ours, at_least={name: wanted}))
+            result.append(ratios.compare(title, "CPU ms a camera", both, ours, at_least={name: wanted}))
     return result
 
 

@@ -1,6 +1,6 @@
 """The other processes of `bench.ingest` and `bench.latency`: who puts, who hears, and the bare zenoh to compare with.
 
-    python -m bench._clients ROLE '{"endpoint": ...}'
+    python -m bench.support.clients ROLE '{"endpoint": ...}'
 
 Each prints one line of JSON at its end. The bare ones use the product's sessions, so that links and settings are the
 same, and nothing else of it.
@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 import zenoh
 
-from bench._site import Status
+from bench.support.site import Status
 from camtopod.codec import to_pack
 from camtopod.config.settings import BusSettings, Config
 from camtopod.records import Ack, Event, Prediction
@@ -198,7 +198,7 @@ def client(role: str, folder: Path, **given: Any) -> Iterator[subprocess.Popen[s
     """Run a role in a process of its own; one that is heard of when it is ready is waited for."""
     if role in ("sink", "echo", "hear", "router"):
         given["ready"] = str(folder / f"{role}-{time.monotonic_ns()}")
-    command = [sys.executable, "-m", "bench._clients", role, json.dumps(given)]
+    command = [sys.executable, "-m", "bench.support.clients", role, json.dumps(given)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         while "ready" in given and not Path(given["ready"]).exists():

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Target(NamedTuple):
-    """``figure`` is a figure of a `bench._measure.Record`."""
+    """``figure`` is a figure of a `bench.support.measure.Record`."""
 
     regime: str
     figure: str

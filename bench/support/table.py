@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench._measure import CLOCK_SECONDS_MAX, OURS, Record
-from bench._targets import LINKED, TARGETS, Target
 from bench.baselines.closest import LITERAL
 from bench.baselines.findings import Ranked, Tuned, at, tune
+from bench.support.measure import CLOCK_SECONDS_MAX, OURS, Record
+from bench.support.targets import LINKED, TARGETS, Target
 from camtopod.arrays import Floats
 
 TITLE, CELL = 72, 16
