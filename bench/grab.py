@@ -66,7 +66,7 @@ def main(argv: list[str]) -> int:
         return 1
     with tempfile.TemporaryDirectory() as folder:
         tables = []
-        for film in films(given.films or Path(folder), given.sizes, given.seconds, given.crf):
+        for film in made_films(given.films or Path(folder), given.sizes, given.seconds, given.crf):
             tables.append(measure(film, given.rounds))
             print("\n".join(ratios.lines(tables[-1])), seen(film), sep="\n", end="\n\n", flush=True)
     if given.json:
@@ -74,7 +74,7 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def films(folder: Path, sizes: list[str], seconds: float, crf: int) -> list[Film]:
+def made_films(folder: Path, sizes: list[str], seconds: float, crf: int) -> list[Film]:
     """Those in ``folder``; what is not there yet is made."""
     folder.mkdir(parents=True, exist_ok=True)
     result = []

@@ -21,7 +21,7 @@ from serving import camtopod
 from camtopod.cli import exits, main
 from camtopod.cli.common import configuration, start_logging
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config.settings import settings
+from camtopod.config import settings
 from camtopod.serve.bus.session import BusError
 from camtopod.serve.storage.journal import Journal
 

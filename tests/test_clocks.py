@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from camtopod.learn.clocks import correlogram, offsets
 from camtopod.learn.clocks.correlogram import LAGS, chance, correlograms, standing_out
 from camtopod.learn.clocks.offsets import (
     REFRESH_SHARE,
@@ -14,10 +15,8 @@ from camtopod.learn.clocks.offsets import (
     ClockKeeper,
     Clocks,
     Difference,
-    correlogram,
     estimate_clocks,
     held,
-    offsets,
     right_clocks,
     solve,
 )

@@ -15,7 +15,7 @@ from serving import free_endpoint, numbered, small_config, wait_for, walkers
 from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.config.settings import Config, parse
 from camtopod.keys import rules
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 
 DEPLOY = Path(__file__).parent.parent / "deploy"

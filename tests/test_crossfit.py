@@ -8,8 +8,8 @@ import pytest
 from camtopod.learn.association.candidates import find_candidates
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import fit_jointly
+from camtopod.learn.links import cross_validation
 from camtopod.learn.links.cross_validation import BETS, PARTS, Parts, cross_evidence
-from camtopod.learn.links.link_table import cross_validation
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.topology.lag_bins import LagBins
 

@@ -18,7 +18,7 @@ from serving import small_config, wait_for
 from camtopod.cli.commands import demo
 from camtopod.cli.main import main
 from camtopod.records import Topology
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.sim.score import score
 from camtopod.sim.truth import TRUTH_SCHEMA, Truth
 

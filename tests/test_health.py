@@ -24,8 +24,9 @@ from told_systemd import Systemd
 
 from camtopod.config.settings import Config, HealthSettings, parse
 from camtopod.records import Event
-from camtopod.serve.bus.session import Bus, BusError, self_check
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import self_check
+from camtopod.serve.bus import session as buses
+from camtopod.serve.bus.session import Bus, BusError
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.puller import Puller
 from camtopod.serve.live_predictions import Live

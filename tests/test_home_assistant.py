@@ -21,7 +21,7 @@ from camtopod.cli.main import main
 from camtopod.export import homeassistant
 from camtopod.export.homeassistant import Counted, Said, SiteSaid, Topics
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, NextCamera, Prediction, SelfScore, Topology
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 
 TOPICS = Topics("hq")

@@ -15,7 +15,7 @@ from camtopod import codec
 from camtopod.cli.main import main
 from camtopod.config.settings import SiteSettings
 from camtopod.records import Event
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 
 

@@ -18,7 +18,8 @@ from camtopod import redact
 from camtopod.cli.cameras import probe as probes
 from camtopod.cli.commands.init import named
 from camtopod.cli.main import main
-from camtopod.config.settings import VisionSettings, settings
+from camtopod.config import settings
+from camtopod.config.settings import VisionSettings
 from camtopod.serve.daemon import Daemon
 from camtopod.vision.source.probe import PIXELS_MAX, Probe
 from camtopod.web import pictures

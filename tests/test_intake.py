@@ -10,6 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from camtopod.learn.window import reorder_buffer as module
 from camtopod.learn.window.reorder_buffer import (
     BEHIND_EVENTS,
     MICROSECONDS,
@@ -18,7 +19,6 @@ from camtopod.learn.window.reorder_buffer import (
     Sequence,
     microseconds,
 )
-from camtopod.learn.window.sliding_window import reorder_buffer as module
 from camtopod.records import Event
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate

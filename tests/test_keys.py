@@ -20,11 +20,13 @@ from camtopod import codec, redact
 from camtopod.cli import exits, main
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
-from camtopod.config.settings import ConfigError, Limits, load, parse, secret_files
+from camtopod.config import secret_files
+from camtopod.config.settings import ConfigError, Limits, load, parse
 from camtopod.keys import rules
 from camtopod.keys.authority import Authority, KeysError
 from camtopod.records import Event
-from camtopod.serve.bus.session import access, meet
+from camtopod.serve.bus import access
+from camtopod.serve.bus.session import meet
 
 NOW = 1_800_000_000.0
 DAY = 86400.0

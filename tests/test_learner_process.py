@@ -22,6 +22,7 @@ from camtopod import codec
 from camtopod.codec import to_pack
 from camtopod.learn.learner import Learner
 from camtopod.records import Event
+from camtopod.serve.learner_process import feeder, messages, recovery, start
 from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
@@ -36,15 +37,7 @@ from camtopod.serve.learner_process.messages import (
     Taught,
     Teach,
 )
-from camtopod.serve.learner_process.process import (
-    PROGRAM,
-    LearnerEnded,
-    LearnerProcess,
-    feeder,
-    messages,
-    recovery,
-    start,
-)
+from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.worker import Pupil
 from camtopod.serve.runtime import memory
 from camtopod.serve.shards.membership import Told

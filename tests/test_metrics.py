@@ -19,7 +19,7 @@ from serving import WAIT_SECONDS, all_out, closing_event, free_endpoint, numbere
 from camtopod.cli.main import main
 from camtopod.config.settings import Config, StateSettings, parse
 from camtopod.records import Event
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring import health, metrics
 

@@ -12,7 +12,7 @@ from serving import WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_fo
 
 from camtopod.cli.cameras.daemon_reach import PARTIAL_SECONDS, SETTLE_SECONDS, Reach
 from camtopod.config.settings import BusSettings, Config
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 
 CAMERAS = ("hall", "lobby", "yard")

@@ -18,7 +18,7 @@ from camtopod.cli.commands import bridge, web
 from camtopod.cli.main import main
 from camtopod.config.settings import BusSettings
 from camtopod.mqtt import Board
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.web.feed import Feed
 

@@ -7,8 +7,8 @@ import os
 
 import pytest
 
+from camtopod.serve.bus import refusals as module
 from camtopod.serve.bus.refusals import LINE_BYTES_MAX, Refusals, standard_output_heard
-from camtopod.serve.bus.session import refusals as module
 
 STAMP = (
     "\x1b[2m2026-11-21T19:07:34.914831Z\x1b[0m \x1b[35mTRACE\x1b[0m rx-1 ThreadId({}) "

@@ -17,8 +17,8 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import pack
 from camtopod.records import Event
+from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import BusError
-from camtopod.serve.bus.session import session as buses
 from camtopod.serve.bus.single_daemon import NAMED_MAX, Rivals
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.camera_registry import (

@@ -21,8 +21,8 @@ from serving import T0, all_out, closing_event, numbered, small_config, wait_for
 from camtopod import codec
 from camtopod.learn.learner import Learner
 from camtopod.records import Ack, Event, Prediction, Topology
+from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus, BusError, QueryError
-from camtopod.serve.bus.session import session as buses
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.camera_registry import Received

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from serving import small_config, wait_for
 
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 
 
 @pytest.fixture

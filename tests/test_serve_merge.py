@@ -10,7 +10,7 @@ from serving import T0, small_config, wait_for
 
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.ingest.backlog import HOLD_SECONDS_MAX, SETTLE_SECONDS, STUCK_SECONDS, Merge
 from camtopod.serve.ingest.camera_registry import Received

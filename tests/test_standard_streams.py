@@ -21,7 +21,7 @@ from serving import free_endpoint, small_config, wait_for
 
 from camtopod.cli.terminal.standard_streams import Unwaited
 from camtopod.config.settings import BusSettings
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 
 END_SECONDS = 5.0
 

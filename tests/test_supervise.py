@@ -25,9 +25,9 @@ from camtopod.cli.cameras import supervisor
 from camtopod.cli.cameras.camera_process import Child, backoff_after, in_words, restarted
 from camtopod.cli.cameras.heartbeat import Ear, Heart, Said
 from camtopod.cli.common import Told, leaving, signals
+from camtopod.config import settings as configs
 from camtopod.config.settings import CameraSettings, HealthSettings
-from camtopod.config.settings import settings as configs
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 
 CHILD = """
 import os, pathlib, signal, sys, time

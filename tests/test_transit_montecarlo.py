@@ -9,7 +9,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camtopod.learn.links.link_table import mahalanobis, monte_carlo
+from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.transit_time import WEIGHT_MIN, peak, transit_figures, weighted_quantiles
 from camtopod.topology.lag_bins import LagBins
 

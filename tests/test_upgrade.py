@@ -17,7 +17,7 @@ from serving import SPAN_SECONDS, T0, closing_event, small_config, wait_for, wal
 from camtopod import codec
 from camtopod.cli.main import main
 from camtopod.records import Event, Prediction, Topology
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import open_spool

@@ -28,8 +28,8 @@ from camtopod.cli.main import main
 from camtopod.cli.terminal.screen import drawn
 from camtopod.cli.terminal.site_state import Board
 from camtopod.records import TOPOLOGY_SCHEMA, Alarm, Camera, Link, NextCamera, Prediction, Topology, Transit
+from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus
-from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.visible import visible, visible_lines
 

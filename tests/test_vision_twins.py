@@ -10,7 +10,7 @@ import pytest
 from camtopod.vision.detect import background, blobs, motion, shake, shrink
 from camtopod.vision.detect.wiener import temporal_noise
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track.track import kalman, stature, tracker
+from camtopod.vision.track import kalman, stature, tracker
 
 Picture = npt.NDArray[np.uint8]
 seeds = pytest.mark.parametrize("seed", range(6))
@@ -163,14 +163,14 @@ def test_only_what_is_near_or_overlaps_can_be_a_track_s(seed: int) -> None:
         spots = zip(rng.uniform(0, [320, 180], (many, 2)), 10.0 ** rng.uniform(0, 1.8, (many, 2)), strict=True)
         return [blobs.Blob(x, y, x + w, y + h, x + 0.4 * w, w * h) for (x, y), (w, h) in spots]
 
-    tracker = tracker.Tracker(VisionSettings(), _NoEdges())
-    tracker.step(0.0, made(12))
+    followed = tracker.Tracker(VisionSettings(), _NoEdges())
+    followed.step(0.0, made(12))
     seen = made(2000)
     taken = 0
-    for track in tracker.active:
+    for track in followed.active:
         gate = tracker.GATE_HEIGHTS * track.height + 2 * track.kalman.uncertainty
         x, top, foot_x, bottom = track.kalman.position
-        for blob, cost in zip(seen, tracker._costs(track, seen), strict=True):
+        for blob, cost in zip(seen, followed._costs(track, seen), strict=True):
             head = np.hypot(blob.head[0] - x, blob.top - top)
             foot = np.hypot(blob.foot_x - foot_x, blob.bottom - bottom)
             near = min(head, foot) <= gate or tracker._overlap(track.last.box, blob.box) >= 0.3
@@ -178,7 +178,7 @@ def test_only_what_is_near_or_overlaps_can_be_a_track_s(seed: int) -> None:
             if near:
                 assert cost == pytest.approx((0.7 * min(head, foot) + 0.3 * max(head, foot)) / gate + 0.5)
             taken += near
-    assert 0 < taken < len(seen) * len(tracker.active) / 2
+    assert 0 < taken < len(seen) * len(followed.active) / 2
 
 
 def test_kalman_is_the_textbook_s() -> None:

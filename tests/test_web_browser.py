@@ -23,8 +23,8 @@ from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, sm
 from camtopod.cli.commands.web import listening, names
 from camtopod.config.settings import BusSettings
 from camtopod.records import Event, InView, Prediction
+from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus
-from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.web import app, report
 from camtopod.web.map_data import draw

@@ -25,8 +25,8 @@ from serving import free_endpoint, small_config, wait_for
 from camtopod.cli import exits, main
 from camtopod.cli.commands.web import address, is_loopback, listening, names
 from camtopod.config.settings import BusSettings
+from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus
-from camtopod.serve.bus.session import session as buses
 from camtopod.web import app, pictures
 
 SITE = made_site(12)

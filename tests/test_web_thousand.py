@@ -16,7 +16,7 @@ from serving import small_config, wait_for
 from camtopod import codec
 from camtopod.cli.commands.web import listening, names
 from camtopod.records import Event, Topology
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.storage.journal import Journal, StoredVersion
 from camtopod.serve.storage.packed_version import Version

@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from thesis import FIGURE_4_4_ZONES, figure_4_4
 
+from camtopod.learn.zones import clutter as clutter_module
+from camtopod.learn.zones import separation as valley_module
 from camtopod.learn.zones.clutter import clutter_rate, clutter_rates, dense_cells
 from camtopod.learn.zones.marginal_likelihood import gaussians, log_evidence, log_share, log_zone, moments
 from camtopod.learn.zones.separation import far, valley
@@ -27,8 +29,6 @@ from camtopod.learn.zones.zone_map import (
     match_zones,
     refresh_zones,
 )
-from camtopod.learn.zones.zone_map import clutter as clutter_module
-from camtopod.learn.zones.zone_map import separation as valley_module
 from camtopod.topology.grid import POSITION_ONE
 
 

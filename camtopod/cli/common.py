@@ -20,7 +20,7 @@ import msgspec
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import standard_streams
-from camtopod.config.settings import secret_files, settings
+from camtopod.config import secret_files, settings
 from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact

@@ -24,8 +24,8 @@ from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
 from camtopod.client.prediction_queue import Inbox
 from camtopod.client.wakeup import News
-from camtopod.config.settings import secret_files
-from camtopod.config.settings import settings as configs
+from camtopod.config import secret_files
+from camtopod.config import settings as configs
 from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint
 from camtopod.predict.predictor import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction

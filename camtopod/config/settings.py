@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from camtopod import redact
-from camtopod.config.settings import secret_files, toml_lines
+from camtopod.config import secret_files, toml_lines
 from camtopod.config.toml_tables import (
     DEFAULT_ENDPOINT,
     Endpoint,

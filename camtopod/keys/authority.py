@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Struct
 
-from camtopod.config.settings import secret_files
+from camtopod.config import secret_files
 from camtopod.keys.rules import Access, Certificate, Role
 from camtopod.records import CAMERA_PATTERN
 

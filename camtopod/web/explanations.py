@@ -9,7 +9,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.links.link_table import MONTE_CARLO_SEED, mahalanobis, monte_carlo
+from camtopod.learn.links import mahalanobis, monte_carlo
+from camtopod.learn.links.link_table import MONTE_CARLO_SEED
 from camtopod.learn.settings import Settings
 from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
 from camtopod.topology.lag_bins import LagBins, smooth

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from camtopod.config.settings import secret_files
+from camtopod.config import secret_files
 from camtopod.records import CAMERA_PATTERN
 
 TYPES = {".jpg": "image/jpeg", ".png": "image/png"}

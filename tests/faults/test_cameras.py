@@ -25,8 +25,8 @@ from camtopod.codec import event_from_json
 from camtopod.serve.daemon import Daemon
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source import live
 from camtopod.vision.source.ffmpeg_log import Complaints, listening, reason_in
-from camtopod.vision.source.source_url import live
 
 FILM_SECONDS = 14.0
 SPEED = 3.0

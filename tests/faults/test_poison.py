@@ -21,8 +21,8 @@ from camtopod.codec import EVENT_BYTES_MAX, T_MAX, T_MIN, Rejected, to_pack
 from camtopod.codec import event_from_bytes as decode
 from camtopod.config.settings import SiteSettings
 from camtopod.records import Ack, Event
+from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus, QueryError
-from camtopod.serve.bus.session import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool, SpoolBatch

@@ -11,7 +11,7 @@ import pytest
 from serving import T0, small_config, wait_for
 
 from camtopod.records import Event
-from camtopod.serve.bus.session import session as buses
+from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool

@@ -24,7 +24,8 @@ from test_intruders import HQ, Keys, Puppet, RealDaemon, client, tls_table
 from camtopod import codec
 from camtopod.config.settings import BusSettings, Config, SiteSettings
 from camtopod.records import Ack, Event, Prediction
-from camtopod.serve.bus.session import Bus, dial, meet, sockets
+from camtopod.serve.bus import sockets
+from camtopod.serve.bus.session import Bus, dial, meet
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.storage.journal import Journal, StoredVersion
 

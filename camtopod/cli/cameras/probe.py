@@ -15,7 +15,8 @@ import msgspec
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import in_words
 from camtopod.cli.exits import CommandError
-from camtopod.config.settings import Config, toml_lines
+from camtopod.config import toml_lines
+from camtopod.config.settings import Config
 from camtopod.redact import redact, remember
 from camtopod.serve.bus.session import BusError, dial
 from camtopod.visible import visible

@@ -10,8 +10,8 @@ from typing import Any
 from camtopod.cli import exits
 from camtopod.cli.common import with_options
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config.settings import secret_files, settings
-from camtopod.serve.bus.session import access
+from camtopod.config import secret_files, settings
+from camtopod.serve.bus import access
 
 
 def add_parser(subparsers: Any) -> None:

@@ -25,7 +25,8 @@ from camtopod.cli.exits import CommandError
 from camtopod.config.settings import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.runtime import clock, systemd
-from camtopod.vision.source.source_url import AGAIN, ffmpeg_log, kind_of
+from camtopod.vision.source import ffmpeg_log
+from camtopod.vision.source.source_url import AGAIN, kind_of
 
 if TYPE_CHECKING:
     from camtopod.serve.bus.session import Bus

@@ -17,7 +17,8 @@ from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated.example_config import table
-from camtopod.config.settings import TABLES, Config, secret_files, settings
+from camtopod.config import secret_files
+from camtopod.config.settings import RESERVED, TABLES, Config
 from camtopod.redact import holds_secret, redact
 from camtopod.visible import visible
 from camtopod.vision.source.source_url import kind_of, percent_encoded
@@ -109,12 +110,12 @@ def named(given: Sequence[tuple[str, str]]) -> dict[str, str]:
     short = Counter(_short(source) for name, source in given if not name)
     cameras: dict[str, str] = {}
     for name, source in given:
-        if name in (*cameras, *settings.RESERVED, ".", ".."):
+        if name in (*cameras, *RESERVED, ".", ".."):
             raise CommandError(f"{name}: two cameras cannot have this name, or it is taken; use another", exits.USAGE)
         if not name:
             own = _short(source)
             own = own if short[own] == 1 else _long(source)
-            taken = {*cameras, *settings.RESERVED, *(name for name, _ in given)}
+            taken = {*cameras, *RESERVED, *(name for name, _ in given)}
             numbers = (f"{own[: NAME_CHARACTERS_MAX - 5]}-{number}" for number in range(2, len(given) + 3))
             name = next(one for one in (own, *numbers) if one not in taken)
         cameras[name] = source

@@ -13,7 +13,7 @@ from typing import Any
 from camtopod import mqtt
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.config.settings import secret_files
+from camtopod.config import secret_files
 
 log = logging.getLogger(__name__)
 

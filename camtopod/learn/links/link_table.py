@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, Ints, rows_together
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import Fit
-from camtopod.learn.links.link_table import mahalanobis, monte_carlo
+from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
 from camtopod.learn.links.transit_time import MEDIAN_ERROR, TransitFigures, transit_figures
 from camtopod.learn.settings import Settings

@@ -26,7 +26,7 @@ from camtopod.config.settings import BusSettings, Config
 from camtopod.keys.rules import PREFIX
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
-from camtopod.serve.bus.session import access, refusals, sockets
+from camtopod.serve.bus import access, refusals, sockets
 from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
@@ -367,8 +367,8 @@ def meet(config: Config, shared: bool = False) -> Bus:
     endpoints = [_with_port(endpoint) for endpoint in config.listens]
     try:
         access.check_files(config)
-        access = access.read_access(config, clock.wall)
-        values = access.settings(config, "router", access, shared)
+        granted = access.read_access(config, clock.wall)
+        values = access.settings(config, "router", granted, shared)
         session = _open(config, values, connect=config.bus.connect, listen=endpoints)
     except access.AccessError as error:
         raise BusError(str(error)) from None
@@ -379,7 +379,7 @@ def meet(config: Config, shared: bool = False) -> Bus:
         ) from None
     sockets.limit_waiting(endpoints)
     bus = Bus(session, config.site.name, endpoints[0], config.bus)
-    bus.watch_door(access.Doorkeeper(access))
+    bus.watch_door(access.Doorkeeper(granted))
     return bus
 
 

@@ -12,8 +12,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from camtopod.serve.learner_process import messages
 from camtopod.serve.learner_process.messages import Answer, Board, Question
-from camtopod.serve.learner_process.process import messages
 
 PROGRAM = "camtopod.serve.learner_process.start"
 END_SECONDS = 5.0

@@ -23,6 +23,7 @@ from camtopod.learn.rewinding import rewound
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
 from camtopod.records import Topology
+from camtopod.serve.learner_process import messages
 from camtopod.serve.learner_process.messages import (
     Answer,
     Begin,
@@ -45,7 +46,6 @@ from camtopod.serve.learner_process.messages import (
     Teach,
     Unusable,
 )
-from camtopod.serve.learner_process.process import messages
 from camtopod.serve.runtime import memory
 from camtopod.serve.shards.membership import Told
 from camtopod.sharding.shard_learner import ShardLearner, ShardState, pack_shard, unpack_shard
