@@ -52,7 +52,7 @@ WORSE = (1.0, 1.0, 1.0, -1.0, -1.0)
 
 
 class Mechanism(Struct, frozen=True):
-    """One that can be left out: what stands in for which names (``module:name``, below `camtopod.learn`)."""
+    """One that can be left out: what stands in for which names (``module:name``, below `camtopod`)."""
 
     name: str
     replaced: dict[str, Any]
@@ -84,47 +84,49 @@ def _no_skips(appears: Any, candidates: Any, through: Any, bins: Any, zones: int
 
 
 MECHANISMS = [
-    Mechanism("context: zone of entry", {"contexts:Contexts._contexts": _untold(0)}),
-    Mechanism("context: block of exit", {"contexts:Contexts._contexts": _untold(1)}),
-    Mechanism("context: entry and block", {"contexts:Contexts._contexts": _untold(2)}),
-    Mechanism("context: camera before", {"contexts:Contexts._contexts": _untold(3)}),
-    Mechanism("contexts, all", {"contexts:Contexts._contexts": _untold(0, 1, 2, 3)}),
-    Mechanism("pace", {"joint:persistence": lambda *arguments: NO_PERSISTENCE}),
-    Mechanism("skipped views", {"posterior:skip_hazards": _no_skips}),
-    Mechanism("prior: ways are two-way", {"prior:RETURNING": 0.0}),
-    Mechanism("prior: zones of a view", {"prior:POOLING": 0.0}),
-    Mechanism("sampling", {"posterior:PosteriorFitter.sample": lambda self: None}),
-    Mechanism("faint transitions", {"sampling:FAINT_TRANSITIONS": 0.0}),
-    Mechanism("doubt", {"posterior:doubts": lambda pair, responsibility, pairs, *rest: np.zeros(pairs)}),
-    Mechanism("entry kernels", {"entering:entry_pairs_max": lambda cameras: 0}),
-    Mechanism("test of overlap", {"posterior:not_overlapping": lambda c, *rest: np.zeros(len(c.lag), np.bool_)}),
-    Mechanism("first look at candidates", {"posterior:NEGLIGIBLE": 0.0}),
-    Mechanism("bets spread over lags", {"crossfit:EVEN_SHARES": (0.0,)}),
-    Mechanism("missed passages", {"learner:without_missed": lambda between, through, found, *rest: found}),
-    Mechanism("changes", {"learner:find_changes": lambda *arguments: []}),
-    Mechanism("longer steps of EM", {"joint:STRIDE": 1.0}),
-    Mechanism("sparse prior", {"joint:SPARSITY": 0.0}),
-    Mechanism("long ways", {"long_ways:find_long_ways": lambda *arguments: []}),
-    Mechanism("usual stays", {"learner:with_usual_stays": lambda departures, through: departures}),
-    Mechanism("silent cameras", {"predict:Predictor._alive": lambda self, ready: [1.0] * len(ready.cameras)}),
-    Mechanism("seen before the exit", {"ready:Site.before": lambda self, zone: []}),
+    Mechanism("context: zone of entry", {"learn.next_camera.contexts:Contexts._contexts": _untold(0)}),
+    Mechanism("context: block of exit", {"learn.next_camera.contexts:Contexts._contexts": _untold(1)}),
+    Mechanism("context: entry and block", {"learn.next_camera.contexts:Contexts._contexts": _untold(2)}),
+    Mechanism("context: camera before", {"learn.next_camera.contexts:Contexts._contexts": _untold(3)}),
+    Mechanism("contexts, all", {"learn.next_camera.contexts:Contexts._contexts": _untold(0, 1, 2, 3)}),
+    Mechanism("pace", {"learn.association.joint_fit:persistence": lambda *arguments: NO_PERSISTENCE}),
+    Mechanism("skipped views", {"learn.next_camera.fit:skip_hazards": _no_skips}),
+    Mechanism("prior: ways are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
+    Mechanism("prior: zones of a view", {"learn.next_camera.prior:POOLING": 0.0}),
+    Mechanism("sampling", {"learn.next_camera.fit:PosteriorFitter.sample": lambda self: None}),
+    Mechanism("faint transitions", {"learn.next_camera.sampling:FAINT_TRANSITIONS": 0.0}),
+    Mechanism("doubt", {"learn.next_camera.fit:doubts": lambda pair, responsibility, pairs, *rest: np.zeros(pairs)}),
+    Mechanism("entry kernels", {"learn.next_camera.entry_kernels:entry_pairs_max": lambda cameras: 0}),
+    Mechanism(
+        "test of overlap", {"learn.next_camera.fit:not_overlapping": lambda c, *rest: np.zeros(len(c.lag), np.bool_)}
+    ),
+    Mechanism("first look at candidates", {"learn.next_camera.fit:NEGLIGIBLE": 0.0}),
+    Mechanism("bets spread over lags", {"learn.links.cross_validation:EVEN_SHARES": (0.0,)}),
+    Mechanism("missed passages", {"learn.learner:without_missed": lambda between, through, found, *rest: found}),
+    Mechanism("changes", {"learn.learner:find_changes": lambda *arguments: []}),
+    Mechanism("longer steps of EM", {"learn.association.joint_fit:STRIDE": 1.0}),
+    Mechanism("sparse prior", {"learn.association.joint_fit:SPARSITY": 0.0}),
+    Mechanism("long ways", {"learn.long_paths:find_long_ways": lambda *arguments: []}),
+    Mechanism("usual stays", {"learn.learner:with_usual_stays": lambda departures, through: departures}),
+    Mechanism("silent cameras", {"predict.predictor:Predictor._alive": lambda self, ready: [1.0] * len(ready.cameras)}),
+    Mechanism("seen before the exit", {"predict.exit_tables:Site.before": lambda self, zone: []}),
 ]
 
 CONSTANTS = (
-    ("BACK_OFF_DEPARTURES", ("contexts", "surroundings")),
-    ("POOLING", ("prior",)),
-    ("RETURNING", ("prior",)),
-    ("FAINT_TRANSITIONS", ("sampling",)),
-    ("SAMPLES_SHARE", ("posterior",)),
-    ("SPREAD_MIN", ("doubt",)),
-    ("CHANCE_PRIOR", ("doubt",)),
-    ("CHANCE_TRANSITIONS", ("doubt",)),
-    ("DEPARTURES_TO_TELL", ("doubt",)),
-    ("FIRST_NOISE_SD", ("posterior",)),
-    ("BET_SPARSITY", ("crossfit",)),
-    ("FALSE_PROBABILITY", ("long_ways",)),
-    ("SAME_SECONDS", ("long_ways",)),
-    ("OVERLAP_FALSE", ("screening",)),
+    ("BACK_OFF_DEPARTURES", ("learn.next_camera.contexts", "predict.contexts")),
+    ("POOLING", ("learn.next_camera.prior",)),
+    ("RETURNING", ("learn.next_camera.prior",)),
+    ("FAINT_TRANSITIONS", ("learn.next_camera.sampling",)),
+    ("SAMPLES_SHARE", ("learn.next_camera.fit",)),
+    ("SPREAD_MIN", ("learn.next_camera.spurious",)),
+    ("CHANCE_PRIOR", ("learn.next_camera.spurious",)),
+    ("CHANCE_TRANSITIONS", ("learn.next_camera.spurious",)),
+    ("DEPARTURES_TO_TELL", ("learn.next_camera.spurious",)),
+    ("FIRST_NOISE_SD", ("learn.next_camera.fit",)),
+    ("BET_SPARSITY", ("learn.links.cross_validation",)),
+    ("FALSE_PROBABILITY", ("learn.long_paths",)),
+    ("SAME_SECONDS", ("learn.long_paths",)),
+    ("OVERLAP_FALSE", ("learn.association.screening",)),
 )
 """Name of each, and the modules that have it."""
 FACTORS = (0.5, 2.0)
@@ -137,7 +139,7 @@ def _times(name: str, factor: float) -> str:
 SCALED = [
     Mechanism(
         _times(name, factor),
-        {f"{one}:{name}": factor * getattr(import_module(f"camtopod.learn.{one}"), name) for one in modules},
+        {f"{one}:{name}": factor * getattr(import_module(f"camtopod.{one}"), name) for one in modules},
     )
     for name, modules in CONSTANTS
     for factor in FACTORS
@@ -210,7 +212,7 @@ def _real(folder: Path) -> list[float]:
 @contextlib.contextmanager
 def without(mechanism: str, sampling_seed: int) -> Iterator[None]:
     """The learner without a mechanism ("": with all), and another seed of the sampler."""
-    replaced = {"posterior:SAMPLING_SEED": sampling_seed}
+    replaced = {"learn.next_camera.fit:SAMPLING_SEED": sampling_seed}
     for one in (*MECHANISMS, *SCALED):
         if one.name == mechanism:
             replaced |= one.replaced
@@ -218,7 +220,7 @@ def without(mechanism: str, sampling_seed: int) -> Iterator[None]:
         for name, stand_in in replaced.items():
             module, _, path = name.partition(":")
             *owners, attribute = path.split(".")
-            owner: Any = import_module(f"camtopod.learn.{module}")
+            owner: Any = import_module(f"camtopod.{module}")
             for part in owners:
                 owner = getattr(owner, part)
             stack.enter_context(patch.object(owner, attribute, stand_in))

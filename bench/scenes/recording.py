@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from camtopod.arrays import Bools, Floats, Longs
 from camtopod.records import Event, Pair
+from camtopod.sim.reports import events_of
 from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth, transit_of
 
 PAIR_WALKS_MIN = 3
@@ -155,39 +156,6 @@ def _numbers(walked: Sightings, seen: Sightings) -> Longs:
     number = np.zeros(len(who), dtype=np.int64)
     number[order] = rank - rank[person]
     return number[len(walked.who) :]
-
-
-def events_of(
-    cameras: list[str], camera: Longs, entry: Bools, t: Floats, at: Floats, track: Longs, order: Longs
-) -> list[Event]:
-    """Events in ``order`` from columns: (n,) camera, entry or exit, event time, (n, 2) place or nan, track or -1."""
-    names = _track_names(camera, track, order)
-    xy, when, placed = np.round(at, 4), np.round(t, 6), np.isfinite(at[:, 0])
-    return [
-        Event(
-            camera=cameras[camera[i]],
-            kind="entry" if entry[i] else "exit",
-            t=float(when[i]),
-            x=float(xy[i, 0]) if placed[i] else None,
-            y=float(xy[i, 1]) if placed[i] else None,
-            track=name,
-        )
-        for i, name in zip(order, names, strict=True)
-    ]
-
-
-def _track_names(camera: Longs, track: Longs, order: Longs) -> list[str | None]:
-    """Tracks numbered within their camera in the order they are first seen, as a tracker would."""
-    names: dict[int, str] = {}
-    counts: dict[int, int] = {}
-    result: list[str | None] = []
-    for i in order:
-        key = int(track[i])
-        if key >= 0 and key not in names:
-            counts[camera[i]] = counts.get(camera[i], 0) + 1
-            names[key] = str(counts[camera[i]])
-        result.append(names[key] if key >= 0 else None)
-    return result
 
 
 def _ghosts(seen: Sightings, share: float, rng: np.random.Generator) -> Sightings:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.scenes.recording import events_of
-from camtopod.arrays import Floats, Longs
+from camtopod.arrays import Bools, Floats, Longs
 from camtopod.records import Event, Transit
 from camtopod.sim.faults import Setup, turned
 from camtopod.sim.layout import Layout
@@ -144,4 +143,37 @@ def _walked(recorded: Passages) -> dict[tuple[bool, int, int], int]:
     ):
         ways, counts = np.unique(np.column_stack([u, v]), axis=0, return_counts=True)
         result |= {(inside, int(a), int(b)): int(n) for (a, b), n in zip(ways, counts, strict=True)}
+    return result
+
+
+def events_of(
+    cameras: list[str], camera: Longs, entry: Bools, t: Floats, at: Floats, track: Longs, order: Longs
+) -> list[Event]:
+    """Events in ``order`` from columns: (n,) camera, entry or exit, event time, (n, 2) place or nan, track or -1."""
+    names = _track_names(camera, track, order)
+    xy, when, placed = np.round(at, 4), np.round(t, 6), np.isfinite(at[:, 0])
+    return [
+        Event(
+            camera=cameras[camera[i]],
+            kind="entry" if entry[i] else "exit",
+            t=float(when[i]),
+            x=float(xy[i, 0]) if placed[i] else None,
+            y=float(xy[i, 1]) if placed[i] else None,
+            track=name,
+        )
+        for i, name in zip(order, names, strict=True)
+    ]
+
+
+def _track_names(camera: Longs, track: Longs, order: Longs) -> list[str | None]:
+    """Tracks numbered within their camera in the order they are first seen, as a tracker would."""
+    names: dict[int, str] = {}
+    counts: dict[int, int] = {}
+    result: list[str | None] = []
+    for i in order:
+        key = int(track[i])
+        if key >= 0 and key not in names:
+            counts[camera[i]] = counts.get(camera[i], 0) + 1
+            names[key] = str(counts[camera[i]])
+        result.append(names[key] if key >= 0 else None)
     return result

@@ -16,9 +16,9 @@ from typing import Any
 
 import msgspec
 import pytest
-from scenes import FPS, Person, Scene, line
+from rendered_scenes import FPS, Person, Scene, line
+from rtsp_streams import FaultProxy, Host, hang_up, missing, rtsp_answer, served, silent, transcode
 from serving import WAIT_SECONDS, camtopod, small_config, wait_for
-from streams import FaultProxy, Host, hang_up, missing, rtsp_answer, served, silent, transcode
 
 from camtopod.cli.cameras.heartbeat import Ear
 from camtopod.codec import event_from_json

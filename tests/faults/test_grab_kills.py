@@ -16,10 +16,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from scenes import FPS, Person, Scene, line
+from rendered_scenes import FPS, Person, Scene, line
+from rtsp_streams import missing, served, transcode
 from serving import WAIT_SECONDS, camtopod, small_config, wait_for
 from sizes import size
-from streams import missing, served, transcode
 from test_cameras import children_of
 
 from camtopod.config.settings import KeepSettings, SiteSettings

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from made_site import made_site
 from serving import wait_for
+from synthetic_topology import synthetic_topology
 from test_intruders import HQ, Keys, Puppet, RealDaemon, client, tls_table
 
 from camtopod import codec
@@ -142,7 +142,7 @@ class Walks:
 
 def learned_state(directory: Path) -> None:
     """A state directory whose newest version is a large one."""
-    topology = made_site(SITE_CAMERAS)
+    topology = synthetic_topology(SITE_CAMERAS)
     journal = Journal(directory)
     content = codec.to_json(topology)
     journal.commit([], [StoredVersion(topology.epoch, topology.version, topology.digest, content)], now=time.time())

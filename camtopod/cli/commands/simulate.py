@@ -4,49 +4,25 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from msgspec import Struct
-
-from bench.scenes.crowd import CrowdSettings, simulate_crowd
-from bench.scenes.hall import HallSettings, simulate_hall
-from bench.scenes.road import RoadSettings, simulate_road
-from bench.scenes.walkway import WalkwaySettings, simulate_walkway
 from camtopod.cli import exits
 from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
 from camtopod.records import Event
 from camtopod.sim.simulation import SimSettings, simulate
-from camtopod.sim.truth import Truth
 
-SCENES: dict[str, tuple[type[Struct], Callable[[Any], tuple[list[Event], Truth]]]] = {
-    "network": (SimSettings, simulate),
-    "hall": (HallSettings, simulate_hall),
-    "crowd": (CrowdSettings, simulate_crowd),
-    "walkway": (WalkwaySettings, simulate_walkway),
-    "road": (RoadSettings, simulate_road),
-}
-COMMON = {"cameras", "hours", "seed", "start"}
-"""Options that every scene has."""
 BLOCK_LINES = 10_000
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add `simulate`; every option but the files and the scene is a setting of `SimSettings`."""
+    """Add `simulate`; every option but the files is a setting of `SimSettings`."""
     summary = "a made-up camera network: event lines and the truth about them"
     parser = subparsers.add_parser("simulate", help=summary, description=summary.capitalize() + ".")
     default = SimSettings()
     parser.add_argument("--events", required=True, metavar="E.jsonl", help="event lines go here ('-': standard output)")
     parser.add_argument("--truth", metavar="T.json", help="the truth goes here")
-    parser.add_argument(
-        "--scene",
-        choices=SCENES,
-        default="network",
-        help="instead of a network of zones and ways (the default): a station hall, a crowded square, walkways of a"
-        " campus, streets of a town; these have --cameras, --hours, --seed and --start only",
-    )
     for flag, kind, help_ in (
         ("--cameras", int, "number of cameras"),
         ("--hours", float, "length of the recording, hours"),
@@ -122,9 +98,8 @@ def _add_special(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the files; raises `exits.CommandError` for settings without sense and files it cannot write."""
-    kind, make = SCENES[args.scene]
     try:
-        events, truth = make(kind(**_given(args)))
+        events, truth = simulate(_given(args))
     except ValueError as error:
         raise exits.CommandError(f"simulate: {error}", exits.USAGE) from None
     try:
@@ -156,17 +131,10 @@ def _write(events: list[Event], file: IO[bytes], progress: Progress) -> None:
         progress.show("%d of %d events written", begin, len(events))
 
 
-def _given(args: argparse.Namespace) -> dict[str, Any]:
-    """The settings that were given; raises ValueError for one that the scene does not have."""
+def _given(args: argparse.Namespace) -> SimSettings:
+    """The settings given on the command line, the others at their defaults."""
     values = {name: getattr(args, name) for name in SimSettings.__struct_fields__ if hasattr(args, name)}
-    if args.scene == "network":
-        return values | {name: tuple(values[name]) for name in ("lost", "moved") if name in values}
-    for name in values:
-        if name not in COMMON:
-            raise ValueError(f"{name} is no setting of the scene {args.scene!r}")
-    if "hours" in values:
-        values["seconds"] = 3600.0 * values.pop("hours")
-    return values
+    return SimSettings(**values | {name: tuple(values[name]) for name in ("lost", "moved") if name in values})
 
 
 def _name(flag: str) -> str:

@@ -1,0 +1,357 @@
+"""The dispatcher: commands, common options, exit statuses, and no traceback for what can be expected."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import re
+import subprocess
+import sys
+import types
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from paths import ROOT
+from serving import camtopod
+
+from camtopod.cli import exits, main
+from camtopod.cli.common import configuration, start_logging
+from camtopod.cli.exits import CommandError, InputError
+from camtopod.config import settings
+from camtopod.serve.bus.session import BusError
+from camtopod.serve.storage.journal import Journal
+
+
+@pytest.fixture(autouse=True)
+def _root_logger() -> Iterator[None]:
+    """Commands set up logging for their process; here the process goes on."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:], root.level = handlers, level
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
+    """A command ``probe`` which keeps its arguments and does what ``act`` says."""
+    module = types.ModuleType("camtopod.cli.cameras.probe")
+    module.seen = []  # type: ignore[attr-defined]
+    module.act = lambda args: 0  # type: ignore[attr-defined]
+
+    def add_parser(subparsers: Any) -> None:
+        subparsers.add_parser("probe").add_argument("word", nargs="?")
+
+    def run(args: argparse.Namespace) -> int:
+        module.seen.append(args)
+        return int(module.act(args))
+
+    module.add_parser, module.run = add_parser, run  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "camtopod.cli.cameras.probe", module)
+    monkeypatch.setitem(main.COMMANDS, "probe", ("camtopod.cli.cameras.probe", "for this test"))
+    return module
+
+
+def test_help_names_every_command_and_is_quick_to_load(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main(["--help"])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    for name in main.COMMANDS:
+        assert re.search(rf"(?m)^    {name}\b", out)
+    script = (
+        "import sys; sys.argv = ['camtopod', '--help']\n"
+        "from camtopod.cli.main import main\n"
+        "try: main()\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'cv2', 'zenoh', 'sqlite3', 'msgspec'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    subprocess.run(
+        [sys.executable, "-c", script],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        cwd=ROOT,
+    )
+
+
+@pytest.mark.parametrize("name", list(main.COMMANDS))
+def test_every_command_has_its_own_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main([name, "--help"])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    assert f"camtopod {name}" in out
+    assert "--connect ENDPOINT" in out
+
+
+@pytest.mark.parametrize("arguments", [[], ["nonsense"], ["probe", "--nonsense"], ["--log-format", "xml", "probe"]])
+def test_usage(arguments: list[str], command: types.ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main(arguments)
+    assert caught.value.code == exits.USAGE
+    assert capsys.readouterr().out == ""
+
+
+def test_common_options_stand_before_or_after_the_command(command: types.ModuleType) -> None:
+    options = ["--site", "hq", "--connect", "tcp/a:1", "--connect", "tcp/b:2", "--log-format", "json"]
+    assert main.main([*options, "probe", "w"]) == 0
+    assert main.main(["probe", "w", *options]) == 0
+    assert main.main(["--site", "hq", "probe", "w"]) == 0
+    before, after, few = command.seen
+    assert vars(before) == vars(after)
+    assert (before.site, before.connect, before.log_format, before.word) == (
+        "hq",
+        ["tcp/a:1", "tcp/b:2"],
+        "json",
+        "w",
+    )
+    assert (few.config, few.connect, few.log_format) == (None, [], "text")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "said"),
+    [
+        (CommandError("no good"), 1, "no good"),
+        (InputError("cannot read x"), 66, "cannot read x"),
+        (CommandError("no bus", exits.BUS), 69, "no bus"),
+        (
+            FileNotFoundError(2, "No such file or directory", "x.jsonl"),
+            66,
+            "cannot read x.jsonl: No such file",
+        ),
+        (OSError("rtsp://a:p@ss@h failed"), 1, "rtsp://***@h failed"),
+        (KeyboardInterrupt(), 1, "interrupted"),
+        (BrokenPipeError(), 1, ""),
+    ],
+)
+def test_expected_errors_become_statuses(
+    error: BaseException, status: int, said: str, command: types.ModuleType,
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    def fail(args: argparse.Namespace) -> int:
+        raise error
+
+    command.act = fail  # type: ignore[attr-defined]
+    monkeypatch.setattr(main.os, "dup2", lambda *given: None)
+    assert main.main(["probe"]) == status
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert said in err
+    assert "Traceback" not in err
+
+
+def test_the_last_message_has_the_form_of_the_log_too(
+    command: types.ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(args: argparse.Namespace) -> int:
+        raise CommandError('no "good"')
+
+    command.act = fail  # type: ignore[attr-defined]
+    main.main(["probe", "--log-format", "json"])
+    assert json.loads(capsys.readouterr().err) == {"level": "error", "message": 'no "good"'}
+    main.main(["probe", "--log-format", "logfmt"])
+    assert capsys.readouterr().err == 'level=error message="no \\"good\\""\n'
+
+
+def test_linear_algebra_has_one_thread_unless_told_otherwise(
+    command: types.ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    assert main.main(["probe"]) == 0
+    assert (os.environ["OPENBLAS_NUM_THREADS"], os.environ["OMP_NUM_THREADS"]) == ("1", "3")
+
+
+def test_what_nobody_expects_is_not_hidden(command: types.ModuleType) -> None:
+    command.act = lambda args: 1 // 0  # type: ignore[attr-defined]
+    with pytest.raises(ZeroDivisionError):
+        main.main(["probe"])
+
+
+def test_a_package_that_is_missing_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(main.COMMANDS, "probe", ("camtopod.cli.none_such", ""))
+    assert main.main(["probe"]) == 1
+    monkeypatch.setitem(sys.modules, "zenoh", None)
+    monkeypatch.delitem(sys.modules, "camtopod.serve.bus.session", raising=False)
+    for module in ("run", "watch", "ingest"):
+        monkeypatch.delitem(sys.modules, f"camtopod.cli.{module}", raising=False)
+    monkeypatch.delitem(sys.modules, "camtopod.serve.daemon", raising=False)
+    assert main.main(["run"]) == 1
+    assert "run needs the package 'zenoh', which is not installed" in capsys.readouterr().err
+
+
+def test_a_reader_that_goes_away_is_no_error_message() -> None:
+    process = camtopod("check", "--example", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (1, b"")
+
+
+# --- check, and the configuration with the common options on top ----------------------------------
+
+
+def test_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good, bad = tmp_path / "good.toml", tmp_path / "bad.toml"
+    good.write_text('[site]\nname = "hq"\n')
+    bad.write_text('[site]\nnmae = "hq"\n[learn]\nwindow_hours = "x"\n')
+    assert main.main(["check", str(good)]) == 0
+    assert main.main(["--config", str(good), "check"]) == 0
+    assert capsys.readouterr().out == ""
+    assert main.main(["check", str(bad)]) == 78
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines() == [
+        f"{bad}:2: site.nmae: no such key; did you mean 'name'?",
+        f"{bad}:4: learn.window_hours: expected a number, got a string",
+    ]
+    assert main.main(["check", str(tmp_path / "none.toml")]) == 66
+    assert main.main(["check"]) == 2
+    capsys.readouterr()
+    assert main.main(["check", "--example"]) == 0
+    settings.parse(capsys.readouterr().out)
+
+
+def arguments(**given: Any) -> argparse.Namespace:
+    return argparse.Namespace(**{"config": None, "site": None, "connect": [], "log_format": "text", **given})
+
+
+def test_the_command_line_is_on_top_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text('[site]\nname = "hq"\n[bus]\nlisten = ["tcp/0.0.0.0:7000"]\n[state]\ndirectory = "/x"\n')
+    assert configuration(arguments(config=path)).site.name == "hq"
+    loaded = configuration(arguments(config=path, site="lab", connect=["tcp/h:1"], state="/y"))
+    assert (loaded.site.name, loaded.dials, loaded.listens) == ("lab", ("tcp/h:1",), ())
+    assert loaded.state_directory == Path("/y")
+    assert configuration(arguments()) == settings.Config()
+
+
+@pytest.mark.parametrize(
+    ("given", "status"),
+    [
+        ({"site": "a/b"}, 2),
+        ({"connect": ["localhost"]}, 2),
+        ({"config": Path("/nonexistent/c.toml")}, 66),
+        ({"config": Path(__file__)}, 78),
+    ],
+)
+def test_a_wrong_common_option(given: dict[str, Any], status: int) -> None:
+    with pytest.raises(CommandError) as caught:
+        configuration(arguments(**given))
+    assert caught.value.status == status
+
+
+def test_where_the_state_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", "/home/someone")
+    assert settings.Config().state_directory == Path("/home/someone/.local/state/camtopod")
+    monkeypatch.setenv("XDG_STATE_HOME", "/xdg")
+    assert settings.Config().state_directory == Path("/xdg/camtopod")
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/camtopod")
+    assert settings.Config().state_directory == Path("/var/lib/camtopod")
+    assert settings.parse('[state]\ndirectory = "~/x"').state_directory == Path("/home/someone/x")
+
+
+# --- logs -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", main.LOG_FORMATS)
+def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+    start_logging(arguments(log_format=form))
+    logging.getLogger("camtopod.serve.x").warning('says "%s"', "no")
+    line = capsys.readouterr().err.rstrip("\n")
+    if form == "text":
+        assert line == 'warning: says "no"'
+    elif form == "json":
+        record = json.loads(line)
+        assert (record["level"], record["from"], record["message"]) == ("warning", "serve.x", 'says "no"')
+        assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", record["t"])
+    else:
+        assert re.fullmatch(r't=\S+Z level=warning from=serve\.x message="says \\"no\\""', line)
+
+
+def test_the_bus_s_error_is_an_expected_one() -> None:
+    assert issubclass(BusError, OSError)
+
+
+# --- run --------------------------------------------------------------------------------------------
+
+
+def test_run_says_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    listen = tmp_path / "c.toml"
+    listen.write_text('[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
+    assert main.main(["--config", str(listen), "run", "--state", str(tmp_path / "file" / "x")]) == 74
+    assert "cannot write the state directory" in capsys.readouterr().err
+
+    newer = tmp_path / "newer"
+    with closing(Journal(newer)) as journal:
+        journal.set_meta("format", "99")
+    assert main.main(["--config", str(listen), "run", "--state", str(newer)]) == 74
+    err = capsys.readouterr().err
+    assert "the journal has format 99" in err
+    assert "Traceback" not in err
+
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("[bus]\nlisten = 5\n")
+    assert main.main(["--config", str(wrong), "run"]) == 78
+    assert f"{wrong}:2: bus.listen: expected an array" in capsys.readouterr().err
+
+    away = tmp_path / "away.toml"
+    away.write_text('[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.2\n')
+    assert main.main(["--config", str(away), "run", "--state", str(tmp_path / "s")]) == 69
+
+
+# --- no password in what is said -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["grab", "rtsp://u:hunter2@h/x", "rtsp://u:hunter2@h/y"],
+        ["rtsp://u:hunter2@h"],
+        ["ingest", "rtsp://u:hunter2@h"],
+        ["grab", "--speed", "rtsp://u:hunter2@h"],
+    ],
+)
+def test_a_command_line_that_is_wrong_keeps_its_password(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main.main(arguments)
+    assert caught.value.code == exits.USAGE
+    said = capsys.readouterr().err
+    assert "rtsp://***@h" in said
+    assert "hunter2" not in said
+
+
+@pytest.mark.parametrize("where", ["main", "thread"])
+def test_what_nobody_expects_keeps_a_password_and_ends_with_a_status(where: str) -> None:
+    crash = "ValueError('rtsp://u:hunter2@h/x is broken')"
+    root = ROOT
+    script = (
+        "import sys, threading, types\n"
+        "from camtopod.cli import main\n"
+        f"def fail(): raise {crash}\n"
+        "def run(args):\n"
+        f"    if {where == 'main'}: fail()\n"
+        "    thread = threading.Thread(target=fail); thread.start(); thread.join()\n"
+        "    return 0\n"
+        "probe = types.ModuleType('probe')\n"
+        "probe.add_parser, probe.run = lambda subparsers: subparsers.add_parser('probe') and None, run\n"
+        "sys.modules['probe'] = probe\n"
+        "main.COMMANDS['probe'] = ('probe', 'for this test')\n"
+        "sys.argv = ['camtopod', 'probe']\n"
+        "main.console()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=root)
+    assert done.returncode == (exits.FAILED if where == "main" else exits.DONE)
+    assert "ValueError: rtsp://***@h/x is broken" in done.stderr
+    assert "hunter2" not in done.stderr

@@ -1,0 +1,379 @@
+"""`init` and `check --probe`: cameras that are there and that are not, their names, and where their passwords go."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rendered_scenes import FPS, Scene
+from rtsp_streams import Host, hang_up, missing, rtsp_answer, served, silent, transcode
+from serving import camtopod, small_config
+
+from camtopod import redact
+from camtopod.cli.cameras import probe as probes
+from camtopod.cli.commands.init import named
+from camtopod.cli.main import main
+from camtopod.config import settings
+from camtopod.config.settings import VisionSettings
+from camtopod.serve.daemon import Daemon
+from camtopod.vision.source.probe import PIXELS_MAX, Probe
+from camtopod.web import pictures
+
+QUICK = VisionSettings(open_timeout_seconds=1.0, read_timeout_seconds=1.0)
+PASSWORD = "p@ss:w/0rd"
+
+
+@pytest.fixture(autouse=True)
+def _forget(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(redact, "_known", set())
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds of nobody."""
+    return Scene([]).film(tmp_path_factory.mktemp("film") / "yard.mp4", 3.0)
+
+
+def painted(path: Path, size: tuple[int, int], fps: float, colour: tuple[int, int, int] = (90, 90, 90)) -> Path:
+    """A film of this size, of one colour (blue, green, red)."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+    for _ in range(5):
+        writer.write(np.full((size[1], size[0], 3), colour, np.uint8))
+    writer.release()
+    return path
+
+
+def everything_below(folder: Path) -> dict[str, tuple[int, str]]:
+    """Mode and content of each file."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): (path.stat().st_mode & 0o777, path.read_text()) for path in files}
+
+
+# --- what a source is ----------------------------------------------------------------------------
+
+
+def test_a_file_and_what_could_be_better_about_it(film: Path, tmp_path: Path) -> None:
+    huge = painted(tmp_path / "huge.mp4", (2560, 1440), 2.0)
+    assert PIXELS_MAX < 2560 * 1440
+    good, bad, none = probes.probe_all(
+        {"good": str(film), "bad": str(huge), "none": str(tmp_path / "x.mp4")}, QUICK, lambda name, probe: None
+    ).values()
+    assert good == Probe("", "MPEG-4", 192, 144, FPS)
+    assert good.words == ["MPEG-4, 192x144, 7 frames a second"]
+    assert (bad.problem, bad.width, bad.fps) == ("", 2560, 2.0)
+    assert [remark.partition(":")[0] for remark in bad.remarks] == [
+        "the picture is of one colour",
+        "so few frames a second that people who walk fast are missed",
+        "larger than is of use",
+    ]
+    assert none == Probe("No such file or directory")
+
+
+def test_what_is_wrong_with_a_stream_is_said_in_words(tmp_path: Path) -> None:
+    hosts = {
+        "secret": Host(rtsp_answer("401 Unauthorized")),
+        "other": Host(rtsp_answer("404 Not Found")),
+        "silent": Host(silent),
+        "shy": Host(hang_up),
+    }
+    told = []
+    with socket.socket() as reserved:
+        reserved.bind(("127.0.0.1", 0))  # bound, not listening
+        away = f"rtsp://127.0.0.1:{reserved.getsockname()[1]}/x"
+        sources = {**{name: host.url for name, host in hosts.items()}, "away": away, "device": "4242"}
+        found = probes.probe_all(sources, QUICK, lambda name, probe: told.append(name))
+    for host in hosts.values():
+        host.close()
+    assert list(found) == list(sources)
+    assert sorted(told) == sorted(sources)
+    assert {name: probe.problem.removeprefix("it cannot be opened: ") for name, probe in found.items()} == {
+        "secret": "the camera refuses the user name or password (401)",
+        "other": "the camera has no such stream (404)",
+        "silent": "the host does not answer",
+        "shy": "the host closes the connection: is it a camera's port?",
+        "away": "nothing listens at this address and port",
+        "device": "there is no /dev/video4242",
+    }
+
+
+def test_a_process_that_hangs_or_crashes_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "fifo")  # opening it blocks for ever
+    monkeypatch.setattr(probes, "START_SECONDS", -3.7)
+    assert probes.probe_all({"a": str(tmp_path / "fifo")}, QUICK, lambda *_: None) == {
+        "a": Probe("no answer within 0 s")
+    }
+    monkeypatch.setattr(probes, "START_SECONDS", 30.0)
+    monkeypatch.setattr(probes, "PROGRAM", "camtopod.none_such")
+    assert probes.probe_all({"a": "0"}, QUICK, lambda *_: None)["a"].problem.endswith("failed (status 1)")
+
+
+# --- names ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("source", "name"),
+    [
+        ("rtsp://lobby.example.org:554/stream1", "lobby"),
+        ("rtsp://admin:p@ss:w/rd@192.0.2.10/Streaming/Channels/101", "192-0-2-10"),
+        ("rtsp://[2001:db8::5]/x", "2001-db8-5"),
+        ("rtsp://127.0.0.1:8554/front%20door", "front-20door"),
+        ("rtsp://localhost/garden", "garden"),
+        ("rtsp://localhost:7441/JHeOzLkM0NvTzhGq", "camera"),
+        ("rtsp://user=admin_password=x", "user-admin_password-x"),
+        ("/data/some clip.mp4", "some-clip"),
+        ("0", "device-0"),
+        ("rtsp://", "camera"),
+        ("rtsp://[oops/x", "camera"),
+        ("rtsp://daemon/x", "daemon-2"),
+        ("rtsp://" + 80 * "a", 64 * "a"),
+    ],
+)
+def test_a_camera_is_called_after_its_host_or_path(source: str, name: str) -> None:
+    assert named([("", source)]) == {name: source}
+    settings.parse(f'[cameras.{name}]\nsource = "0"')
+
+
+def test_names_are_different_and_one_s_own_stay() -> None:
+    nvr = "rtsp://192.0.2.9/ch"
+    given = [("", f"{nvr}1"), ("", f"{nvr}2"), ("", f"{nvr}2?sub=1"), ("", "rtsp://hall/"), ("hall", "rtsp://x/y")]
+    assert list(named(given)) == ["192-0-2-9-ch1", "192-0-2-9-ch2", "192-0-2-9-ch2-2", "hall-2", "hall"]
+    secret = "rtsp://192.0.2.9/user=admin_password=hunter2_channel="
+    assert list(named([("", f"{secret}1"), ("", f"{secret}2")])) == ["192-0-2-9", "192-0-2-9-2"]
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def test_passwords_go_into_files_of_their_own(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "yard.mp4").write_bytes(film.read_bytes())
+    host = Host(rtsp_answer("401 Unauthorized"))
+    url = host.url.replace("p@ssw0rd", PASSWORD)
+    parameter = "rtsp://127.0.0.1:1/dvr?user=admin&password=hunter2&channel=1"
+    token = "rtsp://127.0.0.1:1/stream/JHeOzLkM0NvTzhGq/live"
+    assert main(["init", "yard.mp4", "--out", "site/camtopod.toml"]) == 1
+    assert "cannot write" in capsys.readouterr().err, "the folder is not there"
+    (tmp_path / "site").mkdir()
+    arguments = ["init", "yard.mp4", f"front.door={url}", parameter, f"nvr={token}", "--out", "site/camtopod.toml"]
+    assert main(["--site", "hq", *arguments]) == 66
+    host.close()
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "front.door  it cannot be opened: the camera refuses the user name or password (401)" in err
+    assert "yard        MPEG-4, 192x144, 7 frames a second" in err
+    assert err.endswith("    camtopod --config site/camtopod.toml run\n    camtopod --config site/camtopod.toml grab\n")
+    files = everything_below(tmp_path / "site")
+    assert files.pop("camtopod.toml")[0] & 0o444
+    assert files == {
+        "secrets/front.door": (0o600, f"{url}\n"),
+        "secrets/dvr": (0o600, f"{parameter}\n"),
+        "secrets/nvr": (0o600, f"{token}\n"),
+    }
+    assert (tmp_path / "site/secrets").stat().st_mode & 0o777 == 0o700
+    written = (tmp_path / "site/camtopod.toml").read_text()
+    for text in (written, err):
+        assert PASSWORD not in text
+        assert "w/0rd" not in text
+        assert "hunter2" not in text
+        assert "JHeOzLkM0NvTzhGq" not in text
+    assert "# MPEG-4, 192x144, 7 frames a second\n# a file is read once" in written
+    loaded = settings.load(tmp_path / "site/camtopod.toml")
+    assert (loaded.site.name, loaded.cameras["yard"].source) == ("hq", str(tmp_path / "yard.mp4"))
+    assert loaded.for_camera("front.door").cameras["front.door"].source == url
+    assert main(["check", "site/camtopod.toml"]) == 0
+
+
+def test_services_are_handed_every_source(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the unit's LoadCredential= says it: a service whose file is not there does not start."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "yard.mp4").write_bytes(film.read_bytes())
+    (tmp_path / "site").mkdir()
+    url = f"rtsp://user:{PASSWORD}@127.0.0.1:1/x"
+    umask = os.umask(0o077)
+    try:
+        assert main(["init", "--credentials", f"hall={url}", "yard.mp4", "--out", "site/camtopod.toml"]) == 66
+    finally:
+        os.umask(umask)
+    err = capsys.readouterr().err
+    assert "systemctl enable --now camtopod camtopod-web camtopod-grab@hall camtopod-grab@yard\n" in err
+    assert f"    CREDENTIALS_DIRECTORY={tmp_path}/site/secrets camtopod check site/camtopod.toml --probe\n" in err
+    files = everything_below(tmp_path / "site")
+    mode, text = files.pop("camtopod.toml")
+    assert (mode, PASSWORD in text) == (0o644, False)
+    assert files == {"secrets/hall": (0o600, f"{url}\n"), "secrets/yard": (0o600, f"{tmp_path}/yard.mp4\n")}
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path / "site" / "secrets"))
+    loaded = settings.load(tmp_path / "site/camtopod.toml")
+    assert loaded.health.listen == "127.0.0.1:8787"
+    assert loaded.for_camera("hall").cameras["hall"].source == url
+    assert main(["check", "site/camtopod.toml"]) == 0
+    assert "chmod" not in capsys.readouterr().err
+    elsewhere = ["--connect", "tcp/192.0.2.1:7447", "init", "--credentials", "4242", "--out", "box.toml"]
+    assert main(elsewhere) == 66
+    assert "systemctl enable --now camtopod-grab@device-4242\n" in capsys.readouterr().err
+    assert settings.load(tmp_path / "box.toml").health.listen == "", "the daemon's, which is not here"
+
+
+def test_nothing_is_overwritten_unless_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probes, "_probe", lambda *_: Probe("", "H.264", 640, 480, 15.0))
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "lobby=rtsp://u:first@h/x"]) == 0
+    before = everything_below(tmp_path)
+    assert set(before) == {"camtopod.toml", "secrets/lobby"}
+    assert main(["init", "rtsp://other/x"]) == 1
+    assert main(["init", "lobby=rtsp://u:second@h/x", "--out", "other.toml"]) == 1
+    assert "secrets/lobby: there already; --force overwrites" in capsys.readouterr().err
+    assert everything_below(tmp_path) == before
+    assert main(["init", "--force", "lobby=rtsp://u:second@h/x"]) == 0
+    assert everything_below(tmp_path)["secrets/lobby"] == (0o600, "rtsp://u:second@h/x\n")
+
+
+def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> None:
+    out = tmp_path / "c.toml"
+    command = ["--connect", "tcp/192.0.2.1:7447", "init", "-", "--out", str(out)]
+    process = camtopod(*command, stdin=-1, stderr=-1)
+    _, err = process.communicate(b"\nlobby=4242\n  4243  \n", timeout=60)
+    assert process.returncode == 66
+    assert err.decode().endswith(f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab\n")
+    loaded = settings.load(out)
+    assert ({name: each.source for name, each in loaded.cameras.items()}, loaded.bus.connect) == (
+        {"lobby": "4242", "device-4243": "4243"}, ("tcp/192.0.2.1:7447",),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["init"],
+        ["init", "a=0", "a=1"],
+        ["init", "daemon=0"],
+        ["--site", "a/b", "init", "0"],
+        ["init", "a\x7f"],
+        ["init", "..=0"],
+    ],
+)
+def test_usage(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    try:
+        status = main(arguments)
+    except SystemExit as error:
+        status = error.code  # type: ignore[assignment]
+    assert status == 2
+    assert not list(tmp_path.iterdir())
+
+
+# --- pictures ------------------------------------------------------------------------------------
+
+
+def test_a_picture_is_kept_when_asked_for_and_not_otherwise(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    yard, colour = painted(tmp_path / "yard.mp4", (2560, 1440), 7.0, (200, 120, 40)), np.array((200, 120, 40))
+    assert main(["init", str(yard), "gone=4242"]) == 66
+    assert main(["check", "camtopod.toml", "--probe"]) == 69
+    assert not list(tmp_path.rglob("*.jpg"))
+    folder = tmp_path / "state" / "pictures"
+    arguments = ["init", str(yard), "gone=4242", "--out", "other.toml", "--pictures", str(folder)]
+    assert main(arguments) == 66
+    assert [path.name for path in folder.iterdir()] == ["yard.jpg"], "and nothing beside it"
+    picture = cv2.imread(str(folder / "yard.jpg"))
+    assert picture is not None
+    assert picture.shape == (720, 1280, 3)
+    assert np.abs(picture.mean((0, 1)) - colour).max() < 10, "in colour"
+    assert ((folder / "yard.jpg").stat().st_mode & 0o777, folder.stat().st_mode & 0o777) == (0o640, 0o750)
+    assert pictures.picture_of(folder, "yard") == folder / "yard.jpg"
+    capsys.readouterr()
+    (tmp_path / "other.toml").unlink()
+    assert main(arguments) == 1, "it may be the operator's own"
+    assert "yard.jpg: there already; --force overwrites" in capsys.readouterr().err
+    (folder / "yard.jpg").write_bytes(b"old")
+    assert main(["check", "camtopod.toml", "--probe", "--pictures", str(folder)]) == 69
+    assert (folder / "yard.jpg").read_bytes()[:3] == b"\xff\xd8\xff", "a newer one"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_a_picture_belongs_to_whom_its_folder_belongs(film: Path, tmp_path: Path) -> None:
+    """As a service's user can read it then, whom systemd has given the folder."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    os.chown(folder, 61234, 61235)
+    probes.probe_all({"yard": str(film)}, QUICK, lambda *_: None, folder)
+    its = (folder / "yard.jpg").stat()
+    assert (its.st_uid, its.st_gid, its.st_mode & 0o777) == (61234, 61235, 0o640)
+
+
+def test_pictures_that_cannot_be_kept(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    assert main(["init", str(film), "--pictures", "file"]) == 1
+    assert "--pictures file: cannot write file: File exists" in capsys.readouterr().err
+    assert not (tmp_path / "camtopod.toml").exists()
+    assert main(["init", str(film)]) == 0
+    assert main(["check", "camtopod.toml", "--pictures", "folder"]) == 2
+    assert "--pictures is for --probe" in capsys.readouterr().err
+    assert not (tmp_path / "folder").exists()
+
+
+# --- check --probe -------------------------------------------------------------------------------
+
+
+def test_check_probe_opens_the_cameras_and_the_bus(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.toml"
+    cameras = f"[cameras.yard]\nsource = {json.dumps(str(film))}\n"
+    with Daemon(small_config(tmp_path / "state")) as daemon:
+        bus = f'[bus]\nconnect_seconds = 0.5\nconnect = ["{daemon.endpoint}"]\n'
+        path.write_text(bus + cameras)
+        assert main(["check", str(path), "--probe"]) == 0
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert f"{path}:4: cameras.yard: MPEG-4, 192x144, 7 frames a second\n" in err
+        assert f"{path}: bus: {daemon.endpoint} is reached, site site\n" in err
+        path.write_text(f'{bus}[site]\nname = "other"\n{cameras}[cameras.gone]\nsource_file = "none"\n')
+        assert main(["check", str(path), "--probe"]) == 69
+        err = capsys.readouterr().err
+        assert f"{path}:8: cameras.gone: cannot read {tmp_path}/none: No such file" in err
+        assert "is reached, but no daemon of site other is there" in err
+        path.write_text('[cameras.gone]\nsource_file = "$NOT_SET_AT_ALL/gone"\n')
+        assert main(["check", str(path), "--probe", "--connect", daemon.endpoint]) == 66
+        assert (
+            f"cannot read {tmp_path}/$NOT_SET_AT_ALL/gone: $NOT_SET_AT_ALL is not set here" in capsys.readouterr().err
+        )
+        path.write_text(cameras)
+        assert main(["check", str(path), "--probe", "--connect", daemon.endpoint, "--site", "other"]) == 69
+        assert f"{daemon.endpoint} is reached, but no daemon of site other is there" in capsys.readouterr().err
+        assert main(["check", str(path), "--connect", "nowhere"]) == 2
+        capsys.readouterr()
+        path.write_text(f'{bus}[cameras.gone]\nsource = "4242"\n')
+        assert main(["check", str(path), "--probe"]) == 66
+        capsys.readouterr()
+    assert main(["check", str(path), "--probe"]) == 69
+    err = capsys.readouterr().err
+    assert f"{path}:4: cameras.gone: it cannot be opened: there is no /dev/video4242\n" in err
+    assert "cannot reach the bus at" in err
+
+
+@pytest.mark.skipif(missing() is not None, reason=f"needs an RTSP server: {missing()}")
+def test_a_real_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = Scene([]).film(tmp_path / "film.mp4", 5.0)
+    transcode(film, tmp_path / "served.mp4", FPS)
+    with served(tmp_path / "served.mp4") as port:
+        assert main(["init", f"rtsp://127.0.0.1:{port}/camera", "--out", str(tmp_path / "c.toml")]) == 0
+    loaded = settings.load(tmp_path / "c.toml")
+    assert loaded.cameras["camera"].source == f"rtsp://127.0.0.1:{port}/camera"
+    rate = float(capsys.readouterr().err.partition("H.264, 192x144, ")[2].split()[0])
+    assert rate == pytest.approx(FPS, rel=0.15)

@@ -1,0 +1,306 @@
+"""Frigate's messages straight from a broker: a real mosquitto, with passwords, with TLS, and away for a while."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import ipaddress
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import frigate_messages as says
+import pytest
+from mosquitto import PROGRAM, mosquitto
+from serving import T0, small_config, wait_for
+
+from camtopod import mqtt
+from camtopod.cli import exits
+from camtopod.cli.main import main
+from camtopod.serve.daemon import Daemon
+
+USER, PASSWORD = "camtopod", "hunter2-long"
+
+pytest.importorskip("paho.mqtt.publish", reason="needs paho-mqtt (camtopod[mqtt])")
+pytestmark = pytest.mark.skipif(PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)")
+
+
+class Ingest:
+    """`camtopod ingest frigate` in a process of its own, writing lines."""
+
+    def __init__(self, tmp_path: Path, url: str, *options: str, **variables: str) -> None:
+        self.out, self._err = tmp_path / "out.jsonl", tmp_path / "err.txt"
+        command = [sys.executable, "-m", "camtopod", "ingest", "frigate", url, "--out", str(self.out), *options]
+        with self._err.open("wb") as err:
+            self.process = subprocess.Popen(command, stderr=err, env={**os.environ, **variables})
+
+    def __enter__(self) -> Ingest:
+        wait_for(lambda: "hearing frigate/events" in self.said or self.process.poll() is not None, "the subscription")
+        assert self.process.poll() is None, self.said
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    @property
+    def said(self) -> str:
+        return self._err.read_text()
+
+    def wait_for_lines(self, count: int) -> None:
+        wait_for(lambda: self.out.exists() and self.out.read_bytes().count(b"\n") >= count, f"{count} lines")
+
+
+def test_events_come_while_objects_come_and_go_and_the_broker_may_be_away(tmp_path: Path) -> None:
+    with mosquitto(tmp_path) as broker, Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest:
+        broker.publish(says.passage(1)[:2])
+        ingest.wait_for_lines(1)
+        broker.publish([*says.passage(1)[2:], b"nonsense"])
+        ingest.wait_for_lines(2)
+        broker.stop()
+        wait_for(lambda: "lost 127.0.0.1" in ingest.said, "the loss to be noticed")
+        assert broker.start()
+        wait_for(lambda: ingest.said.count("hearing frigate/events") == 2, "the subscription after the loss")
+        broker.publish(says.passage(2, T0))
+        ingest.wait_for_lines(4)
+        ingest.process.send_signal(signal.SIGTERM)
+        assert ingest.process.wait(20) == exits.DONE
+        assert "frigate/events:4: is neither JSON nor a topic and JSON" in ingest.said
+        assert "1 of 7 lines changed nothing: malformed 1" in ingest.said
+        assert "Jane" not in ingest.out.read_text()
+
+
+def test_onto_the_bus(tmp_path: Path) -> None:
+    with mosquitto(tmp_path) as broker, Daemon(small_config(tmp_path / "daemon")) as daemon:
+        url = f"mqtt://127.0.0.1:{broker.port}/frigate"
+        command = ["--connect", daemon.endpoint, "ingest", "frigate", url, "--state", str(tmp_path / "i")]
+        err = tmp_path / "err.txt"
+        with err.open("wb") as file:
+            process = subprocess.Popen([sys.executable, "-m", "camtopod", *command], stderr=file)
+        try:
+            wait_for(lambda: "hearing" in err.read_text(), "the subscription")
+            broker.publish([line for n in range(50) for line in says.passage(n, T0 + n)])
+            wait_for(lambda: daemon.status()["events"]["stored"] == 100, "the events")
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(20) == exits.DONE
+        finally:
+            process.kill()
+            process.wait()
+
+
+def test_a_password_from_a_file_or_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    users, secret = tmp_path / "users", tmp_path / "secret"
+    users.touch(0o600)
+    program = shutil.which("mosquitto_passwd")
+    assert program is not None
+    subprocess.run([program, "-b", str(users), USER, PASSWORD], check=True, capture_output=True)
+    secret.write_text(f"{PASSWORD}\n")
+    secret.chmod(0o600)
+    with mosquitto(tmp_path, f"password_file {users}") as broker:
+        url = f"mqtt://{USER}@127.0.0.1:{broker.port}/frigate"
+        for options, variables in ((["--password-file", str(secret)], {}), ([], {"CAMTOPOD_MQTT_PASSWORD": PASSWORD})):
+            with Ingest(tmp_path, url, *options, **variables) as ingest:
+                broker.publish(says.passage(), auth={"username": USER, "password": PASSWORD})
+                ingest.wait_for_lines(2)
+                assert PASSWORD not in ingest.said
+                ingest.out.unlink()
+        secret.write_text("wrong-one")
+        assert main(["ingest", "frigate", url, "--password-file", str(secret), "--out", "-"]) == exits.INPUT
+        monkeypatch.delenv("CAMTOPOD_MQTT_PASSWORD", raising=False)
+        assert main(["ingest", "frigate", url, "--out", "-"]) == exits.INPUT
+        err = capsys.readouterr().err
+        assert err.count("refuses: Not authorized") == 2
+        assert "wrong-one" not in err
+
+
+def certificate(folder: Path) -> tuple[Path, Path]:
+    """A certificate for 127.0.0.1 that vouches for itself, and its key."""
+    x509 = pytest.importorskip("cryptography.x509", reason="needs cryptography (camtopod[keys])")
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "broker")])
+    today = datetime.datetime.now(datetime.UTC)
+    day = datetime.timedelta(days=1)
+    address = x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))])
+    made = (
+        x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key()).serial_number(7)
+        .not_valid_before(today - day).not_valid_after(today + day)
+        .add_extension(address, False).add_extension(x509.BasicConstraints(True, None), True)
+        .sign(key, hashes.SHA256())
+    )  # fmt: skip
+    cert_file, key_file = folder / "cert.pem", folder / "key.pem"
+    cert_file.write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    private = key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    key_file.write_bytes(private)
+    return cert_file, key_file
+
+
+def test_tls(tmp_path: Path) -> None:
+    cert, key = certificate(tmp_path)
+    with mosquitto(tmp_path, f"certfile {cert}", f"keyfile {key}") as broker:
+        url = f"mqtts://127.0.0.1:{broker.port}/frigate"
+        with Ingest(tmp_path, url, "--ca", str(cert)) as ingest:
+            broker.publish(says.passage(), tls={"ca_certs": str(cert)})
+            ingest.wait_for_lines(2)
+        for options, said in (([], "certificate verify failed"), (["--ca", str(tmp_path / "none")], "No such file")):
+            command = [sys.executable, "-m", "camtopod", "ingest", "frigate", url, "--out", "-", *options]
+            refused = subprocess.run(command, capture_output=True, timeout=60, check=False)
+            assert refused.returncode == exits.INPUT
+            assert said in refused.stderr.decode()
+
+
+def test_nobody_there_or_somebody_else(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(mqtt, "CONNECT_SECONDS", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = silent.getsockname()[1]
+        assert main(["ingest", "frigate", f"mqtt://127.0.0.1:{port}/frigate", "--out", "-"]) == exits.INPUT
+        assert "does not answer as an MQTT broker" in capsys.readouterr().err
+    assert main(["ingest", "frigate", f"mqtt://127.0.0.1:{port}/frigate", "--out", "-"]) == exits.INPUT
+    assert f"cannot reach 127.0.0.1:{port}" in capsys.readouterr().err
+
+
+def test_messages_that_wait_have_a_limit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with mosquitto(tmp_path) as broker:
+        source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/frigate")
+        with contextlib.closing(mqtt.Messages(source, "events", limit_messages=10)) as messages:
+            broker.publish([b"%d" % n for n in range(100)])
+            wait_for(lambda: messages.dropped == 90, "the messages")
+            stop = threading.Event()
+            read = messages.read(stop)
+            assert [next(read) for _ in range(10)] == [b"%d" % n for n in range(10)]
+            stop.set()
+            assert list(read) == []
+    assert "those beyond 10 are dropped" in caplog.text
+    assert "90 messages of frigate/events were dropped" in caplog.text
+
+
+def test_bytes_that_wait_have_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(mqtt, "WAITING_BYTES_MAX", 1000)
+    with mosquitto(tmp_path) as broker:
+        source = mqtt.broker(f"mqtt://127.0.0.1:{broker.port}/frigate")
+        with contextlib.closing(mqtt.Messages(source, "events")) as messages:
+            broker.publish([b"x" * 400] * 5)
+            wait_for(lambda: messages.dropped == 3, "the messages")
+            stop = threading.Event()
+            read = messages.read(stop)
+            assert [len(next(read)) for _ in range(2)] == [400, 400]
+            broker.publish([b"y" * 999])
+            assert next(read) == b"y" * 999
+            stop.set()
+    assert "those beyond 1000 bytes are dropped" in caplog.text
+
+
+# --- a message of 200 MB --------------------------------------------------------------------------
+
+HUGE = 200_000_000
+
+
+def packet(kind: int, content: bytes, more: int = 0) -> bytes:
+    """An MQTT packet, of whose content ``more`` bytes follow."""
+    length, head = len(content) + more, bytes([kind])
+    while True:
+        length, digit = divmod(length, 128)
+        head += bytes([digit | 0x80 if length else digit])
+        if not length:
+            return head + content
+
+
+def text(value: str) -> bytes:
+    return len(value).to_bytes(2, "big") + value.encode()
+
+
+def publish_huge(connection: socket.socket) -> None:
+    """A message of `HUGE` bytes, without having it."""
+    topic = text("frigate/events")
+    connection.sendall(packet(0x30, topic, HUGE))
+    for _ in range(HUGE // 1_000_000):
+        connection.sendall(bytes(1_000_000))
+
+
+def peak_mebibytes(process: subprocess.Popen[bytes]) -> float:
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
+
+
+def test_a_broker_that_speaks_5_does_not_send_a_huge_message(tmp_path: Path) -> None:
+    with mosquitto(tmp_path) as broker, Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest:
+        with socket.create_connection(("127.0.0.1", broker.port), 30) as other:
+            other.sendall(packet(0x10, text("MQTT") + bytes([4, 2, 0, 60]) + text("other")))
+            assert other.recv(4) == b"\x20\x02\x00\x00"
+            publish_huge(other)
+        broker.publish(says.passage(1))
+        ingest.wait_for_lines(2)
+        assert ingest.said.count("hearing") == 1, "the connection is the same"
+        assert "lost" not in ingest.said
+        assert peak_mebibytes(ingest.process) < 150
+
+
+class Old:
+    """A broker that speaks MQTT 3.1.1 only. The first who subscribes is sent a huge message, the next a passage."""
+
+    def __init__(self, answers_5: bool) -> None:
+        self._answers_5 = answers_5
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self.subscribed = 0
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                threading.Thread(target=self._serve, args=(client,), daemon=True).start()
+
+    def _serve(self, client: socket.socket) -> None:
+        with client, contextlib.suppress(OSError):
+            if client.recv(4096)[8] != 4:  # the version, behind the length and the protocol's name
+                client.sendall(b"\x20\x02\x00\x01" if self._answers_5 else b"")
+                return
+            client.sendall(b"\x20\x02\x00\x00")
+            asked = client.recv(4096)
+            client.sendall(b"\x90\x03" + asked[2:4] + b"\x01")
+            self.subscribed += 1
+            if self.subscribed == 1:
+                publish_huge(client)
+            for line in says.passage(1):
+                client.sendall(packet(0x30, text("frigate/events") + line))
+            while client.recv(4096):
+                pass
+
+
+@pytest.mark.parametrize("answers_5", [True, False])
+def test_an_older_broker_that_sends_a_huge_message_is_disconnected(answers_5: bool, tmp_path: Path) -> None:
+    with (
+        contextlib.closing(Old(answers_5)) as broker,
+        Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest,
+    ):
+        ingest.wait_for_lines(2)
+        assert f"the broker sends a packet of {HUGE + 16} bytes; at most 2097152 are taken" in ingest.said
+        assert ingest.said.count("hearing") == broker.subscribed == 2
+        assert peak_mebibytes(ingest.process) < 150
+
+
+def test_without_the_extra_it_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "paho"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "paho", None)
+    assert main(["ingest", "frigate", "mqtt://127.0.0.1:1/frigate", "--out", "-"]) == exits.FAILED
+    assert "pip install 'camtopod[mqtt]'" in capsys.readouterr().err

@@ -1,0 +1,326 @@
+"""The client library against a real daemon on a real bus: what it holds, what it says, what it waits for."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from fake_bus_daemon import LEFT, NOW, Hub, a_hub, later, learned, put, running, there
+from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+
+from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, site_view
+from camtopod.codec import read
+from camtopod.config.settings import BusSettings, Config, TlsSettings
+from camtopod.keys import rules
+from camtopod.keys.authority import Authority
+from camtopod.records import Event, Prediction
+from camtopod.serve.bus.session import dial
+
+
+@pytest.fixture(scope="module")
+def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
+    with a_hub(tmp_path_factory.mktemp("hub")) as one:
+        yield one
+
+
+@pytest.fixture
+def site(hub: Hub) -> Iterator[Topology]:
+    with Topology.connect(connect=hub.daemon.endpoint) as one:
+        yield one
+
+
+# --- what is held ---------------------------------------------------------------------------------
+
+
+def test_what_has_been_learned_is_there_at_once(hub: Hub, site: Topology) -> None:
+    assert site.current is not None
+    assert hub.daemon.topology is not None
+    assert site.current.version >= 1
+    wait_for(lambda: site.current == hub.daemon.topology, "what other tests have put")
+    assert (site.site, site.version, site.stale_since) == ("site", site.current.version, None)
+    assert site.wait_for(1, 0.0) is site.current
+    assert next(site.versions()) is site.current
+
+
+def test_versions_come_by_themselves(tmp_path: Path) -> None:
+    with (
+        running(tmp_path, endpoint := free_endpoint()) as daemon,
+        dial(small_config(tmp_path, endpoint)) as bus,
+        Topology.connect(connect=endpoint) as site,
+    ):
+        assert (site.current, site.version, site.stale_since) == (None, 0, None)
+        with pytest.raises(TimeoutError, match=r"no version 1 of site site within 0\.1 s, .* 0; the daemon is there"):
+            site.wait_for(1, 0.1)
+        with pytest.raises(NothingLearned, match="nothing has been learned yet"):
+            site.predict(**LEFT)
+        with pytest.raises(LookupError):
+            site.gate("a/1", 0.0, "b", 8.0)
+        events = [*numbered(walkers(60)), closing_event()]
+        put(bus, *events)
+        seen = [next(site.versions(20.0))]
+        site.observe(Event("a", "entry", NOW, 0.1, 0.5, "7"))
+        last = learned(daemon, events)
+        for version in site.versions(20.0):
+            seen.append(version)
+            if version.version >= last.version:
+                break
+        numbers = [one.version for one in seen]
+        assert numbers == sorted(numbers)
+        assert site.wait_for(last.version, 10.0) == last, "delta by delta, the same as the daemon's"
+        put(bus, *later(walkers(60, seed=2), 12), Event("late", "entry", T0 + 16 * SPAN_SECONDS))
+        newer = site.wait_for(last.version + 1, 20.0)
+        assert site._held is not None
+        assert site._held.predictor.version >= newer.version
+        assert site._held.predictor.save().under_way[0][:2] == ("a", "7"), "what was observed outlives a version"
+    assert [one.version for one in site.versions()] == [], "closed"
+    assert site.predict(**LEFT).next_, "what is held stays usable"
+    assert site.stale_since is not None
+
+
+def test_it_goes_on_when_the_daemon_comes_back(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with contextlib.ExitStack() as stack:
+        with running(tmp_path, endpoint):
+            site = stack.enter_context(Topology.connect(connect=endpoint))
+            before = time.time()
+        wait_for(lambda: site.stale_since is not None, "staleness to be noticed")
+        assert before <= (site.stale_since or 0.0) <= time.time()
+        with pytest.raises(TimeoutError, match="no daemon is there"):
+            site.wait_for(1, 0.0)
+        daemon = stack.enter_context(running(tmp_path, endpoint))
+        wait_for(lambda: site.stale_since is None, "the daemon to be noticed")
+        with dial(small_config(tmp_path, endpoint)) as bus:
+            put(bus, *(events := [*numbered(walkers(40)), closing_event()]))
+            version = learned(daemon, events)
+            assert site.wait_for(version.version, 20.0).links
+
+
+def test_of_shards_the_first_is_the_one_that_counts() -> None:
+    assert site_view._leads("01KAP3V6QZ")
+    assert site_view._leads("0of8-01KAP3V6QZ")
+    assert not site_view._leads("3of8-01KAP3V6QZ")
+    assert not site_view._leads("10of16-01KAP3V6QZ")
+
+
+# --- what is said ---------------------------------------------------------------------------------
+
+
+def test_a_prediction_is_the_daemons(hub: Hub, site: Topology) -> None:
+    said = site.predict(**LEFT, track="7")
+    (answer,) = hub.bus.ask("predict/a", {"zone": said.zone, "t": NOW})
+    asked = read(Prediction, answer[1], pack=True)
+    assert (said.camera, said.t, said.track, said.version) == ("a", NOW, "7", site.version)
+    assert [one.zone for one in said.next_[:2]] == [one.zone for one in asked.next_[:2]]
+    assert {one.camera for one in said.next_[:2]} == {"b", "c"}
+    assert said.next_[0].probability == pytest.approx(asked.next_[0].probability, abs=0.01)
+    assert 7 < said.next_[0].q50 < 11
+    by_zone = site.predict("a", NOW, zone=said.zone)
+    assert by_zone.next_[0].probability == pytest.approx(said.next_[0].probability, abs=0.05)
+
+
+def test_what_has_been_told_since_counts_when_asked_again(site: Topology) -> None:
+    """Whoever leaves a at 0.9, 0.5 appears at b or c 9 s later, as a rule."""
+    left = Event("a", "exit", NOW, 0.9, 0.5, "7")
+    for event in (Event("a", "entry", NOW - 4.0, 0.1, 0.5, "7"), Event("b", "exit", NOW - 1.0)):
+        site.observe(event)
+    at_exit = site.predict(**LEFT, track="7")
+    assert site.predict(**LEFT, track="7", now=NOW) == at_exit
+    late = site.predict(**LEFT, track="7", now=NOW + 60)
+    assert late.leave > 0.8 > 0.3 > at_exit.leave
+    site.observe(left)
+    again = site.predict(**LEFT, track="7", now=NOW + 60)
+    assert again.leave == pytest.approx(late.leave), "told or not, and after which passage is still known"
+    site.observe(Event("b", "entry", NOW + 9.0, 0.1, 0.5))
+    for zone in (None, at_exit.zone):
+        asked = {"zone": zone} if zone else {"x": 0.9, "y": 0.5}
+        came = site.predict("a", NOW, **asked, now=NOW + 60)  # type: ignore[arg-type]
+        assert came.next_[0].camera == "b"
+        assert came.next_[0].probability > 0.9
+        assert came.next_[0].q10 <= 9.0 <= came.next_[0].q90 < 12.0
+        with pytest.raises(ValueError, match=r"now is .*: give the time of the exit"):
+            site.predict("a", NOW, **asked, now=NOW - 0.5)  # type: ignore[arg-type]
+
+
+def test_numbers_may_be_those_of_an_array(site: Topology) -> None:
+    kept = np.array([NOW, 0.9, 0.5])
+    assert site.predict("a", kept[0], x=kept[1], y=kept[2], track=np.int64(17)) == site.predict(**LEFT, track="17")  # type: ignore[arg-type]
+
+
+def test_who_tells_of_one_camera_does_not_make_the_others_dead(site: Topology) -> None:
+    before = site.predict(**LEFT)
+    for number in range(3000):
+        site.observe(Event("a", "entry", NOW + number, 0.1, 0.5))
+    after = site.predict("a", NOW + 3600, x=0.9, y=0.5)
+    assert [one.probability for one in after.next_] == pytest.approx([one.probability for one in before.next_])
+
+
+def test_priors_are_those_of_the_version_held(site: Topology) -> None:
+    assert site.gate("a/2", NOW, "b", NOW + 9.0) > site.gate_new("b") + site.gate_gone("a/2")
+    odds = site.affinity(
+        [Event("a", "exit", NOW, 0.9, 0.5), Event("a", "exit", NOW + 20.0, 0.9, 0.5)],
+        [Event("b", "entry", NOW + 9.0, 0.1, 0.5), Event("c", "entry", NOW + 29.0, 0.1, 0.5)],
+    )
+    assert (odds[0, 0], odds[1, 1]) > (0.0, 0.0)
+    assert odds[0, 1] < 0
+    assert odds[1, 0] < 0
+
+
+def test_what_makes_no_sense_is_said(hub: Hub, site: Topology) -> None:
+    with pytest.raises(UnknownPlace, match="no camera 'd'; there are"):
+        site.predict("d", NOW, x=0.5, y=0.5)
+    with pytest.raises(KeyError, match=r"no zone of a called 'b/1'; there are a/\d, a/\d"):
+        site.predict("a", NOW, zone="b/1")
+    with pytest.raises(ValueError, match="a zone or a position, not both"):
+        site.predict(**LEFT, zone="a/1")
+    with pytest.raises(ValueError, match="x and y go together"):
+        site.predict("a", NOW, x=0.5)
+    with pytest.raises(ValueError, match="camera 'a/b': 1 to 64"):
+        site.predictions("a/b")
+    with pytest.raises(ValueError, match="waiting_max 0: at least 1"):
+        site.predictions("a", waiting_max=0)
+    with pytest.raises(ValueError, match=r"connect '192\.0\.2\.1': write it like tcp/"):
+        Topology.connect(connect="192.0.2.1")
+    with pytest.raises(ValueError, match="site 'h q': 1 to 64"):
+        Topology.connect("h q")
+    tls = Config(bus=BusSettings(tls=TlsSettings("ca.pem", "certificate.pem", "key.pem")))
+    with pytest.raises(ValueError, match="write tls/"):
+        Topology.connect(connect=hub.daemon.endpoint, config=tls)
+
+
+def test_nobody_there_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "camtopod.toml"
+    path.write_text("[bus]\nconnect_seconds = 0.2\n")
+    with pytest.raises(BusError, match="is `camtopod run` running there"):
+        Topology.connect(connect=free_endpoint(), config=path)
+
+
+def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
+    authority = Authority.make(tmp_path / "keys", "hq", time.time(), 7300, replace=False)
+    for role, name in (("daemon", "daemon"), ("reader", "wall")):
+        authority.issue(role, name, 100)
+    access = tmp_path / "access.json"
+    access.write_bytes(msgspec.json.encode(rules.Access("hq", authority.access.certificates)))
+
+    def files(folder: str) -> list[str]:
+        return [str(tmp_path / "keys" / folder / name) for name in ("ca.pem", "certificate.pem", "private.key")]
+
+    endpoint = free_endpoint().replace("tcp/127.0.0.1", "tls/localhost")
+    bus = BusSettings(listen=(endpoint,), tls=TlsSettings(*files("daemon"), access=str(access)))
+    ca, certificate, private_key = files("reader/wall")
+    config = tmp_path / "reader.toml"
+    config.write_text(
+        f'[site]\nname = "hq"\n[bus]\nconnect = ["{endpoint}"]\n'
+        f'[bus.tls]\nca = "{ca}"\ncertificate = "{certificate}"\nprivate_key = "{private_key}"\n'
+    )
+    with running(tmp_path, endpoint, bus, "hq") as daemon, Topology.connect(config=config) as site:
+        assert (site.site, site.version, site.stale_since) == ("hq", 0, None)
+        put(daemon.bus, *(events := [*numbered(walkers(40)), closing_event()]))
+        version = learned(daemon, events)
+        assert site.wait_for(version.version, 20.0).links
+        with site.predictions() as predictions:
+            there(site)
+            put(daemon.bus, Event("a", "exit", NOW, 0.9, 0.5))
+            assert predictions.get(10.0) is not None
+
+
+# --- the daemon's own predictions -----------------------------------------------------------------
+
+
+def test_each_exit_is_heard_of(hub: Hub, site: Topology) -> None:
+    with site.predictions() as everywhere, site.predictions("b", seconds=0.5) as of_b:
+        there(site)
+        exits = sorted((e.camera, e.t, e.track) for e in hub.walks(5, 14) if e.kind == "exit")
+        heard = [everywhere.get(10.0) for _ in exits]
+        assert sorted((p.camera, p.t, p.track) for p in heard if p is not None) == exits
+        assert everywhere.get(0.0) is None
+        assert [p.t for p in of_b] == [t for camera, t, _ in exits if camera == "b"], "ends when none comes for 0.5 s"
+        assert (everywhere.dropped, everywhere.unreadable) == (0, 0)
+        hub.bus.put_raw("prediction/b", b"\xc1", "prediction")
+        wait_for(lambda: everywhere.unreadable == of_b.unreadable == 1, "what is no prediction")
+
+
+def test_who_does_not_read_loses_the_oldest_and_is_told(hub: Hub, site: Topology) -> None:
+    with site.predictions("a", waiting_max=3) as predictions:
+        there(site)
+        times = sorted(e.t for e in hub.walks(10, 15) if e.kind == "exit" and e.camera == "a")
+        wait_for(lambda: predictions.dropped == 7, "the oldest to be dropped")
+        assert [getattr(predictions.get(0.0), "t", None) for _ in range(4)] == [*times[-3:], None]
+
+
+def test_closing_lets_go_who_waits(hub: Hub) -> None:
+    site = Topology.connect(connect=hub.daemon.endpoint)
+    ended: list[str] = []
+
+    def read_on() -> None:
+        ended.extend(str(p) for p in site.predictions())
+        ended.append("predictions")
+
+    def follow() -> None:
+        ended.extend("" for version in site.versions() if version.version > 10**6)
+        ended.append("versions")
+
+    threads = [threading.Thread(target=work, daemon=True) for work in (read_on, follow)]
+    for thread in threads:
+        thread.start()
+    wait_for(lambda: bool(site._inboxes), "somebody to wait")
+    site.close()
+    site.close()
+    for thread in threads:
+        thread.join(10.0)
+    assert sorted(ended) == ["predictions", "versions"]
+    with pytest.raises(TimeoutError, match="closed while"):
+        site.wait_for(10**6, 10.0)
+
+
+def test_nobody_begins_to_wait_while_it_closes_or_after(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+    site = Topology.connect(connect=hub.daemon.endpoint)
+    leave, refused = site._bus.close, []
+
+    def leaving() -> None:
+        try:
+            site.predictions()
+        except BusError as error:
+            refused.append(str(error))
+        leave()
+
+    monkeypatch.setattr(site._bus, "close", leaving)
+    site.close()
+    assert refused == ["the topology of site site has been closed: connect again"]
+    with pytest.raises(BusError, match="has been closed"):
+        site.predictions()
+
+
+def test_one_may_wait_for_ever(site: Topology) -> None:
+    closing = threading.Timer(0.05, site.close)
+    closing.start()
+    with pytest.raises(TimeoutError, match="closed while"):
+        site.wait_for(10**6, math.inf)
+    closing.join()
+
+
+# --- as a package ---------------------------------------------------------------------------------
+
+
+def test_it_needs_only_the_core_packages() -> None:
+    """And of those not OpenCV: a program in which nothing else can be imported imports it."""
+    program = """
+import sys
+class Only:
+    def find_spec(self, name, path=None, target=None):
+        top = name.split(".")[0]
+        if top[0] != "_" and top not in {"camtopod", "zenoh", "numpy", "scipy", "msgspec", *sys.stdlib_module_names}:
+            raise ModuleNotFoundError(f"{name} is not among them", name=name)
+sys.meta_path.insert(0, Only())
+import camtopod.client.aio
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stderr == ""

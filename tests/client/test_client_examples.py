@@ -1,0 +1,177 @@
+"""The examples of the client library as their readers run them, against a real daemon; README shows the same."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_bus_daemon import NOW, Hub, a_hub, learned, put, running
+from paths import EXAMPLES, ROOT
+from serving import T0, closing_event, free_endpoint, numbered, small_config, wait_for
+
+from camtopod.codec import to_json
+from camtopod.records import Event
+from camtopod.serve.bus.session import dial
+
+README = (ROOT / "README.md").read_text()
+LINES_MAX = 10
+"""Without imports."""
+
+
+@pytest.fixture(scope="module")
+def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
+    with a_hub(tmp_path_factory.mktemp("hub")) as one:
+        yield one
+
+
+def said(hub: Hub, name: str, events: list[Event], looks: dict[str, list[float]] | None = None) -> list[str]:
+    """What an example prints when it is told of the events, and of how the people of tracks look."""
+    command = [sys.executable, str(EXAMPLES / name), hub.daemon.endpoint]
+    lines = [json.loads(to_json(event)) for event in events]
+    if looks is not None:
+        lines = [{**line, "look": looks[line["track"]]} for line in lines]
+    given = "".join(json.dumps(line) + "\n" for line in lines).encode()
+    done = subprocess.run(command, input=given, capture_output=True, timeout=100)
+    assert done.stderr == b""
+    return done.stdout.decode().splitlines()
+
+
+def walk(track: int, t: float, to: str) -> list[Event]:
+    """From the view of a to another, which takes 9 s."""
+    a, other = (str(10 * track + k) for k in (1, 2))
+    return [
+        Event("a", "entry", t, 0.11, 0.5, a),
+        Event("a", "exit", t + 4, 0.89, 0.5, a),
+        Event(to, "entry", t + 13, 0.11, 0.5, other),
+        Event(to, "exit", t + 17, 0.89, 0.5, other),
+    ]
+
+
+def test_where_next(hub: Hub) -> None:
+    found = re.fullmatch(r"a -> [bc] (\d+)%, in (\d+) to (\d+) s", said(hub, "next_camera.py", walk(1, NOW, "b"))[0])
+    assert found is not None
+    chance, soonest, latest = map(int, found.groups())
+    assert 40 <= chance <= 60
+    assert 6 <= soonest < 9 < latest <= 12
+
+
+def through_both(number: int, t: float) -> list[Event]:
+    """Eight seconds in the view of a, of which the last three in that of b, too."""
+    a, b = (str(10 * number + k) for k in (1, 2))
+    return [
+        Event("a", "entry", t, 0.11, 0.5, a),
+        Event("b", "entry", t + 5, 0.11, 0.5, b),
+        Event("a", "exit", t + 8, 0.89, 0.5, a),
+        Event("b", "exit", t + 14, 0.89, 0.5, b),
+    ]
+
+
+def test_where_views_overlap_the_track_that_goes_on_is_named(tmp_path: Path) -> None:
+    begin = np.cumsum(np.random.default_rng(3).exponential(20.0, 200))
+    events = [event for number, t in enumerate(begin) for event in through_both(number, T0 + float(t))]
+    events = [*numbered(sorted(events, key=lambda event: event.t)), closing_event()]
+    with running(tmp_path, free_endpoint()) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
+        put(bus, *events)
+        learned(daemon, events)
+        command = [sys.executable, str(EXAMPLES / "handing_over.py"), daemon.endpoint]
+        two = sorted([*through_both(301, NOW), *through_both(302, NOW + 2)], key=lambda event: event.t)
+        given = b"".join(to_json(event) + b"\n" for event in two)
+        done = subprocess.run(command, input=given, capture_output=True, timeout=100)
+    assert done.stderr == b""
+    found = [line.rsplit(" ", 1) for line in done.stdout.decode().splitlines()]
+    assert [pair for pair, _ in found] == ["a/3011 = b/3012", "a/3021 = b/3022"]
+    assert all(int(share.rstrip("%")) >= 70 for _, share in found)
+
+
+def test_who_is_who(hub: Hub) -> None:
+    events = sorted([*walk(1, NOW, "b"), *walk(2, NOW + 6, "c"), *walk(3, NOW + 60, "b")], key=lambda event: event.t)
+    assert sorted(said(hub, "gating.py", events)) == ["a/11 = b/12", "a/21 = c/22", "a/31 = b/32"]
+
+
+def test_who_is_who_by_looks_and_by_the_site(hub: Hub) -> None:
+    """Of two at the same time looks tell; of two who look alike, the times and ways that the site knows."""
+    two = [*walk(1, NOW, "b"), *walk(2, NOW + 0.3, "b"), *walk(3, NOW + 300, "b")]
+    red, blue = [1.0, 0.0, 0.2], [0.0, 1.0, 0.2]
+    looks = {"11": red, "21": blue, "12": blue, "22": red, "31": red, "32": red}
+    found = said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), looks)
+    assert sorted(found) == ["a/11 = b/22", "a/21 = b/12", "a/31 = b/32"]
+    alike = said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), dict.fromkeys(looks, red))
+    assert len(alike) == 3
+    assert "a/31 = b/32" in alike
+    strangers = {**looks, "32": blue}
+    assert sorted(said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), strangers)) == found[:2]
+
+
+def test_as_it_comes(hub: Hub) -> None:
+    """Until interrupted, after which nothing keeps the process."""
+    command = [sys.executable, "-u", str(EXAMPLES / "in_asyncio.py"), hub.daemon.endpoint]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
+        assert running.stdout is not None
+        lines: list[str] = []
+        reader = threading.Thread(target=lines.extend, args=(running.stdout,), daemon=True)
+        reader.start()
+
+        def heard() -> bool:
+            hub.walks(1, 15)
+            return any(re.match(r"a -> \['[bc]'\]", line) for line in lines)
+
+        try:
+            wait_for(heard, "a prediction")
+            running.send_signal(signal.SIGINT)
+            running.wait(30)
+        finally:
+            running.kill()
+        reader.join()
+    assert re.match(r"version \d+: \d pairs of cameras", lines[0])
+
+
+def test_the_bus_itself_as_readme_shows_it(hub: Hub) -> None:
+    """The lines without camtopod, word for word but for where the daemon is."""
+    [shown] = re.findall(r"^```python\n(import json, msgspec, zenoh\n.*?)^```$", README, re.DOTALL | re.MULTILINE)
+    assert len([line for line in shown.splitlines() if line and not line.startswith("import ")]) <= LINES_MAX
+    assert shown.count('"tcp/127.0.0.1:7447"') == 1
+    block = shown.replace("tcp/127.0.0.1:7447", hub.daemon.endpoint)
+    with subprocess.Popen([sys.executable, "-u", "-c", block], stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        lines: list[str] = []
+        reader = threading.Thread(target=lines.extend, args=(running.stdout,), daemon=True)
+        reader.start()
+
+        def prediction_quality() -> bool:
+            hub.walks(1, 15)
+            return len(lines) > 1
+
+        try:
+            wait_for(prediction_quality, "a prediction")
+        finally:
+            running.kill()
+        reader.join()
+    assert [pair["cameras"] for pair in ast.literal_eval(lines[0])] == [["a", "b"], ["a", "c"]]
+    prediction = ast.literal_eval(lines[1])
+    assert prediction["camera"] in "abc"
+    assert prediction["leave"] + sum(one["probability"] for one in prediction["next"]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", ["next_camera.py", "gating.py", "handing_over.py"])
+def test_it_takes_ten_lines(name: str) -> None:
+    lines = [line for line in code(name).splitlines() if line and not line.startswith(("import ", "from "))]
+    assert len(lines) <= LINES_MAX
+
+
+def test_readme_has_the_tested_lines() -> None:
+    section = README.split("\n## For trackers\n")[1].split("\n## ")[0]
+    assert f"```python\n{code('gating.py')}```" in section
+
+
+def code(name: str) -> str:
+    """An example without its docstring."""
+    return (EXAMPLES / name).read_text().split('"""', 2)[2].lstrip()

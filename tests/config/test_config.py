@@ -1,0 +1,333 @@
+"""Configuration: what a file says, every mistake at once with its line, and which line a key is on."""
+
+from __future__ import annotations
+
+import operator
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paths import DEPLOY
+
+from camtopod.cli.generated.example_config import attribute_docs, example
+from camtopod.config.settings import TABLES, CameraSettings, Config, ConfigError, load, parse
+from camtopod.config.toml_lines import key_lines
+
+EXAMPLE = DEPLOY / "camtopod.toml"
+
+
+def mistakes(text: str) -> list[tuple[int, str]]:
+    with pytest.raises(ConfigError) as caught:
+        parse(text)
+    return [(problem.line, problem.what) for problem in caught.value.problems]
+
+
+def test_nothing_said_is_every_default() -> None:
+    assert parse("") == Config()
+    assert Config().listens == ("tcp/127.0.0.1:7447",)
+    assert Config().dials == ("tcp/127.0.0.1:7447",)
+
+
+def test_what_is_said_is_used() -> None:
+    config = parse(
+        '[site]\nname = "hq"\n[bus]\nlisten = ["tcp/0.0.0.0:7000"]\n[learn]\nlateness_seconds = 7\n'
+        '[cameras.lobby]\nsource = "0"\n[cameras]\nhall.source = "x.mp4"\nhall.realtime = true\n'
+        "[limits]\nfuture_seconds_max = 5.5\n[vision]\nworking_width = 160\n"
+    )
+    assert config.site.name == "hq"
+    assert config.learn.lateness_seconds == 7.0
+    assert config.limits.future_seconds_max == 5.5
+    assert config.vision.working_width == 160
+    assert config.cameras == {"lobby": CameraSettings("0"), "hall": CameraSettings("x.mp4", realtime=True)}
+    assert config.listens == ("tcp/0.0.0.0:7000",)
+    assert config.dials == ("tcp/127.0.0.1:7000",)
+
+
+def test_a_daemon_that_dials_does_not_listen() -> None:
+    config = parse('[bus]\nconnect = ["tls/hub:7447"]')
+    assert (config.listens, config.dials) == ((), ("tls/hub:7447",))
+
+
+WRONG = """\
+[site]
+nmae = "hq"
+[bus]
+connect = ["tcp/1.2.3.4:7447",
+  5, "bogus"]
+[cameras.lobby]
+[cameras."bad id"]
+source = "rtsp://u:p@h/x"
+speed = 0
+[cameras.hall]
+source = 5
+realtime = "yes"
+[learn]
+lateness_seconds = "five"
+window_hours = -3
+future_seconds_max = 3
+transit_max_seconds = inf
+[limts]
+a = 1
+[limits]
+inbox_events_max = 0
+"""
+
+
+def test_every_mistake_at_once_with_its_line() -> None:
+    endpoint = "is not an endpoint; write it like 'tcp/127.0.0.1:7447'"
+    assert mistakes(WRONG) == [
+        (2, "site.nmae: no such key; did you mean 'name'?"),
+        (5, f"bus.connect: 'bogus' {endpoint}"),
+        (5, f"bus.connect: 5 {endpoint}"),
+        (6, "cameras.lobby: source is missing"),
+        (7, "cameras.bad id: a camera's id is 1 to 64 of the characters A-Z a-z 0-9 _ . -"),
+        (9, "cameras.bad id.speed: expected a number > 0.0"),
+        (11, "cameras.hall.source: expected a string, got a whole number"),
+        (12, "cameras.hall.realtime: expected true or false, got a string"),
+        (14, "learn.lateness_seconds: expected a number, got a string"),
+        (15, "learn.window_hours: expected a number > 0.0"),
+        (16, "learn.future_seconds_max: no such key; it belongs in [limits]"),
+        (17, "learn.transit_max_seconds: expected a finite number"),
+        (18, "limts: no such table; did you mean 'limits'?"),
+        (21, "limits.inbox_events_max: expected a whole number >= 1"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "[site]\nname = hq\nnaem = 'x'\n",
+            [(2, "invalid value"), (3, "site.naem: no such key; did you mean 'name'?")],
+        ),
+        ('[site]\nname = "hq\n', [(2, "illegal character '\\n'")]),
+        ("[site\n", [(1, "expected ']' at the end of a table declaration")]),
+        ("[bus]\nconnect = [\n'tcp/a:1'\n", [(3, "unclosed array")]),
+        ("a = 1\na = 2\n", [(1, "a: no such table; known are"), (2, "cannot overwrite a value")]),
+        ("site = 5\n", [(1, "site: expected a table [site]")]),
+        ("cameras = 5\n", [(1, "cameras: expected tables [cameras.ID]")]),
+        ("[cameras]\nlobby = 'x'\n", [(2, "cameras.lobby: expected a table [cameras.lobby]")]),
+        ("x = '''\n", [(1, "expected")]),
+        ("[cameras.daemon]\nsource = '0'\n", [(1, "cameras.daemon: this name is taken on the bus")]),
+    ],
+)
+def test_syntax_and_shape(text: str, expected: list[tuple[int, str]]) -> None:
+    found = mistakes(text)
+    assert [line for line, _ in found] == [line for line, _ in expected]
+    for (_, what), (_, begins) in zip(found, expected, strict=True):
+        assert what.lower().startswith(begins.lower())
+
+
+def test_a_file_that_is_not_text(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_bytes(b"[site]\nname = '\xff'\n")
+    with pytest.raises(ConfigError, match=re.escape(f"{path}:2: the file is not UTF-8")):
+        load(path)
+    with pytest.raises(OSError, match="No such file"):
+        load(tmp_path / "none.toml")
+
+
+@given(st.text(alphabet="[]{}=.,\"'#\n\\ ab1-", max_size=60))
+@settings(max_examples=150, deadline=None)
+def test_any_text_is_a_configuration_or_a_mistake_with_a_line(text: str) -> None:
+    try:
+        parse(text)
+    except ConfigError as error:
+        problems = error.problems
+    else:
+        return
+    assert problems
+    assert all(1 <= problem.line <= text.count("\n") + 1 for problem in problems)
+
+
+# --- which line a key is on -----------------------------------------------------------------------
+
+LINES = '''\
+top = 1 # comment = 2
+"quoted key" = "a # b"
+'lit.eral' = 'c = d'
+dotted . "x y".z = 3
+multi = """
+not = "a key"
+[nor.a.table] \\"""
+"""
+literal = \'\'\'
+x = 1\'\'\'
+array = [ # comment ]
+  1,
+  "two]", # more
+  [3, [4,
+   5]],
+]
+when = 1979-05-27 07:32:00
+inline = { a = 1, b.c = [ {d = 2}, 3 ], "e" = """
+""" }
+[table]
+key = true
+[table."sub.table"]
+key = -1.5e3
+[[list]]
+name = "one"
+[[list]]
+name = "two"
+[list.inner]
+deep = 0x1F
+[[list.many]]
+k = 1
+[[list.many]]
+k = 2
+'''
+
+EXPECTED = {
+    ("top",): 1, ("quoted key",): 2, ("lit.eral",): 3, ("dotted",): 4, ("dotted", "x y"): 4,
+    ("dotted", "x y", "z"): 4, ("multi",): 5, ("literal",): 9, ("array",): 11, ("array", 0): 12,
+    ("array", 1): 13, ("array", 2): 14, ("array", 2, 0): 14, ("array", 2, 1): 14,
+    ("array", 2, 1, 0): 14, ("array", 2, 1, 1): 15, ("when",): 17, ("inline",): 18, ("inline", "a"): 18,
+    ("inline", "b"): 18, ("inline", "b", "c"): 18, ("inline", "b", "c", 0): 18,
+    ("inline", "b", "c", 0, "d"): 18, ("inline", "b", "c", 1): 18, ("inline", "e"): 18, ("table",): 20,
+    ("table", "key"): 21, ("table", "sub.table"): 22, ("table", "sub.table", "key"): 23, ("list",): 24,
+    ("list", 0): 24, ("list", 0, "name"): 25, ("list", 1): 26, ("list", 1, "name"): 27,
+    ("list", 1, "inner"): 28, ("list", 1, "inner", "deep"): 29, ("list", 1, "many"): 30,
+    ("list", 1, "many", 0): 30, ("list", 1, "many", 0, "k"): 31, ("list", 1, "many", 1): 32,
+    ("list", 1, "many", 1, "k"): 33,
+}  # fmt: skip
+
+
+def paths(value: Any, path: tuple[str | int, ...] = ()) -> set[tuple[str | int, ...]]:
+    """Every path into what tomllib read."""
+    found = {path} if path else set()
+    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in pairs:
+        found |= paths(inner, (*path, key))
+    return found
+
+
+def test_lines_of_a_document_with_everything_in_it() -> None:
+    assert key_lines(LINES) == EXPECTED
+    assert set(EXPECTED) == paths(tomllib.loads(LINES))
+
+
+keys = st.text(alphabet="ab.\"'=#[] ", max_size=4)
+scalars = st.one_of(
+    st.integers(-5, 5),
+    st.booleans(),
+    st.text(alphabet="ab\"'\n\\#=[]{},", max_size=8),
+    st.floats(allow_nan=False),
+)
+values = st.recursive(
+    scalars,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(keys, inner, max_size=3),
+    max_leaves=6,
+)
+
+
+def render(value: Any) -> str:
+    """Inline TOML; arrays over several lines, now and then a multi-line string."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        text = msgspec.json.encode(value).decode()
+        return f'""{text}""' if len(value) % 2 and not value.endswith('"') else text
+    if isinstance(value, list):
+        return "[\n" + "".join(f" {render(item)}, # ]\n" for item in value) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{render_key(key)} = {render(item)}" for key, item in value.items()) + "}"
+    return repr(value)
+
+
+def render_key(key: str) -> str:
+    return msgspec.json.encode(key).decode() if '"' in key or "'" in key or not key else f"'{key}'"
+
+
+@given(
+    st.dictionaries(keys, values, max_size=4),
+    st.dictionaries(keys, st.dictionaries(keys, values, max_size=3)),
+)
+@settings(max_examples=100, deadline=None)
+def test_lines_agree_with_the_parser(top: dict[str, Any], tables: dict[str, dict[str, Any]]) -> None:
+    tables = {name: table for name, table in tables.items() if name not in top}
+    text, expected = "", {}
+    for key, value in top.items():
+        expected[(key,)] = text.count("\n") + 1
+        text += f"{render_key(key)} = {render(value)}\n"
+    for name, table in tables.items():
+        expected[(name,)] = text.count("\n") + 1
+        text += f"[ {render_key(name)} ] # x\n"
+        for key, value in table.items():
+            expected[(name, key)] = text.count("\n") + 1
+            text += f"{render_key(key)}={render(value)}\n"
+    lines = key_lines(text)
+    assert set(lines) == paths(tomllib.loads(text))
+    assert {path: lines[path] for path in expected} == expected
+
+
+# --- the example ----------------------------------------------------------------------------------
+
+
+def test_the_example_is_right_and_says_every_default() -> None:
+    text = example()
+    assert parse(text).site.name == "hq"
+    commented_in = re.sub(r"(?m)^# (\w+ = )", r"\1", text)
+    config = parse(commented_in)
+    defaults = Config()
+    for name in TABLES:
+        if name != "site":
+            assert operator.attrgetter(name)(config) == operator.attrgetter(name)(defaults)
+    for name, kind in TABLES.items():
+        for field in kind.__struct_fields__:
+            if f"{name}.{field}" not in TABLES:
+                assert re.search(rf"(?m)^(# )?{field} = ", text), f"{name}.{field}"
+
+
+@pytest.mark.parametrize("kind", [*TABLES.values(), CameraSettings])
+def test_every_setting_says_what_it_is(kind: type[msgspec.Struct]) -> None:
+    assert set(attribute_docs(kind)) == set(kind.__struct_fields__)
+
+
+def test_the_deployed_example_is_the_program_s() -> None:
+    load(EXAMPLE)
+    assert EXAMPLE.read_text(encoding="utf-8") == example(), "camtopod check --example > deploy/camtopod.toml"
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "analysed_fps", "working_width", "background_seconds", "tracks_max", "patience_seconds",
+        "open_timeout_seconds", "read_timeout_seconds", "backoff_min_seconds", "backoff_max_seconds",
+    ],
+)  # fmt: skip
+def test_numbers_that_would_end_a_grabber_later_are_refused_here(key: str) -> None:
+    ((line, what),) = mistakes(f"[vision]\n{key} = 0\n")
+    assert (line, what.removesuffix("> 0.0").removesuffix(">= 1").replace("whole ", "")) == (
+        2,
+        f"vision.{key}: expected a number ",
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ('[site]\nname = "a b"', "site.name: expected 1 to 64 of the characters A-Z a-z 0-9 _ . -"),
+        ('[health]\nlisten = "8787"', "health.listen: expected an address and a port, like 127.0.0.1:8787"),
+    ],
+)
+def test_a_pattern_is_told_in_words(text: str, what: str) -> None:
+    assert mistakes(text) == [(2, what)]
+
+
+def test_numbers_that_would_end_the_daemon_later_are_refused_here() -> None:
+    assert mistakes("[learn]\ntransit_max_seconds = 0\nwindow_hours = 0\npublish_q_max = 2") == [
+        (2, "learn.transit_max_seconds: expected a number > 0.0"),
+        (3, "learn.window_hours: expected a number > 0.0"),
+        (4, "learn.publish_q_max: expected a number <= 1.0"),
+    ]
+    assert mistakes("[learn]\nversion_seconds = 0\n[limits]\npull_seconds = 1e15\ncommit_seconds = -1") == [
+        (2, "learn.version_seconds: expected a number > 0.0"),
+        (4, "limits.pull_seconds: expected at most 9e+09"),
+        (5, "limits.commit_seconds: must not be negative"),
+    ]

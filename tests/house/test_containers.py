@@ -1,0 +1,165 @@
+"""The files for containers: what they start exists, what they confine is confined, and a router runs as they say."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+import zenoh
+from paths import DEPLOY
+from serving import free_endpoint, numbered, small_config, wait_for, walkers
+
+from camtopod.cli.main import COMMANDS, parser_of
+from camtopod.config.settings import Config, parse
+from camtopod.keys import rules
+from camtopod.serve.bus import session as buses
+from camtopod.serve.daemon import Daemon
+
+COMPOSE = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
+KUBERNETES = list(yaml.safe_load_all((DEPLOY / "kubernetes.yaml").read_text()))
+CONTAINERFILE = (DEPLOY / "Containerfile").read_text()
+[USER] = re.findall(r"^USER (\S+)$", CONTAINERFILE, re.MULTILINE)
+[ENTRYPOINT] = [json.loads(line) for line in re.findall(r"^ENTRYPOINT (.*)$", CONTAINERFILE, re.MULTILINE)]
+
+
+def of_kind(kind: str) -> list[dict[str, Any]]:
+    return [document for document in KUBERNETES if document["kind"] == kind]
+
+
+def containers() -> list[dict[str, Any]]:
+    pods = [document["spec"]["template"]["spec"] for document in of_kind("Deployment") + of_kind("StatefulSet")]
+    return [container for pod in pods for container in pod["containers"]]
+
+
+def routers(tmp_path: Path) -> dict[str, zenoh.Config]:
+    """Every configuration of a router there is, as zenoh reads it."""
+    [config_map] = of_kind("ConfigMap")
+    inline = tmp_path / "inline.json5"
+    inline.write_text(config_map["data"]["router.json5"])
+    return {
+        "compose": zenoh.Config.from_file(str(DEPLOY / "router.json5")),
+        "kubernetes": zenoh.Config.from_file(str(inline)),
+    }
+
+
+def test_compose_confines_every_container() -> None:
+    services = COMPOSE["services"]
+    assert set(services) == {"router", "daemon", "grabbers", "web"}
+    for name, service in services.items():
+        assert (service["user"], service["read_only"], service["cap_drop"]) == (USER, True, ["ALL"]), name
+        assert service["security_opt"] == ["no-new-privileges:true"]
+        assert not {"privileged", "network_mode", "pid", "ipc"} & set(service)
+        assert all(port.startswith("127.0.0.1:") for port in service.get("ports", []))
+        assert all(":/etc/camtopod" not in volume or volume.endswith(":ro") for volume in service["volumes"])
+        assert "healthcheck" in service or name == "grabbers", "which look after their cameras themselves"
+        assert service["mem_limit"]
+        assert service["pids_limit"]
+
+
+def test_compose_starts_what_there_is() -> None:
+    parser, _ = parser_of(COMMANDS)
+    started = {}
+    for name, service in COMPOSE["services"].items():
+        if service["image"] == "camtopod":
+            args = parser.parse_args([*ENTRYPOINT[1:], *service["command"]])
+            started[name] = args.command
+            assert args.connect == ["tcp/router:7447"]
+            assert service["depends_on"] == {"router": {"condition": "service_healthy"}}
+    assert started == {"daemon": "run", "grabbers": "grab", "web": "web"}
+    named = {volume.split(":")[0] for service in COMPOSE["services"].values() for volume in service["volumes"]}
+    assert set(COMPOSE["volumes"]) == {name for name in named if name.isalpha()}
+    assert (DEPLOY / "router.json5").is_file()
+    extras = re.findall(r"/source\[([a-z,]+)\]", CONTAINERFILE)
+    assert extras == ["metrics,mqtt,web"]
+
+
+def test_the_page_is_shown_the_pictures_that_init_keeps() -> None:
+    command = COMPOSE["services"]["web"]["command"]
+    folder = command[command.index("--pictures") + 1]
+    assert f"init --pictures {folder} --out " in (DEPLOY / "compose.md").read_text()
+    [site] = [volume.split(":")[-2] for volume in COMPOSE["services"]["web"]["volumes"]]
+    assert Path(folder).parent == Path(site)
+
+
+@pytest.mark.parametrize("service", ["daemon", "web"])
+def test_what_a_health_check_asks_is_listened_to(service: str) -> None:
+    asked = re.findall(r"http://127\.0\.0\.1:([0-9]+)/", " ".join(COMPOSE["services"][service]["healthcheck"]["test"]))
+    assert [f"127.0.0.1:{port}:{port}" for port in asked] == COMPOSE["services"][service]["ports"]
+    if service == "web":
+        assert f"0.0.0.0:{asked[0]}" in COMPOSE["services"][service]["command"]
+    else:
+        [said] = re.findall(r"camtopod\.toml <<'END'\n(.*?)END\n", (DEPLOY / "compose.md").read_text(), re.DOTALL)
+        assert parse(said).health.listen == f"0.0.0.0:{asked[0]}"
+
+
+def test_kubernetes_confines_every_container_and_starts_what_there_is() -> None:
+    for container in containers():
+        confined = container["securityContext"]
+        assert (confined["runAsNonRoot"], confined["readOnlyRootFilesystem"]) == (True, True)
+        assert (confined["allowPrivilegeEscalation"], confined["capabilities"]) == (False, {"drop": ["ALL"]})
+        assert confined["runAsUser"] == int(USER.split(":")[0])
+        assert "memory" in container["resources"]["limits"]
+    [daemon] = [container for container in containers() if container["image"] == "camtopod"]
+    parser, _ = parser_of(COMMANDS)
+    args = parser.parse_args([*ENTRYPOINT[1:], *[arg.replace("$(ORDINAL)", "7") for arg in daemon["args"]]])
+    assert (args.command, args.shard) == ("run", (7, 8))
+    [config_map] = of_kind("ConfigMap")
+    listen = parse(config_map["data"]["camtopod.toml"]).health.listen
+    [port] = daemon["ports"]
+    assert listen == f"0.0.0.0:{port['containerPort']}"
+    [stateful] = of_kind("StatefulSet")
+    assert stateful["spec"]["template"]["metadata"]["annotations"] == {
+        "prometheus.io/scrape": "true",
+        "prometheus.io/port": str(port["containerPort"]),
+        "prometheus.io/path": "/metrics",
+    }
+
+
+def test_kubernetes_lets_only_the_daemons_reach_the_bus() -> None:
+    [policy], [router], [daemons], [service] = map(of_kind, ("NetworkPolicy", "Deployment", "StatefulSet", "Service"))
+    spec = policy["spec"]
+    assert spec["podSelector"]["matchLabels"] == router["spec"]["template"]["metadata"]["labels"]
+    assert (spec["policyTypes"], len(spec["ingress"])) == (["Ingress"], 1)
+    [rule] = spec["ingress"]
+    labels = daemons["spec"]["template"]["metadata"]["labels"]
+    assert labels != spec["podSelector"]["matchLabels"]
+    assert rule["from"] == [{"podSelector": {"matchLabels": labels}}]
+    assert rule["ports"] == [{"port": port["port"]} for port in service["spec"]["ports"]]
+
+
+def test_images_are_pinned() -> None:
+    for image in [COMPOSE["services"]["router"]["image"], *(container["image"] for container in containers())]:
+        assert image == "camtopod" or re.fullmatch(r"docker\.io/eclipse/zenoh:1\.10\.[0-9]+", image)
+
+
+def test_a_router_looks_for_nobody(tmp_path: Path) -> None:
+    """As the daemon's own session and the router with certificates do."""
+    quiet = rules.quiet("router")
+    for name, config in routers(tmp_path).items():
+        for path in (
+            "mode",
+            "scouting/multicast/enabled",
+            "scouting/gossip/enabled",
+            "transport/shared_memory/enabled",
+        ):
+            assert json.loads(config.get_json(path)) == quiet[path], (name, path)
+        assert json.loads(config.get_json("listen/endpoints")) == ["tcp/0.0.0.0:7447"]
+        assert json.loads(config.get_json("transport/link/rx/max_message_size")) == Config().bus.message_bytes_max
+
+
+def test_events_pass_a_router(tmp_path: Path) -> None:
+    endpoint, config = free_endpoint(), routers(tmp_path)["compose"]
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    with (
+        zenoh.open(config),
+        Daemon(small_config(tmp_path / "daemon", endpoint)) as daemon,
+        buses.dial(small_config(tmp_path, endpoint)) as bus,
+    ):
+        events = numbered(walkers(5))
+        for event in events:
+            bus.put(f"event/{event.camera}", event, "event")
+        wait_for(lambda: daemon.status()["events"]["stored"] == len(events), "the events")

@@ -1,0 +1,39 @@
+"""Everything public says what it is: modules, classes, functions, methods, properties."""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+from paths import ROOT
+
+PACKAGE = ROOT / "camtopod"
+MODULES = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py"))
+Documented = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def unsaid(node: ast.Module | Documented, name: str) -> list[str]:
+    """Names of what has no docstring: this, or something public in it, wherever it is defined in a module or class."""
+    found = [] if ast.get_docstring(node) else [name]
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        return found  # what is inside belongs to nobody else
+    waiting = list[ast.AST](node.body)
+    while waiting:
+        one = waiting.pop(0)
+        if not isinstance(one, Documented):
+            waiting += ast.iter_child_nodes(one)  # behind an `if` or `try`
+        elif not one.name.startswith("_"):
+            found += unsaid(one, f"{name}:{one.lineno} {one.name}")
+    return found
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_everything_public_has_a_docstring(module: str) -> None:
+    assert unsaid(ast.parse((ROOT / module).read_text()), module) == []
+
+
+def test_what_is_unsaid_is_found() -> None:
+    said = '"""A module."""\nif x:\n  class A:\n    """A class."""\n    def {}(self):\n      def inner(): ...\n'
+    assert unsaid(ast.parse(said.format("_own")), "m") == []
+    assert unsaid(ast.parse(said.format("said")), "m") == ["m:3 A:5 said"]
+    assert unsaid(ast.parse("async def f(): ..."), "m") == ["m", "m:1 f"]

@@ -1,0 +1,160 @@
+"""Contexts of a departure: counted and backed off as by hand, and what they know about where objects go."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from synthetic_events import Views
+
+from camtopod.learn.association.candidates import Candidates, find_candidates
+from camtopod.learn.next_camera import contexts as module
+from camtopod.learn.next_camera.contexts import LEVELS, Contexts, Level, multipliers
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.topology.lag_bins import LagBins
+
+SHORT = LagBins(-3.0, 8.0)
+CAMERAS = np.array([0, 0, 1, 2], np.int32)
+"""Camera of each of four zones."""
+SINGLE = 5e-7
+"""Counts are kept in single precision, and what is left of one without a candidate's own share may be far smaller."""
+
+
+def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
+    """Passages anywhere at any time, some without a known entry or block."""
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.uniform(0, 40, n))
+    zone = rng.integers(0, 4, n).astype(np.int32)
+    arrivals = Arrivals(t, zone, CAMERAS[zone], np.full(n, 0.1), np.full(n, np.nan))
+    own = np.where(rng.random(n) < 0.7, np.arange(n), -1).astype(np.int32)
+    block = rng.integers(-1, 3, n).astype(np.int32)
+    stay = rng.uniform(0.1, 4, n)
+    order = np.argsort(t + stay)
+    zone = np.where(own >= 0, (zone // 2) * 2 + rng.integers(0, 2, n), zone).astype(np.int32)
+    since = np.where(own >= 0, t, -np.inf)
+    departures = Departures((t + stay)[order], zone[order], CAMERAS[zone[order]], since[order], np.full(n, np.nan),
+                            own[order], block[order])  # fmt: skip
+    return departures, arrivals, find_candidates(departures, arrivals, SHORT, 4)
+
+
+def surely(level: Level, context: int) -> dict[int, float]:
+    """Sure transitions of a context by zone."""
+    rows = slice(level.first[context], level.first[context + 1])
+    return dict(zip(level.target[rows].tolist(), level.transitions[rows].tolist(), strict=True))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 14))
+def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
+    departures, arrivals, found = anything(seed, n)
+    rng = np.random.default_rng(seed)
+    m = len(found.lag)
+    responsibility, share = rng.random(m) ** 3, rng.random(len(found.source))
+    gone, leave = rng.random((2, n))
+    contexts = Contexts(departures, arrivals, 4, 3)
+    counted, leaving = contexts.count(found, responsibility, gone, leave)
+    after, levels = contexts.judged(found, responsibility, share, counted), contexts.named(found, counted)
+    slow = naive.contexts(
+        departures, arrivals, list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True)),
+        responsibility, share[found.pair], gone, leave,
+        module.BACK_OFF_DEPARTURES, module.PREVIOUS_RESPONSIBILITY_MIN,
+    )  # fmt: skip
+    assert after == pytest.approx(slow[1], abs=SINGLE)
+    assert leaving == pytest.approx(slow[2])
+    assert len(levels) == len(LEVELS) == 4
+    for level, (n_of, moved_of) in zip(levels, slow[0], strict=True):
+        assert len(level.first) == len(level.zone) + 1
+        assert len(level.transitions) == sum(count > 0 for count in moved_of.values()), "only what occurs is kept"
+        for k in range(len(level.zone)):
+            key = int(level.zone[k]), *level.parts[k].tolist()
+            assert level.departures[k] == pytest.approx(n_of.get(key, 0.0))
+            to = surely(level, k)
+            assert list(to) == sorted(to)
+            for target in range(4):
+                assert to.get(target, 0.0) == pytest.approx(moved_of.get((key, target), 0.0))
+        assert sum(level.departures) == pytest.approx(sum(n_of.values()))
+        assert level.transitions.sum() == pytest.approx(sum(moved_of.values()))
+
+
+@given(st.lists(st.tuples(*[st.just(0.0) | st.floats(1e-9, 1)] * 2), min_size=1, max_size=10))
+def test_multipliers_are_bounded_ratios(pairs: list[tuple[float, float]]) -> None:
+    before, after = (np.array(column) for column in zip(*pairs, strict=True))
+    assert multipliers(before, after).tolist() == [
+        pytest.approx(naive.multiplier(b, a, module.MULTIPLIER_MAX)) for b, a in pairs
+    ]
+
+
+def told(views: Views, true: dict[float, float]) -> tuple[list[Level], Candidates, Departures, np.ndarray]:
+    """Levels when it is known who is who: ``true`` has, by the time of an exit, the time of the next appearance."""
+    departures, arrivals = views.columns()
+    zones = len(views.camera)
+    found = find_candidates(departures, arrivals, LagBins(-20.0, 120.0), zones)
+    right = np.array([true.get(departures.t[d]) == arrivals.t[a] for d, a in zip(*found[:2], strict=True)], float)
+    gone = 1.0 - np.minimum(np.bincount(found.departure, right, minlength=len(departures.t)), 1.0)
+    left = np.maximum(np.bincount(departures.zone, minlength=zones), 1)
+    share = np.bincount(found.pair, right, minlength=len(found.source)) / left[found.source]
+    leave = (np.bincount(departures.zone, gone, minlength=zones) / left)[departures.zone]
+    contexts = Contexts(departures, arrivals, zones, int(max(views.camera)) + 1)
+    counted, _ = contexts.count(found, right, gone, leave)
+    return contexts.named(found, counted), found, departures, contexts.judged(found, right, share, counted)
+
+
+@pytest.mark.parametrize("known", ["entry", "block"])
+def test_where_they_came_in_and_where_they_left_says_where_they_go(known: str) -> None:
+    """From zone 2, those who came in at 0 (or left in block 7) go to zone 3, the others to zone 4."""
+    rng = np.random.default_rng(0)
+    views, true, firsts = Views([0, 0, 0, 1, 2]), {}, []
+    for t in np.sort(rng.uniform(0, 20_000, 400)):
+        if first := rng.random() < 0.5:
+            firsts.append(t + 5)
+        entry, block = (0 if first else 1, -1) if known == "entry" else (0, 7 if first else 8)
+        views.through(t, t + 5, entry, 2, block)
+        views.through(t + 15, t + 20, 3 if first else 4, 3 if first else 4)
+        true[t + 5] = t + 15
+    levels, found, departures, after = told(views, true)
+    level = levels[LEVELS.index(known)]
+    context = {tuple(parts): k for k, parts in enumerate(level.parts.tolist()) if level.zone[k] == 2}
+    one, other = (context[0, -1], context[1, -1]) if known == "entry" else (context[-1, 7], context[-1, 8])
+    assert surely(level, one)[3] == pytest.approx(level.departures[one])
+    assert 4 not in surely(level, one)
+    assert surely(level, other)[4] == pytest.approx(level.departures[other])
+    candidate = found.source[found.pair] == 2
+    is_first = np.isin(departures.t[found.departure[candidate]], firsts)
+    to_three, share = found.target[found.pair[candidate]] == 3, after[candidate]
+    assert (share[is_first & to_three] > 0.95).all()
+    assert (share[~is_first & to_three] < 0.05).all()
+
+
+def test_a_context_seen_once_hardly_counts() -> None:
+    views, true = Views([0, 0, 1, 2]), {}
+    for k in range(40):
+        views.through(100.0 * k, 100.0 * k + 5, 0, 0)
+        views.through(100.0 * k + 15, 100.0 * k + 16, 2, 2)
+        true[100.0 * k + 5] = 100.0 * k + 15
+    views.through(5000.0, 5005.0, 1, 0)
+    views.through(5015.0, 5016.0, 3, 3)
+    true[5005.0] = 5015.0
+    _, found, departures, after = told(views, true)
+    (rare,) = np.flatnonzero((departures.t[found.departure] == 5005.0) & (found.target[found.pair] == 3))
+    assert after[rare] == pytest.approx(1 / 41)  # left out itself, there is nothing: as without the context
+
+
+def test_the_camera_before() -> None:
+    """Of those at zone 2 who came from camera 0 all go to zone 3; of the others none."""
+    rng = np.random.default_rng(1)
+    views, true = Views([0, 1, 2, 3, 4]), {}
+    for t in np.sort(rng.uniform(0, 40_000, 300)):
+        start, end = (0, 3) if rng.random() < 0.5 else (1, 4)
+        for step, zone in enumerate((start, 2, end)):
+            views.through(t + 20 * step, t + 20 * step + 5, zone, zone)
+            if zone != end:
+                true[t + 20 * step + 5] = t + 20 * step + 20
+    levels, found, _, after = told(views, true)
+    level = levels[LEVELS.index("previous")]
+    (row,) = np.flatnonzero((level.zone == 2) & (level.parts[:, 0] == 0))
+    assert surely(level, row)[3] == pytest.approx(level.departures[row])
+    right = found.target[found.pair] > 2
+    assert set(np.round(after[right]).tolist()) <= {0.0, 1.0}
+    assert np.mean((after[right] > 0.9) | (after[right] < 0.1)) == 1.0

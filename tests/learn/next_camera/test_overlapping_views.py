@@ -1,0 +1,167 @@
+"""Views that overlap: which they are, and which passages elsewhere are of the object that leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from synthetic_events import learned_from, passage
+
+from camtopod.codec import read_topology, to_json
+from camtopod.learn.next_camera import overlapping_views
+from camtopod.learn.next_camera.overlapping_views import Views, find_overlapping
+from camtopod.predict.hand_over import HandOver, look
+from camtopod.predict.predictor import Predictor
+from camtopod.records import Event, InView, NextCamera, Prediction, Topology
+from camtopod.sharding.parts import part_of
+from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
+
+BINS = offset_bins(LAG_SCALE_SECONDS, LAG_STEP)
+
+
+def made(seed: int, n: int, cameras: int = 3, span: float = 300.0) -> Views:
+    """Passages that have nothing to do with each other; some begin and end at the same instants."""
+    rng = np.random.default_rng(seed)
+    entered = np.floor(rng.uniform(0, span, n))
+    left = entered + np.floor(rng.exponential(15.0, n))
+    order = np.argsort(left, kind="stable")
+    return Views(rng.integers(0, cameras, n)[order].astype(np.int64), entered[order], left[order])
+
+
+@given(st.integers(0, 10**6), st.integers(0, 30), st.sampled_from([0.0, -20.0, 7.0]))
+def test_open_passages_equal_a_double_loop(seed: int, n: int, shift: float) -> None:
+    views = made(seed, n)
+    with pytest.MonkeyPatch.context() as limits:
+        limits.setattr(overlapping_views, "OPEN_PAIRS_AT_ONCE", 5)
+        found = [
+            pair for part in overlapping_views._open(views, slice(0, n), shift) for pair in zip(*part, strict=True)
+        ]
+    assert len(found) == len(set(found))
+    assert set(found) == naive.coexisting(*views, shift)
+
+
+@given(st.integers(0, 10**6), st.integers(1, 200), st.integers(0, 300))
+def test_the_newest_exits_count_beyond_the_limit(seed: int, n: int, most: int) -> None:
+    views = made(seed, n)
+    first = overlapping_views._newest(views, most)
+    pairs = [  # those of the same camera are counted, too, but for the passage itself
+        sum(views.entered[k] <= views.left[i] < views.left[k] for k in range(n)) for i in range(n)
+    ]
+    assert sum(pairs[first:]) <= most
+    assert first == 0 or sum(pairs[first - 1 :]) > most
+
+
+def walkers(seed: int, objects: int, share: float = 1.0, seconds: float = 30.0) -> list[Event]:
+    """Of the objects in the view of a this share enters that of b five seconds after it, and stays longer; others come
+    to b and c by themselves. One comes every so many ``seconds``.
+    """
+    rng = np.random.default_rng(seed)
+    events: list[Event] = []
+
+    for number in range(objects):
+        t = float(rng.uniform(0, seconds * objects))
+        events += passage("a", t, float(rng.uniform(8, 12)), f"a{number}")
+        if rng.random() < share:
+            events += passage("b", t + float(rng.normal(5, 0.5)), float(rng.uniform(12, 25)), f"b{number}")
+        for camera in "bc":
+            events += passage(
+                camera, float(rng.uniform(0, seconds * objects)), float(rng.uniform(5, 40)), f"{camera}x{number}"
+            )
+    return sorted(events, key=lambda event: event.t)
+
+
+def overlaps(topology: Topology) -> dict[tuple[str, str], float]:
+    assert topology.model is not None
+    return {(row.camera, row.to): row.share for row in topology.model.overlaps or []}
+
+
+def predictions(topology: Topology, events: list[Event]) -> Iterator[tuple[Event, Prediction]]:
+    predictor = Predictor(topology)
+    for event in events:
+        if event.kind == "exit":
+            yield event, predictor.predict(event)
+        predictor.observe(event)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.4])
+def test_views_that_overlap_are_found_with_the_share_that_is_in_both(share: float) -> None:
+    found = overlaps(learned_from(walkers(1, 200, share)))
+    assert found.keys() == {("a", "b")}
+    assert found["a", "b"] == pytest.approx(share, abs=0.15)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_views_with_nothing_to_do_with_each_other_do_not_overlap(seed: int) -> None:
+    """Not even where everybody comes in platoons of a minute or so, every five."""
+    rng = np.random.default_rng(seed)
+    begun = 300.0 * rng.integers(0, 60, 1500) + rng.normal(0, 25, 1500)
+    left = begun + rng.uniform(5, 40, 1500)
+    order = np.argsort(left)
+    views = Views(rng.integers(0, 6, 1500)[order].astype(np.int64), begun[order], left[order])
+    assert find_overlapping(views, 6, BINS) == []
+
+
+def test_without_passages_nothing_overlaps() -> None:
+    nothing: NDArray[np.float64] = np.zeros(0)
+    assert find_overlapping(Views(np.zeros(0, np.int64), nothing, nothing), 3, BINS) == []
+
+
+def test_who_leaves_a_view_is_looked_for_where_another_sees_it() -> None:
+    topology, right, sure = learned_from(walkers(1, 200)), [], []
+    for exit_, told in predictions(read_topology(to_json(topology)), walkers(2, 100)):
+        if exit_.camera != "a":
+            assert told.look is None is told.in_view, "no view overlaps"
+            continue
+        assert told.look
+        assert told.in_view
+        assert told.look[0].camera == "b"
+        assert all(0.0 < one.probability <= 1.0 for one in (*told.look, *told.in_view))
+        assert [one.probability for one in told.in_view] == sorted((x.probability for x in told.in_view), reverse=True)
+        assert sum(one.probability for one in told.in_view) <= 1.0 + 1e-9, "of one camera's passages one is right"
+        right.append(told.in_view[0].track == str(exit_.track).replace("a", "b"))
+        sure.append(told.in_view[0].probability)
+    assert np.mean(right) > 0.9
+    assert np.mean(sure) == pytest.approx(np.mean(right), abs=0.1)
+
+
+@pytest.mark.parametrize("where", range(3))
+def test_passages_in_view_do_not_depend_on_the_order_of_lines_of_one_instant(where: int) -> None:
+    """Whoever leaves another view at that instant is still there, whoever enters one is not yet."""
+    topology, t = learned_from(walkers(1, 200)), 1e6
+    before = [Event(camera, "entry", t - ago, track=str(ago)) for camera, ago in (("a", 10), ("b", 5), ("b", 4))]
+    at_once = [Event("b", "exit", t, track="5"), Event("b", "entry", t, track="6")]
+    at_once.insert(where, Event("a", "exit", t, track="10"))
+    told = next(p for exit_, p in predictions(topology, [*before, *at_once]) if exit_.camera == "a")
+    assert told.in_view is not None
+    assert {one.track for one in told.in_view} == {"5", "4"}
+    assert told.in_view[0].probability > 0.5
+
+
+def test_an_exit_without_a_track_has_nobody_in_view() -> None:
+    topology = learned_from(walkers(1, 200))
+    untold = Event("a", "exit", 1e6)
+    assert Predictor(topology).predict(untold).in_view is None
+
+
+def test_where_nobody_sees_an_object_the_next_camera_counts() -> None:
+    following = [NextCamera("c", "c/1", 0.6, 1.0, 2.0, 3.0), NextCamera("b", "b/1", 0.2, 1.0, 2.0, 3.0)]
+    in_view = [InView("b", "1", 0.0, 0.5), InView("d", "2", 0.0, 0.2)]
+    said = {one.camera: one.probability for one in look(in_view, following)}
+    assert said == pytest.approx({"b": 0.5 + 0.4 * 0.2, "c": 0.4 * 0.6, "d": 0.2})
+    assert [one.camera for one in look([], following)] == ["c", "b"]
+
+
+def test_a_topology_without_overlaps_says_nothing() -> None:
+    topology = learned_from(walkers(1, 30, 0.0))
+    assert not HandOver(topology).overlaps("a")
+
+
+@pytest.mark.parametrize(("camera", "rows"), [("b", [("a", "b")]), ("a", [])])
+def test_a_district_tells_of_the_overlaps_with_its_own_cameras(camera: str, rows: list[tuple[str, str]]) -> None:
+    part = part_of(learned_from(walkers(1, 200)), 0, {camera: 1.0}, 10)
+    assert list(overlaps(part.topology)) == rows

@@ -1,0 +1,237 @@
+"""The posterior: entry kernels beside exit kernels, overlaps only where they show, the negligible left out."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from synthetic_events import LINKED, Views, fit_posterior
+
+from camtopod.learn.association.candidates import Candidates, find_candidates
+from camtopod.learn.association.joint_fit import fit_jointly
+from camtopod.learn.next_camera import fit as module
+from camtopod.learn.next_camera.fit import Posterior, PosteriorFitter
+from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.topology.lag_bins import LagBins
+
+BINS = LagBins(-120.0, 120.0)
+
+Problem = tuple[Departures, Arrivals, Candidates, LagBins, int, float]
+
+
+def problem(views: Views, bins: LagBins = BINS) -> Problem:
+    departures, arrivals = views.columns()
+    zones = len(views.camera)
+    until = float(max(departures.t[-1], arrivals.t[-1]))
+    return departures, arrivals, find_candidates(departures, arrivals, bins, zones), bins, zones, until
+
+
+def share(found: Posterior, source: int, target: int) -> float:
+    c = found.fit.candidates
+    return float(found.share[(c.source == source) & (c.target == target)].sum())
+
+
+def one_way(seed: int, objects: int, span: float, goes: float = 0.6, clutter: int = 0) -> Views:
+    """From zone 0 to zone 1, 8 s after the exit; at zone 2 others come and go. Every zone is a camera."""
+    rng = np.random.default_rng(seed)
+    views = Views([0, 1, 2])
+    for t in rng.uniform(0, span, objects):
+        views.through(t, t + rng.uniform(3, 5), 0, 0)
+        if rng.random() < goes:
+            came = views.rows[-1][1] + rng.normal(8, 1)
+            views.through(came, came + rng.uniform(3, 5), 1, 1)
+    for t in rng.uniform(0, span, clutter):
+        views.through(t, t + rng.uniform(3, 5), 2, 2)
+    return views
+
+
+UNRELATED = [(0, 0), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)]
+
+# --- what it finds ---
+
+
+def test_finds_the_share_the_time_and_who_leaves() -> None:
+    found = fit_posterior(*problem(one_way(2, 1600, 32_000.0, clutter=800)), LINKED)
+    assert share(found, 0, 1) == pytest.approx(0.6, abs=0.04)
+    assert max(share(found, *pair) for pair in UNRELATED) < 0.08
+    c = found.fit.candidates
+    (row,) = np.flatnonzero((c.source == 0) & (c.target == 1))
+    assert BINS.centres[np.argmax(found.fit.hazard[row])] == pytest.approx(8.0, abs=1.0)
+    assert found.leave == pytest.approx(np.array([0.4, 1.0, 1.0]), abs=0.1)
+
+
+def test_few_events_leave_much_open() -> None:
+    """Weak evidence that is none fades as events come."""
+    few, many = (
+        [fit_posterior(*problem(one_way(seed, 100 * n, 2000.0 * n, clutter=50 * n)), LINKED) for seed in range(4)]
+        for n in (1, 16)
+    )
+    false = [sum(share(found, *pair) for found in fits for pair in UNRELATED) for fits in (few, many)]
+    assert false[0] > 2 * false[1]
+
+
+def test_what_comes_at_any_lag_is_doubted() -> None:
+    found = fit_posterior(*problem(one_way(1, 400, 2000.0, clutter=300)), LINKED)
+    c = found.fit.candidates
+    doubt = dict(zip(zip(c.source.tolist(), c.target.tolist(), strict=True), found.doubt.tolist(), strict=True))
+    assert doubt[0, 1] < 0.25
+    assert min(doubt[pair] for pair in UNRELATED if pair in doubt) > 2 * doubt[0, 1]
+    assert all(0 <= share <= 1 for share in doubt.values())
+
+
+def test_what_becomes_of_the_departures_adds_up() -> None:
+    departures, arrivals, *rest = problem(one_way(2, 200, 1500.0, clutter=100))
+    found = fit_posterior(departures, arrivals, *rest, LINKED)
+    came = np.bincount(found.fit.candidates.arrival, found.fit.responsibility, minlength=len(arrivals.t))
+    assert (came <= 1 + 1e-9).all()
+    seen_again = np.bincount(found.fit.candidates.source, found.share, minlength=3)
+    assert seen_again + found.leave == pytest.approx(np.ones(3), abs=0.05)
+
+
+def under_one_roof(seed: int, objects: int, span: float) -> tuple[Views, dict[float, float]]:
+    """Two views that overlap: 5 s after coming into the first (zone 0) three in four are in the second (zone 1), which
+    has visitors of its own as well, but leave the first after 8 to 80 s. And by the time of the exit, the true times of
+    the next appearance.
+    """
+    rng = np.random.default_rng(seed)
+    views, true = Views([0, 1]), {}
+    for t in rng.uniform(0, span, objects):
+        left = t + rng.uniform(8, 80)
+        views.through(t, left, 0, 0)
+        if rng.random() < 0.75:
+            true[left] = t + rng.normal(5, 0.5)
+            views.through(true[left], true[left] + rng.uniform(1, 3), 1, 1)
+    for t in rng.uniform(0, span, objects // 4):
+        views.through(t, t + rng.uniform(1, 3), 1, 1)
+    return views, true
+
+
+def right_share(candidates: Candidates, responsibility: np.ndarray, departures: Departures, arrivals: Arrivals,
+                true: dict[float, float]) -> float:  # fmt: skip
+    """Responsibility of the true candidates, of all."""
+    pairs = zip(candidates.departure, candidates.arrival, strict=True)
+    right = np.array([true.get(departures.t[d]) == arrivals.t[a] for d, a in pairs])
+    return float(responsibility[right].sum()) / len(true)
+
+
+def test_entry_kernels_know_when_the_exit_says_little() -> None:
+    """Five objects are in the first view at a time. Counted from the exit the lags lie anywhere in 72 s."""
+    views, true = under_one_roof(3, 500, 5000.0)
+    asked = problem(views)
+    found, plain = fit_posterior(*asked, LINKED), fit_jointly(*asked)
+    (row,) = np.flatnonzero((found.entry_source == 0) & (found.entry_target == 1))
+    mass = found.entry_hazard[row] * BINS.widths
+    assert BINS.centres[np.argmax(found.entry_hazard[row])] == pytest.approx(5.0, abs=0.5)
+    assert mass[(BINS.edges[1:] > 3) & (BINS.edges[:-1] < 7)].sum() == pytest.approx(0.75, abs=0.1)
+    assert share(found, 0, 1) == pytest.approx(0.75, abs=0.08)
+    known = right_share(found.fit.candidates, found.fit.responsibility, *asked[:2], true)
+    blind = right_share(plain.candidates, plain.responsibility, *asked[:2], true)
+    assert known > 0.75
+    assert blind < 0.25
+
+
+def test_views_that_do_not_overlap_take_nothing_ahead_of_the_exit() -> None:
+    """By chance somebody is always just coming elsewhere; where views overlap, candidates ahead of the exit stay."""
+    apart = fit_posterior(*problem(one_way(4, 300, 4000.0, clutter=300)), LINKED)
+    assert (apart.fit.candidates.lag > 0).all()
+    assert len(apart.entry_source) == 0
+    together = fit_posterior(*problem(under_one_roof(4, 200, 4000.0)[0]), LINKED)
+    assert (together.fit.candidates.lag < 0).any()
+
+
+@pytest.mark.parametrize("known", [(0, 1), (1, 0)])
+def test_views_that_are_known_to_overlap_are_not_asked_again(known: tuple[int, int]) -> None:
+    scout = PosteriorFitter(*problem(one_way(4, 300, 4000.0, clutter=300)))
+    scout.look()
+    overlapping = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
+    ahead = (scout.candidates.lag < 0) & (scout.responsibility > module.NEGLIGIBLE)
+    assert not scout.worth_following(overlapping)[ahead].any()
+    overlapping[known] = True
+    c, d, a = scout.candidates, scout.departures, scout.arrivals
+    between = {0, 1} == set(known) and (d.camera[c.departure] + a.camera[c.arrival] == 1)
+    assert scout.worth_following(overlapping)[ahead & between].all()
+    assert (ahead & between).any()
+
+
+def test_the_same_every_time() -> None:
+    asked = problem(one_way(7, 100, 600.0, clutter=50))
+    one, again = fit_posterior(*asked, LINKED), fit_posterior(*asked, LINKED)
+    assert (one.share == again.share).all()
+    assert (one.fit.responsibility == again.fit.responsibility).all()
+
+
+# --- candidates that are left out ---
+
+
+def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = problem(one_way(8, 400, 8000.0, clutter=100))
+    found = fit_posterior(*asked, LINKED)
+    scout = PosteriorFitter(*asked)
+    scout.look()
+    apart = np.zeros((scout.contexts.cameras, scout.contexts.cameras), np.bool_)
+    kept = scout.candidates.take(scout.worth_following(apart))
+    ahead = scout.candidates.lag < 0
+    left_out = (
+        scout.responsibility[~ahead].sum()
+        - scout.responsibility[~ahead & (scout.responsibility > module.NEGLIGIBLE)].sum()
+    )
+    assert len(kept.lag) < 0.9 * (~ahead).sum()
+    assert left_out < 0.05 * scout.responsibility.sum()
+    assert set(zip(kept.departure.tolist(), kept.arrival.tolist(), strict=True)) == {
+        pair
+        for pair, r, before in zip(
+            zip(scout.candidates.departure.tolist(), scout.candidates.arrival.tolist(), strict=True),
+            scout.responsibility.tolist(), ahead.tolist(), strict=True,
+        )
+        if r > module.NEGLIGIBLE and not before
+    }  # fmt: skip
+    assert kept.source[kept.pair].tolist() == asked[0].zone[kept.departure].tolist()
+    assert kept.target[kept.pair].tolist() == asked[1].zone[kept.arrival].tolist()
+    monkeypatch.setattr(module, "NEGLIGIBLE", 0.0)
+    everything = fit_posterior(*asked, LINKED)
+    assert len(everything.fit.candidates.lag) > len(found.fit.candidates.lag)
+    for pair in ((0, 1), (0, 2), (2, 1), (1, 2)):
+        assert share(found, *pair) == pytest.approx(share(everything, *pair), abs=0.02)
+
+
+@pytest.mark.parametrize("gap", [500.0, -500.0])
+def test_without_a_candidate(gap: float) -> None:
+    departures, arrivals, _, bins, zones, until = problem(one_way(9, 20, 200.0))
+    arrivals = arrivals._replace(t=arrivals.t + gap)
+    departures = departures._replace(own=np.full_like(departures.own, -1))
+    nothing = find_candidates(departures, arrivals, bins, zones)
+    assert len(nothing.lag) == 0
+    found = fit_posterior(departures, arrivals, nothing, bins, zones, until + 500.0, LINKED)
+    assert found.share.shape == (0,)
+    assert found.fit.hazard.shape == (0, bins.size)
+    assert (found.leave == 1)[:2].all()
+
+
+# --- entry kernels, against their slow twins ---
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 25))
+def test_entry_kernels_count_as_by_hand(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    views = Views([0, 0, 1, 2])
+    for t in np.sort(rng.uniform(0, 60, n)):
+        zone, way_out = rng.choice([(0, 0), (0, 1), (1, 0), (2, 2), (3, 3)])
+        views.through(t, t + rng.exponential(6.0), zone, way_out)
+    bins = LagBins(-20.0, 30.0)
+    departures, arrivals, found, *rest = problem(views, bins)
+    unknown = rng.random(n) < 0.3
+    departures = departures._replace(
+        own=np.where(unknown, -1, departures.own).astype(np.int32), since=np.where(unknown, -np.inf, departures.since)
+    )
+    found = find_candidates(departures, arrivals, bins, 4)
+    fitter = PosteriorFitter(departures, arrivals, found, *rest)
+    exposed, early = naive.entry_kernels(departures, arrivals, found, bins, 4)
+    assert fitter.entering.exposure.tolist() == exposed.tolist()
+    pairs = list(zip(fitter.entering.source.tolist(), fitter.entering.target.tolist(), strict=True))
+    assert pairs == sorted({pair for pair, _ in early.values()})
+    assert fitter.entering.early.tolist() == sorted(early)
+    cells = [(pairs[k // bins.size], k % bins.size) for k in fitter.entering.cell.tolist()]
+    assert cells == [early[c] for c in sorted(early)]

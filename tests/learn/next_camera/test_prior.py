@@ -1,0 +1,76 @@
+"""The prior of the posterior: zones of one view go alike, and a way is taken in both directions."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from synthetic_events import LINKED, Views, fit_posterior
+
+from camtopod.learn.association.candidates import find_candidates
+from camtopod.learn.next_camera.fit import PosteriorFitter
+from camtopod.learn.next_camera.prior import POOLING, RETURNING, TWO_WAY_TRANSITIONS, Prior
+from camtopod.topology.lag_bins import SMOOTHING_SD_BINS, LagBins
+
+SHORT = LagBins(-3.0, 8.0)
+
+
+def unrelated(seed: int, camera: list[int]) -> PosteriorFitter:
+    """Of departures and arrivals that have nothing to do with each other, in a minute; ``camera`` of each zone."""
+    rng = np.random.default_rng(seed)
+    views, of = Views(camera), np.array(camera)
+    for t, zone in zip(rng.uniform(0, 60, 20), rng.integers(0, len(camera), 20).tolist(), strict=True):
+        out = rng.choice(np.flatnonzero(of == of[zone]))
+        views.through(t, t + rng.exponential(4.0), zone, int(out))
+    departures, arrivals = views.columns()
+    candidates = find_candidates(departures, arrivals, SHORT, len(camera))
+    return PosteriorFitter(departures, arrivals, candidates, SHORT, len(camera), 60.0)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_it_equals_its_slow_twins(seed: int) -> None:
+    fitter = unrelated(seed, camera := [0, 0, 1, 3])
+    came = [max(int((fitter.arrivals.zone == zone).sum()), 1) for zone in range(4)]
+    prior = Prior(fitter.candidates, np.array(camera), fitter.exposure, np.array(came, float))
+    named = list(zip(fitter.candidates.source.tolist(), fitter.candidates.target.tolist(), strict=True))
+    counts, rates = np.random.default_rng(seed).random((2, len(named), SHORT.size))
+    pooled = naive.pooled(
+        dict(zip(named, counts, strict=True)), camera, fitter.exposure, came, SMOOTHING_SD_BINS
+    )  # fmt: skip
+    returning = naive.returning(dict(zip(named, rates, strict=True)))
+    number = dict(zip(named, counts.sum(axis=1).tolist(), strict=True))
+    back = RETURNING * naive.two_way(number, TWO_WAY_TRANSITIONS)
+    expected = [POOLING * np.array(pooled[pair]) + back * returning[pair] for pair in named]
+    found = prior.expected(counts)
+    transitions = found.of(slice(0, len(named)), rates.__getitem__)
+    assert transitions == pytest.approx(np.array(expected).reshape(-1, SHORT.size))
+    assert found.departures == pytest.approx(POOLING + back)
+
+
+def test_what_comes_back_tells_what_goes_there() -> None:
+    """Eight go from zone 0 to zone 1 among others who come and go; three hundred come back."""
+    bins = LagBins(-20.0, 60.0)
+
+    def believed(back: int) -> float:
+        shares = []
+        for seed in range(5):
+            rng = np.random.default_rng(seed)
+            views = Views([0, 1])
+            for source, objects in ((0, 8), (1, back)):
+                for t in rng.uniform(0, 40_000.0, objects):
+                    views.through(t, t + 4.0, source, source)
+                    views.through(t + 4.0 + rng.normal(12, 1), t + rng.normal(20, 1), 1 - source, 1 - source)
+            for t, zone in zip(rng.uniform(0, 40_000.0, 1600), rng.integers(0, 2, 1600).tolist(), strict=True):
+                views.through(t, t + rng.uniform(3, 5), zone, zone)
+            departures, arrivals = views.columns()
+            candidates = find_candidates(departures, arrivals, bins, 2)
+            found = fit_posterior(departures, arrivals, candidates, bins, 2, 40_060.0, LINKED)
+            c = found.fit.candidates
+            there = (c.source[c.pair] == 0) & (c.target[c.pair] == 1)
+            shares.append(float(found.fit.responsibility[there].sum()))
+        return float(np.mean(shares))
+
+    assert believed(back=300) > believed(back=0) + 2.0

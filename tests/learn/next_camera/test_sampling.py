@@ -1,0 +1,100 @@
+"""Draws of who came from where, and what they are good for."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from prediction_quality import prediction_quality
+
+from bench.regimes import REGIMES
+from camtopod.learn.learner import Learner
+from camtopod.learn.next_camera import fit as module
+from camtopod.learn.next_camera.sampling import FAINT_TRANSITIONS, Sources, with_faint
+from camtopod.learn.settings import Settings
+from camtopod.topology.lag_bins import LagBins
+
+BINS = LagBins(-10.0, 30.0)
+
+
+@given(st.integers(0, 10**6), st.integers(0, 30), st.integers(1, 12))
+@settings(max_examples=60)
+def test_an_arrival_has_one_source_at_most(seed: int, candidates: int, arrivals: int) -> None:
+    rng = np.random.default_rng(seed)
+    arrival = np.sort(rng.integers(0, arrivals, candidates)).astype(np.int32)
+    weight = rng.random(candidates)
+    responsibility = weight / np.maximum(np.bincount(arrival, weight, arrivals), 1e-9)[arrival] * rng.random()
+    drawn = Sources(arrival, arrivals, seed).draw(responsibility)
+    assert (np.diff(drawn) > 0).all()
+    assert np.bincount(arrival[drawn], minlength=arrivals).max() <= 1
+
+
+def test_as_often_as_likely() -> None:
+    arrival = np.array([0, 0, 1, 2, 2], np.int32)
+    responsibility = np.array([0.2, 0.8, 0.3, 0.0, 0.5])
+    sources = Sources(arrival, 4, 7)
+    mean = np.mean([np.isin(np.arange(5), sources.draw(responsibility)) for _ in range(4000)], axis=0)
+    assert mean == pytest.approx(responsibility, abs=0.03)
+    assert mean[3] == 0.0
+
+
+def test_the_same_seed_draws_the_same() -> None:
+    arrival, responsibility = np.repeat(np.arange(50, dtype=np.int32), 2), np.full(100, 0.45)
+    first, second = Sources(arrival, 50, 1), Sources(arrival, 50, 1)
+    for _ in range(3):
+        assert first.draw(responsibility).tolist() == second.draw(responsibility).tolist()
+    assert first.draw(responsibility).tolist() != Sources(arrival, 50, 1).draw(responsibility).tolist()
+
+
+def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only what is drawn is looked at where nothing else counts; to the last bit."""
+    network = REGIMES["overlapped"].make(0, 0.1)
+    fitters: list[module.PosteriorFitter] = []
+    monkeypatch.setattr(module.PosteriorFitter, "sample", lambda self: fitters.append(copy.deepcopy(self)))
+    learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
+    for event in network[0]:
+        learner.receive(event)
+    learner.flush()
+    fitter = fitters[-1]
+    drawn = Sources(fitter.candidates.arrival, len(fitter.arrivals.t), 1).draw(fitter.responsibility)
+    before, found = copy.deepcopy(fitter), []
+    assert len(drawn) < len(fitter.responsibility) / 2
+    assert len(np.intersect1d(drawn, fitter.entering.early))
+    assert len(np.intersect1d(drawn, fitter._skipping.some))
+    for few in (True, False):
+        fitter = copy.deepcopy(before)
+        fitter._believe(drawn)
+        fitter._drawn = drawn if few else None
+        hazard = fitter._learn_hazards()
+        fitter._expect(hazard)
+        found.append((hazard, fitter.entering.hazard, fitter.outside, fitter._own, fitter.responsibility))
+    for drawn_only, all_of_them in zip(*found, strict=True):
+        assert drawn_only.any()
+        assert drawn_only.tobytes() == all_of_them.tobytes()
+
+
+def test_faint_transitions_are_spread_over_later_lags() -> None:
+    source = np.array([0, 0, 1], np.int32)
+    hazard, exposed = np.full((3, BINS.size), 0.02, np.float32), np.full((2, BINS.size), 40.0)
+    mixed = with_faint(hazard.copy(), exposed, source, BINS)
+    before = BINS.edges[1:] <= 0
+    assert mixed[0, before] == pytest.approx(0.02 * 40 / (40 + 2 * FAINT_TRANSITIONS))
+    assert mixed[2, before] == pytest.approx(0.02 * 40 / (40 + FAINT_TRANSITIONS))
+    alone = with_faint(np.zeros_like(hazard), exposed, source, BINS)
+    assert (alone * BINS.widths)[2].sum() * (40 + FAINT_TRANSITIONS) == pytest.approx(FAINT_TRANSITIONS)
+    assert mixed == pytest.approx(alone + mixed[:, :1])
+
+
+# --- what it is for ---
+
+
+def test_little_is_not_taken_for_more_than_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Walkway: a few hundred events. What is prediction_quality is less surely wrong with samples than without."""
+    networks = [REGIMES["walkway"].make(seed) for seed in range(20, 28)]
+    sampled = np.mean([prediction_quality(*network)["log_loss"] for network in networks])
+    monkeypatch.setattr(module.PosteriorFitter, "sample", lambda self: None)
+    fitted = np.mean([prediction_quality(*network)["log_loss"] for network in networks])
+    assert sampled < fitted - 0.1

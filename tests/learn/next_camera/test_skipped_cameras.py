@@ -1,0 +1,263 @@
+"""Whoever a camera misses is seen next where it would have led; how many, the ways around say."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from prediction_quality import prediction_quality
+from synthetic_events import LINKED, Views, fit_posterior
+
+from bench.regimes import REGIMES
+from camtopod.learn.association.candidates import Candidates, find_candidates, number_pairs
+from camtopod.learn.next_camera import fit, skip_rate
+from camtopod.learn.next_camera import skipped_cameras as module
+from camtopod.learn.next_camera.fit import Posterior
+from camtopod.learn.next_camera.skipped_cameras import (
+    Legs,
+    Through,
+    legs_of,
+    skip_hazards,
+    skipped_beside,
+    ways_through,
+)
+from camtopod.learn.traffic.events import Departures
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
+
+BINS = LagBins(-60.0, 120.0)
+CAMERA = np.array([0, 1, 1, 2, 2, 3], np.int64)
+SITE = Views([0, 1, 1, 2, 2, 3])
+
+
+def walks(seed: int, objects: int, missed: float, span: float = 30_000.0) -> Views:
+    """0 -> (1 2) -> (3 4) -> 5, or off after the first view; each view in between misses some."""
+    rng = np.random.default_rng(seed)
+    views = Views(SITE.camera.tolist())
+    for t in rng.uniform(0, span, objects):
+        legs = [(0, 0), (1, 2), (3, 4), (5, 5)]
+        for k, (entry, leave) in enumerate(legs[: 4 if rng.random() < 0.7 else 1]):
+            stay = rng.uniform(4, 6)
+            if k in (0, 3) or rng.random() >= missed:
+                views.through(t, t + stay, entry, leave)
+            t += stay + rng.normal(10, 1)
+    return views
+
+
+def learned(views: Views) -> Posterior:
+    departures, arrivals = views.columns()
+    zones = len(views.camera)
+    until = float(max(departures.t[-1], arrivals.t[-1]))
+    candidates = find_candidates(departures, arrivals, BINS, zones)
+    return fit_posterior(departures, arrivals, candidates, BINS, zones, until, LINKED)
+
+
+def screened(views: Views, pairs: set[tuple[int, int]]) -> tuple[Posterior, Posterior]:
+    """What is learned of the candidates of these pairs of zones only, without and with the ways beside them."""
+    departures, arrivals = views.columns()
+    zones = len(views.camera)
+    every = find_candidates(departures, arrivals, BINS, zones)
+    named = list(zip(departures.zone[every.departure].tolist(), arrivals.zone[every.arrival].tolist(), strict=True))
+    kept = np.array([pair in pairs for pair in named])
+    pair, source, target = number_pairs(
+        departures.zone[every.departure[kept]], arrivals.zone[every.arrival[kept]], zones
+    )
+    few = Candidates(every.departure[kept], every.arrival[kept], pair, every.lag[kept], source, target)
+    until = float(max(departures.t[-1], arrivals.t[-1]))
+    asked = departures, arrivals, few, BINS, zones, until, LINKED
+    without, beside = (fit_posterior(*asked, told) for told in (False, True))
+    return without, beside
+
+
+def share(found: Posterior, source: int, target: int) -> float:
+    c = found.fit.candidates
+    return float(found.share[(c.source == source) & (c.target == target)].sum())
+
+
+# --- what it is for ---
+
+
+def test_a_tenth_missed_is_seen_after_the_next_view() -> None:
+    few = learned(walks(3, 900, 0.1))
+    assert share(few, 0, 3) == pytest.approx(0.07, abs=0.03)
+    assert share(few, 2, 5) == pytest.approx(0.1, abs=0.04)
+    c = few.fit.candidates
+    (row,) = np.flatnonzero((c.source == 0) & (c.target == 3))
+    assert BINS.centres[np.argmax(few.fit.hazard[row])] == pytest.approx(25.0, abs=3.0)
+
+
+def test_nothing_missed_nothing_skipped() -> None:
+    found = learned(walks(4, 900, 0.0))
+    assert share(found, 0, 3) < 0.02
+    assert share(found, 2, 5) < 0.02
+
+
+@pytest.mark.parametrize("missed", [0.05, 0.2, 0.35])
+def test_as_many_as_are_missed(missed: float) -> None:
+    found = learned(walks(5, 1500, missed, 60_000.0))
+    assert share(found, 0, 3) == pytest.approx(0.7 * missed * (1 - missed), abs=0.03)
+    assert share(found, 0, 5) == pytest.approx(0.7 * missed**2, abs=0.03)
+
+
+def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A site of 12 cameras that miss a tenth, an hour and a half."""
+    networks = [REGIMES["short"].make(seed, 0.5) for seed in (20, 21)]
+    with_ways = [prediction_quality(*network) for network in networks]
+    nothing = lambda *asked: (np.zeros(0, np.int64), np.zeros((0, asked[3].size)))  # noqa: E731
+    monkeypatch.setattr(fit, "skip_hazards", nothing)
+    without = [prediction_quality(*network) for network in networks]
+    loss, top3 = (
+        np.mean([one[figure] - other[figure] for one, other in zip(with_ways, without, strict=True)])
+        for figure in ("log_loss", "top3")
+    )
+    assert loss < -0.02
+    assert top3 > -0.005
+
+
+def test_ways_that_screening_left_out_are_foretold_beside_the_others() -> None:
+    """Of the odds nothing can be learned from these pairs: they are the first ones, a tenth."""
+    without, found = screened(walks(6, 600, 0.1), {(0, 1), (2, 3), (4, 5), (5, 0)})
+    for u, a, b, v in ((0, 1, 2, 3), (2, 3, 4, 5)):
+        taken = share(found, u, a) * share(found, b, v)
+        assert share(without, u, v) == 0
+        assert share(found, u, v) == pytest.approx(skip_rate.ODDS_FIRST * taken, rel=0.05)
+    rows = [dict(zip(pairs_of(one), range(99), strict=False)) for one in (without, found)]
+    assert list(rows[1]) == sorted(rows[1])
+    old, new = list(rows[0].values()), [rows[1][pair] for pair in rows[0]]
+    for before, after in zip(columns_of(without), columns_of(found), strict=True):
+        assert (before[old] == after[new]).all()
+    beside = [row for pair, row in rows[1].items() if pair not in rows[0]]
+    assert {(0, 3), (2, 5)} <= {pairs_of(found)[row] for row in beside}
+    assert not found.doubt[beside].any()
+    assert found.share[beside] == pytest.approx((found.fit.hazard[beside] * BINS.widths).sum(axis=1))
+    (at,) = [row for row in beside if pairs_of(found)[row] == (0, 3)]
+    assert BINS.centres[np.argmax(found.fit.hazard[at])] == pytest.approx(25.0, abs=3.0)
+    both = without.fit.candidates, found.fit.candidates
+    assert all((c.source[c.pair] == both[0].source[both[0].pair]).all() for c in both)
+    assert all((c.target[c.pair] == both[0].target[both[0].pair]).all() for c in both)
+    gone = np.bincount(found.fit.candidates.source[beside], found.share[beside], minlength=len(CAMERA))
+    assert found.leave == pytest.approx(np.maximum(without.leave - gone, LEAVE_FLOOR))
+
+
+def test_without_ways_beside_nothing_changes() -> None:
+    without, found = screened(walks(6, 200, 0.0, 8000.0), {(0, 1)})
+    assert pairs_of(found) == pairs_of(without) == [(0, 1)]
+    assert (found.leave == without.leave).all()
+    assert all((one == other).all() for one, other in zip(columns_of(found), columns_of(without), strict=True))
+
+
+def pairs_of(found: Posterior) -> list[tuple[int, int]]:
+    return list(zip(found.fit.candidates.source.tolist(), found.fit.candidates.target.tolist(), strict=True))
+
+
+def columns_of(found: Posterior) -> list[np.ndarray]:
+    """All that has a row for each pair."""
+    return [found.share, found.doubt, found.fit.hazard]
+
+
+# --- its slow twins ---
+
+
+@given(st.integers(0, 10**6), st.integers(0, 60), st.floats(0.0, 1.0))
+@settings(max_examples=60)
+def test_ways_through_equal_loops(seed: int, n: int, tied: float) -> None:
+    rng = np.random.default_rng(seed)
+    zone = rng.integers(0, len(CAMERA), n).astype(np.int32)
+    t = np.sort(rng.uniform(0, 1000, n))
+    alone = np.array([np.flatnonzero(CAMERA[z] == CAMERA)[rng.integers(0, (CAMERA[z] == CAMERA).sum())] for z in zone])
+    entry = np.where(rng.random(n) < tied, alone, -1).astype(np.int64)
+    since = np.where((entry >= 0) | (rng.random(n) < 0.3), t - rng.uniform(1, 30, n).round(2), -np.inf)
+    departures = Departures.untold(t, zone, CAMERA[zone].astype(np.int32), since, np.full(n, np.nan))
+    fast = ways_through(departures, entry, CAMERA)
+    slow = naive.ways_through(
+        departures, entry, CAMERA, module.PASSAGE_SHARE_MIN, module.TIED_SHARE_MIN, UNKNOWN_STAY_SECONDS
+    )
+    found = {(a, b): (p, s) for a, b, p, s in zip(*(column.tolist() for column in fast), strict=True)}
+    assert len(found) == len(fast.entry)
+    assert found.keys() == slow.keys()
+    for way, figures in slow.items():
+        assert found[way] == pytest.approx(figures)
+
+
+Ways = dict[tuple[int, int], tuple[float, float]]
+
+
+def some_links(seed: int, pairs: int, passages: int) -> tuple[np.ndarray, Candidates, Through, Ways]:
+    """Probabilities of appearing by lag, the pairs, and ways through views, as columns and by their zones."""
+    rng = np.random.default_rng(seed)
+    zones = len(CAMERA)
+    key = np.sort(rng.choice(zones * zones, pairs, replace=False))
+    source, target = (key // zones).astype(np.int32), (key % zones).astype(np.int32)
+    appears = rng.dirichlet(np.full(BINS.size, 0.05), pairs) * rng.uniform(0.0, 0.6, (pairs, 1))
+    ways = sorted({(int(rng.integers(zones)), int(rng.integers(zones))) for _ in range(passages)})
+    through = {way: (float(rng.uniform(0.02, 1.0)), float(rng.uniform(1, 40))) for way in ways}
+    none = np.zeros(0, np.int32)
+    came, left = (np.array([way[k] for way in ways], np.int64) for k in (0, 1))
+    passes, seconds = (np.array([through[way][k] for way in ways]) for k in (0, 1))
+    candidates = Candidates(none, none, none, np.zeros(0), source, target)
+    return appears, candidates, Through(came, left, passes, seconds), through
+
+
+def legs(appears: np.ndarray, candidates: Candidates) -> Legs:
+    return legs_of(appears.sum(axis=1), lambda some: appears[some], candidates, BINS)
+
+
+def by_hand(appears: np.ndarray, source: list[int], target: list[int], ways: Ways) -> np.ndarray:
+    return naive.skip_hazards(
+        appears, source, target, ways, BINS, module.LEG_QUANTILES, module.SPREAD_SD_BINS, module.LINK_SHARE_MIN,
+        module.WAY_SHARE_MIN,
+    )  # fmt: skip
+
+
+@given(st.integers(0, 10**6), st.integers(1, 20), st.integers(0, 8))
+@settings(max_examples=40)
+def test_skip_hazards_equal_loops(seed: int, pairs: int, passages: int) -> None:
+    appears, candidates, through, ways = some_links(seed, pairs, passages)
+    pair, hazard = skip_hazards(legs(appears, candidates), candidates, through, BINS, len(CAMERA))
+    fast = np.zeros_like(appears)
+    fast[pair] = hazard
+    slow = by_hand(appears, candidates.source.tolist(), candidates.target.tolist(), ways)
+    assert fast == pytest.approx(slow, abs=1e-12)
+
+
+@given(st.integers(0, 10**6), st.integers(1, 20), st.integers(0, 8))
+@settings(max_examples=40)
+def test_ways_beside_the_candidates_equal_loops_over_all_pairs(seed: int, pairs: int, passages: int) -> None:
+    """As if the pairs that no candidate has were there, and nobody appeared there next."""
+    appears, candidates, through, ways = some_links(seed, pairs, passages)
+    zones = len(CAMERA)
+    source, target, hazard = skipped_beside(legs(appears, candidates), candidates, through, BINS, zones)
+    known = candidates.source.astype(int) * zones + candidates.target
+    every = np.zeros((zones * zones, BINS.size))
+    every[known] = appears
+    slow = by_hand(every, np.repeat(range(zones), zones).tolist(), np.tile(range(zones), zones).tolist(), ways)
+    beside = np.setdiff1d(np.flatnonzero(taken(every, ways) >= module.WAY_SHARE_MIN), known)
+    assert (source * zones + target).tolist() == beside.tolist()
+    assert hazard == pytest.approx(slow[beside], abs=1e-12)
+
+
+def taken(appears: np.ndarray, ways: Ways) -> np.ndarray:
+    """Share that takes the likeliest way over a skipped view, of each pair of zones."""
+    zones = len(CAMERA)
+    share = appears.sum(axis=1)
+    result = np.zeros(zones * zones)
+    for u in range(zones):
+        for v in range(zones):
+            for (came, left), (passes, _) in ways.items():
+                legs = share[u * zones + came], share[left * zones + v]
+                if min(legs) >= module.LINK_SHARE_MIN:
+                    result[u * zones + v] = max(result[u * zones + v], legs[0] * passes * legs[1])
+    return result
+
+
+def test_without_pairs_or_passages_nothing() -> None:
+    none, nothing = np.zeros(0, np.int32), np.zeros(0)
+    nowhere = Through(np.zeros(0, np.int64), np.zeros(0, np.int64), nothing, nothing)
+    empty = Candidates(none, none, none, nothing, none, none)
+    no_legs = legs(np.zeros((0, BINS.size)), empty)
+    assert skip_hazards(no_legs, empty, nowhere, BINS, 3)[1].shape == (0, BINS.size)
+    assert [len(column) for column in skipped_beside(no_legs, empty, nowhere, BINS, 3)] == [0, 0, 0]
+    one = empty._replace(source=np.array([0], np.int32), target=np.array([1], np.int32))
+    assert not len(skip_hazards(legs(np.full((1, BINS.size), 0.01), one), one, nowhere, BINS, 3)[0])

@@ -1,0 +1,126 @@
+"""DaSpec over weighted cells equals DaSpec over points, and finds what the thesis and its authors say."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from thesis_tables import FIGURE_4_4_ZONES, TABLE_5_1, figure_4_4
+
+from camtopod.learn.zones.daspec import authors_bandwidth, bandwidth, data_spectroscopy
+from camtopod.learn.zones.zone_map import cells_of
+
+SHAPE = (30, 24)
+
+
+def grid_of(points: np.ndarray) -> np.ndarray:
+    grid = np.zeros(SHAPE, dtype=np.int64)
+    np.add.at(grid, tuple(points.T), 1)
+    return grid
+
+
+def blobs(seed: int, sizes: list[int], sd: float) -> np.ndarray:
+    """Points (n, 2) of whole grid steps, a blob for each size."""
+    rng = np.random.default_rng(seed)
+    centres = rng.uniform((4, 4), (26, 20), (len(sizes), 2))
+    points = np.concatenate([c + sd * rng.standard_normal((n, 2)) for c, n in zip(centres, sizes, strict=True)])
+    return np.clip(np.rint(points), 0, (29, 23)).astype(int)
+
+
+TABLE = np.array([(row, column) for row, column, _ in TABLE_5_1])
+TABLE_ZONES = np.array([zone for _, _, zone in TABLE_5_1])
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 10_000),
+    st.lists(st.integers(3, 25), min_size=1, max_size=4),
+    st.floats(0.5, 3),
+    st.floats(0.6, 4),
+)
+def test_equals_the_operator_over_points(seed: int, sizes: list[int], sd: float, width: float) -> None:
+    points = blobs(seed, sizes, sd)
+    spectrum = data_spectroscopy(grid_of(points), width)
+    values, vectors, labels = naive.data_spectroscopy(points.astype(float), width)
+    gaps = np.abs(np.diff(values, append=0))
+    if (gaps < 1e-4).any():
+        return  # eigenvectors of nearly equal eigenvalues are hardly determined
+    assert np.allclose(spectrum.values, values, atol=1e-10)
+    position = {int(cell): i for i, cell in enumerate(spectrum.cells)}
+    at = [position[int(r * SHAPE[1] + c)] for r, c in points]
+    assert np.allclose(np.abs(spectrum.vectors[at]), np.abs(vectors), atol=1e-6)
+    sure = np.ptp(np.sort(np.abs(vectors), axis=1)[:, -2:], axis=1) > 1e-6
+    assert (spectrum.labels[at] == labels)[sure].all()
+
+
+def test_new_points_by_the_eigenfunction() -> None:
+    points = blobs(3, [20, 30, 12], 1.0)
+    spectrum = data_spectroscopy(grid_of(points), 1.5)
+    values, vectors, _ = naive.data_spectroscopy(points.astype(float), 1.5)
+    everywhere = np.argwhere(np.ones(SHAPE)).astype(float)
+    slow = naive.eigenfunction_labels(points.astype(float), values, vectors, 1.5, everywhere)
+    assert len(values) > 1
+    assert (spectrum.extend().ravel() == slow).mean() > 0.99  # ties in the far field
+    own = spectrum.grid() >= 0
+    assert (spectrum.extend()[own] == spectrum.grid()[own]).all()
+
+
+def test_counts_scale_the_operator_not() -> None:
+    """Ten million times as many events are the same operator; only the tolerance max|v| / n of the sign test
+    shrinks."""
+    grid = grid_of(blobs(5, [20, 30], 1.0))
+    few, many = data_spectroscopy(grid, 1.5), data_spectroscopy(grid * 10_000_000, 1.5)
+    assert 1 <= many.groups <= few.groups == 2
+    assert np.isclose(few.values[:, None], many.values).any(axis=0).all()
+
+
+def test_table_5_1_gives_its_two_zones() -> None:
+    grid = grid_of(TABLE)
+    assert 3 <= bandwidth(grid) <= 4
+    labels = data_spectroscopy(grid, bandwidth(grid)).grid()[tuple(TABLE.T)]
+    assert (labels == 0).sum() == (TABLE_ZONES == 1).sum() or (labels == 0).sum() == (TABLE_ZONES == 2).sum()
+    assert set(zip(labels.tolist(), TABLE_ZONES.tolist(), strict=True)) in (
+        {(0, 1), (1, 2)},
+        {(0, 2), (1, 1)},
+    )
+
+
+@pytest.mark.parametrize(("width", "groups"), [(3.0, 2), (3.5, 2), (4.0, 2), (2.0, 3), (5.0, 1)])
+def test_table_5_1_at_other_bandwidths(width: float, groups: int) -> None:
+    assert data_spectroscopy(grid_of(TABLE), width).groups == groups
+
+
+def test_the_authors_rule_splits_table_5_1() -> None:
+    width = authors_bandwidth(TABLE.astype(float))
+    assert width == pytest.approx(0.63, abs=0.005)
+    assert data_spectroscopy(grid_of(TABLE), width).groups > 2
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bandwidth_equals_the_rule_over_points(seed: int) -> None:
+    points = blobs(seed, [10, 40, 25 * seed + 1], 1.0 + seed / 2)
+    assert bandwidth(grid_of(points)) == pytest.approx(naive.bandwidth_of_points(points.astype(float)))
+
+
+def test_bandwidth_of_a_single_event_is_the_least() -> None:
+    grid = np.zeros(SHAPE)
+    grid[3, 4] = 1
+    assert bandwidth(grid) == 0.75
+    assert data_spectroscopy(grid, 0.75).groups == 1
+
+
+def test_no_points_are_refused() -> None:
+    with pytest.raises(ValueError, match="no points"):
+        data_spectroscopy(np.zeros(SHAPE), 1.0)
+
+
+def test_plain_daspec_on_the_simulation_of_figure_4_4() -> None:
+    """Without clutter the plain method does what the thesis says of it."""
+    positions, _ = figure_4_4(0)
+    groups = []
+    for place in positions:
+        grid = grid_of(np.stack(cells_of(*place.T), axis=1))
+        groups.append(data_spectroscopy(grid, bandwidth(grid)).groups)
+    assert tuple(groups) == FIGURE_4_4_ZONES

@@ -1,0 +1,225 @@
+"""Asked again after the exit: what has not come by then shifts the odds to the rest, what has may have been it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+from test_predictor import (
+    ENTERED,
+    EVENTS,
+    EXIT,
+    LINKS,
+    OVERLAP,
+    STAY,
+    THERE,
+    THREE,
+    a_made_up_network,
+    a_topology,
+    chances,
+    link,
+    sound,
+)
+
+from camtopod.predict import predictor as module
+from camtopod.predict import recent_events
+from camtopod.predict.predictor import Predictor
+from camtopod.records import Event, Histogram, Link, Onward, Outcome, Pace, Prediction, Topology, Way
+from camtopod.sim.score import PredictionScore, score_predictions
+from camtopod.topology.lag_bins import LagBins
+from camtopod.topology.shared_constants import LEAVE_FLOOR
+
+AT_B = Event("b", "entry", 1008.0, 0.5, 0.5)
+
+
+def later(seconds: float, events: list[Event], topology: Topology = THREE) -> Prediction:
+    """So long after the exit, all of these having been observed."""
+    predictor = Predictor(topology)
+    for event in events:
+        predictor.observe(event)
+    prediction = predictor.predict(EXIT, EXIT.t + seconds)
+    sound(prediction)
+    return prediction
+
+
+def test_who_has_not_come_is_elsewhere_or_gone() -> None:
+    """Of a/1: 0.5 to b in 8 s, 0.3 to c in 20 s, 0.1 to a/2 in 30 s, 0.1 leave."""
+    none_at_b = later(14.0, [])
+    assert chances(none_at_b).get("b/1", 0.0) < 0.01
+    assert chances(none_at_b)["c/1"] == pytest.approx(0.6, abs=0.02)
+    assert chances(none_at_b)["a/2"] == pytest.approx(0.2, abs=0.02)
+    assert none_at_b.leave == pytest.approx(0.2, abs=0.02)
+    assert later(25.0, []).leave == pytest.approx(0.5, abs=0.05)
+    assert later(60.0, []).leave > 0.97
+    leaves = [later(seconds, []).leave for seconds in np.arange(0.0, 60.0, 0.7)]
+    assert leaves == sorted(leaves)
+
+
+def test_windows_are_of_what_may_still_come() -> None:
+    for found in later(19.0, []).next_:
+        assert 19.0 <= found.q10 <= found.q50 <= found.q90
+
+
+def test_who_came_when_due_was_it() -> None:
+    came = later(14.0, [AT_B])
+    assert chances(came)["b/1"] > 0.98
+    assert 7.0 < came.next_[0].q10 <= 8.0 <= came.next_[0].q90 < 9.0
+    assert chances(later(14.0, [replace(AT_B, t=1002.0)])).get("b/1", 0.0) < 0.01, "too early for it"
+    back = Event("a", "entry", 1030.0, 0.9, 0.5, "5")
+    assert chances(later(40.0, [back]))["a/2"] > 0.97, "at the same camera"
+    twice = chances(later(25.0, [AT_B, replace(AT_B, camera="c", t=1020.0)]))
+    assert twice["b/1"] + twice["c/1"] > 0.98
+    assert min(twice["b/1"], twice["c/1"]) > 0.1, "it may have been either"
+
+
+def test_others_who_may_have_been_the_one_who_came() -> None:
+    alone = chances(later(14.0, [EXIT, AT_B]))["b/1"]
+    beside = chances(later(14.0, [EXIT, replace(EXIT, t=1000.1, track="18"), AT_B]))["b/1"]
+    assert 0.6 < beside < 0.9 < alone
+
+
+def test_what_came_after_now_does_not_count() -> None:
+    assert later(7.0, [AT_B]) == later(7.0, [replace(AT_B, kind="exit")])
+    assert later(8.0, [AT_B]) != later(8.0, [replace(AT_B, kind="exit")])
+
+
+@pytest.mark.parametrize("topology", [THREE, OVERLAP])
+def test_at_the_exit_the_answer_is_that_of_the_exit(topology: Topology) -> None:
+    predictor = Predictor(topology)
+    for event in (ENTERED, THERE):
+        predictor.observe(event)
+    at_exit = predictor.predict(EXIT)
+    assert predictor.predict(EXIT, EXIT.t) == at_exit
+    predictor.observe(EXIT)
+    again = predictor.predict(EXIT, EXIT.t)
+    assert chances(again) == pytest.approx(chances(at_exit), abs=1e-3)
+    assert [(n.q10, n.q50, n.q90) for n in again.next_] == [(n.q10, n.q50, n.q90) for n in at_exit.next_]
+
+
+def test_an_exit_does_not_compete_with_itself() -> None:
+    """Where it has been observed and where it has not, before a newer version and after."""
+    for events in ([AT_B], [ENTERED, THERE, AT_B], [ENTERED, replace(AT_B, camera="c")]):
+        answers = [later(14.0, events, OVERLAP)]
+        predictor = Predictor(OVERLAP)
+        for event in sorted([*events, EXIT], key=lambda event: event.t):
+            predictor.observe(event)
+        answers.append(predictor.predict(EXIT, 1014.0))
+        reordered = predictor.follow(replace(OVERLAP, version=8, zones=OVERLAP.zones[::-1]))
+        answers.append(reordered.predict(EXIT, 1014.0))
+        predictor.observe(replace(ENTERED, t=1013.0))
+        answers.append(predictor.predict(EXIT, 1014.0))  # the track's number has been given again
+        for answer in answers[1:]:
+            assert chances(answer) == pytest.approx(chances(answers[0]), abs=1e-3)
+            assert answer.leave == pytest.approx(answers[0].leave, abs=1e-3)
+
+
+def test_clocks_are_taken_as_they_are() -> None:
+    """That of b is 5 s ahead: who came there by right time after 8 s has not been heard of before 13 s."""
+    ahead = replace(THREE, cameras=[replace(c, clock_offset=5.0 * (c.id == "b")) for c in THREE.cameras])
+    assert chances(later(11.0, [], THREE)).get("b/1", 0.0) < 0.05
+    waiting = later(11.0, [], ahead)
+    assert chances(waiting)["b/1"] > 0.45
+    assert 11.0 <= waiting.next_[0].q10 <= waiting.next_[0].q50 == pytest.approx(13.0, abs=1.0)
+    assert chances(later(19.0, [], ahead)).get("b/1", 0.0) < 0.01
+    came = replace(AT_B, t=1013.0)
+    assert chances(later(12.9, [came], ahead)) == pytest.approx(chances(later(12.9, [], ahead)), abs=1e-3)
+    assert chances(later(13.1, [came], ahead))["b/1"] > 0.98
+
+
+def test_who_was_slow_is_awaited_for_longer() -> None:
+    """Three times as long in this view as usual, and the next way takes as much longer: 8 s are 24 s."""
+    pace = Pace(1.0, 1.0, 0.3, [Way("a/2", "a/1", 10.0)])
+    walk = replace(a_topology([link("a/1", "b/1", 0.8, 8.0)]), model=replace(THREE.model, pace=pace))
+    entered = replace(ENTERED, x=0.9, y=0.5)
+    usual, slow = [entered], [replace(entered, t=970.0)]
+    assert chances(later(15.0, usual, walk)).get("b/1", 0.0) < 0.02
+    assert chances(later(15.0, slow, walk))["b/1"] == pytest.approx(0.8, abs=0.02)
+    assert 20.0 < later(15.0, slow, walk).next_[0].q50 < 28.0
+    assert chances(later(40.0, slow, walk)).get("b/1", 0.0) < 0.02
+    at_24 = later(30.0, [*slow, replace(AT_B, t=1024.0)], walk)
+    assert chances(at_24)["b/1"] > 0.98
+    assert at_24.next_[0].q10 <= 24.0 <= at_24.next_[0].q90 < 27.0
+    assert chances(later(30.0, [*usual, replace(AT_B, t=1024.0)], walk)).get("b/1", 0.0) < 0.2
+
+
+def an_onward(leave: float, doubt: float) -> Topology:
+    bins = LagBins(-20.0, 120.0)
+    mass = [0.95 * float(k == bins.index(np.array([8.0]))[0]) for k in range(bins.size)]
+    onward = [Onward("a/1", leave, [Outcome("b/1", 0.95, Histogram(bins.first, mass), doubt)])]
+    return replace(THREE, model=replace(THREE.model, onward=onward))
+
+
+def test_what_may_as_well_have_been_chance_is_gone_from_the_exit_on() -> None:
+    """Nine in ten never were on their way to b; when the tenth does not come either they are still gone."""
+    assert chances(later(0.0, [], an_onward(0.05, 0.9)))["b/1"] == pytest.approx(0.095, abs=0.001)
+    halfway = later(8.0, [], an_onward(0.05, 0.9))
+    assert 0.02 < chances(halfway)["b/1"] < 0.08
+    assert later(20.0, [], an_onward(0.05, 0.9)).leave == 1.0
+
+
+def test_who_can_only_come_and_does_not_is_gone() -> None:
+    assert later(9.5, [], an_onward(0.0, 0.0)).leave == 1.0
+    assert later(7.0, [], an_onward(0.0, 0.0)).leave == pytest.approx(LEAVE_FLOOR / (LEAVE_FLOOR + 0.95), rel=0.01)
+
+
+def test_arrivals_that_are_forgotten_may_have_been_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    for place in (module, recent_events):
+        monkeypatch.setattr(place, "RECENT_MAX", 5)
+    alive = [Event(camera, "exit", 990.0) for camera in "abc"]
+    crowd = [Event("d", "entry", 1000.0 + k, 0.5, 0.5) for k in range(40)]
+    late = later(40.0, [*crowd, *alive])
+    assert chances(late) == pytest.approx({"b/1": 0.5, "c/1": 0.3, "a/2": 0.1}, abs=0.02)
+    assert 6.0 < late.next_[0].q50 < 10.0
+    assert chances(later(40.0, crowd[:4])).get("b/1", 0.0) < 0.01, "all are remembered"
+    assert chances(later(1.0, [*crowd, *alive]))["b/1"] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("now", [999.9, math.nan, math.inf])
+def test_nobody_is_asked_about_before_leaving(now: float) -> None:
+    predictor = Predictor(THREE)
+    for event in (EXIT, replace(EXIT, camera="unknown"), replace(EXIT, camera="d", x=0.5)):
+        with pytest.raises(ValueError, match=r"now is .*: give the time of the exit, 1000\.0, or a later one"):
+            predictor.predict(event, now)
+    with pytest.raises(ValueError, match="now is"):
+        predictor.predict_from(0, 1000.0, now=now)
+
+
+@settings(max_examples=60)
+@given(LINKS, st.sampled_from([[], STAY, [0.0] * 11]), EVENTS, st.floats(0, 100))
+def test_every_later_prediction_is_sound(
+    links: list[Link], stay: list[float], events: list[Event], seconds: float
+) -> None:
+    """Asked at any time about any exit so far, of events that come as they like."""
+    predictor = Predictor(a_topology(links, stay=stay))
+    for event in events:
+        sound(predictor.predict(event, event.t + seconds))
+        predictor.observe(event)
+        sound(predictor.predict(event, event.t + seconds))
+    for event in events:
+        sound(predictor.predict(event, event.t + seconds))
+
+
+def test_on_a_made_up_network_more_is_known_later() -> None:
+    events, truth, cut, learner = a_made_up_network()
+
+    def scored(seconds: float) -> PredictionScore:
+        predictor, said, waiting = learner.predictor(), [], []
+        for k, event in enumerate(events):
+            while waiting and waiting[0].t + seconds < event.t:
+                said.append(predictor.predict(waiting[0], waiting[0].t + seconds))
+                del waiting[0]
+            predictor.observe(event)
+            if event.kind == "exit" and k < cut:
+                said.append(Prediction(event.camera, None, event.t, None, 1, 1.0, []))  # does not count
+            elif event.kind == "exit":
+                waiting.append(event)
+        said += [predictor.predict(event, event.t + seconds) for event in waiting]
+        return score_predictions(said, events, truth, since=events[cut].t)
+
+    first, second, third = scored(0.0), scored(15.0), scored(45.0)
+    assert first.log_loss > second.log_loss + 0.05 > third.log_loss + 0.05
+    assert first.top1 + 0.02 < third.top1

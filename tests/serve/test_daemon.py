@@ -1,0 +1,703 @@
+"""The daemon on a real bus in this process: what comes in, what goes out, what is asked of it."""
+
+from __future__ import annotations
+
+import logging
+import os
+import random
+import signal
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import serving
+from fake_bus import OneBus
+from serving import T0, all_out, closing_event, numbered, small_config, wait_for, walkers
+
+from camtopod import codec
+from camtopod.learn.learner import Learner
+from camtopod.records import Ack, Event, Prediction, Topology
+from camtopod.serve.bus import session as buses
+from camtopod.serve.bus.session import Bus, BusError, QueryError
+from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest.camera_registry import Received
+from camtopod.serve.outbox.publisher import Publisher
+from camtopod.serve.outbox.spool import Spool
+from camtopod.serve.runtime.clock import ulid
+from camtopod.serve.storage.journal import Entry, Journal
+from camtopod.serve.storage.sqlite_file import crc
+from camtopod.topology.versions import digest_of, make_delta
+
+NOW = T0 + 20 * serving.SPAN_SECONDS
+
+
+class Site:
+    """A daemon and clients on its bus; the clock stands still unless it is moved."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.now = NOW
+        self._open: list[Any] = []
+
+    def daemon(self, bus: Bus | None = None, **limits: float) -> Daemon:
+        daemon = Daemon(small_config(self.directory / "state", **limits), bus, clock=lambda: self.now)
+        daemon.start()
+        self._open.append(daemon.stop)
+        return daemon
+
+    def client(self, daemon: Daemon) -> Bus:
+        bus = buses.dial(small_config(self.directory, daemon.endpoint))
+        self._open.append(bus.close)
+        return bus
+
+    def publisher(self, bus: Bus, name: str = "spool") -> tuple[Publisher, Spool]:
+        spool = Spool(self.directory / f"{name}.db", f"boot-{name}", 100_000)
+        publisher = Publisher(spool, 100)
+        publisher.attach(bus)
+        self._open.append(spool.close)
+        return publisher, spool
+
+    def close(self) -> None:
+        for close in reversed(self._open):
+            close()
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[Site]:
+    one = Site(tmp_path)
+    yield one
+    one.close()
+
+
+def put(bus: Bus, *events: Event) -> None:
+    for event in events:
+        bus.put(f"event/{event.camera}", event, "event")
+
+
+def stored(daemon: Daemon, count: int) -> None:
+    wait_for(lambda: daemon.status()["events"]["stored"] >= count, f"{count} stored events")
+    assert daemon.status()["events"]["stored"] == count
+
+
+def learned(events: list[Event]) -> Topology:
+    """The newest version of the plain learner over the same events."""
+    learner = Learner(small_config(Path()).learn, site="site", epoch="any")
+    for event in sorted(events, key=lambda event: event.t):
+        learner.receive(event)
+    assert learner.topology is not None
+    return learner.topology
+
+
+def journal_of(site: Site) -> list[tuple[str, str, str | None, int | None]]:
+    journal = Journal(site.directory / "state")
+    rows = [(e.kind, e.camera, e.boot, e.seq) for _, e in journal.entries() if e is not None]
+    journal.close()
+    return rows
+
+
+# --- events in, versions out ----------------------------------------------------------------------
+
+
+def test_events_are_stored_once_and_learned_as_the_plain_learner_does(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    events = [*numbered(walkers(40)), closing_event()]
+    view = TopologyView(bus)
+    expected = learned(events)
+    put(bus, *events, *events[:50])
+    assert view.wait_for(expected.version, 20) is not None
+    assert view.topology is not None
+    assert (view.topology.version, view.topology.digest) == (expected.version, expected.digest)
+    assert view.topology.epoch == daemon.epoch
+    wait_for(lambda: daemon.status()["events"]["duplicate"] == 50, "duplicates")
+    stored(daemon, len(events))
+    late = TopologyView(site.client(daemon))
+    assert late.wait_for(1, 10) == view.topology, "a late joiner gets the whole"
+    status = daemon.status()
+    assert (status["alarms"], status["score"]) == ([], expected.score)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_daemon_whose_learner_is_killed_fails_and_goes_on_where_it_was(site: Site) -> None:
+    daemon = site.daemon()
+    events = [*numbered(walkers(40)), closing_event()]
+    put(site.client(daemon), *events[:100])
+    wait_for(
+        lambda: daemon.status()["events"]["stored"] == 100 and not daemon.status()["events"]["waiting"], "learning"
+    )
+    assert daemon._process is not None
+    os.kill(daemon._process.pid, signal.SIGKILL)
+    assert daemon.wait(5.0)
+    assert daemon.failing() == ["a part of the daemon has failed"]
+    daemon.stop()
+    again = site.daemon()
+    assert again.epoch == daemon.epoch
+    put(site.client(again), *events[100:])
+    expected = learned(events)
+    wait_for(lambda: again.topology is not None and again.topology.version == expected.version, "the last version")
+    assert again.topology is not None
+    assert again.topology.digest == expected.digest
+
+
+def test_a_restart_replays_the_journal_to_the_same_version(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    events = [*numbered(walkers(40)), closing_event()]
+    expected = learned(events)
+    put(bus, *events)
+    wait_for(
+        lambda: daemon.topology is not None and daemon.topology.version == expected.version,
+        "the last version",
+    )
+    before = daemon.topology
+    daemon.stop()
+    again = site.daemon()
+    assert again.topology == before
+    assert again.epoch == daemon.epoch
+    put(site.client(again), *events[:10])
+    wait_for(lambda: again.status()["events"]["duplicate"] == 10, "duplicates of what was stored before")
+
+
+def test_other_settings_begin_a_new_epoch(site: Site) -> None:
+    daemon = site.daemon()
+    put(site.client(daemon), *numbered(walkers(40)), closing_event())
+    wait_for(lambda: daemon.topology is not None and daemon.topology.version >= 2, "a version")
+    daemon.stop()
+    config = small_config(site.directory / "state")
+    config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, publish_q_max=0.5))
+    config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, version_seconds=17.0))
+    with Daemon(config, clock=lambda: site.now) as again:
+        assert again.epoch > daemon.epoch
+        assert again.topology is not None, "the last version holds until there is another"
+        wait_for(lambda: again.topology is not None and again.topology.epoch == again.epoch, "a version of the epoch")
+        assert again.topology.version == 1
+        assert len(again.topology.zones) > 0
+
+
+def test_old_versions_can_be_asked_for(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    events = [*numbered(walkers(40)), closing_event()]
+    last = learned(events).version
+    put(bus, *events)
+    wait_for(lambda: daemon.topology is not None and daemon.topology.version == last, "the last version")
+
+    def asked(**parameters: object) -> Topology:
+        return codec.read(Topology, bus.ask("topology", parameters)[0][1], pack=True)
+
+    first = asked(version=1)
+    assert (first.version, first.digest) == (1, digest_of(first))
+    assert asked(version=1, epoch=daemon.epoch) == first
+    assert asked() == asked(version=last) == daemon.topology
+    for nonsense in ({"version": 999}, {"version": "x"}, {"version": 1, "epoch": "other"}):
+        with pytest.raises(QueryError, match="is not kept"):
+            bus.ask("topology", nonsense)
+    before = daemon.status()["journal"]
+    daemon.stop()
+    again = site.daemon()
+    assert again.status()["events"]["waiting"] == 0, "it stopped with a snapshot"
+    assert asked_of(site, again, first.version) == first
+    assert again.status()["journal"]["entries"] == before["entries"]
+
+
+def asked_of(site: Site, daemon: Daemon, version: int) -> Topology:
+    return codec.read(Topology, site.client(daemon).ask("topology", {"version": version})[0][1], pack=True)
+
+
+def test_epochs_sort_by_time_whatever_the_clock_does() -> None:
+    first = ulid(NOW)
+    assert len(first) == 26
+    assert ulid(NOW - 1000.0) < first < ulid(NOW + 0.001)
+    assert first < ulid(NOW, after=first) < ulid(NOW + 0.002)
+    assert first < ulid(NOW - 1e6, after=first)
+
+
+def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    put(bus, *(events := [*numbered(walkers(60)), closing_event()]))
+    wait_for(lambda: all_out(daemon, len(events)), "what it learned to be used")
+    assert daemon.topology is not None
+    assert len(daemon.topology.links) > 0
+    predictions: list[Prediction] = []
+    bus.subscribe("prediction/*", lambda key, raw: predictions.append(codec.read(Prediction, raw, pack=True)))
+    t = T0 + 11 * serving.SPAN_SECONDS
+    put(bus, Event("a", "exit", t, 0.9, 0.5, "x1"), Event("a", "entry", t + 1, 0.1, 0.5))
+    put(bus, Event("a", "exit", t + 2, 0.9, 0.5))
+    wait_for(lambda: len(predictions) == 2, "predictions")
+    assert [(p.camera, p.t, p.track) for p in predictions] == [("a", t, "x1"), ("a", t + 2, None)]
+    assert daemon.topology is not None
+    assert predictions[0].version == daemon.topology.version
+    assert {following.camera for following in predictions[0].next_} <= {"b", "c", "a"}
+    assert sum(following.probability for following in predictions[0].next_) + predictions[0].leave == pytest.approx(1)
+
+    [(key, raw)] = bus.ask("predict/a", {"x": 0.9, "y": 0.5, "t": t})
+    asked = codec.read(Prediction, raw, pack=True)
+    assert (key, asked.camera, asked.zone) == ("predict/a", "a", predictions[0].zone)
+    [(_, raw)] = bus.ask("predict/a", {"zone": asked.zone, "t": t, "format": "application/json"})
+    assert codec.read(Prediction, raw).zone == asked.zone
+    for parameters in ({"zone": "b/1"}, {"x": 0.5}, {"t": "noon"}, {"zone": "a/99"}):
+        with pytest.raises(QueryError):
+            bus.ask("predict/a", parameters)
+    asked_again(bus, daemon, t + 100)
+
+    [(key, raw)] = bus.ask("topology", {"format": "application/json"})
+    assert codec.read(Topology, raw).digest == daemon.topology.digest
+    [(key, raw)] = bus.ask("status/*")
+    assert key == "status/daemon"
+    assert msgspec.msgpack.decode(raw)["state"] == "running"
+
+
+def asked_again(bus: Bus, daemon: Daemon, t: float) -> None:
+    """Who left the view of a at ``t`` appears at b or c 9 s later, or not at all."""
+
+    def said(**parameters: object) -> Prediction:
+        return codec.read(Prediction, bus.ask("predict/a", {"t": t, **parameters})[0][1], pack=True)
+
+    def at(prediction: Prediction, camera: str) -> float:
+        return sum(following.probability for following in prediction.next_ if following.camera == camera)
+
+    place = {"x": 0.9, "y": 0.5}
+    at_exit = said(**place)
+    assert said(**place, now=t) == at_exit
+    assert min(at(at_exit, "b"), at(at_exit, "c")) > 0.2
+    for where in (place, {"zone": at_exit.zone}):
+        none_came = said(**where, now=t + 60)
+        assert at(none_came, "b") + at(none_came, "c") < 0.1 < 0.8 < none_came.leave
+    put(bus, Event("a", "exit", t, 0.9, 0.5), Event("b", "entry", t + 9, 0.1, 0.5))
+    wait_for(lambda: at(said(**place, now=t + 20), "b") > 0.9, "the arrival at b to count")
+    came = said(**place, now=t + 20)
+    assert came.next_[0].q10 <= 9 <= came.next_[0].q90 < 20
+    assert said(**place, now=t + 8).leave < 0.5, "it had not come by then"
+    for now, why in (
+        (t - 1, "now is .*: give the time of the exit"),
+        ("nan", "now is nan"),
+        ("noon", "and now are num"),
+    ):
+        for where in (place, {"zone": at_exit.zone}):
+            with pytest.raises(QueryError, match=why):
+                said(**where, now=now)
+    assert daemon.status()["questions_refused"] == 10
+
+
+def test_nothing_learned_yet_is_an_answer(site: Site) -> None:
+    bus = site.client(site.daemon())
+    for key in ("topology", "predict/a"):
+        with pytest.raises(QueryError, match="nothing has been learned yet"):
+            bus.ask(key)
+
+
+def test_status_is_published(site: Site) -> None:
+    daemon = site.daemon()
+    seen: list[dict[str, Any]] = []
+    site.client(daemon).subscribe("status/daemon", lambda key, raw: seen.append(msgspec.msgpack.decode(raw)))
+    wait_for(lambda: bool(seen), "a status")
+    assert seen[0]["site"] == "site"
+    assert seen[0]["epoch"] == daemon.epoch
+
+
+def test_time_goes_on_without_events(site: Site) -> None:
+    """When the events of a live site stop coming, what is held back is learned all the same."""
+    daemon = site.daemon(settle_seconds=1.0)
+    events = numbered(walkers(10))
+    shift = NOW - 5.0 - events[-1].t
+    events = [msgspec.structs.replace(event, t=event.t + shift) for event in events]
+    put(site.client(daemon), *events)
+    stored(daemon, len(events))
+    assert daemon.topology is None
+    site.now += 4 * serving.SPAN_SECONDS
+    wait_for(lambda: daemon.topology is not None, "a version")
+    assert daemon.topology is not None
+    wait_for(lambda: daemon.status()["learner"]["learned"] == len(events), "every event to be learned")
+    wait_for(lambda: all_out(daemon, len(events)), "its versions")
+    before = daemon.topology
+    daemon.stop()
+    assert site.daemon().topology == before, "the passing of time is in the journal too"
+
+
+# --- what does not fit ----------------------------------------------------------------------------
+
+
+def test_garbage_is_counted_quoted_once_and_survived(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    chance = random.Random(7)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(300):
+            bus.put_raw("event/lobby", chance.randbytes(chance.randrange(0, 80)), "event")
+        bus.put_raw("event/lobby", b"\xff" * 5000, "event")
+        bus.put_raw("event/lobby", b'{"camera":"lobby","kind":"entry","t":1,"track":"rtsp://u:p@ss@h"', "event")
+        put(bus, Event("hall", "entry", T0))
+        bus.put("event/lobby", Event("hall", "entry", T0), "event")
+        good = Event("lobby", "entry", T0)
+        bus.put_raw("event/lobby", codec.to_json(good), "event")
+        stored(daemon, 2)
+    counts = daemon.status()["rejects"]
+    assert sum(counts.values()) == 303
+    assert counts["wrong-camera"] == 1
+    assert counts["too-long"] == 1
+    quoted = [record for record in caplog.records if record.getMessage().startswith("rejected")]
+    assert len(quoted) == len(counts)
+    assert "p@ss" not in caplog.text
+    assert daemon.status()["state"] == "running"
+    daemon.stop()
+    assert journal_of(site) == [("event", "hall", None, None), ("event", "lobby", None, None)]
+
+
+def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
+    daemon = site.daemon(future_seconds_max=60)
+    bus = site.client(daemon)
+    first, wild, third = numbered([Event("lobby", "entry", t) for t in (NOW - 5, NOW + 3600, NOW + 50)])
+    acks: list[Ack] = []
+    bus.subscribe("ack/lobby", lambda key, raw: acks.append(codec.read(Ack, raw, pack=True)))
+    put(bus, first, wild, third)
+    wait_for(lambda: daemon.status()["events"]["early"] == 1, "the third to wait for its time")
+    stored(daemon, 1)
+    site.now += 50
+    stored(daemon, 2)
+    assert daemon.status()["events"]["future"] == 1
+    wait_for(
+        lambda: bool(acks) and (acks[-1].boot, acks[-1].seq) == ("b1", 3),
+        "the ack of all three: none is asked for again",
+    )
+    assert (acks[-1].accepted, acks[-1].late, acks[-1].duplicate, acks[-1].refused) == (2, 0, 0, 1)
+    daemon.stop()
+    assert [kind for kind, *_ in journal_of(site)] == ["event", "future", "event"]
+
+
+def test_an_event_time_that_is_ahead_of_the_clock_is_said_with_what_to_do(site: Site) -> None:
+    """This clock is before what was stored last: as long as no camera says which is wrong, nothing is dropped."""
+    first = site.daemon()
+    put(site.client(first), *(Event(camera, "entry", NOW) for camera in "ab"))
+    wait_for(lambda: first.status()["learner"].get("accepted") == 2, "the events to be learned")
+    assert (first.status()["reason"], first.unready()) == ("", [])
+    first.stop()
+    site.now = NOW - 86_400.0
+    again = site.daemon()
+    wait_for(lambda: again.status()["reason"] != "" and not again.status()["events"]["waiting"], "the reason")
+    status, ahead = again.status(), 86_400.0 - 2 * serving.SPAN_SECONDS
+    assert status["state"] == "degraded"
+    assert f"event time is {ahead:.0f} s ahead of this machine's clock" in status["reason"]
+    assert "if that clock is wrong, set it" in status["reason"]
+    assert again.unready() == [status["reason"]]
+    assert again.failing() == [], "to start it again changes nothing"
+    site.now = NOW
+    assert (again.status()["reason"], again.unready()) == ("", [])
+
+
+def test_event_time_that_a_wrong_clock_took_along_comes_back(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+    """As three cameras of one box, a day ahead, did to an older program: all other events were late from then on."""
+    good = [*numbered(walkers(120)), *numbered(walkers(40, seed=2), "b2")]
+    ahead = [
+        Event(camera, "entry", NOW + 86_400.0 + n, boot="w", seq=n) for n in range(20) for camera in ("x", "y", "z")
+    ]
+    journal = Journal(site.directory / "state")
+    entries = [Entry("event", e.camera, e.boot, e.seq, codec.to_pack(e)) for e in [*sorted_by_time(good), *ahead]]
+    journal.commit(entries, now=NOW)
+    journal.close()
+
+    daemon = site.daemon()
+    wait_for(lambda: not daemon.status()["events"]["waiting"], "what was stored to be learned")
+    bus = site.client(daemon)
+    assert "event time is" in daemon.status()["reason"]
+    before = daemon.epoch
+    site.now += 11.0
+    wait_for(lambda: daemon.epoch != before, "event time to be taken back")
+    wait_for(lambda: daemon.status()["learner"]["watermark"] == site.now, "that to be learned")
+    assert "is dropped, and event time goes on from that clock" in caplog.text
+    assert daemon.status()["learner"]["window"] == len(good), "everything else is kept"
+    wait_for(lambda: daemon.topology is not None and daemon.topology.epoch == daemon.epoch, "a version of it")
+    assert daemon.topology is not None
+    assert {camera.id for camera in daemon.topology.cameras} >= set("abc")
+
+    later = [msgspec.structs.replace(e, t=e.t - T0 + site.now, boot="b3") for e in numbered(walkers(20))]
+    site.now += 1300.0
+    put(bus, *sorted_by_time(later))
+    wait_for(lambda: daemon.status()["learner"]["accepted"] >= len(good) + len(later), "them to be learned")
+    assert daemon.status()["learner"]["late"] == 0
+    assert daemon.status()["reason"] == ""
+    version, epoch = daemon.status()["version"], daemon.epoch
+    daemon.stop()
+    again = site.daemon()
+    assert (again.status()["version"], again.epoch) == (version, epoch)
+
+
+def sorted_by_time(events: list[Event]) -> list[Event]:
+    return sorted(events, key=lambda event: event.t)
+
+
+def test_a_publisher_without_spool_loses_only_what_was_lost(site: Site) -> None:
+    daemon = site.daemon(gap_seconds=0.2)
+    bus = site.client(daemon)
+    events = numbered([Event("lobby", "entry", T0 + n) for n in range(6)])
+    put(bus, *events[:2], *events[4:])
+    stored(daemon, 4)
+    assert daemon.status()["events"]["lost"] == 2
+
+
+# --- nothing is lost ------------------------------------------------------------------------------
+
+
+def test_what_the_network_lost_is_pulled_from_the_spool(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    publisher, spool = site.publisher(bus)
+    deliver, chance = bus.put_raw, random.Random(3)
+    monkeypatch.setattr(bus, "put_raw", lambda *given: deliver(*given) if chance.random() < 0.5 else None)
+    events = walkers(50)
+    for event in events:
+        publisher.publish(event)
+    assert publisher.drained(20), "everything is acknowledged"
+    stored(daemon, len(events))
+    assert (daemon.status()["events"]["lost"], daemon.status()["events"]["unknown"]) == (0, 0)
+    daemon.stop()
+    rows = journal_of(site)
+    for camera in "abc":
+        seqs = [seq for _, where, _, seq in rows if where == camera]
+        assert seqs == list(range(1, len(seqs) + 1)), "in order, without gap or repetition"
+    assert len(rows) == len(events)
+    assert len(spool) == 0
+
+
+def test_events_from_before_the_daemon_wait_in_the_spool(site: Site) -> None:
+    daemon = site.daemon()
+    spool = Spool(site.directory / "early.db", "boot-early", 1000)
+    publisher = Publisher(spool, 100)
+    events = [Event("lobby", "entry", T0 + n) for n in range(250)]
+    publisher.publish(*events)
+    assert publisher.unacknowledged == 250
+    publisher.attach(site.client(daemon))
+    assert publisher.drained(20)
+    stored(daemon, 250)
+    spool.close()
+
+
+def test_a_lost_ack_is_given_again(site: Site) -> None:
+    daemon = site.daemon()
+    events = [Event("lobby", "entry", T0 + n) for n in range(5)]
+    publisher, spool = site.publisher(site.client(daemon))
+    sent = numbered(events, spool.boot)
+    put(site.client(daemon), *sent)  # stored and acknowledged before this spool has the events
+    stored(daemon, 5)
+    time.sleep(0.2)  # the ack has gone by
+    publisher.publish(*events)
+    assert publisher.drained(20)
+    stored(daemon, 5)
+
+
+def test_poison_in_a_spool_does_not_stop_the_stream(site: Site) -> None:
+    daemon = site.daemon()
+    publisher, spool = site.publisher(site.client(daemon))
+    good = numbered([Event("lobby", "entry", T0 + n) for n in range(4)], spool.boot)
+    spool.append([Event("lobby", "entry", event.t) for event in good])
+    row = ("lobby", spool.boot, 2, b"\xc1\xff")
+    spool._db.execute("UPDATE event SET raw = ?, crc = ? WHERE seq = 2", (row[3], crc(*row)))
+    publisher.attach(site.client(daemon), ["lobby"])
+    assert publisher.drained(20)
+    stored(daemon, 3)
+    assert daemon.status()["rejects"] == {"malformed": 1}
+    daemon.stop()
+    assert [(kind, seq) for kind, _, _, seq in journal_of(site)] == [
+        ("event", 1), ("refused", 2), ("event", 3), ("event", 4),
+    ]  # fmt: skip
+
+
+def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon = site.daemon()
+    publisher, _ = site.publisher(site.client(daemon))
+    full = True
+    commit = daemon._journal.commit
+
+    def failing(*given: Any) -> None:
+        if full and given[0]:
+            raise sqlite3.OperationalError("database or disk is full")
+        commit(*given)
+
+    monkeypatch.setattr(daemon._journal, "commit", failing)
+    publisher.publish(*(Event("lobby", "entry", T0 + n) for n in range(20)))
+    wait_for(lambda: daemon.status()["state"] == "degraded", "the status to say so")
+    assert "disk is full" in daemon.status()["reason"]
+    assert publisher.unacknowledged == 20
+    full = False
+    assert publisher.drained(20)
+    assert daemon.status()["state"] == "running"
+    stored(daemon, 20)
+
+
+def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon = site.daemon()
+    bus = site.client(daemon)
+    put(bus, *numbered(walkers(40)), closing_event())
+    wait_for(lambda: daemon.topology is not None and daemon.topology.version > 1, "two versions")
+    assert daemon.topology is not None
+    older = {"version": daemon.topology.version - 1}
+
+    def unreadable(*_: Any) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    with monkeypatch.context() as disk:
+        for name in ("size", "version"):
+            disk.setattr(daemon._journal, name, unreadable)
+        # The disk is read beside the status, which says what was found last.
+        wait_for(lambda: daemon.status()["journal"].get("reason") == "disk I/O error", "what is wrong")
+        assert not daemon.wait(1.0), "no part of it has failed"
+        with pytest.raises(QueryError, match="disk I/O error"):
+            bus.ask("topology", older)
+    wait_for(lambda: daemon.status()["journal"].get("bytes", 0) > 0, "the disk to be read again")
+    assert bus.ask("topology", older)
+
+
+def test_what_waits_for_other_backlogs_is_in_the_status(site: Site) -> None:
+    daemon = site.daemon()
+    receiver = daemon._receiver
+    assert daemon.status()["events"]["merging"] == 0
+    receiver.merge.answered("lobby", [T0, T0 + 60], True, 0.0)
+    receiver.merge.release([Received(Entry("refused", "lobby", "b", 1, b""))], 0.0, lambda: 10)
+    assert receiver.merge.waiting == 1
+    assert daemon.status()["events"]["merging"] == 1
+
+
+# --- the bus itself -------------------------------------------------------------------------------
+
+
+def test_nobody_there_is_said_with_what_to_do(tmp_path: Path) -> None:
+    config = small_config(tmp_path, "tcp/127.0.0.1:1")
+    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, connect_seconds=0.3))
+    with pytest.raises(BusError, match=r"cannot reach the bus at tcp/127.0.0.1:1: is `camtopod run` running"):
+        buses.dial(config)
+
+
+def test_a_second_daemon_at_the_same_endpoint_is_refused(site: Site, tmp_path: Path) -> None:
+    daemon = site.daemon()
+    config = small_config(tmp_path / "other")
+    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, listen=(daemon.endpoint,)))
+    with pytest.raises(BusError, match="another daemon may be running there"):
+        Daemon(config).start()
+    other = Daemon(small_config(tmp_path / "other"))
+    other.start()
+    other.stop()
+
+
+def test_what_nobody_takes_for_its_size_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    config = small_config(tmp_path)
+    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, message_bytes_max=1000))
+    with buses.meet(config) as bus:
+        bus.answer("topology", lambda key, parameters: "y" * 2000, "topology")
+        for size in (990, 1500, 1600):
+            bus.put_raw("part/1", b"x" * size, "part")
+        bus.ask("topology")
+    said = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
+    assert [line.partition(",")[0] for line in said] == ["part/1 has 1500 bytes", "topology has 2003 bytes"]
+
+
+def test_a_daemon_on_a_given_bus_leaves_it_open(site: Site) -> None:
+    bus = buses.meet(small_config(site.directory))
+    daemon = site.daemon(bus)
+    put(site.client(daemon), Event("lobby", "entry", T0))
+    stored(daemon, 1)
+    daemon.stop()
+    got: list[bytes] = []
+    bus.subscribe("x", lambda key, raw: got.append(raw))
+    bus.put_raw("x", b"1", "x")
+    wait_for(lambda: bool(got), "a message over the bus that stayed open")
+    bus.close()
+
+
+def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> None:
+    versions: list[Topology] = []
+    learner = Learner(small_config(Path()).learn, site="site", epoch="01A")
+    for event in [*walkers(40), closing_event()]:
+        learner.receive(event)
+        versions += learner.updates()
+    assert len(versions) >= 4
+    bus = buses.meet(small_config(site.directory))
+    whole = versions[0]
+    bus.answer("topology", lambda key, parameters: whole, "topology")
+    bus.appear("daemon", "site")
+    client = buses.dial(small_config(site.directory, bus.endpoint))
+    told: list[str] = []
+
+    class View(TopologyView):
+        def _on_daemon(self, name: str, alive: bool) -> None:
+            super()._on_daemon(name, alive)
+            told.append(name)
+
+    view = View(client)
+    assert view.wait_for(1, 10) == versions[0]
+    wait_for(lambda: bool(told), "the view to have been told of the daemon, on which it fetches the whole")
+    wait_for(lambda: view.update() is None and not view._stale, "the view to rest")
+    fetched = view.fetched
+
+    def delta(old: Topology, new: Topology) -> Callable[[], bool]:
+        bus.put("topology/delta", make_delta(old, new), "topology-delta")
+        return lambda: view.update() is not None
+
+    wait_for(delta(versions[0], versions[1]), "the delta")
+    assert (view.topology, view.fetched) == (versions[1], fetched)
+    whole = versions[3]
+    wait_for(delta(versions[2], versions[3]), "the whole, as a delta is missing")
+    assert view.topology == versions[3]
+    assert view.fetched == fetched + 1
+    renamed = [msgspec.structs.replace(version, epoch="01B") for version in versions]
+    whole = renamed[1]
+    wait_for(delta(renamed[0], renamed[1]), "the whole of a new epoch")
+    assert view.topology == renamed[1]
+    client.close()
+    bus.close()
+
+
+class Answering:
+    """A bus on which a daemon starts anew while it is asked for the topology."""
+
+    def __init__(self, versions: list[Topology]) -> None:
+        self._versions = versions
+        self.on_daemon: Any = None
+
+    def subscribe(self, key: str, on_message: Any) -> None:
+        """No deltas come."""
+
+    def watch_alive(self, role: str, on_change: Any) -> None:
+        self.on_daemon = on_change
+
+    def ask(self, key: str, one: bool = False) -> list[tuple[str, bytes]]:
+        answer = self._versions.pop(0)
+        if self._versions:
+            self.on_daemon("daemon", True)
+        return [(key, codec.to_pack(answer))]
+
+
+@pytest.mark.parametrize("epoch", ["~ later", "! earlier, by a clock that is behind"])
+def test_a_daemon_that_comes_back_while_a_view_asks_is_asked_again(epoch: str) -> None:
+    old = learned([*walkers(20), closing_event()])
+    new = msgspec.structs.replace(old, epoch=epoch, version=1)
+    view = TopologyView(Answering([old, new]))  # type: ignore[arg-type]
+    assert view.update() == old
+    wait_for(lambda: view.update() == new, "the whole to be fetched again", 5.0)
+
+
+def test_a_view_whose_delta_was_lost_fetches_the_whole_when_the_status_names_a_newer_version() -> None:
+    versions: list[Topology] = []
+    learner = Learner(small_config(Path()).learn, site="site", epoch="01A")
+    for event in [*walkers(40), closing_event()]:
+        learner.receive(event)
+        versions += learner.updates()
+    bus = OneBus()
+    bus.kept[1] = versions[0]
+    view = TopologyView(bus)  # type: ignore[arg-type]
+    assert view.update() == versions[0]
+    bus.kept[2] = versions[1]
+
+    def told_and_updated() -> bool:
+        bus.put("status/daemon", {"epoch": "01A", "version": 2, "state": "running"})
+        return view.update() == versions[1]
+
+    assert not told_and_updated(), "the delta may still come"
+    wait_for(told_and_updated, "the whole to be fetched")
+    assert view.fetched == 2
+    told_and_updated()
+    assert view.fetched == 2

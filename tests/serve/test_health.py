@@ -1,0 +1,556 @@
+"""Healthy means making progress: marks of loops, the health pages, systemd's watchdog, another configuration."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import logging
+import os
+import signal
+import socket
+import sqlite3
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from fake_systemd import Systemd
+from serving import T0, WAIT_SECONDS, camtopod, free_endpoint, small_config, wait_for
+
+from camtopod.config.settings import Config, HealthSettings, parse
+from camtopod.records import Event
+from camtopod.serve.bus import self_check
+from camtopod.serve.bus import session as buses
+from camtopod.serve.bus.session import Bus, BusError
+from camtopod.serve.daemon import Daemon
+from camtopod.serve.ingest.puller import Puller
+from camtopod.serve.live_predictions import Live
+from camtopod.serve.monitoring import health
+from camtopod.serve.runtime import systemd
+from camtopod.serve.runtime.progress import Progress
+from camtopod.serve.runtime.reload import changes
+
+# --- marks ----------------------------------------------------------------------------------------
+
+
+def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None:
+    now = 100.0
+    progress = Progress(lambda: now)
+    receive, learn = progress.watch("receive", 30.0), progress.watch("learn", 900.0)
+    assert progress.stuck() == []
+    now += 31.0
+    learn.beat()
+    assert progress.stuck() == ["receive has not got on for 31 s (allowed: 30 s)"]
+    receive.beat()
+    now += 29.0
+    assert progress.stuck() == []
+    now += 1000.0
+    assert [reason.split()[0] for reason in progress.stuck()] == ["learn", "receive"]
+    learn.beat_as_of(now - 10.0)
+    receive.beat_as_of(now - 31.0)
+    assert [reason.split()[0] for reason in progress.stuck()] == ["receive"]
+    progress.allow("receive", 60.0)
+    assert progress.stuck() == []
+    now += 1e6
+    progress.forget("receive")
+    progress.forget("receive")
+    assert [reason.split()[0] for reason in progress.stuck()] == ["learn"]
+
+
+# --- the daemon's loops ---------------------------------------------------------------------------
+
+
+def strict(directory: Path, **health_settings: float) -> Config:
+    given = {"stall_seconds": 0.4, "learn_seconds": 0.4, **health_settings}
+    return msgspec.structs.replace(small_config(directory), health=HealthSettings(**given))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    one = Daemon(strict(tmp_path))
+    one.start()
+    yield one
+    one.stop()
+
+
+def put(daemon: Daemon, *events: Event) -> None:
+    assert daemon._bus is not None
+    for event in events:
+        daemon._bus.put(f"event/{event.camera}", event, "event")
+
+
+def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Make ``owner.name`` block; returns what lets it go."""
+    go = threading.Event()
+    real = getattr(owner, name)
+
+    def blocking(*given: Any, **named: Any) -> Any:
+        assert go.wait(WAIT_SECONDS)
+        return real(*given, **named)
+
+    monkeypatch.setattr(owner, name, blocking)
+    return go.set
+
+
+def stopped(daemon: Daemon) -> Callable[[], None]:
+    """Let the learner's process do nothing any more; returns what lets it go."""
+    assert daemon._process is not None
+    pid = daemon._process.pid
+    os.kill(pid, signal.SIGSTOP)
+    return lambda: os.kill(pid, signal.SIGCONT)
+
+
+def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon) -> None:
+    time.sleep(0.7)  # longer than any loop is allowed
+    assert (daemon.failing(), daemon.unready()) == ([], [])
+    let_go = stopped(daemon)
+    put(daemon, Event("lobby", "entry", T0))
+    wait_for(lambda: daemon.failing() != [], "it to be noticed")
+    assert [reason.split()[0] for reason in daemon.failing()] == ["learn"]
+    assert daemon.unready() != []
+    status = daemon.status()
+    assert status["state"] == "degraded"
+    assert "learn has not got on" in status["reason"]
+    let_go()
+    wait_for(lambda: daemon.failing() == [], "it to go on")
+    assert daemon.status()["state"] == "running"
+
+
+def connections_at(endpoint: str) -> int:
+    """How many programs are connected there."""
+    port, established = f":{int(endpoint.rpartition(':')[2]):04X}", "01"
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    return sum(row[1].endswith(port) and row[3] == established for row in rows)
+
+
+def test_a_bus_that_is_dead_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(self_check, "LOOK_SECONDS", 0.1)
+    config = strict(tmp_path, stall_seconds=0.3)
+    quick = msgspec.structs.replace(config.bus, connect_seconds=0.1, query_seconds=0.5)
+    with Daemon(msgspec.structs.replace(config, bus=quick)) as daemon:
+        wait_for(lambda: connections_at(daemon.endpoint) == 1, "it to be its own client")
+        time.sleep(1.2)  # longer than it may take
+        assert (daemon.failing(), daemon.unready()) == ([], [])
+        daemon.bus._session.close()  # type: ignore[no-untyped-call]
+        wait_for(
+            lambda: any(reason.startswith("bus has not got on") for reason in daemon.failing()), "it to be noticed"
+        )
+
+
+def test_a_bus_that_never_could_be_looked_at_is_not_called_dead(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(self_check, "LOOK_SECONDS", 0.1)
+    tried = threading.Event()
+
+    def unreachable(config: Config) -> Bus:
+        tried.set()
+        raise BusError("a firewall")
+
+    monkeypatch.setattr(self_check, "dial", unreachable)
+    with Daemon(strict(tmp_path, stall_seconds=0.3)) as daemon:
+        assert tried.wait(WAIT_SECONDS)
+        monkeypatch.setattr(daemon.progress._marks["bus"], "seconds_max", 0.3)
+        time.sleep(0.7)
+        assert daemon.failing() == []
+
+
+def test_a_long_refit_has_its_own_limit(tmp_path: Path) -> None:
+    with Daemon(strict(tmp_path, stall_seconds=0.3, learn_seconds=60.0)) as daemon:
+        let_go = stopped(daemon)
+        put(daemon, Event("lobby", "entry", T0))
+        wait_for(lambda: daemon.status()["events"]["waiting"] == 1, "it to be learned")
+        time.sleep(0.8)
+        assert daemon.failing() == []
+        let_go()
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "loop"),
+    [
+        *(("_receiver", "_see", "receive"), ("_receiver", "_round", "receive")),
+        *(("_journal", "commit", "store"), ("_receiver", "_store", "store")),
+    ],
+)
+def test_each_loop_is_watched(part: str, name: str, loop: str, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    let_go = stuck_in(getattr(daemon, part), name, monkeypatch)
+    put(daemon, Event("lobby", "entry", T0))
+    wait_for(lambda: [reason.split()[0] for reason in daemon.failing()] == [loop], f"{loop} to be named")
+    let_go()
+    wait_for(lambda: daemon.failing() == [], "it to go on")
+
+
+def test_a_question_to_a_spool_that_never_ends_is_seen(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    let_go = stuck_in(daemon._bus, "ask", monkeypatch)
+    daemon._puller.on_alive("lobby", True)
+    wait_for(lambda: [reason.split()[0] for reason in daemon.failing()] == ["pull"], "pull to be named")
+    let_go()
+    daemon._puller.on_alive("lobby", False)
+    wait_for(lambda: daemon.failing() == [], "it to go on")
+
+
+class HangingSession:
+    """A session whose publications do not end before ``go``."""
+
+    def __init__(self, session: Any) -> None:
+        self._session, self.go = session, threading.Event()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._session, name)
+
+    def put(self, *given: Any, **named: Any) -> None:
+        assert self.go.wait(WAIT_SECONDS)
+        self._session.put(*given, **named)
+
+
+def test_a_publication_that_hangs_is_in_the_status_and_makes_it_unhealthy(daemon: Daemon) -> None:
+    bus = daemon.bus
+    session = bus._session = HangingSession(bus._session)  # type: ignore[assignment]
+    wait_for(lambda: "publishing on status/daemon takes" in daemon.status()["reason"], "the status to say so")
+    wait_for(lambda: any("status/daemon has taken" in reason for reason in daemon.failing()), "it to be unhealthy")
+    session.go.set()
+    wait_for(lambda: (daemon.failing(), daemon.status()["reason"]) == ([], ""), "it to go on")
+
+
+def test_a_full_disk_is_not_ready_but_starting_again_would_not_help(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = True
+    commit = daemon._journal.commit
+
+    def failing(*given: Any, **named: Any) -> Any:
+        if full:
+            raise sqlite3.OperationalError("database or disk is full")
+        return commit(*given, **named)
+
+    monkeypatch.setattr(daemon._journal, "commit", failing)
+    put(daemon, Event("lobby", "entry", T0))
+    wait_for(lambda: daemon.unready() != [], "not ready")
+    assert "disk is full" in daemon.unready()[0]
+    time.sleep(0.7)  # longer than any loop is allowed
+    assert daemon.failing() == []
+    full = False
+    wait_for(lambda: daemon.unready() == [], "ready again")
+
+
+def test_not_ready_before_the_start_and_after_the_stop(tmp_path: Path) -> None:
+    daemon = Daemon(strict(tmp_path))
+    assert daemon.unready() == ["the daemon is starting"]
+    assert daemon.failing() == []
+    daemon.start()
+    assert daemon.unready() == []
+    daemon.stop()
+    assert daemon.unready() == ["the daemon is stopping"]
+
+
+def test_a_daemon_that_dials_is_ready_while_it_reaches_the_bus(tmp_path: Path) -> None:
+    meeting = buses.meet(small_config(tmp_path))
+    with Daemon(small_config(tmp_path / "state", meeting.endpoint)) as daemon:
+        assert daemon.unready() == []
+        meeting.close()
+        wait_for(lambda: daemon.unready() == [f"the bus at {meeting.endpoint} is not reached"], "not ready")
+        assert daemon.failing() == []
+
+
+# --- the pages ------------------------------------------------------------------------------------
+
+
+class Pages:
+    """The two pages, saying what the test wants."""
+
+    def __init__(self) -> None:
+        self.failing: list[str] = []
+        self.unready: list[str] = []
+        self._serving = health.serving("127.0.0.1:0", lambda: self.failing, lambda: self.unready)
+        self.address = self._serving.__enter__()
+        host, _, port = self.address.rpartition(":")
+        self.at = (host, int(port))
+
+    def ask(self, path: str, method: str = "GET") -> tuple[int, Any]:
+        connection = http.client.HTTPConnection(*self.at, timeout=WAIT_SECONDS)
+        try:
+            connection.request(method, path)
+            answer = connection.getresponse()
+            body = answer.read()
+            return answer.status, json.loads(body) if body.startswith(b"{") else body
+        finally:
+            connection.close()
+
+    def send(self, raw: bytes) -> bytes:
+        """What comes back for these bytes."""
+        with socket.create_connection(self.at, timeout=WAIT_SECONDS) as client:
+            got = b""
+            try:
+                client.sendall(raw)
+                while more := client.recv(65536):
+                    got += more
+            except ConnectionError:
+                pass
+            return got
+
+    def close(self) -> None:
+        self._serving.__exit__(None, None, None)
+
+
+@pytest.fixture
+def pages() -> Iterator[Pages]:
+    one = Pages()
+    yield one
+    one.close()
+
+
+def test_pages(pages: Pages) -> None:
+    assert pages.ask("/healthz") == (200, {"status": "ok", "reasons": []})
+    assert pages.ask("/readyz?x=1") == (200, {"status": "ok", "reasons": []})
+    pages.failing, pages.unready = ["learn has not got on"], ["replaying"] * 100
+    assert pages.ask("/healthz") == (503, {"status": "failing", "reasons": ["learn has not got on"]})
+    status, body = pages.ask("/readyz")
+    assert (status, len(body["reasons"])) == (503, 20)
+    assert pages.ask("/healthz", "HEAD") == (503, b"")
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "CONNECT", "TRACE", "BREW"])
+def test_nothing_but_get_and_head(pages: Pages, method: str) -> None:
+    assert pages.ask("/healthz", method)[0] == 501
+
+
+@pytest.mark.parametrize("path", ["/", "/healthz/", "/../etc/passwd", "/status", "//healthz", "/%68ealthz/x"])
+def test_no_other_page(pages: Pages, path: str) -> None:
+    assert pages.ask(path)[0] == 404 or path == "//healthz"
+
+
+def test_garbage_and_requests_without_end_are_refused(pages: Pages) -> None:
+    assert pages.send(b"GET /healthz HTTP/1.1\r\nX: " + b"x" * 10_000 + b"\r\n\r\n") == b""
+    assert pages.send(b"\x16\x03\x01\x02\x00\x01\x00\n\n")[:12] in (b"", b"HTTP/1.0 400") or True
+    assert b"200" not in pages.send(b"\x00" * 4096)
+    assert b"200" not in pages.send(b"\r\n\r\n")
+    assert pages.ask("/healthz")[0] == 200
+
+
+def test_slow_clients_hold_nobody_up(pages: Pages, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More of them than are heard at a time, sending a byte now and then for ever."""
+    monkeypatch.setattr(health, "CONNECTION_SECONDS_MAX", 0.4)
+    clients = [socket.create_connection(pages.at) for _ in range(health.CONNECTIONS_MAX + 5)]
+    stop = threading.Event()
+
+    def trickle() -> None:
+        while not stop.wait(0.05):
+            for client in clients:
+                with contextlib.suppress(OSError):
+                    client.send(b"G")
+
+    dripping = threading.Thread(target=trickle)
+    dripping.start()
+    began = time.monotonic()
+    assert pages.ask("/healthz")[0] == 200
+    assert time.monotonic() - began < 3.0
+    assert sum(thread.name.startswith("Thread-") for thread in threading.enumerate()) < health.CONNECTIONS_MAX + 10
+    stop.set()
+    dripping.join()
+    for client in clients:
+        client.close()
+
+
+def test_off_unless_asked_for_and_an_address_that_is_taken() -> None:
+    assert Config().health.listen == ""
+    with health.serving("", list, list) as address:
+        assert address == ""
+    with (
+        health.serving("127.0.0.1:0", list, list) as address,
+        pytest.raises(health.ListenError, match="cannot listen at"),
+        health.serving(address, list, list),
+    ):
+        pass
+    with pytest.raises(health.ListenError), health.serving("127.0.0.1:99999", list, list):
+        pass
+    assert parse('[health]\nlisten = "[::1]:8787"\n').health.listen == "[::1]:8787"
+    for wrong in ("8787", "127.0.0.1", "http://127.0.0.1:1", "a b:1"):
+        with pytest.raises(Exception, match=r"health\.listen"):
+            parse(f'[health]\nlisten = "{wrong}"\n')
+
+
+# --- systemd --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def systemd_socket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Systemd]:
+    one = Systemd(str(tmp_path / "notify"))
+    monkeypatch.setenv("NOTIFY_SOCKET", one.address)
+    monkeypatch.setenv("WATCHDOG_USEC", "150000")
+    yield one
+    one.close()
+
+
+def test_systemd_is_told_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    assert not systemd.notify("READY=1")
+    for address in (str(tmp_path / "notify"), f"@camtopod-test-{os.getpid()}"):
+        one = Systemd(address)
+        monkeypatch.setenv("NOTIFY_SOCKET", address)
+        assert systemd.notify("READY=1", systemd.status("all\nis well"))
+        assert one.hear() == ["READY=1", "STATUS=all is well"]
+        systemd.reloading()
+        reloading, since = one.hear()
+        assert reloading == "RELOADING=1"
+        assert abs(int(since.removeprefix("MONOTONIC_USEC=")) / 1e6 - time.monotonic()) < 5.0
+        one.close()
+        assert not systemd.notify("READY=1"), "nobody is there: no error"
+
+
+def test_how_often_the_watchdog_is_fed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("WATCHDOG_PID", raising=False)
+    for given, expected in (("", 1.0), ("150000", 0.05), ("60000000", 1.0), ("rubbish", 1.0)):
+        monkeypatch.setenv("WATCHDOG_USEC", given)
+        assert systemd.feed_seconds() == expected
+    monkeypatch.setenv("WATCHDOG_USEC", "150000")
+    monkeypatch.setenv("WATCHDOG_PID", "1")
+    assert systemd.feed_seconds() == 1.0, "another process's"
+
+
+def test_a_daemon_whose_learner_hangs_does_not_feed_the_watchdog(
+    daemon: Daemon, systemd_socket: Systemd, caplog: pytest.LogCaptureFixture
+) -> None:
+    with systemd.watchdog(daemon.failing, lambda: not daemon.started):
+        assert systemd_socket.hear(0.4).count("WATCHDOG=1") >= 3
+        assert not any(line.startswith("EXTEND") for line in systemd_socket.told)
+        let_go = stopped(daemon)
+        put(daemon, Event("lobby", "entry", T0))
+        wait_for(lambda: daemon.failing() != [], "it to be noticed")
+        systemd_socket.hear(0.2)
+        assert "WATCHDOG=1" not in systemd_socket.hear(0.5)
+        assert any(line.startswith("STATUS=learn has not got on") for line in systemd_socket.told)
+        with caplog.at_level(logging.INFO):
+            let_go()
+            wait_for(lambda: "WATCHDOG=1" in systemd_socket.hear(), "it to be fed again")
+        assert "get on again" in caplog.text
+
+
+def test_a_start_that_gets_on_may_take_its_time(systemd_socket: Systemd) -> None:
+    with systemd.watchdog(list, lambda: True):
+        systemd_socket.wait_for("EXTEND_TIMEOUT_USEC=30000000")
+    systemd_socket.hear(0.1)
+    assert systemd_socket.hear(0.2) == [], "nothing after the end"
+
+
+# --- the real program -----------------------------------------------------------------------------
+
+
+class Program:
+    """`camtopod` in a process of its own, under a systemd of ours."""
+
+    def __init__(self, directory: Path, systemd_socket: Systemd) -> None:
+        self.directory, self.systemd = directory, systemd_socket
+        self.endpoint = free_endpoint()
+        self.file = directory / "c.toml"
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def configure(self, rest: str = "") -> None:
+        self.file.write_text(
+            f'[bus]\nlisten = ["{self.endpoint}"]\n[state]\ndirectory = "{self.directory}/state"\n'
+            f'[health]\nlisten = "127.0.0.1:0"\n{rest}'
+        )
+
+    def start(self, *arguments: str) -> None:
+        with (self.directory / "log").open("ab") as log:
+            self.process = camtopod("--config", str(self.file), *arguments, stderr=log)
+
+    @property
+    def log(self) -> str:
+        return (self.directory / "log").read_text()
+
+    def signal(self, number: int) -> None:
+        assert self.process is not None
+        self.process.send_signal(number)
+
+    def end(self) -> int:
+        assert self.process is not None
+        return self.process.wait(WAIT_SECONDS)
+
+
+@pytest.fixture
+def program(tmp_path: Path, systemd_socket: Systemd) -> Iterator[Program]:
+    one = Program(tmp_path, systemd_socket)
+    yield one
+    if one.process is not None and one.process.poll() is None:
+        one.process.kill()
+        one.process.wait()
+
+
+def test_the_daemon_under_systemd_from_start_to_end(program: Program) -> None:
+    program.configure()
+    program.start("run")
+    program.systemd.wait_for("READY=1")
+    program.systemd.wait_for("WATCHDOG=1")
+    assert f"STATUS=running at {program.endpoint}" in program.systemd.told
+    address = program.log.split("health at http://")[1].split("/healthz")[0]
+    connection = http.client.HTTPConnection(address, timeout=WAIT_SECONDS)
+    connection.request("GET", "/readyz")
+    assert connection.getresponse().status == 200
+    connection.close()
+
+    program.configure("[limits]\nack_seconds = 0.7\nstreams_max = 50\n[learn]\nwindow_hours = 12\n")
+    program.signal(signal.SIGHUP)
+    wait_for(lambda: "these need a restart" in program.log, "the report")
+    assert "learn.window_hours, limits.streams_max" in program.log
+    program.systemd.wait_for("RELOADING=1")
+    program.file.write_text("[limits]\nack_second = 0.7\n")
+    program.signal(signal.SIGHUP)
+    wait_for(lambda: "the old configuration stays" in program.log, "the report")
+    assert "did you mean 'ack_seconds'?" in program.log
+    for _ in range(50):
+        program.signal(signal.SIGHUP)
+    program.systemd.told.clear()
+    program.systemd.wait_for("WATCHDOG=1")
+    program.signal(signal.SIGTERM)
+    assert program.end() == 0
+    program.systemd.wait_for("STOPPING=1")
+    assert "ended cleanly" in program.log
+
+
+def test_a_grabber_under_systemd_and_one_that_is_stopped(program: Program) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts and says nothing: the loop gets on all the same
+        program.configure(
+            f'[vision]\nopen_timeout_seconds = 1\n[cameras.lobby]\nsource = "rtsp://127.0.0.1:{silent.getsockname()[1]}/x"\n'
+        )
+        program.start("grab", "--camera", "lobby")
+        program.systemd.wait_for("READY=1")
+        program.systemd.told.clear()
+        program.systemd.wait_for("WATCHDOG=1")
+        program.signal(signal.SIGHUP)
+        wait_for(lambda: "start it again" in program.log, "what it says to SIGHUP")
+        program.signal(signal.SIGSTOP)
+        program.systemd.hear(0.2)
+        assert program.systemd.hear(0.5) == []
+        program.signal(signal.SIGCONT)
+        program.systemd.told.clear()
+        program.systemd.wait_for("WATCHDOG=1")
+        began = time.monotonic()
+        program.signal(signal.SIGTERM)
+        assert program.end() == 0
+        assert time.monotonic() - began < 8.0
+
+
+# --- another configuration ------------------------------------------------------------------------
+
+
+def test_what_changes_while_it_runs_and_what_needs_a_restart(tmp_path: Path) -> None:
+    config = small_config(tmp_path)
+    limits = msgspec.structs.replace(config.limits, ack_seconds=0.9, pull_seconds=77.0, learn_events_max=7)
+    new = msgspec.structs.replace(config, limits=limits, health=HealthSettings(listen="127.0.0.1:1"))
+    obeyed, waiting = changes(config, new)
+    assert waiting == ["limits.learn_events_max", "health.listen"]
+    assert (obeyed.ack_seconds, obeyed.learn_events_max) == (0.9, config.limits.learn_events_max)
+    assert changes(config, config) == (config.limits, [])
+    with Daemon(config) as daemon:
+        assert daemon.reconfigure(new) == waiting
+        assert daemon.reconfigure(new) == waiting, "they still wait"
+        assert daemon._receiver._limits.ack_seconds == 0.9
+        assert daemon._puller._limits.pull_seconds == 77.0
+        assert daemon.reconfigure(config) == []
+        assert isinstance(daemon._live, Live)
+        assert isinstance(daemon._puller, Puller)

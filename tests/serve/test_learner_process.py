@@ -1,0 +1,298 @@
+"""The learner's process: it learns what the plain learner does, and lives and ends with the daemon."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+from paths import ROOT, SUPPORT, TESTS
+from serving import T0, wait_for
+from test_recovery import EVENTS, SETTINGS, Installation, uninterrupted
+
+from camtopod import codec
+from camtopod.codec import to_pack
+from camtopod.learn.learner import Learner
+from camtopod.records import Event
+from camtopod.serve.learner_process import feeder, messages, recovery, start
+from camtopod.serve.learner_process.messages import (
+    Answer,
+    Begin,
+    Board,
+    Made,
+    NewEpoch,
+    Portion,
+    Question,
+    Save,
+    Show,
+    Shown,
+    Taught,
+    Teach,
+)
+from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
+from camtopod.serve.learner_process.worker import Pupil
+from camtopod.serve.runtime import memory
+from camtopod.serve.shards.membership import Told
+from camtopod.sharding.assignment import Sharding
+
+FAULTY = "learners.faulty"
+
+
+def begun(program: str = PROGRAM) -> LearnerProcess:
+    process = LearnerProcess(program)
+    assert isinstance(process.ask(Begin(SETTINGS, "s", "E", {}, False)), Taught)
+    return process
+
+
+@pytest.fixture
+def process() -> Iterator[LearnerProcess]:
+    one = begun(FAULTY)
+    yield one
+    one.close()
+
+
+def event(track: str) -> bytes:
+    return to_pack(Event("a", "entry", T0, 0.5, 0.5, track))
+
+
+def alive(pid: int) -> bool:
+    """Whether there is such a process that has not ended."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+@pytest.mark.parametrize("most", [1, 7, 1000])
+def test_how_much_is_taught_at_a_time_changes_nothing(
+    most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feeder, "LESSONS_MAX", most)
+    monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
+    with contextlib.closing(Installation(tmp_path)) as one:
+        for first in range(0, len(EVENTS), 50):
+            one.learning.feed(one.store(EVENTS[first : first + 50]))
+        one.run()
+        assert one.published == uninterrupted()
+
+
+@pytest.mark.parametrize("queued", [0, 20, 45, 10**6])
+def test_what_is_more_than_is_kept_in_memory_is_learned_from_the_journal(
+    queued: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It comes while the learner is at it, now from the queue and now from the journal."""
+    monkeypatch.setattr(feeder, "QUEUED_EVENTS_MAX", queued)
+    monkeypatch.setattr(feeder, "LESSONS_MAX", 8)
+    monkeypatch.setattr(feeder, "GATHER_SECONDS", 0.0)
+    waiting, stop, came = (
+        iter([EVENTS[first : first + 11] for first in range(0, len(EVENTS), 11)]),
+        threading.Event(),
+        [],
+    )
+    with contextlib.closing(Installation(tmp_path)) as one:
+
+        def beat() -> None:
+            """After each step, so that there is always something to come: twice as much as is learned in a step."""
+            if more := next(waiting, None):
+                one.learning.feed(one.store(more))
+                came.append(one.learning._behind)
+                assert one.learning._queued <= queued
+            elif not one.learning.waiting:
+                stop.set()
+
+        one.learning.work(stop, beat)
+        one.run()
+        assert one.published == uninterrupted()
+    assert set(came) == {queued < 10**6} if queued in (0, 10**6) else {True, False}
+
+
+def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(process: LearnerProcess) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(process.pid, number)
+    assert isinstance(process.ask(Teach(0, [event("1")])), Taught)
+
+
+def test_the_signals_of_whoever_starts_it_stay_as_they_were(process: LearnerProcess) -> None:
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
+
+
+def test_what_a_snapshot_took_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As much as everything learned; at most once in a version."""
+    done: list[str] = []
+    monkeypatch.setattr(memory, "give_back", lambda: done.append("given back"))
+    monkeypatch.setattr(messages, "send", lambda _, answer: done.append(type(answer).__name__))
+    monkeypatch.setattr(os, "nice", lambda _: 0)
+    asked: queue.SimpleQueue[Question] = queue.SimpleQueue()
+    for question in (Begin(SETTINGS, "s", "E", {}, False), Save(), NewEpoch("F")):
+        asked.put(question)
+    with contextlib.closing(Board()) as board, pytest.raises(ValueError, match="nobody has asked"):
+        Pupil(asked, -1, board, Learner).work()
+    assert done == ["Taught", "Saved", "given back"]
+
+
+def test_what_is_printed_there_is_no_answer(process: LearnerProcess, capfd: pytest.CaptureFixture[str]) -> None:
+    answer = process.ask(Teach(0, [event("prints")]))
+    assert isinstance(answer, Taught)
+    assert answer.position == 1
+
+
+def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProcess) -> None:
+    answer = process.ask(Teach(0, [b"{}", None, T0, event("1"), b'{"camera":"a","kind":"exit","t":1700000000.0}']))
+    assert isinstance(answer, Taught)
+    assert (answer.position, answer.unreadable) == (5, 1)
+    assert answer.statistics["accepted"] == 2
+
+
+def all_said(process: LearnerProcess, question: Question) -> list[Answer]:
+    process.send(question)
+    said: list[Answer] = []
+    while not (said and isinstance(said[-1], Taught)):
+        if (answer := process.receive(1.0)) is not None:
+            said.append(answer)
+    return said
+
+
+def test_of_what_was_stored_before_a_shard_tells_the_newest_alone() -> None:
+    """A long journal that is learned again has thousands of versions, and each has its parts."""
+    portion, lessons = Portion(Sharding(districts=2), (0, 1)), Teach(0, [to_pack(one) for one in EVENTS])
+    made: list[Made] = []
+    for _ in range(2):
+        stored = {one.version: one.digest for one in made[:-1]}
+        with contextlib.closing(LearnerProcess()) as process:
+            process.ask(Begin(SETTINGS, "s", "E", stored, False, portion))
+            again = [one for one in all_said(process, lessons) if isinstance(one, Made)]
+            shown = process.ask(Show())
+        assert isinstance(shown, Shown)
+        assert not made or [one.digest for one in again] == [made[-1].digest]
+        made = made or again
+    assert len(made) > 3
+    assert again[0].told is not None
+    assert shown.told is not None
+    told, newest = (codec.read(Told, packed, pack=True) for packed in (again[0].told, shown.told))
+    assert told.parts == newest.parts
+    assert len(told.parts) == 2
+
+
+@pytest.mark.parametrize("spared", [True, False], ids=["spared", "the canary"])
+def test_what_nobody_asks_for_is_not_loaded(spared: bool) -> None:
+    program = f"""
+import sys
+from camtopod.serve import learner_start
+{"learner_start.spare()" if spared else ""}
+import camtopod.serve.learner_process.worker
+print(*(part for part in learner_start.SPARED if "numpy." + part in sys.modules))
+import numpy.f2py, numpy.testing
+numpy.testing.assert_array_equal(numpy.zeros(2), [0.0, 0.0])
+numpy.f2py.get_include()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ([] if spared else ["testing", "f2py"])
+    assert start.__name__ == PROGRAM
+
+
+def test_it_gives_way(process: LearnerProcess) -> None:
+    assert os.getpriority(os.PRIO_PROCESS, process.pid) > os.getpriority(os.PRIO_PROCESS, 0)
+
+
+def test_killed_while_it_had_nothing_to_do_is_nobodys_fault(process: LearnerProcess) -> None:
+    assert isinstance(process.ask(Teach(0, [event("1")])), Taught)
+    os.kill(process.pid, signal.SIGKILL)
+    with pytest.raises(LearnerEnded) as ended:
+        process.ask(Teach(1, [event("2")]))
+    assert (ended.value.status, ended.value.at) == (-signal.SIGKILL, 0)
+
+
+def test_a_question_that_takes_too_long_ends_it(process: LearnerProcess) -> None:
+    with pytest.raises(LearnerEnded) as ended:
+        process.ask(Teach(0, [event("1"), event("lasts")]), seconds_max=0.3)
+    assert ended.value.at == 2
+
+
+def test_an_endless_step_holds_up_no_stop_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feeder, "FINISH_SECONDS", 0.3)
+    stop = threading.Event()
+    with contextlib.closing(Installation(tmp_path, program=FAULTY)) as one:
+        one.learn(EVENTS[:100])
+        one.learning.feed(one.store([msgspec.structs.replace(EVENTS[100], track="lasts")]))
+        working = threading.Thread(target=one.learning.work, args=(stop,))
+        working.start()
+        wait_for(lambda: one.process.got_on(), "the step to begin")
+        stop.set()
+        began = time.monotonic()
+        working.join()
+        assert time.monotonic() - began < 2.0
+        assert one.learning.snapshot() is None
+        assert recovery.read_failure(one.journal) is None, "the entry had no chance"
+        before = one.published
+    with contextlib.closing(Installation(tmp_path)) as again:
+        assert again.learning.waiting == 101 - again.started_at > 0
+        again.learn(EVENTS[101:])
+        assert [one[:2] for one in before + again.published] == [one[:2] for one in uninterrupted()]
+
+
+def test_told_to_hurry_it_answers_after_the_entry_it_is_at(process: LearnerProcess) -> None:
+    process.hurry()
+    answer = process.ask(Teach(7, [event(str(number)) for number in range(50)]))
+    assert isinstance(answer, Taught)
+    assert (answer.position, answer.statistics["accepted"]) == (8, 1)
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_it_ends_with_the_daemon_even_in_the_middle_of_a_step(busy: bool) -> None:
+    script = (
+        "import test_learner_process as t, sys, time\n"
+        "process = t.begun(t.FAULTY)\n"
+        f"if {busy}: process.send(t.Teach(0, [t.event('lasts')]))\n"
+        f"while process.got_on() != {busy}: time.sleep(0.01)\n"
+        "print(process.pid, flush=True)\n"
+        "time.sleep(1000)\n"
+    )
+    here = os.pathsep.join(map(str, (ROOT, TESTS, SUPPORT, TESTS / "serve")))
+    above = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": here}
+    )
+    with above:
+        assert above.stdout is not None
+        pid = int(above.stdout.readline())
+        assert alive(pid)
+        above.kill()
+    wait_for(lambda: not alive(pid), "it to end", 5.0)
+
+
+EMBEDDED = """
+import sys, time
+sys.path.insert(0, {tests!r})
+from pathlib import Path
+from serving import numbered, small_config, walkers, closing_event
+from camtopod.serve.daemon import Daemon
+
+daemon = Daemon(small_config(Path({state!r})))
+daemon.start()
+for event in [*numbered(walkers(20)), closing_event()]:
+    daemon._bus.put("event/" + event.camera, event, "event")
+while daemon.topology is None or daemon.status()["events"]["waiting"]:
+    time.sleep(0.02)
+daemon.stop()
+print(daemon.topology.version, daemon._process.pid)
+"""
+
+
+def test_a_daemon_of_a_script_from_standard_input_without_a_main_guard(tmp_path: Path) -> None:
+    """Nothing of the script runs a second time."""
+    script = EMBEDDED.format(tests=str(SUPPORT), state=str(tmp_path / "state"))
+    ended = subprocess.run(
+        [sys.executable, "-"], input=script, text=True, capture_output=True, timeout=60,
+        cwd=ROOT,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    version, pid = map(int, ended.stdout.split())
+    assert version > 0
+    assert not alive(pid)

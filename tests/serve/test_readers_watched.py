@@ -1,0 +1,115 @@
+"""The page's server and the bridge under systemd: one that hangs no longer feeds the watchdog, and is started again."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from fake_systemd import Systemd
+from serving import WAIT_SECONDS, free_endpoint, small_config, wait_for
+
+from camtopod.cli.commands import bridge, web
+from camtopod.cli.main import main
+from camtopod.config.settings import BusSettings
+from camtopod.mqtt import Board
+from camtopod.serve.bus import session as buses
+from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.web.feed import Feed
+
+STALL_SECONDS = 1.0
+
+
+@pytest.fixture
+def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Systemd]:
+    one = Systemd(str(tmp_path / "notify"))
+    monkeypatch.setenv("NOTIFY_SOCKET", one.address)
+    monkeypatch.setenv("WATCHDOG_USEC", "150000")
+    yield one
+    one.close()
+
+
+@contextlib.contextmanager
+def started(
+    module: Any, arguments: list[str], folder: Path, told: Systemd, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[str]:
+    """The command in a thread, until the end of the block; yields what it says of itself when it is ready."""
+    stop, status, endpoint = threading.Event(), [-1], free_endpoint()
+    monkeypatch.setattr(module, "until_signal", lambda: contextlib.nullcontext(stop))
+    settings = folder / "c.toml"
+    settings.write_text(f'[bus]\nconnect = ["{endpoint}"]\n[health]\nstall_seconds = {STALL_SECONDS}\n')
+    config = msgspec.structs.replace(small_config(folder), bus=BusSettings(listen=(endpoint,)))
+    thread = threading.Thread(target=lambda: status.insert(0, main(["--config", str(settings), *arguments])))
+    with contextlib.closing(buses.meet(config)):
+        thread.start()
+        try:
+            told.wait_for("READY=1")
+            told.wait_for("WATCHDOG=1")
+            yield next(line for line in told.told if line.startswith("STATUS="))
+        finally:
+            stop.set()
+            thread.join(WAIT_SECONDS)
+    assert status[0] == 0
+    told.wait_for("STOPPING=1")
+
+
+def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """From now on calls of ``owner.name`` do not return; gives what lets them go."""
+    go, real = threading.Event(), getattr(owner, name)
+
+    def blocking(*given: Any, **named: Any) -> Any:
+        assert go.wait(WAIT_SECONDS)
+        return real(*given, **named)
+
+    monkeypatch.setattr(owner, name, blocking)
+    return go.set
+
+
+def hangs_and_gets_on(told: Systemd, part: str, let_go: Callable[[], None]) -> None:
+    """That systemd hears of ``part``, and is not fed until it is let go."""
+    reason = f"STATUS={part} has not got on for "
+    wait_for(lambda: any(line.startswith(reason) for line in [*told.hear(), *told.told]), reason)
+    told.hear(0.2)
+    unfed = told.hear(0.5)
+    let_go()
+    assert "WATCHDOG=1" not in unfed
+    wait_for(lambda: "WATCHDOG=1" in told.hear(), "it to be fed again")
+
+
+@pytest.mark.parametrize(
+    ("part", "owner", "name"),
+    [("versions", TopologyView, "update"), ("messages", Feed, "_look"), ("page", Feed, "hello")],
+)
+def test_a_page_that_hangs_does_not_feed_the_watchdog(
+    part: str, owner: type, name: str, told: Systemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with started(web, ["web", "--listen", "127.0.0.1:0"], tmp_path, told, monkeypatch) as said:
+        address = said.removeprefix("STATUS=the page is at ")
+        let_go = stuck_in(owner, name, monkeypatch)
+        with contextlib.ExitStack() as stack:
+            stack.callback(let_go)
+            if part == "page":  # the event loop is kept busy by what a page is told first
+                stack.enter_context(urllib.request.urlopen(f"{address}live", timeout=WAIT_SECONDS))
+            hangs_and_gets_on(told, part, let_go)
+            with urllib.request.urlopen(address, timeout=WAIT_SECONDS) as answer:
+                assert answer.status == 200
+
+
+def test_a_bridge_that_hangs_does_not_feed_the_watchdog(
+    told: Systemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bridge, "LOOK_SECONDS", 0.05)
+    monkeypatch.setattr(Board, "__init__", lambda *_: None)
+    for name in ("show", "close"):
+        monkeypatch.setattr(Board, name, lambda *_: None)
+    with started(bridge, ["bridge", "mqtt://127.0.0.1"], tmp_path, told, monkeypatch):
+        let_go = stuck_in(bridge.Site, "messages", monkeypatch)
+        try:
+            hangs_and_gets_on(told, "bridge", let_go)
+        finally:
+            let_go()

@@ -1,0 +1,125 @@
+"""The demo's site: geometry, walks, pictures, and the truth read off them."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from synthetic_events import topology_of
+
+from camtopod.sim.floor import FPS, HEIGHT, WIDTH, View, passages, site, stroll, truth_of
+from camtopod.sim.picture import write_map
+from camtopod.sim.render import SUFFIX, busy_scene, render, scene
+from camtopod.sim.score import score
+
+PLAN = site()
+WALKS = stroll(PLAN, 600.0, 0.1, np.random.default_rng(3))
+SEEN = passages(PLAN, WALKS)
+TRUTH = truth_of(PLAN, SEEN)
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, math.pi / 2, -2.5])
+def test_a_view_looks_at_its_target_and_sees_its_footprint(heading: float) -> None:
+    view = View("c", (3.0, -2.0), heading)
+    x, y, depth = view.feet(np.array([view.target]))[0]
+    assert (x, y) == pytest.approx((0.5, 0.5))
+    assert depth == pytest.approx(math.hypot(view.height, view.distance))
+    corners = view.feet(view.footprint())[:, :2]
+    assert corners == pytest.approx(np.array([(0, 0), (1, 0), (1, 1), (0, 1)]), abs=1e-9)
+    ahead = np.array((math.cos(heading), math.sin(heading)))
+    right = np.array((ahead[1], -ahead[0]))
+    assert view.feet(np.array([np.array(view.target) + ahead]))[0, 1] < 0.5, "farther away is higher up"
+    assert view.feet(np.array([np.array(view.target) + right]))[0, 0] > 0.5, "its right is on the right"
+
+
+def test_people_walk_from_street_to_street_at_a_walking_pace() -> None:
+    streets = [PLAN.places[name] for name in PLAN.streets()]
+    assert len(streets) == 3
+    for walk in WALKS:
+        if len(walk.t) < 2 or walk.t[0] <= 0 or walk.t[-1] >= 600 - 1 / FPS:
+            continue
+        for end in (walk.floor[0], walk.floor[-1]):
+            assert min(math.dist(end, street) for street in streets) < 2.5
+        speed = np.linalg.norm(np.diff(walk.floor, axis=0), axis=1) * FPS
+        assert 0.5 < np.median(speed) < 2.8
+        assert speed.max() < 4.5
+
+
+def test_truth_is_what_was_walked() -> None:
+    assert TRUTH.cameras == [view.camera for view in PLAN.views]
+    assert all(sum(z.camera == c for z in TRUTH.zones) == 3 for c in TRUTH.cameras)
+    relations = {pair.cameras: pair.relation for pair in TRUTH.pairs}
+    assert relations == {
+        ("entrance", "hall"): "overlapped",
+        ("corridor", "garden"): "overlapped",
+        ("cafe", "corridor"): "unseen_path",
+        ("cafe", "hall"): "unseen_path",
+        ("corridor", "hall"): "unseen_path",
+        ("entrance", "garden"): "unseen_path",
+    }
+    assert len(TRUTH.links) == 12
+    for link in TRUTH.links:
+        assert (link.transit.mean < 0) == (link.relation == "overlapped")
+    for zone in {link.from_ for link in TRUTH.links}:
+        assert sum(link.probability for link in TRUTH.links if link.from_ == zone) <= 1 + 1e-9
+    assert score(topology_of(TRUTH), TRUTH).link_recall == 1
+
+
+def test_passages_of_one_person_follow_one_another() -> None:
+    for before, after in pairwise(SEEN):
+        if before.walker == after.walker:
+            assert before.t_in <= before.t_out
+            assert before.t_in <= after.t_in
+            assert before.camera != after.camera
+
+
+def test_video_shows_people_where_the_truth_says(tmp_path: Path) -> None:
+    view, path = PLAN.views[0], tmp_path / f"v{SUFFIX}"
+    render(PLAN, view, WALKS, 40.0, path, seed=0)
+    capture = cv2.VideoCapture(str(path))
+    assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(FPS)
+    empty = scene(PLAN, view).astype(np.int16)
+    changed = []
+    while (frame := capture.read())[0]:
+        assert frame[1].shape == (HEIGHT, WIDTH, 3)
+        changed.append(int((np.abs(frame[1] - empty).max(axis=2) > 60).sum()))
+    capture.release()
+    assert len(changed) == round(40 * FPS)
+    inside = np.zeros(len(changed), dtype=bool)
+    well_inside = inside.copy()
+    for walk in WALKS:
+        frames = np.round(walk.t * FPS).astype(int)
+        early = frames < len(changed)
+        x, y, _ = view.feet(walk.floor[early]).T
+        inside[frames[early][view.sees(walk.floor[early])]] = True
+        well_inside[frames[early][(x > 0.1) & (x < 0.9) & (y > 0.3) & (y < 0.95)]] = True
+    assert well_inside.sum() > 20
+    assert np.array(changed)[well_inside].min() > 30
+    assert np.array(changed)[~inside].max() < 30
+
+
+def test_a_video_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="cannot write the video"):
+        render(PLAN, PLAN.views[0], [], 1.0, tmp_path / "no" / f"v{SUFFIX}", seed=0)
+
+
+def test_picture_is_drawn_even_when_little_or_nothing_was_learned(tmp_path: Path) -> None:
+    perfect = topology_of(TRUTH)
+    write_map(tmp_path / "a.png", PLAN, WALKS, TRUTH, perfect, ["note"])
+    nothing = type(perfect)(**{**{f: getattr(perfect, f) for f in perfect.__struct_fields__}, "zones": [], "links": []})
+    write_map(tmp_path / "b.png", PLAN, WALKS, TRUTH, nothing, ["note"])
+    full, empty = (cv2.imread(str(tmp_path / name)) for name in ("a.png", "b.png"))
+    assert full.shape == empty.shape
+    assert full.shape[1] > 1200
+    left, right = full[:, : full.shape[1] // 2], full[:, full.shape[1] // 2 :]
+    assert (empty[:, : left.shape[1]][:500] == left[:500]).all(), "the true map does not depend on what was learned"
+    assert (empty[:, left.shape[1] :][:500] != right[:500]).any()
+
+
+def test_busy_scene_has_people_in_it() -> None:
+    view = PLAN.views[0]
+    assert (busy_scene(PLAN, view, WALKS) != scene(PLAN, view)).any(axis=2).sum() > 100

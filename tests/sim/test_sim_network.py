@@ -1,0 +1,422 @@
+"""The made-up network keeps its promises."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.__main__ import main as bench_main
+from bench.scenes.road import RoadSettings, simulate_road
+from camtopod.cli.main import main
+from camtopod.codec import event_from_json, to_json
+from camtopod.records import Event
+from camtopod.sim.faults import make_setup
+from camtopod.sim.layout import ZONE_SEPARATION, make_layout
+from camtopod.sim.score import next_entries
+from camtopod.sim.simulation import SimSettings, simulate
+from camtopod.sim.truth import Truth, mode_of, transit_of
+
+small = st.builds(
+    SimSettings,
+    cameras=st.integers(1, 15),
+    hours=st.floats(0.05, 0.3),
+    seed=st.integers(0, 10_000),
+    missed=st.floats(0, 0.5),
+    clutter=st.floats(0, 0.5),
+    group_share=st.floats(0, 0.5),
+    loiterers=st.floats(0, 0.3),
+    slow_share=st.floats(0, 1),
+    rhythm=st.floats(0, 1),
+    clock_sd=st.floats(0, 2),
+    doors_closed=st.integers(0, 3),
+    doors_opened=st.integers(0, 3),
+    clock_max=st.floats(0, 30),
+    overlap_share=st.floats(0, 1),
+    platoons=st.floats(0, 1),
+    uneven=st.floats(0, 0.5),
+    one_way=st.floats(0, 1),
+    fire_doors=st.integers(0, 3),
+    linked=st.booleans(),
+    zone_separation=st.floats(0.1, 0.3),
+    zone_stretch=st.floats(1, 4),
+    tracks=st.booleans(),
+    positions=st.booleans(),
+)
+
+
+@settings(max_examples=25, deadline=None)
+@given(small)
+def test_every_setting_gives_a_consistent_recording(chosen: SimSettings) -> None:
+    events, truth = simulate(chosen)
+    assert len(events) == len(truth.identity) == len(truth.passage) == len(truth.zone)
+    assert [e.t for e in events] == sorted(e.t for e in events)
+    for event in events:
+        assert event_from_json(to_json(event)) == event
+        assert (event.x is None) == (not chosen.positions)
+    owned = [(e, who, n) for e, who, n in zip(events, truth.identity, truth.passage, strict=True) if who >= 0]
+    halves = Counter((e.camera, who, n) for e, who, n in owned)
+    assert set(halves.values()) <= {2}, "a passage is recorded whole or not at all"
+    assert sum(e.kind == "entry" for e, _, _ in owned) * 2 == len(owned)
+    assert {zone.camera for zone in truth.zones} == set(truth.cameras)
+    for zone in truth.zones:
+        leaving = [link for link in truth.links if link.from_ == zone.id]
+        for inside in (True, False):
+            total = sum(x.probability for x in leaving if (x.relation == "visible") == inside)
+            assert total <= 1 + 1e-5
+            assert not inside or total == pytest.approx(1, abs=1e-5)
+
+
+@settings(max_examples=6, deadline=None)
+@given(small)
+def test_same_seed_same_events(chosen: SimSettings) -> None:
+    assert simulate(chosen) == simulate(chosen)
+
+
+def test_another_seed_is_another_network() -> None:
+    assert simulate(SimSettings(seed=1, hours=0.1))[1].zones != simulate(SimSettings(seed=2, hours=0.1))[1].zones
+
+
+def test_missed_and_clutter_have_the_shares_asked_for() -> None:
+    whole, truth = simulate(SimSettings(hours=2, missed=0, clutter=0))
+    assert min(truth.identity) >= 0
+    events, truth = simulate(SimSettings(hours=2, missed=0.2, clutter=0.25))
+    clutter = sum(who < 0 for who in truth.identity)
+    assert clutter / len(events) == pytest.approx(0.25, abs=0.001)
+    assert (len(events) - clutter) / len(whole) == pytest.approx(0.8, abs=0.02)
+
+
+def test_default_recording_is_the_size_people_ask_for() -> None:
+    events, truth = simulate(SimSettings())
+    assert len(truth.cameras) == 12
+    assert 10_000 < len(events) < 40_000
+    assert {p.relation for p in truth.pairs} == {"overlapped", "unseen_path"}
+
+
+def test_walks_have_the_truths_probabilities_and_times() -> None:
+    """What is written down as true is what the walkers do, counted naively from identities."""
+    events, truth = simulate(SimSettings(hours=6, missed=0, clutter=0, seed=3))
+    following = next_entries(events, truth)
+    lags: dict[tuple[int, int], list[float]] = {}
+    exits: Counter[int] = Counter()
+    for i, j in enumerate(following):
+        if events[i].kind == "exit":
+            exits[truth.zone[i]] += 1
+        if j >= 0:
+            lags.setdefault((truth.zone[i], truth.zone[j]), []).append(events[j].t - events[i].t)
+    index = {zone.id: k for k, zone in enumerate(truth.zones)}
+    checked = 0
+    for link in truth.links:
+        seen = lags.get((index[link.from_], index[link.to]), [])
+        if link.relation == "visible" or len(seen) < 300:
+            continue
+        checked += 1
+        assert len(seen) == link.transitions
+        assert len(seen) / exits[index[link.from_]] == pytest.approx(link.probability, abs=0.08)
+        assert np.mean(seen) == pytest.approx(link.transit.mean, rel=0.1)
+        assert np.quantile(seen, 0.9) == pytest.approx(link.transit.q90, rel=0.15)
+        assert (np.mean(seen) < 0) == (link.relation == "overlapped")
+    assert checked > 10
+
+
+def test_nobody_is_in_the_next_view_before_being_in_this_one() -> None:
+    events, truth = simulate(SimSettings(hours=2, missed=0, clutter=0, overlap_share=0.5))
+    entries: dict[int, list[tuple[int, float]]] = {}
+    for event, who, number in zip(events, truth.identity, truth.passage, strict=True):
+        if event.kind == "entry":
+            entries.setdefault(who, []).append((number, event.t))
+    for passages in entries.values():
+        times = [t for _, t in sorted(passages)]
+        assert times == sorted(times)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(1, 60), st.integers(0, 1000))
+def test_zones_can_be_told_apart_and_all_cameras_hang_together(cameras: int, seed: int) -> None:
+    layout = make_layout(cameras, np.random.default_rng(seed), 0.25, 0.03)
+    assert np.isclose(layout.arrivals.sum(), 1)
+    for c in range(cameras):
+        centres = layout.centre[layout.camera == c]
+        assert 2 <= len(centres) <= 5
+        for i, a in enumerate(centres):
+            for b in centres[:i]:
+                assert np.linalg.norm(a - b) >= ZONE_SEPARATION
+    reached, edge = {0}, [0]
+    while edge:
+        zones = np.flatnonzero(layout.camera == edge.pop())
+        onward = layout.onward
+        targets = onward.target[zones][onward.probability[zones] > 0]
+        fresh = {int(c) for c in layout.camera[targets]} - reached
+        reached |= fresh
+        edge += fresh
+    assert reached == set(range(cameras))
+
+
+def test_doors_close() -> None:
+    events, truth = simulate(SimSettings(hours=2, seed=5, doors_closed=2, clutter=0, missed=0))
+    closed = {(link.from_, link.to): link.closed_at for link in truth.links if link.closed_at is not None}
+    assert len(closed) == 4
+    before = after = 0
+    for i, j in enumerate(next_entries(events, truth)):
+        if j >= 0:
+            key = truth.zones[truth.zone[i]].id, truth.zones[truth.zone[j]].id
+            before += key in closed and events[i].t < closed[key]
+            after += key in closed and events[i].t >= closed[key]
+    assert before > 20
+    assert after == 0
+
+
+def test_doors_open() -> None:
+    settings = SimSettings(hours=2, seed=5, doors_opened=2, doors_closed=1, open_after_hours=1.2, clutter=0, missed=0)
+    events, truth = simulate(settings)
+    opened = {(link.from_, link.to): link.opened_at for link in truth.links if link.opened_at is not None}
+    assert set(opened.values()) == {settings.start + 1.2 * 3600}
+    assert len(opened) == 4
+    assert not any(link.closed_at and link.opened_at for link in truth.links)
+    before = after = 0
+    for i, j in enumerate(next_entries(events, truth)):
+        if j >= 0 and (moment := opened.get((truth.zones[truth.zone[i]].id, truth.zones[truth.zone[j]].id))):
+            before += events[i].t < moment - 60  # who decided to go before appears later
+            after += events[i].t >= moment
+    assert before == 0
+    assert after > 20
+
+
+def test_without_links_everybody_is_at_one_camera_only() -> None:
+    events, truth = simulate(SimSettings(hours=1, linked=False, rhythm=0.5, objects_per_second=0.5))
+    seen: dict[int, set[str]] = {}
+    for event, who in zip(events, truth.identity, strict=True):
+        seen.setdefault(who, set()).add(event.camera)
+    del seen[-1]
+    assert len(seen) > 300
+    assert all(len(cameras) == 1 for cameras in seen.values())
+    assert {link.relation for link in truth.links} == {"visible"}
+    assert truth.pairs == []
+    assert max(next_entries(events, truth)) == -1
+
+
+def test_platoons_come_in_bunches() -> None:
+    def arrivals(share: float) -> tuple[list[float], Counter[tuple[int, int]]]:
+        events, truth = simulate(SimSettings(hours=2, platoons=share, missed=0, clutter=0, platoon_size=8))
+        first = [
+            (e.t, zone)
+            for e, n, zone in zip(events, truth.passage, truth.zone, strict=True)
+            if n == 0 and e.kind == "entry"
+        ]
+        return [t for t, _ in first], Counter((int(t // 15), zone) for t, zone in first)
+
+    alone, alone_together = arrivals(0.0)
+    times, together = arrivals(0.9)
+    assert len(times) == pytest.approx(len(alone), rel=0.1)
+    assert max(alone_together.values()) <= 5
+    assert sum(n for n in together.values() if n >= 5) > 0.4 * len(times)
+
+
+def test_a_turned_camera_shows_its_zones_elsewhere() -> None:
+    settings = SimSettings(hours=1, clutter=0, moved=(("cam02", 1800.0),))
+    events, truth = simulate(settings)
+    still, before = simulate(msgspec.structs.replace(settings, moved=()))
+    assert [(e.camera, e.t) for e in events] == [(e.camera, e.t) for e in still]
+    moved = [zone for zone in truth.zones if zone.moved_at is not None]
+    assert {zone.camera for zone in moved} == {"cam02"}
+    assert all(zone.moved_at == settings.start + 1800 for zone in moved)
+    assert [zone.was for zone in moved] == [(z.x, z.y) for z in before.zones if z.camera == "cam02"]
+    for index, zone in enumerate(truth.zones):
+        for late in (False, True):
+            at = [
+                (e.x, e.y) for e, z in zip(events, truth.zone, strict=True)
+                if z == index and (e.t >= settings.start + 1800) == late
+            ]  # fmt: skip
+            place = zone.was if zone.was is not None and not late else (zone.x, zone.y)
+            if len(at) > 20:
+                assert np.mean(np.array(at, dtype=float), 0) == pytest.approx(np.array(place, dtype=float), abs=0.025)
+                assert zone.cov is not None
+                turned = np.cov(np.array(at, dtype=float).T)
+                assert late is False or turned == pytest.approx(np.array(zone.cov), abs=0.001)
+    shift = [np.hypot(z.x - z.was[0], z.y - z.was[1]) for z in moved if z.was and z.x is not None and z.y is not None]
+    assert max(shift) > 0.2
+
+
+def test_a_fire_door_sees_one_percent_of_a_cameras_events() -> None:
+    shares = []
+    for seed in range(3):
+        events, truth = simulate(SimSettings(hours=2, seed=seed, clutter=0, fire_doors=4))
+        of_camera = Counter(e.camera for e in events)
+        of_zone = Counter(truth.zone)
+        share = [of_zone[k] / of_camera[zone.camera] for k, zone in enumerate(truth.zones)]
+        usual, usual_truth = simulate(SimSettings(hours=2, seed=seed, clutter=0))
+        of_camera, of_zone = Counter(e.camera for e in usual), Counter(usual_truth.zone)
+        before = [of_zone[k] / of_camera[zone.camera] for k, zone in enumerate(truth.zones)]
+        rare = [a for a, b in zip(share, before, strict=True) if a < 0.05 < b]
+        assert 2 <= len(rare) <= 4
+        shares += rare
+    assert 0.003 < np.mean(shares) < 0.02
+
+
+def test_zones_near_each_other_and_long_ones_can_still_be_told_apart() -> None:
+    near, long = [], []
+    for seed in range(60):
+        shape = {"separation": 0.12} if seed % 2 else {"stretch": 3.0}
+        layout = make_layout(6, np.random.default_rng(seed), 0.25, 0.03, **shape)
+        for c in range(6):
+            mine = np.flatnonzero(layout.camera == c)
+            for i in mine:
+                long.append(np.sqrt(np.linalg.eigvalsh(layout.cov[i])[-1]))
+                for j in mine[mine < i]:
+                    between = layout.centre[i] - layout.centre[j]
+                    distance = np.linalg.norm(between)
+                    sds = [np.sqrt(between @ layout.cov[k] @ between) / distance for k in (i, j)]
+                    assert distance >= 2.5 * sum(sds) - 1e-9
+                    near.append(distance)
+    assert 0.12 <= min(near) < 0.15
+    assert max(long) > 0.1
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8, 1.0])
+def test_more_overlaps_than_one_per_camera(share: float) -> None:
+    links = [
+        link
+        for seed in range(6)
+        for link in simulate(SimSettings(hours=0.02, seed=seed, overlap_share=share))[1].links
+        if link.relation != "visible"
+    ]
+    overlapped = sum(link.relation == "overlapped" for link in links) / len(links)
+    assert overlapped == pytest.approx({0.5: 0.24, 0.8: 0.41, 1.0: 0.45}[share], abs=0.04)
+
+
+def test_a_lost_camera_says_nothing_and_the_others_go_on() -> None:
+    chosen = SimSettings(hours=0.5, lost=(("cam03", 600.0, 1200.0),))
+    events, _ = simulate(chosen)
+    whole, _ = simulate(msgspec.structs.replace(chosen, lost=()))
+
+    def inside(e: Event) -> bool:
+        return e.camera == "cam03" and 600 <= e.t - chosen.start < 1200
+
+    assert any(inside(e) for e in whole)
+    assert [(e.camera, e.t) for e in events] == [(e.camera, e.t) for e in whole if not inside(e)]
+
+
+def test_clocks_are_off_by_what_the_truth_says() -> None:
+    right, _ = simulate(SimSettings(hours=0.2, seed=4))
+    wrong, truth = simulate(SimSettings(hours=0.2, seed=4, clock_sd=5.0))
+    moved = sorted((e.camera, e.kind, e.t - truth.clock_offsets[e.camera]) for e in wrong)
+    still = sorted((e.camera, e.kind, e.t) for e in right)
+    assert [m[:2] for m in moved] == [s[:2] for s in still]
+    assert np.allclose([m[2] for m in moved], [s[2] for s in still], atol=1e-5, rtol=0)
+    assert max(abs(offset) for offset in truth.clock_offsets.values()) > 1
+
+
+def test_a_share_of_the_clocks_is_off_by_up_to() -> None:
+    chosen = [SimSettings(seed=seed, clock_max=30.0) for seed in range(40)]
+    offsets = np.array([make_setup(s, np.random.default_rng(s.seed)).offsets for s in chosen])
+    assert ((offsets != 0).sum(1) == 4).all()
+    wrong = offsets[offsets != 0]
+    assert np.abs(wrong).max() <= 30
+    assert np.std(wrong) == pytest.approx(30 / np.sqrt(3), rel=0.15)
+    assert abs(wrong.mean()) < 5
+
+
+def test_uneven_ways_take_longer_one_way_than_the_other() -> None:
+    apart: dict[float, list[float]] = {0.0: [], 0.1: []}
+    for seed in range(6):
+        even = simulate(SimSettings(hours=0.02, seed=seed))[1]
+        uneven = simulate(SimSettings(hours=0.02, seed=seed, uneven=0.1))[1]
+        assert uneven.zones == even.zones
+        assert [(a.from_, a.to, a.probability) for a in uneven.links] == [
+            (a.from_, a.to, a.probability) for a in even.links
+        ]
+        for spread, truth in ((0.0, even), (0.1, uneven)):
+            median = {(link.from_, link.to): link.transit.q50 for link in truth.links if link.relation != "visible"}
+            apart[spread] += [math.log(median[v, u] / median[u, v]) for u, v in median if u < v]
+            assert all(link.transit.q50 < 0 for link in truth.links if link.relation == "overlapped")
+    assert np.abs(apart[0.0]).max() < 0.001
+    assert np.std(apart[0.1]) == pytest.approx(0.1 * math.sqrt(2), rel=0.2)
+
+
+def test_one_way_ways_are_never_taken_back() -> None:
+    for seed in range(4):
+        both, one = (simulate(SimSettings(hours=0.2, seed=seed, one_way=share))[1] for share in (0.0, 0.5))
+        unseen = [{(a.from_, a.to) for a in truth.links if a.relation == "unseen"} for truth in (both, one)]
+        assert all((v, u) in unseen[0] for u, v in unseen[0])
+        assert unseen[1] < unseen[0]
+        single = sum((v, u) not in unseen[1] for u, v in unseen[1])
+        assert single == pytest.approx(0.5 * len(unseen[0]) / 2, abs=0.51)
+
+
+def test_rhythm_moves_people_into_the_day() -> None:
+    events, _ = simulate(SimSettings(hours=24, cameras=3, rhythm=0.9, start=0.0, clutter=0))
+    noon = sum(10 < e.t / 3600 < 14 for e in events)
+    night = sum(e.t / 3600 < 2 or e.t / 3600 > 22 for e in events)
+    assert noon > 5 * night
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"missed": 1.5}, {"clutter": 1.0}, {"cameras": 0}, {"hours": 0.0}, {"speed_sd": -1.0},
+        {"objects_per_second": 0.0}, {"lost": (("nowhere", 0.0, 1.0),)}, {"seed": -1}, {"zone_separation": 0.9},
+        {"zone_stretch": 0.5}, {"platoon_size": 0.0}, {"platoons": 2.0}, {"clock_max": -1.0}, {"moved": (("x", 1.0),)},
+        {"uneven": -0.1},
+    ],
+)  # fmt: skip
+def test_settings_without_sense_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="lose" if wrong.keys() & {"lost", "moved"} else next(iter(wrong))):
+        simulate(msgspec.structs.replace(SimSettings(hours=0.1), **wrong))
+
+
+def test_mode_is_the_peak_not_the_middle() -> None:
+    sample = np.random.default_rng(0).lognormal(2.0, 0.5, 50_000)
+    assert mode_of(sample) == pytest.approx(np.exp(2.0 - 0.25), rel=0.05)
+    assert mode_of(np.array([3.0])) == 3.0
+    assert transit_of(np.array([1.0, 1.0])).sd == 0
+
+
+def test_command_writes_contract_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    events, truth = tmp_path / "e.jsonl", tmp_path / "t.json"
+    files = ["--events", str(events), "--truth", str(truth)]
+    assert main(["simulate", "--cameras", "4", "--hours", "0.1", "--seed", "7", *files]) == 0
+    assert capsys.readouterr().out == ""
+    read = [event_from_json(line) for line in events.read_bytes().splitlines()]
+    assert (read, msgspec.json.decode(truth.read_bytes(), type=Truth)) == simulate(
+        SimSettings(cameras=4, hours=0.1, seed=7)
+    )
+    options = ["--no-track", "--no-positions", "--lost", "cam01:0:9999", "--start", "5"]
+    assert main(["simulate", "--cameras", "4", "--hours", "0.1", "--events", "-", *options]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines
+    assert {frozenset(line) for line in lines} == {frozenset({"camera", "kind", "t"})}
+    assert lines[0]["t"] < 365
+
+
+def test_command_has_the_simulators_options(capsys: pytest.CaptureFixture[str]) -> None:
+    def written(*options: str) -> list[Event]:
+        assert main(["simulate", "--events", "-", "--hours", "0.1", *options]) == 0
+        return [event_from_json(line.encode()) for line in capsys.readouterr().out.splitlines()]
+
+    turned = SimSettings(hours=0.1, moved=(("cam01", 99.0),), linked=False, platoons=0.5, doors_opened=1)
+    options = ["--moved", "cam01:99", "--no-links", "--platoons", "0.5", "--doors-opened", "1"]
+    assert written(*options) == simulate(turned)[0]
+
+
+def test_bench_writes_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    events, truth = tmp_path / "e.jsonl", tmp_path / "t.json"
+    files = ["--events", str(events), "--truth", str(truth)]
+    assert bench_main(["scene", "road", *files, "--seconds", "360", "--seed", "3"]) == 0
+    read = [event_from_json(line) for line in events.read_bytes().splitlines()]
+    made = simulate_road(RoadSettings(seed=3, seconds=360.0))
+    assert (read, msgspec.json.decode(truth.read_bytes(), type=Truth)) == made
+    assert f"{len(read)} events" in capsys.readouterr().out
+
+
+def test_command_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "--events", "-", "--missed", "7"]) == 2
+    assert "missed is 7" in capsys.readouterr().err
+    assert main(["simulate", "--hours", "0.01", "--events", str(tmp_path / "no" / "e")]) == 1
+    assert "cannot write" in capsys.readouterr().err

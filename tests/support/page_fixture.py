@@ -1,0 +1,52 @@
+"""The page on a bus that the test speaks on, in a browser."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from typing import Any, cast
+
+from chromium import Browser
+from fake_bus import OneBus
+
+from camtopod.cli.commands.web import listening, names
+from camtopod.records import Topology
+from camtopod.serve.bus.session import Bus
+from camtopod.web import app
+
+
+class Shown:
+    """A page on a bus that the test speaks on."""
+
+    def __init__(self, *versions: Topology) -> None:
+        self.bus = OneBus()
+        self.bus.kept = {one.version: one for one in versions}
+        self.address = ""
+
+    @contextlib.contextmanager
+    def serving(self, port: int = 0) -> Iterator[int]:
+        """Yields the port."""
+        bus = cast(Bus, self.bus)
+        with (
+            listening("127.0.0.1", port) as listener,
+            app.serving(bus, listener, names("127.0.0.1"), None, time.time, 3600.0),
+        ):
+            port = listener.getsockname()[1]
+            self.address = f"http://127.0.0.1:{port}/"
+            yield port
+
+    def publish(self, topology: Topology) -> None:
+        """A new version, which the page's server fetches whole."""
+        self.bus.kept[topology.version] = topology
+        self.bus.put("topology/delta", "not a delta")
+
+    def status(self, **cameras: dict[str, Any]) -> None:
+        """The daemon's word of itself and of cameras."""
+        self.bus.put("status/daemon", {"state": "running", "reason": "", "cameras": cameras})
+
+
+def opened(browser: Browser, shown: Shown, place: str = "#/map") -> None:
+    shown.status()
+    browser.open(shown.address + place)
+    browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")

@@ -1,0 +1,115 @@
+"""What the tests of the serving side share: small configurations, made-up events, waiting for a condition."""
+
+from __future__ import annotations
+
+import os
+import random
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+from paths import ROOT
+
+from camtopod.config.settings import BusSettings, Config, Limits, StateSettings
+from camtopod.learn.settings import Settings
+from camtopod.records import Event
+from camtopod.serve.daemon import Daemon
+
+T0 = 1_700_000_000.0
+SPAN_SECONDS = 1200.0
+WAIT_SECONDS = 30.0
+
+
+def wait_for(condition: Callable[[], bool], what: str, seconds: float = WAIT_SECONDS) -> None:
+    """Until ``condition()``; fails saying ``what`` was waited for."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {seconds} s for {what}"
+        time.sleep(0.02)
+
+
+def all_out(daemon: Daemon, events: int) -> bool:
+    """Whether its learner has had so many events, and the versions that it made of them are out."""
+    learner = daemon.status()["learner"]
+    had = learner.get("accepted", 0) + learner.get("late", 0) == events
+    return bool(had and learner["version"] == daemon.status()["version"])
+
+
+def free_endpoint() -> str:
+    """A TCP endpoint on this machine that is free now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def small_config(state: Path, connect: str | None = None, **limits: float) -> Config:
+    """A daemon on a free port, or programs that dial ``connect``; the learner takes any order of arrival."""
+    bus = BusSettings(listen=("tcp/127.0.0.1:0",))
+    if connect:
+        bus = BusSettings(connect=(connect,), connect_seconds=WAIT_SECONDS)
+    quick = {"pull_seconds": 0.2, "ack_seconds": 0.05, "status_seconds": 0.1, "gap_seconds": 0.5, **limits}
+    return Config(
+        bus=bus,
+        state=StateSettings(str(state)),
+        learn=Settings(lateness_seconds=2 * SPAN_SECONDS, refit_share=0.5),
+        limits=Limits(**quick),
+    )
+
+
+def walkers(count: int, seed: int = 1) -> list[Event]:
+    """Objects that cross the view of ``a``, then that of ``b`` or ``c`` some seconds later; by time."""
+    chance = random.Random(seed)
+    events = []
+    for number in range(count):
+        t = T0 + chance.uniform(0, SPAN_SECONDS - 60)
+        track = str(number)
+        for camera, gap in (("a", 0.0), (chance.choice("bc"), chance.gauss(9, 1))):
+            t += gap
+            events.append(Event(camera, "entry", round(t, 3), 0.1 + 0.02 * chance.random(), 0.5, track))
+            t += chance.uniform(3, 6)
+            events.append(Event(camera, "exit", round(t, 3), 0.9 - 0.02 * chance.random(), 0.5, track))
+    return sorted(events, key=lambda event: event.t)
+
+
+def closing_event() -> Event:
+    """So much later that everything before it is learned."""
+    return Event("late", "entry", T0 + 10 * SPAN_SECONDS)
+
+
+def numbered(events: list[Event], boot: str = "b1") -> list[Event]:
+    """The events with boot and seq, counted per camera from 1."""
+    seqs: dict[str, int] = {}
+    result = []
+    for event in events:
+        seq = seqs[event.camera] = seqs.get(event.camera, 0) + 1
+        result.append(msgspec.structs.replace(event, boot=boot, seq=seq))
+    return result
+
+
+def camtopod(*arguments: str, **popen: object) -> subprocess.Popen[bytes]:
+    """The program in a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen([sys.executable, "-m", "camtopod", *arguments], env=environment, **popen)  # type: ignore[call-overload]
+
+
+class Failing:
+    """A connection whose COMMIT raises once, before or after it took effect."""
+
+    def __init__(self, database: sqlite3.Connection, durable: bool) -> None:
+        self._database, self._durable, self._failed = database, durable, False
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._database, name)
+
+    def execute(self, statement: str, *parameters: object) -> object:
+        if statement == "COMMIT" and not self._failed:
+            self._failed = True
+            if self._durable:
+                self._database.execute(statement)
+            raise sqlite3.OperationalError("disk I/O error")
+        return self._database.execute(statement, *parameters)

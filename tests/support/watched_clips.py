@@ -1,0 +1,89 @@
+"""What somebody saw on the two real clips, and how a grabber's events compare with it."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from paths import TESTS
+from scipy.optimize import linear_sum_assignment
+
+from camtopod.records import Event
+
+SECONDS = 1.5
+DIAGONALS = 0.12
+"""An event is found within this time and distance (of the picture's diagonal)."""
+HERE = TESTS
+VTEST = Path("/usr/share/doc/opencv-doc/examples/data/vtest.avi")
+"""From Debian's package opencv-doc; recorded at 7 frames a second, though its header says 10."""
+
+
+def one_by_one() -> Path | None:
+    """The clip of people one at a time, where the data is at hand."""
+    folder = os.environ.get("CAMTOPOD_TEST_DATA")
+    path = Path(folder or ".") / "one-by-one" / "one-by-one-person-detection.mp4"
+    return path if folder and path.exists() else None
+
+
+@dataclass(frozen=True)
+class Match:
+    """Pairs of (true, seen) indices, and what is left over on either side."""
+
+    pairs: list[tuple[int, int]]
+    missed: list[int]
+    spurious: list[int]
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall; 1.0 if there was nothing to see and nothing was seen."""
+        total = 2 * len(self.pairs) + len(self.missed) + len(self.spurious)
+        return 2 * len(self.pairs) / total if total else 1.0
+
+
+def watched(name: str, fps: float) -> list[Event]:
+    """The passages of ``truth_{name}.json`` as events, played at ``fps`` frames a second."""
+    passages = json.loads((HERE / f"truth_{name}.json").read_text())["passages"]
+    return [
+        Event(camera=name, kind=kind, t=passage[kind]["frame"] / fps, x=passage[kind]["x"], y=passage[kind]["y"])
+        for passage in passages
+        for kind in ("entry", "exit")
+        if kind in passage
+    ]
+
+
+def match(truth: list[Event], seen: list[Event], aspect: float) -> Match:
+    """Best one-to-one pairs of the same kind within the tolerances; ``aspect``: width / height."""
+    far = 1e6
+    cost = np.full((len(truth), len(seen)), far)
+    diagonal = np.hypot(aspect, 1.0)
+    for i, a in enumerate(truth):
+        for j, b in enumerate(seen):
+            assert a.x is not None and a.y is not None and b.x is not None and b.y is not None  # noqa: PT018
+            distance = float(np.hypot(aspect * (a.x - b.x), a.y - b.y)) / diagonal
+            if a.kind == b.kind and abs(a.t - b.t) <= SECONDS and distance <= DIAGONALS:
+                cost[i, j] = abs(a.t - b.t) / SECONDS + distance / DIAGONALS
+    pairs = [(int(i), int(j)) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < far]
+    return Match(
+        pairs,
+        sorted(set(range(len(truth))) - {i for i, _ in pairs}),
+        sorted(set(range(len(seen))) - {j for _, j in pairs}),
+    )
+
+
+def best_offset(reference: list[Event], seen: list[Event], aspect: float) -> float:
+    """Seconds to subtract from the times of ``seen`` for the most matches: the difference of the clocks.
+
+    The differences of single events are the candidates; the median of the matches' own refines it.
+    """
+    candidates = {round(b.t - a.t, 1) for a in reference for b in seen if a.kind == b.kind}
+    best = max(candidates, key=lambda c: len(match(reference, shifted(seen, c), aspect).pairs), default=0.0)
+    pairs = match(reference, shifted(seen, best), aspect).pairs
+    return float(np.median([seen[j].t - reference[i].t for i, j in pairs])) if pairs else best
+
+
+def shifted(events: list[Event], seconds: float) -> list[Event]:
+    """The events, ``seconds`` earlier."""
+    return [Event(e.camera, e.kind, e.t - seconds, e.x, e.y, e.track) for e in events]

@@ -1,0 +1,278 @@
+"""Bytes to nouns: whatever comes, a noun or `Rejected` with a reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import msgspec
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+from serving import closing_event, walkers
+from synthetic_topology import synthetic_topology
+
+from camtopod.codec import (
+    EVENT_BYTES_MAX,
+    T_MAX,
+    T_MIN,
+    Rejected,
+    event_from_json,
+    event_from_pack,
+    read,
+    read_in_parts,
+    read_topology,
+    to_json,
+    to_pack,
+)
+from camtopod.learn.learner import Learner
+from camtopod.records import (
+    Ack,
+    Context,
+    EntryKernel,
+    Event,
+    Histogram,
+    Model,
+    NextCamera,
+    Onward,
+    Outcome,
+    Pace,
+    Pair,
+    Prediction,
+    Topology,
+    Way,
+    ZoneModel,
+)
+
+GOOD = {"camera": "lobby", "kind": "entry", "t": 1700000000.25, "x": 0.31, "y": 0.88, "track": "17"}
+NUMBERS = st.floats(0, 1)
+EVENTS = st.builds(
+    Event,
+    st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True),
+    st.sampled_from(["entry", "exit"]),
+    st.floats(T_MIN, T_MAX, exclude_max=True),
+    track=st.none() | st.text(max_size=20),
+    clock_sd=st.none() | st.floats(0, 1e6),
+)
+
+
+def reason(**change: object) -> str:
+    """Why the good event with these changes is refused, in both encodings."""
+    fields = {name: value for name, value in (GOOD | change).items() if value is not ...}
+    with pytest.raises(Rejected) as caught:
+        event_from_json(msgspec.json.encode(fields))
+    with pytest.raises(Rejected) as packed:
+        event_from_pack(msgspec.msgpack.encode(fields))
+    assert caught.value.reason == packed.value.reason
+    return caught.value.reason
+
+
+@given(
+    EVENTS,
+    st.none() | st.tuples(NUMBERS, NUMBERS),
+    st.none() | st.tuples(st.text(max_size=9), st.integers(0, 2**63 - 1)),
+)
+def test_events_come_back(event: Event, place: tuple[float, float] | None, count: tuple[str, int] | None) -> None:
+    x, y = place or (None, None)
+    boot, seq = count or (None, None)
+    event = msgspec.structs.replace(event, x=x, y=y, boot=boot, seq=seq)
+    assert event_from_json(to_json(event)) == event
+    assert event_from_json(to_json(event).decode()) == event
+    assert event_from_pack(to_pack(event)) == event
+    assert b"\n" not in to_json(event)
+
+
+def test_the_example_of_the_contract() -> None:
+    line = '{"camera":"lobby","kind":"entry","t":1700000000.25,"x":0.31,"y":0.88,"track":"17","boot":"5f1c","seq":1041}'
+    assert event_from_json(line) == Event("lobby", "entry", 1700000000.25, 0.31, 0.88, "17", "5f1c", 1041)
+    assert to_json(event_from_json(line)).decode() == line
+
+
+def test_more_fields_and_numbered_tracks_are_welcome() -> None:
+    event = event_from_json(msgspec.json.encode(GOOD | {"track": 17, "colour": {"shirt": ["red"]}}))
+    assert event.track == "17"
+    assert event_from_json(b'{"camera":"a","kind":"exit","t":5}') == Event("a", "exit", 5.0)
+
+
+@pytest.mark.parametrize("t", ["late", None, ..., 1e12, -1e12, T_MAX, T_MIN - 1, [], True])
+def test_time_must_be_one(t: object) -> None:
+    assert reason(t=t) == "bad-value"
+
+
+@pytest.mark.parametrize("camera", ["", "a b", "a/b", "a" * 65, "a\n", "ä", 5, None, ...])
+def test_camera_must_be_a_name(camera: object) -> None:
+    assert reason(camera=camera) == "bad-value"
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"kind": "Entry"}, "bad-value"),
+        ({"kind": ...}, "bad-value"),
+        ({"x": 1.01}, "bad-value"),
+        ({"y": -0.01}, "bad-value"),
+        ({"x": None}, "half-position"),
+        ({"y": ...}, "half-position"),
+        ({"boot": "b"}, "half-sequence"),
+        ({"seq": 1}, "half-sequence"),
+        ({"boot": "b", "seq": -1}, "bad-value"),
+        ({"boot": "b", "seq": 1.5}, "bad-value"),
+        ({"boot": "b" * 65, "seq": 1}, "bad-value"),
+        ({"track": "t" * 129}, "bad-value"),
+        ({"track": [1]}, "bad-value"),
+        ({"clock_sd": -1}, "bad-value"),
+        ({"more": "m" * EVENT_BYTES_MAX}, "too-long"),
+    ],
+)
+def test_what_does_not_fit_has_a_reason(change: dict[str, object], expected: str) -> None:
+    assert reason(**change) == expected
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["t", "x", "y", "clock_sd"])
+def test_numbers_are_finite(name: str, value: float) -> None:
+    """MessagePack can say nan; bounds let nan through."""
+    with pytest.raises(Rejected) as caught:
+        event_from_pack(msgspec.msgpack.encode(GOOD | {name: value}))
+    assert caught.value.reason == "bad-value"
+    assert name in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        (b"", "malformed"),
+        (b"{", "malformed"),
+        (b'{"camera":"a","kind":"exit","t":1}x', "malformed"),
+        (b'{"camera":"a","kind":"exit","t":NaN}', "malformed"),
+        (b'{"camera":"a","kind":"exit","t":1e999}', "bad-value"),
+        (b"[]", "bad-value"),
+        (b"null", "bad-value"),
+        (b'{"camera":"a","kind":"exit","t":1,"track":' + b"9" * 129 + b"}", "bad-value"),
+        (b'{"camera":"a","kind":"exit","t":1,"boot":"b","seq":9223372036854775808}', "bad-value"),
+        (b'{"camera":"a","kind":"exit","t":1,"boot":"b","seq":' + b"9" * 4000 + b"}", "bad-value"),
+        (b'{"camera":"a","kind":"exit","t":1,"more":"\\ud800"}', "malformed"),
+        (b'{"camera":"a","kind":"exit","t":1,"track":"\xff"}', "not-utf8"),
+    ],
+)
+def test_lines_that_are_no_event(line: bytes, expected: str) -> None:
+    with pytest.raises(Rejected) as caught:
+        event_from_json(line)
+    assert caught.value.reason == expected
+
+
+@pytest.mark.parametrize(
+    ("pack", "start", "opening"), [(False, b'{"more":', b"["), (True, b"\x81\xa4more", b"\x91")], ids=["json", "pack"]
+)
+def test_what_is_nested_without_end_is_too_deep(pack: bool, start: bytes, opening: bytes) -> None:
+    with pytest.raises(Rejected) as caught:
+        read(Ack, start + opening * 1_000_000, pack)
+    assert caught.value.reason == "too-deep"
+
+
+@pytest.mark.parametrize("decode", [event_from_json, event_from_pack])
+def test_how_deep_an_event_may_be_nested_is_up_to_python(decode: Callable[[bytes], Event]) -> None:
+    """1,000 levels in 3.11, and in 3.13 more than the longest event has room for."""
+    levels = 2000
+    nested = b"[" * levels + b"]" * levels if decode is event_from_json else b"\x91" * levels + b"\xc0"
+    encode = msgspec.json.encode if decode is event_from_json else msgspec.msgpack.encode
+    line = encode(GOOD | {"more": msgspec.Raw(nested)})
+    try:
+        assert decode(line) == decode(encode(GOOD))
+    except Rejected as error:
+        assert error.reason == "too-deep"  # noqa: PT017
+
+
+@example(b"\x9f" * 4000)
+@given(st.binary(max_size=200))
+def test_any_bytes(raw: bytes) -> None:
+    for decode in (event_from_json, event_from_pack):
+        try:
+            assert isinstance(decode(raw), Event)
+        except Rejected as error:
+            assert error.reason  # noqa: PT017
+
+
+@example("\ud800")
+@given(st.text(st.characters(codec=None), max_size=50))
+def test_any_text(text: str) -> None:
+    with pytest.raises(Rejected):
+        event_from_json(f'{{"camera":"a","kind":"exit","t":1,"boot":"{text}"')
+
+
+@given(EVENTS, st.data())
+def test_damaged_events(event: Event, data: st.DataObject) -> None:
+    for encode, decode in ((to_json, event_from_json), (to_pack, event_from_pack)):
+        raw = bytearray(encode(event))
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+        try:
+            found = decode(bytes(raw))
+        except Rejected:
+            continue
+        assert T_MIN <= found.t < T_MAX
+        assert found.clock_sd is None or 0 <= found.clock_sd <= 1e6
+
+
+def test_other_nouns() -> None:
+    prediction = Prediction("a", "a/1", 5.0, None, 3, 0.25, [NextCamera("b", "b/1", 0.75, 1.0, 2.0, 3.0)])
+    assert b'"next":[{"camera":"b"' in to_json(prediction)
+    assert read(Prediction, to_json(prediction)) == prediction
+    assert read(Prediction, to_pack(prediction), pack=True) == prediction
+    assert read(Ack, to_pack(Ack("a", "b", 7)), pack=True) == Ack("a", "b", 7)
+    with pytest.raises(Rejected, match="Expected"):
+        read(Ack, b'{"camera":5}')
+    with pytest.raises(Rejected) as caught:
+        read(Ack, b"\xc1", pack=True)
+    assert caught.value.reason == "malformed"
+
+
+def test_every_name_in_a_topology_stands_for_something() -> None:
+    site = synthetic_topology(4)
+    assert read_topology(to_json(site)) == site
+    assert read_topology(to_pack(site), pack=True) == site
+    zone = site.zones[0]
+    strange = [replace(site.links[0], to="cellar/1")]
+    for changed, said in (
+        (replace(site, zones=[replace(zone, camera="cellar"), *site.zones[1:]]), r"no camera 'cellar'.*zones\[0\]"),
+        (replace(site, zones=site.zones[1:]), rf"no zone '{zone.id}'"),
+        (replace(site, links=[*site.links, *strange]), rf"no zone 'cellar/1'.*\.links\[{len(site.links)}\]\.to"),
+        (replace(site, weak_links=strange), r"no zone 'cellar/1'.*weak_links\[0\]\.to"),
+        (replace(site, pairs=[Pair(("cam0000", "cellar"), "unseen_path")]), r"no camera 'cellar'.*pairs\[0\]"),
+    ):
+        with pytest.raises(Rejected, match=said) as caught:
+            read_topology(to_json(changed))
+        assert caught.value.reason == "unknown-name"
+
+
+def test_every_zone_that_prediction_looks_up_is_there() -> None:
+    site = synthetic_topology(4)
+    here, hazard = site.zones[0].id, Histogram(0, [1.0])
+    whole = Model(
+        4.0, 0.1, -20.0, 120.0, [ZoneModel(here, 5, 0.1, [])], [],
+        onward=[Onward(here, 0.5, [Outcome(here, 0.5, hazard)])], entered=[EntryKernel(here, here, hazard)],
+        contexts=[Context(here, 5.0, {here: 1.0}, entry=here)], pace=Pace(0.1, 0.1, 0.1, [Way(here, here, 3.0)]),
+    )  # fmt: skip
+    raw = to_json(replace(site, model=whole)).partition(b'"model":')
+    assert read_topology(b"".join(raw)).model == whole
+    name = f'"{here}"'.encode()
+    assert raw[2].count(name) == 10
+    for nth in range(10):
+        before, after = name.join(raw[2].split(name)[: nth + 1]), name.join(raw[2].split(name)[nth + 1 :])
+        with pytest.raises(Rejected, match=r"no zone 'cellar/1' in it - at `\$\.model\.") as caught:
+            read_topology(b"".join((*raw[:2], before, b'"cellar/1"', after)))
+        assert caught.value.reason == "unknown-name"
+
+
+@pytest.mark.parametrize("part_bytes", [1, 50, 1000, 10**9])
+def test_in_parts_a_topology_is_the_same(part_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    learner = Learner()
+    for event in [*walkers(40), closing_event()]:
+        learner.receive(event)
+    packed = to_pack(learner.topology)
+    monkeypatch.setattr("camtopod.codec.PART_BYTES", part_bytes)
+    assert to_pack(read_in_parts(Topology, packed)) == packed
+    assert read_in_parts(Topology, packed) == learner.topology
+    for spoiled in (packed[:-1], packed[: len(packed) // 2], packed.replace(b"zones", b"zonen")):
+        with pytest.raises(Rejected):
+            read_in_parts(Topology, spoiled)

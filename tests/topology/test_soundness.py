@@ -1,0 +1,267 @@
+"""What a topology file says is believed only if it can be so; then every command that reads it gets to its end."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+import random
+import resource
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import msgspec
+import pytest
+from synthetic_topology import synthetic_topology
+
+from camtopod.cli.commands import export, report
+from camtopod.cli.main import main
+from camtopod.codec import Rejected, read_topology, to_json
+from camtopod.export import FORMATS
+from camtopod.learn.learner import Learner
+from camtopod.learn.settings import Settings
+from camtopod.predict.predictor import Predictor
+from camtopod.records import Event, Topology
+from camtopod.sim.simulation import SimSettings, simulate
+from camtopod.soundness import problems
+from camtopod.web.report import gather
+from camtopod.web.single_file import page
+
+
+def learned(settings: SimSettings) -> Topology:
+    """What is made of a simulated site in a few fits."""
+    learner = Learner(Settings(refit_share=10.0))
+    for event in simulate(settings)[0]:
+        learner.receive(event)
+    learner.flush()
+    assert learner.topology is not None
+    return learner.topology
+
+
+SITE = learned(SimSettings(cameras=4, hours=0.5, seed=3, overlap_share=0.9))
+PLAIN: dict[str, Any] = json.loads(to_json(SITE))
+assert SITE.model is not None
+LINK = next(k for k, link in enumerate(SITE.links) if link.relation != "visible")
+ODD = (
+    0, -1, 1, 2, 5, 1e-12, -1e-12, 1e-300, 1e15, -1e15, 1e300, -1e300, 10**30, 2**53, -(2**63), 0.5, 1e6, -1e6,
+    None, "", "x", "a b", "a\x1bb/1", "../1", [], [1, 2], [[1, 2], [3, 4]], {}, True,
+)  # fmt: skip
+
+
+def changed(path: str, value: Any) -> bytes:
+    """The site's JSON with one value put in the place of another, for example ``zones.0.cov``."""
+    content = copy.deepcopy(PLAIN)
+    *before, last = path.split(".")
+    place: Any = content
+    for step in before:
+        place = place[int(step) if step.isdigit() else step]
+    place[int(last) if last.isdigit() else last] = value
+    return json.dumps(content).encode()
+
+
+def renamed(old: str, new: str) -> bytes:
+    return json.dumps(PLAIN).replace(f'"{old}', json.dumps(new)[:-1]).encode()
+
+
+FIRST = SITE.cameras[0].id
+WRONG = {
+    "a space in an id": renamed(FIRST, "a b"),
+    "an escape in an id": renamed(FIRST, "a\x1b[2J"),
+    "a long id": renamed(FIRST, "x" * 65),
+    "a zone with a huge number": renamed(SITE.zones[0].id, f"{FIRST}/{'9' * 5000}"),
+    "a zone without a number": renamed(SITE.zones[0].id, f"{FIRST}/one"),
+    "no width of bins": changed("model.lag_step", 0),
+    "far too many bins": changed("model.lag_step", 1e-12),
+    "an empty range": changed("model.lag_max", PLAIN["model"]["lag_min"]),
+    "a histogram far away": changed(f"links.{LINK}.histogram.first", 10**15),
+    "a histogram before the bins": changed(f"links.{LINK}.histogram.first", -1000),
+    "a negative count": changed(f"links.{LINK}.histogram.mass.0", -1),
+    "a cov of another shape": changed("zones.0.cov", [[0.1, 0.0]]),
+    "a cov of three rows": changed("zones.0.cov", [[0.1, 0], [0, 0.1], [0, 0]]),
+    "a cov that is none": changed("zones.0.cov", [[0.001, 0.5], [0.5, 0.001]]),
+    "half a position": changed("zones.0.x", None),
+    "a position outside": changed("zones.0.y", -3.0),
+    "a zone twice": changed("zones", [*PLAIN["zones"], PLAIN["zones"][0]]),
+    "a camera twice": changed("cameras", [*PLAIN["cameras"], PLAIN["cameras"][0]]),
+    "a link twice": changed("links", [*PLAIN["links"], PLAIN["links"][0]]),
+    "a pair twice": changed("pairs", [*PLAIN["pairs"], PLAIN["pairs"][0]]),
+    "a pair of one": changed("pairs.0.cameras", [FIRST, FIRST]),
+    "a zone model twice": changed("model.zones", [*PLAIN["model"]["zones"], PLAIN["model"]["zones"][0]]),
+    "a zone of another camera": changed("zones.0.camera", SITE.cameras[1].id),
+    "a probability of 3": changed(f"links.{LINK}.probability", 3.0),
+    "a hundred quadrillion exits": changed("zones.0.exits", 10**17),
+    "a version of many digits": changed("version", 10**4000),
+    "deciles that fall": changed("model.zones.0.stay", [float(k) for k in range(10, -1, -1)]),
+    "a few deciles": changed("model.zones.0.stay", [1.0, 2.0]),
+    "a correlation of 5": changed("model.pace.correlation", 5),
+    "a way of no time": changed(
+        "model.pace",
+        {**PLAIN["model"]["pace"], "ways": [{"entry": SITE.zones[0].id, "exit": SITE.zones[0].id, "stay": 0}]},
+    ),
+    "a share below 0": changed("model.onward.0.next_.0.share", -0.5),
+    "a clock of a geological age": changed("cameras.0.clock_offset", 1e15),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("why", WRONG)
+def test_what_cannot_be_is_refused_by_every_command(
+    why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, events = tmp_path / "topology.json", tmp_path / "events.jsonl"
+    source.write_bytes(WRONG[why])
+    events.write_bytes(to_json(Event(FIRST, "exit", 1_700_000_000.0, 0.5, 0.5)) + b"\n")
+    with pytest.raises(Rejected):
+        read_topology(WRONG[why])
+    for command in (
+        ["report", str(source), "--out", str(tmp_path / "out")],
+        ["predict", str(source), str(events)],
+        *(["export", str(source), "--format", form] for form in FORMATS),
+    ):
+        assert main(command) == 66, command
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.startswith(f"camtopod: {source} is not a topology: ")
+        assert len(err.splitlines()) == 1
+        assert err[:-1].isprintable()
+
+
+def test_a_file_of_ten_gigabytes_is_refused_before_it_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sparse, good, events = tmp_path / "sparse.json", tmp_path / "topology.json", tmp_path / "events.jsonl"
+    with sparse.open("wb") as file:
+        file.truncate(10 * 1024**3)
+    good.write_bytes(json.dumps(PLAIN).encode())
+    events.write_bytes(b"")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for command in (
+        ["export", str(sparse), "--format", "svg"],
+        ["report", str(sparse)],
+        ["predict", str(sparse), str(events)],
+    ):
+        assert main(command) == 66
+        assert "is not a topology: it has more than 536870912 bytes" in capsys.readouterr().err
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000, "KiB"
+
+
+def test_a_pipe_without_end_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(export, "TOPOLOGY_BYTES_MAX", 3 * 1024**2)
+    monkeypatch.setattr(report, "TOPOLOGY_BYTES_MAX", 3 * 1024**2)
+    with open("/dev/zero", "rb") as zeros:
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(zeros))
+        assert main(["export", "-", "--format", "svg"]) == 66
+    assert "- is not a topology: it has more than" in capsys.readouterr().err
+
+
+def test_versions_of_a_report_are_lines_of_a_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(report, "TOPOLOGY_BYTES_MAX", 3 * 1024**2)
+    good, updates = tmp_path / "topology.json", tmp_path / "updates.jsonl"
+    good.write_bytes(json.dumps(PLAIN).encode())
+    with updates.open("wb") as file:
+        file.truncate(50 * 1024**2)
+    assert main(["report", str(good), "--updates", str(updates)]) == 66
+    assert "line 1 is not a topology: it has more than" in capsys.readouterr().err
+
+
+def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def huge(path: str) -> Topology:
+        raise MemoryError
+
+    monkeypatch.setattr(export, "load", huge)
+    assert main(["export", "x", "--format", "svg"]) == 1
+    assert capsys.readouterr().err == "camtopod: there is not enough memory for this\n"
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        SimSettings(cameras=6, hours=0.4, seed=1, positions=False),
+        SimSettings(cameras=6, hours=0.4, seed=2, tracks=False, overlap_share=0.9),
+        SimSettings(cameras=6, hours=0.4, seed=3, clock_max=20.0, clock_share=1.0, zone_stretch=4.0),
+        SimSettings(cameras=6, hours=0.4, seed=4, linked=False, loiterers=0.5, slow_share=0.5),
+    ],
+)
+def test_what_the_learner_makes_is_sound(settings: SimSettings) -> None:
+    topology = learned(settings)
+    assert list(problems(topology)) == []
+    assert read_topology(to_json(topology)) == topology
+    use(topology)
+
+
+def test_a_site_without_a_model_is_sound() -> None:
+    assert list(problems(synthetic_topology(12))) == []
+    bare = msgspec.structs.replace(SITE, model=None, chain=None, score=None, alarms=None, weak_links=None)
+    assert list(problems(bare)) == []
+    use(bare)
+
+
+# --- whatever is believed can be used ------------------------------------------------------------
+
+
+def places(content: Any, path: str = "") -> list[str]:
+    """Where there is something to change."""
+    if isinstance(content, dict):
+        return [one for key, inner in content.items() for one in [f"{path}{key}", *places(inner, f"{path}{key}.")]]
+    if isinstance(content, list):
+        few = range(min(len(content), 3))
+        return [one for k in few for one in [f"{path}{k}", *places(content[k], f"{path}{k}.")]]
+    return []
+
+
+def use(topology: Topology) -> None:
+    """Everything that the commands do with it."""
+    assert page(gather(topology, [topology], None))
+    for form, exported in FORMATS.items():
+        text = exported(topology)
+        if form in ("svg", "graphml"):
+            ElementTree.fromstring(text)
+    predictor = Predictor(topology)
+    for zone in topology.zones:
+        t = topology.as_of
+        for kind, later in (("entry", 0.0), ("exit", 4.0), ("entry", 30.0), ("exit", 31.0)):
+            event = Event(zone.camera, kind, t + later, zone.x, zone.y, "7")  # type: ignore[arg-type]
+            if kind == "exit":
+                for now in (None, event.t + 5.0):
+                    prediction = predictor.predict(event, now)
+                    assert abs(prediction.leave + sum(one.probability for one in prediction.next_) - 1) < 1e-6
+                    assert b"null" not in to_json(prediction.next_), "a figure that is none"
+            predictor.observe(event)
+
+
+def test_what_is_believed_can_be_used() -> None:
+    use(SITE)
+    chance, sites, believed = random.Random(4), places(PLAIN), 0
+    for _ in range(400):
+        raw = changed(chance.choice(sites), chance.choice(ODD))
+        try:
+            topology = read_topology(raw)
+        except Rejected:
+            continue
+        believed += 1
+        try:
+            use(topology)
+        except Exception as error:  # noqa: BLE001
+            pytest.fail(f"{type(error).__name__}: {error}")
+    assert believed > 20, "not everything is refused"
+
+
+def test_where_nobody_goes_anywhere_they_leave() -> None:
+    content = copy.deepcopy(PLAIN)
+    for row in content["model"]["onward"]:
+        row["leave"] = 0
+        for outcome in row["next_"]:
+            outcome["hazard"] = {"first": 0, "mass": []}
+    content["model"]["contexts"] = []
+    use(read_topology(json.dumps(content).encode()))
+
+
+@pytest.mark.parametrize("odd", ["\x1b[2J", "\x00", "\ufffe", "\u202e", "\ud800", "<&\"'>"])
+def test_pictures_of_any_names_are_well_formed(odd: str) -> None:
+    odd_name = json.dumps(f"{odd}{FIRST}")[:-1]
+    content = json.loads(json.dumps(PLAIN | {"site": odd}).replace(f'"{FIRST}', odd_name))
+    named = msgspec.convert(content, Topology)
+    for form in ("svg", "graphml"):
+        ElementTree.fromstring(FORMATS[form](named))

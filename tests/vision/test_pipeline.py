@@ -1,0 +1,233 @@
+"""Frames to events on made-up pictures: what an entry and an exit are, and what they are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Picture, Place, Scene, line
+
+from camtopod.records import Event
+from camtopod.vision.pipeline import Watcher
+from camtopod.vision.settings import VisionSettings
+
+
+def passages(events: list[Event]) -> list[tuple[str, str]]:
+    """(kind, side of the picture) in order of time."""
+    return [(event.kind, side(event)) for event in sorted(events, key=lambda event: event.t)]
+
+
+def side(event: Event) -> str:
+    assert event.x is not None
+    assert event.y is not None
+    distances = {"left": event.x, "right": 1 - event.x, "top": event.y, "bottom": 1 - event.y}
+    nearest = min(distances, key=distances.__getitem__)
+    return nearest if distances[nearest] < 0.12 else "inside"
+
+
+def test_one_passage_is_an_entry_and_an_exit_with_capture_times() -> None:
+    scene = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.5), 8.0))])
+    events = scene.events(18)
+    assert passages(events) == [("entry", "left"), ("exit", "right")]
+    entry, leaving = events
+    assert entry.track == leaving.track
+    assert entry.t == pytest.approx(5.2, abs=0.5)
+    assert leaving.t == pytest.approx(12.8, abs=0.5)
+    assert entry.y == pytest.approx(0.7, abs=0.06)
+    assert leaving.y == pytest.approx(0.5, abs=0.06)
+    assert entry.boot is None
+    assert entry.seq is None
+
+
+def test_an_entry_is_reported_soon_after_it_happened() -> None:
+    scene = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0))])
+    watcher = Watcher("cam", VisionSettings())
+    for k in range(round(12 * FPS)):
+        if watcher.see(k / FPS, scene.picture(k / FPS)):
+            assert k / FPS < 5.0 + 1.5
+            return
+    pytest.fail("no entry")
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "sides"),
+    [
+        ((0.5, -0.01), (0.5, 1.25), ["top", "bottom"]),
+        ((0.5, 1.25), (0.5, -0.01), ["bottom", "top"]),
+        ((1.05, 0.4), (0.3, 1.25), ["right", "bottom"]),
+    ],
+)
+def test_every_border_is_an_edge(a: Place, b: Place, sides: list[str]) -> None:
+    events = Scene([Person(line(5.0, a, b, 9.0))]).events(18)
+    assert passages(events) == list(zip(["entry", "exit"], sides, strict=True))
+
+
+def test_a_quiet_scene_has_no_events_whatever_the_light_does() -> None:
+    assert Scene([], noise=3.0).events(20) == []
+    assert Scene([], light=lambda t: 0.75 if 8 < t < 14 else 1.0).events(20) == []
+    assert Scene([], light=lambda t: 1.0 + 0.25 * np.sin(t)).events(20) == []
+
+
+def test_a_passage_under_changing_light_is_seen() -> None:
+    walker = Person(line(6.0, (-0.05, 0.7), (1.05, 0.7), 8.0))
+    events = Scene([walker], light=lambda t: 1.0 if t < 9 else 0.75).events(20)
+    assert passages(events) == [("entry", "left"), ("exit", "right")]
+
+
+def test_noise_is_filtered() -> None:
+    walker = Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0))
+    assert passages(Scene([walker], noise=9.0).events(18)) == [("entry", "left"), ("exit", "right")]
+
+
+def test_two_who_cross_are_two_passages() -> None:
+    scene = Scene(
+        [
+            Person(line(5.0, (-0.05, 0.62), (1.05, 0.62), 8.0), seed=1),
+            Person(line(5.5, (1.05, 0.7), (-0.05, 0.7), 8.0), shade=220, seed=2),
+        ]
+    )
+    events = scene.events(20)
+    assert passages(events) == [("entry", "left"), ("entry", "right"), ("exit", "right"), ("exit", "left")]
+    assert len({event.track for event in events}) == 2
+
+
+def test_standing_still_is_no_exit() -> None:
+    def where(t: float) -> Place | None:
+        if t < 9:
+            return line(5.0, (-0.05, 0.7), (0.5, 0.7), 4.0)(t)
+        return (0.5, 0.7) if t < 50 else line(50.0, (0.5, 0.7), (1.05, 0.7), 4.0)(t)
+
+    events = Scene([Person(where)]).events(60)
+    assert passages(events) == [("entry", "left"), ("exit", "right")]
+    assert events[0].track == events[1].track
+
+
+def test_a_passage_that_breaks_behind_a_post_stays_one() -> None:
+    def wall(picture: Picture) -> None:
+        picture[:, 80:104] = 40
+
+    scene = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 9.0))], front=wall)
+    events = scene.events(20)
+    assert passages(events) == [("entry", "left"), ("exit", "right")]
+    assert events[0].track == events[1].track
+
+
+def test_two_who_change_places_at_the_border_are_an_exit_and_an_entry() -> None:
+    scene = Scene(
+        [
+            Person(line(5.0, (-0.05, 0.62), (1.05, 0.62), 8.0), seed=1),
+            Person(line(12.4, (1.05, 0.68), (-0.05, 0.68), 8.0), seed=2),
+        ]
+    )
+    events = scene.events(26)
+    kinds = sorted(passages(events))
+    assert kinds == [("entry", "left"), ("entry", "right"), ("exit", "left"), ("exit", "right")]
+
+
+def test_who_is_there_from_the_start_has_an_exit_only_and_leaves_no_ghost() -> None:
+    def where(t: float) -> Place | None:
+        return (0.5, 0.7) if t < 8 else line(8.0, (0.5, 0.7), (1.05, 0.7), 4.0)(t)
+
+    later = Person(line(30.0, (-0.05, 0.7), (1.05, 0.7), 8.0), seed=3)
+    events = Scene([Person(where), later]).events(42)
+    assert passages(events) == [("exit", "right"), ("entry", "left"), ("exit", "right")]
+
+
+def test_who_is_in_view_at_the_end_has_no_exit() -> None:
+    events = Scene([Person(line(5.0, (-0.05, 0.7), (0.6, 0.7), 5.0))]).events(10)
+    assert passages(events) == [("entry", "left")]
+
+
+def test_another_picture_altogether_is_learned_anew() -> None:
+    other = np.random.default_rng(2)
+    first, second = (
+        Scene([]),
+        Scene([Person(line(22.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=235)], rng=other),
+    )
+    watcher, events = Watcher("cam", VisionSettings()), []
+    for k in range(round(34 * FPS)):
+        t = k / FPS
+        events += watcher.see(t, first.picture(t) if t < 10 else second.picture(t))
+    events += watcher.finish()
+    assert watcher.statistics()["relearned"] == 1
+    assert [event.kind for event in events] == ["entry", "exit"]
+
+
+def test_a_gap_in_the_stream_makes_no_events() -> None:
+    scene = Scene([Person(lambda t: (0.5, 0.7) if t > 20 else None)])
+    watcher, events = Watcher("cam", VisionSettings()), []
+    for k in range(round(60 * FPS)):
+        t = k / FPS
+        if not 15 < t < 30:  # meanwhile somebody came and stands there
+            events += watcher.see(t, scene.picture(t))
+    assert events + watcher.finish() == []
+
+
+def test_a_door_in_mid_view_is_admitted_once_it_was_used_again_and_again() -> None:
+    def through_door(start: float) -> Person:
+        return Person(line(start, (0.5, 0.55), (-0.05, 0.75), 6.0), seed=round(start))
+
+    starts = [6.0 + 14 * k for k in range(8)]
+    events = Scene([through_door(start) for start in starts]).events(starts[-1] + 12)
+    exits = [event for event in events if event.kind == "exit"]
+    entries = [event for event in events if event.kind == "entry"]
+    assert len(exits) == len(starts)
+    assert all(side(event) == "left" for event in exits)
+    assert 3 <= len(entries) <= 5, "the first ones are not believed"
+    assert all(side(event) == "inside" for event in entries)
+    assert {event.track for event in entries} < {event.track for event in exits}
+
+
+def test_same_frames_same_events_and_numbers_live_in_the_instance() -> None:
+    people = [
+        Person(line(5.0, (-0.05, 0.6), (1.05, 0.7), 6.0)),
+        Person(line(7.0, (1.05, 0.8), (-0.05, 0.8), 6.0)),
+    ]
+    assert Scene(people).events(16) == Scene(people).events(16)
+
+
+def test_large_pictures_are_scaled_down() -> None:
+    watcher = Watcher("cam", VisionSettings(working_width=96))
+    scene, events = Scene([Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), tall=0.3)]), []
+    for k in range(round(18 * FPS)):
+        events += watcher.see(k / FPS, scene.picture(k / FPS).repeat(2, axis=0).repeat(2, axis=1))
+    assert passages(events + watcher.finish()) == [("entry", "left"), ("exit", "right")]
+    assert (WIDTH, HEIGHT) == (192, 144)
+
+
+def test_a_camera_that_shakes_by_a_pixel_sees_nothing_in_an_empty_scene_and_people_in_a_full_one() -> None:
+    walker = Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=20)
+    for people, expected in (([], []), ([walker], [("entry", "left"), ("exit", "right")])):
+        scene, watcher, events = Scene(people), Watcher("cam", VisionSettings()), []
+        rng = np.random.default_rng(4)
+        for k in range(round(18 * FPS)):
+            picture = np.roll(scene.picture(k / FPS), rng.integers(-1, 2, 2), axis=(0, 1))
+            events += watcher.see(k / FPS, picture)
+        assert passages(events + watcher.finish()) == expected
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_the_pictures_events_are_well_formed(seed: int) -> None:
+    """Crowds that jump about, flashes and gaps: no error, each track enters and leaves at most once."""
+    rng = np.random.default_rng(seed)
+
+    def wild(own: int) -> Person:
+        places = np.random.default_rng(own).uniform(-0.1, 1.1, (40, 2))
+        return Person(lambda t: tuple(places[int(t) % 40]), tall=0.05 + 0.4 * (own % 7) / 7, shade=own * 17 % 256)
+
+    scene = Scene([wild(int(own)) for own in rng.integers(0, 1000, 6)])
+    watcher, events, t = Watcher("cam", VisionSettings()), [], 0.0
+    for _ in range(400):
+        t += float(rng.choice([0.01, 1 / FPS, 1 / FPS, 1 / FPS, 0.7, 4.0], p=[0.04, 0.3, 0.3, 0.3, 0.05, 0.01]))
+        flash = rng.random() < 0.01
+        events += watcher.see(t, np.full((HEIGHT, WIDTH), 255, np.uint8) if flash else scene.picture(t))
+    events += watcher.finish()
+    seen: dict[tuple[object, str], float] = {}
+    for event in events:
+        assert 0 <= (event.x or 0.0) <= 1
+        assert 0 <= (event.y or 0.0) <= 1
+        assert 0 <= event.t <= t
+        assert (event.track, event.kind) not in seen
+        seen[event.track, event.kind] = event.t
+    for (track, kind), when in seen.items():
+        if kind == "exit":
+            assert seen.get((track, "entry"), 0.0) < when

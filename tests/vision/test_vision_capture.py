@@ -1,0 +1,244 @@
+"""Files and streams to frames: what cannot be read, times, pace, and every way a stream can fail."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Scene, line
+from rtsp_streams import FaultProxy, missing, served, transcode
+from watched_clips import best_offset, match, shifted
+
+from camtopod.records import Event
+from camtopod.vision.grabber import Grabber
+from camtopod.vision.settings import VisionSettings
+from camtopod.vision.source.capture import Capture
+from camtopod.vision.source.errors import SourceError
+from camtopod.vision.source.recorded import RecordedSource
+
+SECONDS = 14.0
+QUICK = VisionSettings(
+    open_timeout_seconds=1.0, read_timeout_seconds=1.0, backoff_min_seconds=0.2, backoff_max_seconds=0.4
+)
+needs_server = pytest.mark.skipif(missing() is not None, reason=f"needs an RTSP server: {missing()}")
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two people walk through, 14 s."""
+    people = [
+        Person(line(3.5, (-0.05, 0.7), (1.05, 0.6), 5.0)),
+        Person(line(5.0, (1.05, 0.85), (-0.05, 0.9), 6.0), seed=4),
+    ]
+    return Scene(people).film(tmp_path_factory.mktemp("film") / "film.mp4", SECONDS)
+
+
+@pytest.fixture(scope="module")
+def server(film: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """The film served over RTSP; gives the port."""
+    path = tmp_path_factory.mktemp("served") / "film.mp4"
+    transcode(film, path, FPS)
+    with served(path) as port:
+        yield port
+
+
+def grab(source: Path | str, **arguments: object) -> Grabber:
+    return Grabber("cam", str(source), wall_clock=time.time, **arguments)  # type: ignore[arg-type]
+
+
+def events_of(grabber: Grabber) -> list[Event]:
+    return [event for event in grabber.events() if event is not None]
+
+
+# -- files ------------------------------
+
+
+def test_a_file_that_is_not_there_or_no_video(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        grab(tmp_path / "none.mp4")
+    with pytest.raises(OSError, match="directory"):
+        grab(tmp_path)
+    (tmp_path / "empty.mp4").touch()
+    with pytest.raises(SourceError, match="empty"):
+        grab(tmp_path / "empty.mp4")
+    (tmp_path / "text.mp4").write_text("no video\n" * 1000)
+    with pytest.raises(SourceError, match="not a video"):
+        grab(tmp_path / "text.mp4")
+
+
+def test_times_are_the_start_plus_the_position(film: Path) -> None:
+    frames = [frame for frame in RecordedSource(str(film), VisionSettings(), 1000.0, None).frames() if frame]
+    np.testing.assert_allclose([frame.t for frame in frames], 1000.0 + np.arange(len(frames)) / FPS, atol=1e-3)
+    assert len(frames) == round(SECONDS * FPS)
+    assert frames[0].luma.shape == (HEIGHT, WIDTH)
+
+
+def test_a_file_to_events(film: Path) -> None:
+    grabber = grab(film, start=1000.0)
+    assert grabber.state == "connecting"
+    events = sorted(events_of(grabber), key=lambda event: event.t)
+    assert [event.kind for event in events] == ["entry", "entry", "exit", "exit"]
+    assert all(1003.0 < event.t < 1012.0 for event in events)
+    assert grabber.state == "ended"
+    figures = grabber.statistics()
+    assert (figures["entries"], figures["exits"]) == (2, 2)
+    assert figures["frames_analysed"] == figures["frames_grabbed"] == round(SECONDS * FPS)
+
+
+def test_a_file_at_a_multiple_of_its_pace_has_the_same_events(film: Path) -> None:
+    began = time.monotonic()
+    paced = events_of(grab(film, realtime=True, speed=10.0))
+    assert SECONDS / 10 - 0.2 < time.monotonic() - began < SECONDS / 10 + 2.0
+    assert paced == events_of(grab(film))
+
+
+def test_a_slow_file_gives_control_back(film: Path) -> None:
+    grabber = grab(film, realtime=True, speed=0.1)
+    began = time.monotonic()
+    assert [next(grabber.events()) for _ in range(1)] == [None]
+    assert time.monotonic() - began < 1.0
+    grabber.close()
+
+
+def test_luma_is_the_grey_picture_whatever_the_format(film: Path, tmp_path: Path) -> None:
+    plain = tmp_path / "plain.avi"
+    writer = cv2.VideoWriter(str(plain), cv2.VideoWriter.fourcc(*"FFV1"), FPS, (WIDTH, HEIGHT))
+    colours = np.random.default_rng(1).integers(0, 255, (HEIGHT // 8, WIDTH // 8, 3), dtype=np.uint8)
+    picture = cv2.resize(colours, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+    writer.write(picture)
+    writer.release()
+    capture = Capture(str(plain), VisionSettings())
+    assert capture.grab() is not None
+    luma = capture.retrieve()
+    assert luma is not None
+    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    assert np.corrcoef(luma.ravel(), grey.ravel())[0, 1] > 0.98
+    assert capture.grab() is None
+    capture.release()
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
+@pytest.mark.parametrize(
+    ("encoder", "pixels", "plane"),
+    [
+        ("libx264", "yuv420p", True),
+        ("libx264", "yuvj420p", True),
+        ("libx264", "yuv422p", True),
+        ("libx264", "yuv444p", True),
+        ("mjpeg", "yuvj422p", True),
+        ("ffv1", "gray", True),
+        ("ffv1", "bgr0", False),
+        ("libx264", "yuv420p10le", False),
+    ],
+)
+def test_the_decoder_s_plane_is_taken_where_there_is_one(
+    film: Path, tmp_path: Path, encoder: str, pixels: str, plane: bool
+) -> None:
+    path = tmp_path / "film.mkv"
+    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-i", str(film), "-t", "1", "-c:v", encoder]
+    subprocess.run([*command, "-pix_fmt", pixels, "-q:v", "2", str(path)], check=True)
+    capture, twin = Capture(str(path), VisionSettings()), cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    assert (capture._capture.get(cv2.CAP_PROP_CONVERT_RGB) == 0.0) == plane
+    seen = []
+    for _ in range(3):
+        assert capture.grab() is not None
+        luma, (_, picture) = capture.retrieve(), twin.read()
+        assert luma is not None
+        assert luma.shape == (HEIGHT, WIDTH)
+        assert np.corrcoef(luma.ravel(), cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).ravel())[0, 1] > 0.99
+        seen.append(luma)
+    assert not np.shares_memory(seen[0], seen[1])
+    capture.release()
+    twin.release()
+
+
+# -- streams ------------------------------
+
+
+def run_until(stream: Iterator[Event | None], condition: Callable[[], bool], seconds: float = 15.0) -> list[Event]:
+    """Events until ``condition``; control must come back at least once a second."""
+    events, began = [], time.monotonic()
+    heard = began
+    for event in stream:
+        now = time.monotonic()
+        assert now - heard < 1.5, "the caller was kept waiting"
+        heard = now
+        if event is not None:
+            events.append(event)
+        if condition():
+            return events
+        assert now - began < seconds, "it took too long"
+    raise AssertionError("a stream never ends")
+
+
+def test_a_stream_that_is_not_there_is_waited_for() -> None:
+    with socket.socket() as reserved:
+        reserved.bind(("127.0.0.1", 0))  # bound, not listening: refuses
+        grabber = grab(f"rtsp://user:pa@ss@127.0.0.1:{reserved.getsockname()[1]}/s", settings=QUICK)
+        assert run_until(grabber.events(), lambda: grabber.statistics()["failures"] >= 2) == []
+        assert grabber.state == "connecting"
+        assert "trying again" in grabber.reason
+        assert "ss@" not in grabber.reason
+        grabber.close()
+
+
+def test_a_host_that_says_nothing_is_given_up_and_tried_again() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        grabber = grab(f"rtsp://127.0.0.1:{silent.getsockname()[1]}/s", settings=QUICK)
+        run_until(grabber.events(), lambda: grabber.statistics()["failures"] >= 1)
+        assert grabber.state == "connecting"
+        grabber.close()
+
+
+@needs_server
+def test_a_stream_has_the_events_of_the_file(film: Path, server: int) -> None:
+    recorded = events_of(grab(film))
+    grabber = grab(f"rtsp://127.0.0.1:{server}/camera", settings=QUICK)
+    before = time.time()
+    streamed = run_until(grabber.events(), lambda: grabber.statistics()["exits"] >= 2, SECONDS + 10)
+    grabber.close()
+    assert all(before < event.t < time.time() for event in streamed)
+    aspect = WIDTH / HEIGHT
+    offset = best_offset(recorded, streamed, aspect)
+    result = match(recorded, shifted(streamed, offset), aspect)
+    assert result.f1 == 1.0
+    differences = [streamed[j].t - offset - recorded[i].t for i, j in result.pairs]
+    assert np.abs(differences).max() < 0.3
+    assert grabber.statistics()["untrusted_stamps"] <= 2
+
+
+@needs_server
+def test_a_stream_that_stalls_closes_or_refuses_comes_back(server: int) -> None:
+    proxy = FaultProxy(server)
+    grabber = grab(f"rtsp://127.0.0.1:{proxy.port}/camera", settings=QUICK)
+    stream, analysed = grabber.events(), 0
+
+    def more_frames() -> bool:
+        return grabber.state == "running" and grabber.statistics()["frames_analysed"] > analysed + 2
+
+    run_until(stream, more_frames)
+    proxy.stall()
+    run_until(stream, lambda: grabber.state == "stalled")
+    assert "read timeout" in grabber.reason
+    proxy.cut()
+    proxy.resume()
+    analysed = int(grabber.statistics()["frames_analysed"])
+    run_until(stream, more_frames)
+    proxy.refusing = True
+    proxy.cut()
+    run_until(stream, lambda: grabber.statistics()["failures"] >= 3)
+    assert grabber.state == "stalled"
+    proxy.refusing = False
+    analysed = int(grabber.statistics()["frames_analysed"])
+    run_until(stream, more_frames)
+    began = time.monotonic()
+    grabber.close()
+    assert time.monotonic() - began < 2.0
+    proxy.close()

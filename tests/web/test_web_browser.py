@@ -1,0 +1,364 @@
+"""The page in a real browser on a real daemon: what it shows, that it stays live, and what it never does."""
+
+from __future__ import annotations
+
+import contextlib
+import http.server
+import re
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import quote, urlsplit
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+from chromium import Browser
+from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+from synthetic_topology import synthetic_topology
+
+from camtopod.cli.commands.web import listening, names
+from camtopod.config.settings import BusSettings
+from camtopod.records import Event, InView, Prediction
+from camtopod.serve.bus import session as buses
+from camtopod.serve.bus.session import Bus
+from camtopod.serve.daemon import Daemon
+from camtopod.web import app, report
+from camtopod.web.map_data import draw
+from camtopod.web.single_file import page
+
+HOSTILE = "<img src=x onerror=\"document.title='owned'\"><script>document.title='owned'</script> no frame for 31 s"
+DOTTED = "gate.1-_x"
+
+
+class Site:
+    """A daemon that can be stopped and started again, and a page that stays; time goes on, from long after `T0`."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.endpoint = free_endpoint()
+        self._began = time.monotonic()
+        self._skipped = 0.0
+        self._open = contextlib.ExitStack()
+        self.daemon = self._daemon()
+        self.start()
+        bus = self._open.enter_context(self.client())
+        cv2.imwrite(str(directory / "a.png"), np.full((90, 120, 3), 200, np.uint8))
+        self.port = self._open.enter_context(self.page(bus))
+        self.address = f"http://127.0.0.1:{self.port}/"
+
+    def now(self) -> float:
+        return T0 + 20 * SPAN_SECONDS + self._skipped + time.monotonic() - self._began
+
+    @property
+    def cameras(self) -> int:
+        """In the newest version."""
+        return len(self.daemon.topology.cameras) if self.daemon.topology else 0
+
+    @property
+    def version(self) -> int:
+        """The newest."""
+        return self.daemon.topology.version if self.daemon.topology else 0
+
+    def client(self) -> Bus:
+        return buses.dial(small_config(self.directory, self.endpoint))
+
+    def _daemon(self) -> Daemon:
+        config = msgspec.structs.replace(
+            small_config(self.directory / "state"), bus=BusSettings(listen=(self.endpoint,))
+        )
+        return Daemon(config, clock=self.now)
+
+    @contextlib.contextmanager
+    def page(self, bus: Bus, port: int = 0) -> Iterator[int]:
+        """A server of the page; yields its port."""
+        with (
+            listening("127.0.0.1", port) as listener,
+            app.serving(bus, listener, names("127.0.0.1"), self.directory, self.now, 1.0),
+        ):
+            yield listener.getsockname()[1]
+
+    def start(self) -> None:
+        """The same daemon again, on what it has stored."""
+        self.daemon = self._daemon()
+        self.daemon.start()
+
+    def learn(self, bus: Bus) -> None:
+        """Enough walkers for a topology."""
+        events = [
+            msgspec.structs.replace(event, camera=DOTTED if event.camera == "b" else event.camera)
+            for event in (*walkers(60), closing_event())
+        ]
+        for event in numbered(events):
+            bus.put(f"event/{event.camera}", event, "event")
+        wait_for(lambda: bool(self.daemon.topology and len(self.daemon.topology.pairs) == 2), "two pairs")
+
+    def learn_more(self, bus: Bus) -> None:
+        """More walkers, and then a leap of time after which they are learned."""
+        later = self.now() - SPAN_SECONDS - T0
+        for event in numbered([*walkers(60, seed=2), Event("late", "entry", T0 + 5 * SPAN_SECONDS)], "b2"):
+            if event.camera == "late":
+                self._skipped += 5 * SPAN_SECONDS
+            name = DOTTED if event.camera == "b" else event.camera
+            bus.put(f"event/{name}", msgspec.structs.replace(event, camera=name, t=event.t + later), "event")
+
+    def close(self) -> None:
+        self._open.close()
+        self.daemon.stop()
+
+
+@contextlib.contextmanager
+def refusing(port: int) -> Iterator[list[str]]:
+    """A proxy whose server is away: 503 to everything, after which a browser does not try again by itself; yields the
+    paths asked for.
+    """
+    asked: list[str] = []
+
+    class Refuse(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            self.send_error(503)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", port), Refuse) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        yield asked
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory, started_browser: Browser) -> Iterator[Site]:
+    one = Site(tmp_path_factory.mktemp("site"))
+    with one.client() as bus:
+        one.learn(bus)
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def shown(site: Site, browser: Browser) -> Iterator[Browser]:
+    """The page as it opens; afterwards nothing may have been complained about or asked of another host."""
+    browser.open(site.address)
+    browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+    browser.wait(lambda: browser.count(".node") == site.cameras, "the cameras")
+    yield browser
+    away = "ERR_CONNECTION_REFUSED"  # of a server that a test has stopped
+    assert [text for text in browser.complaints() if away not in text] == []
+    strange = [url for url in browser.asked() if not url.startswith((site.address, "data:", "chrome:"))]
+    assert strange == []
+
+
+def leave(site: Site, bus: Bus, camera: str = "a", seq: int = 0) -> None:
+    """Somebody leaves the view now."""
+    bus.put(f"event/{camera}", Event(camera, "exit", site.now(), 0.9, 0.5, "x", f"live{seq}", 1), "event")
+
+
+def test_the_map_shows_what_was_learned(site: Site, shown: Browser) -> None:
+    topology = site.daemon.topology
+    assert topology is not None
+    names = shown.run("return [...document.querySelectorAll('.node')].map((node) => node.dataset.id)")
+    assert sorted(names) == sorted(camera.id for camera in topology.cameras)
+    edges = shown.run("return [...document.querySelectorAll('.edge')].map((line) => line.dataset.key)")
+    assert sorted(edges) == ["a " + other for other in ("c", DOTTED)]
+    assert shown.count(".edge.unseen_path") == 2
+    shown.wait(lambda: "s" in shown.text(".labels .time"), "transit times on the edges")
+    between = next(link for link in topology.links if link.from_.startswith("a/") and link.to.startswith(DOTTED))
+    assert f"{between.transit.mode:.1f}"[:2] in shown.run(
+        "return [...document.querySelectorAll('.labels .time')].map((text) => text.textContent).join()"
+    )
+
+
+def test_a_prediction_moves_on_the_map(site: Site, shown: Browser) -> None:
+    with site.client() as bus:
+        leave(site, bus, seq=1)
+        shown.wait(lambda: shown.count(".dot") > 0, "a dot under way")
+    where = "const dot = document.querySelector('.dot'); return dot && [dot.cx, dot.cy].map((c) => c.baseVal.value)"
+    before = shown.run(where)
+    shown.wait(lambda: shown.run(where) != before, "the dot to move")
+    shown.wait(lambda: "a → " in shown.text(".predictions"), "the prediction in the list")
+
+
+def test_who_sees_somebody_now_is_in_the_list_and_at_the_camera(site: Site, shown: Browser) -> None:
+    """Not by track, which would be somebody."""
+    in_view = [InView("c", "somebody", site.now() - 3, 0.83)]
+    said = Prediction("a", "a/1", site.now(), "another", 1, 1.0, [], None, in_view)
+    with site.client() as bus:
+        shown.go("#/camera/a")
+        shown.wait(lambda: shown.count(".scene") > 0, "the camera's panel")
+        bus.put("prediction/a", said, "prediction")
+        shown.wait(lambda: "a → c 83 %, in view now" in shown.text(".predictions"), "who sees them in the list")
+        shown.wait(lambda: "left at a/1, now in view of c (83 %)" in shown.text("main"), "the same at the camera")
+    assert "somebody" not in shown.text("main")
+
+
+def test_a_new_version_comes_as_a_change(site: Site, shown: Browser) -> None:
+    def fetched() -> int:
+        return sum(url.endswith("/data/map") for url in shown.asked())
+
+    shown.wait(lambda: f"version {site.version}" in shown.text("#live"), "the newest version")
+    before, maps = site.version, fetched()
+    with site.client() as bus:
+        site.learn_more(bus)
+        wait_for(lambda: site.version > before, "a new version")
+        shown.wait(lambda: f"version {site.version}" in shown.text("#live"), "the new version")
+    assert fetched() == maps, "only what changed was sent"
+
+
+def test_keys_open_a_camera_and_its_link(site: Site, shown: Browser) -> None:
+    shown.run("document.querySelector('nav a:last-child').focus()")
+    shown.press("TAB")
+    reached = shown.run("return document.activeElement.dataset.id")
+    assert reached, "Tab reaches a camera"
+    for key in ("ARROW_LEFT", "ARROW_RIGHT", "ARROW_UP", "ARROW_DOWN"):
+        shown.press(key)
+    assert shown.run("return document.querySelectorAll('.node[tabindex=\"0\"]').length") == 1
+    shown.run("document.querySelector('.node[data-id=\"a\"]').focus()")
+    shown.press("ENTER")
+    shown.wait(lambda: shown.text(".panel h2") == "a", "the camera's page")
+    assert shown.run("return document.activeElement.tagName") == "H2"
+    shown.run("document.querySelector('.panel .links a').focus()")
+    assert shown.run("return getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    shown.press("ENTER")
+    shown.wait(lambda: "→" in shown.text(".panel h2"), "the link's page")
+    assert shown.count(".chart .count") > 1
+    assert shown.count(".chart .sample") > 20
+    assert "appeared next at" in shown.text(".panel .why")
+    assert shown.run("return document.querySelector('.chart .curve').getAttribute('d').length") > 40
+    shown.press("ESCAPE")
+    shown.wait(lambda: shown.run("return document.querySelector('.panel').hidden"), "Escape to close it")
+    assert shown.run("return document.activeElement.classList.contains('node')")
+
+
+def test_a_cameras_page_has_its_picture_zones_and_live_events(site: Site, shown: Browser) -> None:
+    shown.go("#/camera/a")
+    shown.wait(lambda: shown.count(".scene image") == 1, "the picture")
+    assert shown.run("return document.querySelector('.scene svg').getAttribute('viewBox')") == "0 0 120 90"
+    assert shown.count(".scene .zone ellipse") == 2
+    with site.client() as bus:
+        for seq in range(2, 12):
+            leave(site, bus, seq=seq)
+            time.sleep(0.1)  # until the page has subscribed
+            if shown.count(".scene .event.exit"):
+                break
+    shown.wait(lambda: shown.count(".scene .event.exit") > 0, "the exit on the picture")
+    assert shown.run("return document.querySelector('.event.exit').x.baseVal.value") == pytest.approx(108, abs=2)
+
+
+def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> None:
+    with site.client() as bus:
+        bus.put(f"status/{DOTTED}", {"camera": DOTTED, "state": "stalled", "reason": HOSTILE, "t": 0.0}, "status")
+        shown.wait(lambda: shown.count(".node.ill") == 1, "the camera to be marked")
+        shown.go(f"#/camera/{DOTTED}")
+        shown.wait(lambda: shown.text(".panel h2") == DOTTED, "the camera's page")
+        shown.wait(lambda: HOSTILE in shown.text(".panel .reason"), "the reason as it is")
+        shown.go("#/health")
+        shown.wait(lambda: HOSTILE in shown.text(".page table"), "the reason in the table")
+    assert shown.count("img, script:not([src])") == 0
+    assert "owned" not in shown.run("return document.title")
+    shown.go("#/camera/%3Cimg%20src%3Dx%3E")
+    shown.wait(lambda: "has not been learned" in shown.text(".panel"), "an unknown camera to be told")
+    assert shown.run("return document.querySelector('.panel h2').textContent") == "<img src=x>"
+    shown.complaints()  # the 404 it answered is in the browser's log
+    shown._complaints[:] = [text for text in shown._complaints if "404" not in text]
+
+
+def test_versions_show_what_changed(site: Site, shown: Browser) -> None:
+    newest = site.version
+    shown.go("#/versions")
+    shown.wait(lambda: shown.count(".page tbody tr") == newest, "every version, older ones asked of the daemon")
+    shown.go(f"#/versions/1/{newest}")
+    shown.wait(lambda: "appeared" in shown.text(".columns"), "the differences")
+    assert shown.count(".changes .new") > 0
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_phone_has_nothing_to_scroll_sideways(site: Site, shown: Browser, dark: bool) -> None:
+    shown.size(360, 740)
+    shown.dark(dark)
+    for place in ("#/map", "#/camera/a", f"#/pair/a/{DOTTED}", "#/links", "#/versions", "#/health"):
+        shown.go(place)
+        shown.wait(lambda place=place: shown.run("return location.hash") == place, place)  # type: ignore[misc]
+        assert shown.run("return document.documentElement.scrollWidth") <= 360, place
+        assert (
+            shown.run("return Math.max(...[...document.querySelectorAll('.panel')].map((e) => e.scrollWidth))") <= 360
+        )
+    background = shown.run("return getComputedStyle(document.body).backgroundColor")
+    level = sum(int(part) for part in re.findall(r"\d+", background)[:3]) / 3
+    assert (level < 60) is dark
+    shown.dark(False)
+
+
+def test_it_is_live_again_after_the_daemon_is_restarted(site: Site, shown: Browser) -> None:
+    cameras = site.cameras
+    site.daemon.stop()
+    shown.wait(lambda: "Not live since" in shown.text(".banner"), "the banner")
+    assert "is not reached" in shown.text(".banner")
+    assert shown.text("#live").startswith("not live")
+    assert shown.count(".node") == cameras, "what was known stays"
+    site.start()
+    shown.wait(lambda: shown.text(".banner") == "" and shown.text("#live").startswith("live"), "live again")
+    with site.client() as bus:
+        leave(site, bus, seq=50)
+        shown.wait(lambda: shown.count(".dot") > 0, "a prediction of the new daemon")
+
+
+def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser: Browser) -> None:
+    with site.client() as bus:
+        with site.page(bus) as port:
+            browser.open(f"http://127.0.0.1:{port}/")
+            browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+        with refusing(port) as refused:
+            browser.wait(lambda: "does not reach its server" in browser.text(".banner"), "the banner")
+            wait_for(lambda: "/live" in refused, "the page to try again")
+        with site.page(bus, port):
+            browser.wait(lambda: browser.text("#live").startswith("live"), "live again")
+            assert browser.text(".banner") == ""
+
+
+def test_a_report_of_a_thousand_cameras_needs_no_server(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report, "LINKS_MAX", 50)
+    topology = synthetic_topology(1000)
+    few = [msgspec.structs.replace(link, transitions=5.0) for link in topology.links[:2]]  # both ways of one path
+    topology = msgspec.structs.replace(topology, links=[*few, *topology.links[2:]])
+    links = sorted(topology.links, key=lambda link: (link.relation == "visible", -link.transitions))
+    path = tmp_path / "report.html"
+    path.write_text(page(report.gather(topology, [], None)), "utf-8")
+    browser.open(path.as_uri())
+    browser.wait(lambda: browser.count(".node") == 1000, "a thousand cameras")
+    browser.wait(lambda: browser.count(".labels .name") > 20, "names, as many as fit")
+    assert browser.count(".labels text") < 300
+    pairs = Counter((edge.relation, edge.provisional != "") for edge in draw(topology).edges.values())
+    overlapped, provisional = (sum(pairs[some] for some in pairs if some[k] in ("overlapped", True)) for k in (0, 1))
+    assert provisional == 1
+    kinds = f"({overlapped:,} overlapping, {provisional:,} provisional)"
+    assert browser.text(".key summary .quiet") == f"1,000 cameras, {pairs.total():,} pairs {kinds}"
+    browser.run("document.querySelector('.search input').focus()")
+    browser.press("cam042")
+    browser.wait(lambda: browser.count(".hits a") == 8, "the first of ten that fit")
+    assert browser.count(".node.faint") == 990
+    browser.press("TAB")
+    assert browser.run("return document.activeElement.textContent") == "cam0420", "the hits are reached by Tab"
+    browser.press("ENTER")
+    browser.wait(lambda: browser.text(".panel h2") == "cam0420", "the camera found")
+    assert browser.count(".node.faint") == 0, "who has found what was looked for sees the whole again"
+    browser.wait(lambda: browser.count(".labels .first") == 1, "its name before others")
+    assert browser.count(".scene .zone") > 0
+    for link, condition in (
+        (links[0], lambda: browser.count(".chart .count") > 3),
+        (links[60], lambda: "does not hold it" in browser.text(".panel")),
+    ):
+        browser.go("#/link/" + "/".join(quote(part, safe="") for part in (link.from_, link.to, link.relation)))
+        browser.wait(condition, "the link's chart, or why there is none")
+    browser.go("#/versions")
+    browser.wait(lambda: "400,000" in browser.text(".page"), "the versions")
+    assert browser.complaints() == []
+    assert {urlsplit(url).scheme for url in browser.asked()} <= {"file", "data", "about"}

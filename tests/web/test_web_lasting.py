@@ -1,0 +1,261 @@
+"""The page over hours and with little to show, in a real browser: what it says stays true, who uses keys stays where
+they are, and no part that is missing breaks it.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import msgspec
+import pytest
+from chromium import Browser
+from page_fixture import Shown, opened
+from synthetic_topology import synthetic_topology
+
+from camtopod.records import Camera, Event, Link, SelfScore, Topology
+from camtopod.web import report
+from camtopod.web.single_file import page
+
+SITE = synthetic_topology(9)
+FIRST = SITE.cameras[0].id
+VISIBLE = next(link for link in SITE.links if link.relation == "visible")
+PATH = next(link for link in SITE.links if link.relation == "unseen")
+ZONE = msgspec.structs.replace(SITE.zones[0], id="a/1", camera="a", x=None, y=None, cov=None)
+BARE = msgspec.structs.replace(
+    SITE, cameras=[Camera("a", ["a/1"])], zones=[ZONE], links=[], pairs=[], model=None, alarms=None, score=None
+)
+PLACES = ("#/map", "#/links", "#/versions", "#/versions/1/2", "#/health", f"#/camera/{FIRST}", "#/camera/a", "#/map")
+
+
+def newer(version: int, **changed: Any) -> Topology:
+    return msgspec.structs.replace(SITE, version=version, **changed)
+
+
+def place_of(link: Link) -> str:
+    return "#/link/" + "/".join(quote(part, safe="") for part in (link.from_, link.to, link.relation))
+
+
+def test_a_camera_that_is_learned_while_its_page_is_open_is_shown(browser: Browser) -> None:
+    shown = Shown(BARE)
+    with shown.serving():
+        opened(browser, shown, f"#/camera/{FIRST}")
+        browser.wait(lambda: "has not been learned yet" in browser.text(".panel"), "that it is not known")
+        shown.publish(newer(2))
+        browser.wait(lambda: browser.count(".panel .zone") > 0, "its zones")
+        assert browser.text(".panel .kind") == "Camera"
+
+
+def test_the_map_is_fetched_once_when_the_page_is_opened(browser: Browser) -> None:
+    def fetched() -> int:
+        return sum(url.endswith("/data/map") for url in browser.asked())
+
+    shown = Shown(SITE)
+    with shown.serving(), browser.slow_to_fetch(500):
+        before = fetched()
+        opened(browser, shown)
+        browser.wait(lambda: "version 1" in browser.text("#live"), "the map")
+        shown.publish(newer(2))
+        browser.wait(lambda: "version 2" in browser.text("#live"), "the change")
+        assert fetched() == before + 1
+
+
+def test_a_cameras_page_follows_the_versions_and_keeps_its_events(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, f"#/camera/{FIRST}")
+        browser.wait(lambda: bool(shown.bus.subscribed.get(f"event/{FIRST}")), "the page to watch")
+        shown.bus.put(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
+        browser.wait(lambda: browser.count(".event.exit") == 1, "the event")
+        zones = [msgspec.structs.replace(zone, entries=777_777) for zone in SITE.zones]
+        shown.publish(newer(2, zones=zones))
+        browser.wait(lambda: "777,777" in browser.text(".panel table"), "the newer figures")
+        assert browser.count(".event.exit") == 1
+
+
+def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
+    focused = "const one = document.activeElement; return one.getAttribute('href') ?? one.textContent"
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, f"#/pair/{PATH.from_.split('/')[0]}/{PATH.to.split('/')[0]}")
+        browser.wait(lambda: browser.count(".panel .links a") > 0, "the links")
+        browser.run("document.querySelector('.panel .links a').focus()")
+        before = browser.run(focused)
+        links = [msgspec.structs.replace(link, probability=0.11) for link in SITE.links]
+        shown.publish(newer(2, links=links))
+        browser.wait(lambda: "11 %" in browser.text(".panel .links"), "the newer share")
+        assert browser.run(focused) == before
+        browser.go("#/links")
+        browser.wait(lambda: browser.count(".sort") > 0, "the table")
+        browser.run("document.querySelectorAll('.sort')[3].focus()")
+        browser.press("ENTER")
+        browser.wait(lambda: browser.text("[aria-sort]") == "Share", "the order")
+        assert browser.run(focused) == "Share"
+        assert browser.run("return document.querySelector('[aria-sort]').getAttribute('aria-sort')") == "descending"
+        browser.go("#/health")
+        browser.wait(lambda: browser.count(".page tbody a") == 9, "the cameras")
+        browser.run("document.querySelector('.page tbody a').focus()")
+        before = browser.run(focused)
+        shown.status(another={"events": 1})
+        browser.wait(lambda: browser.count(".page tbody a") == 10, "health asked again")
+        assert browser.run(focused) == before
+
+
+def test_what_a_figure_means_is_told_to_keys_and_fingers_too(browser: Browser) -> None:
+    meaning = "False discovery rate"
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, place_of(PATH))
+        browser.wait(lambda: "q value" in browser.text(".panel .figures"), "the figures")
+        assert meaning not in browser.text(".panel .figures")
+        summaries = "[...document.querySelectorAll('.figures summary')]"
+        browser.run(f"{summaries}.find((one) => one.textContent === 'q value').focus()")
+        browser.press("ENTER")
+        browser.wait(lambda: meaning in browser.text(".panel .figures"), "what it means")
+        links = [msgspec.structs.replace(link, probability=0.11) for link in SITE.links]
+        shown.publish(newer(2, links=links))
+        browser.wait(lambda: "11 %" in browser.text(".panel .lead"), "the newer share")
+        assert meaning in browser.text(".panel .figures")
+        assert browser.run("return document.activeElement.textContent") == "q value"
+
+
+def test_cameras_that_need_attention_are_marked_on_a_map_that_comes_later(browser: Browser) -> None:
+    shown = Shown()
+    with shown.serving():
+        opened(browser, shown)
+        shown.bus.put(f"status/{FIRST}", {"state": "stalled", "reason": "no frame"})
+        shown.bus.put(f"status/{SITE.cameras[1].id}", {"state": "ended", "reason": "the file is at its end"})
+        shown.publish(SITE)
+        browser.wait(lambda: browser.count(".node") == 9, "the map")
+        browser.wait(lambda: browser.count(".node.ill") == 1, "the one that stalled, not the one that has ended")
+        assert "needs attention" in browser.run("return document.querySelector('.node.ill').getAttribute('aria-label')")
+
+
+def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving():
+        shown.status(**{FIRST: {"events": 1, "newest": time.time() - 7200}})
+        shown.bus.put(f"status/{FIRST}", {"state": "running", "reason": ""})
+        browser.open(shown.address)
+        browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
+        shown.status(**{FIRST: {"events": 2, "newest": time.time() - 1200}})
+        browser.go(f"#/camera/{FIRST}")
+        browser.wait(lambda: "heard 20 min ago" in browser.text(".panel .status"), "what the daemon knows now")
+        browser.wait(lambda: bool(shown.bus.subscribed.get(f"event/{FIRST}")), "the page to watch")
+        shown.bus.put(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
+        browser.wait(lambda: seconds_ago(browser) is not None, "the event to count")
+        first = seconds_ago(browser) or 0
+        browser.wait(lambda: (seconds_ago(browser) or 0) > first, "its age to grow")
+
+
+def seconds_ago(browser: Browser) -> int | None:
+    """How long ago a camera's page says that it was heard; None if that is minutes or it says nothing."""
+    found = re.search(r"heard (?:now|(\d+) s ago)", browser.text(".panel .status"))
+    return None if found is None else int(found[1] or 0)
+
+
+def test_what_a_server_away_could_not_say_is_fetched_once_it_is_back(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving() as port:
+        opened(browser, shown)
+    for place, away, back in (
+        (f"#/camera/{FIRST}", "The server is not reached", ".panel .zone"),
+        ("#/versions", "The server is not reached", ".page tbody tr"),
+    ):
+        browser.go(place)
+        browser.wait(lambda away=away: away in browser.text("main"), "that it is away")  # type: ignore[misc]
+        with shown.serving(port):
+            browser.wait(lambda back=back: browser.count(back) > 0, f"{place} by itself")  # type: ignore[misc]
+    errors = [text for text in browser.complaints() if "ERR_CONNECTION_REFUSED" not in text]
+    assert [text for text in errors if "ncaught" in text] == []
+
+
+@pytest.mark.parametrize("topology", [BARE, newer(1, model=None, alarms=None, score=None), newer(1, links=[])])
+def test_nothing_that_is_missing_breaks_it(browser: Browser, topology: Topology) -> None:
+    shown = Shown(topology)
+    with shown.serving():
+        opened(browser, shown)
+        for place in (*PLACES, place_of(VISIBLE), place_of(PATH)):
+            browser.go(place)
+            browser.wait(lambda place=place: browser.run("return location.hash") == place, place)  # type: ignore[misc]
+            browser.wait(lambda: "…" not in browser.text("main"), "all of it")
+    assert [text for text in browser.complaints() if "404" not in text and "REFUSED" not in text] == []
+
+
+def test_a_passage_that_is_seen_has_no_figures_of_what_is_inferred(browser: Browser) -> None:
+    shown = Shown(SITE)
+    with shown.serving():
+        opened(browser, shown, place_of(VISIBLE))
+        browser.wait(lambda: "Within one view" in browser.text(".panel"), "the passage")
+        assert "Median" in browser.text(".panel .figures")
+        for inferred in ("Departures", "q value", "Var(d)", "Background"):
+            assert inferred not in browser.text(".panel .figures"), inferred
+
+
+def test_a_report_of_a_recording_counts_its_seconds(browser: Browser, tmp_path: Path) -> None:
+    versions = [newer(k, as_of=400.0 * k) for k in (1, 2)]
+    path = tmp_path / "report.html"
+    path.write_text(page(report.gather(versions[1], versions[:1], None)), "utf-8")
+    browser.open(path.as_uri())
+    browser.wait(lambda: browser.text("#live") == "report, version 2, 800 s", "the report")
+    browser.go("#/versions")
+    browser.wait(lambda: browser.count(".page .mark") == 2, "the versions")
+    axis = browser.run("return [...document.querySelectorAll('.axis text')].map((one) => one.textContent)")
+    assert {"400 s", "800 s"} <= set(axis)
+    assert "1970" not in browser.text("body")
+    assert browser.complaints() == []
+
+
+def test_the_scores_axis_says_which_day_it_was(browser: Browser) -> None:
+    score = SelfScore(200, 1, 1.1, 0.75, 0.91, 1.6, 0.55)
+    shown = Shown(*(newer(k, as_of=SITE.as_of + 86400 * k, score=score) for k in range(1, 6)))
+    with shown.serving():
+        opened(browser, shown, "#/versions")
+        browser.wait(lambda: browser.count(".page .mark") == 5, "the score of all versions")
+        texts = browser.run("return [...document.querySelectorAll('.chart .axis text')].map((one) => one.textContent)")
+    assert {"15 Nov", "17 Nov", "19 Nov"} <= set(texts) or {"16 Nov", "18 Nov", "20 Nov"} <= set(texts), texts
+
+
+def contrast(one: str, other: str) -> float:
+    """Of two colours as a browser computes them (WCAG 2.2)."""
+
+    def light(colour: str) -> float:
+        parts = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]
+        r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+    low, high = sorted((light(one), light(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_what_is_drawn_can_be_seen(browser: Browser, dark: bool) -> None:
+    style = "return getComputedStyle(document.querySelector(arguments[0]))[arguments[1]]"
+    shown = Shown(SITE)
+    with shown.serving():
+        browser.dark(dark)
+        opened(browser, shown, f"#/camera/{VISIBLE.from_.split('/')[0]}")
+        for what in (".passage", ".labels .time", ".labels .name"):
+            browser.wait(lambda what=what: browser.count(what) > 0, what)  # type: ignore[misc]
+        browser.run("for (const one of document.querySelectorAll('.edge')) one.classList.remove('chosen')")
+        ground = browser.run(style, ".stage", "backgroundColor")
+        for what, part, least in (
+            (".edge.unseen_path", "stroke", 3.0),
+            (".edge.overlapped", "stroke", 3.0),
+            (".labels .time", "fill", 4.5),
+            (".labels .name", "fill", 4.5),
+        ):
+            assert contrast(browser.run(style, what, part), ground) >= least, what
+        browser.dark(False)
+        assert float(browser.run(style, ".labels .time", "strokeWidth").removesuffix("px")) >= 10, (
+            "a line behind the dot of 1.5 s made it 1:5 s"
+        )
+        apart = browser.run(
+            "const path = document.querySelector('.passage'); const end = path.getPointAtLength(1e9);"
+            "return Math.min(...[...document.querySelectorAll('.zone ellipse')].map((one) => {"
+            "const { e, f } = one.transform.baseVal.consolidate().matrix; return Math.hypot(e - end.x, f - end.y); }))"
+        )
+        assert apart > 40, "its head is beside the zone's number, not under it"
