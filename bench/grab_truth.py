@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.support import rtsp_streams as streams
+from bench.support.watched_clips import VTEST, Match, best_offset, match, one_by_one, shifted, watched
 from camtopod.records import Event
 from camtopod.vision.grabber import Grabber
-from tests import streams
-from tests.watched import VTEST, Match, best_offset, match, one_by_one, shifted, watched
 
 VTEST_FPS = 7.0
 

@@ -8,11 +8,11 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.support import thesis_tables as thesis
 from bench.support.overlap_rows import overlap_rows
 from camtopod.arrays import Floats
 from camtopod.learn.zones.daspec import authors_bandwidth, bandwidth, data_spectroscopy
 from camtopod.learn.zones.zone_map import cell_sums, find_zones
-from tests import thesis
 
 
 def main(argv: list[str]) -> int:

@@ -20,12 +20,10 @@ import msgspec
 from camtopod.cli import exits
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import standard_streams
-from camtopod.config import secret_files, settings
-from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint
+from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files, settings
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
-from camtopod.serve.runtime import systemd
-from camtopod.serve.runtime.progress import Progress
+from camtopod.serve.runtime import Progress, systemd
 from camtopod.visible import visible, visible_lines
 
 log = logging.getLogger(__name__)

@@ -9,10 +9,10 @@
 `camtopod.client.aio` is the same for asyncio. Nothing here needs more than the packages that camtopod itself needs.
 """
 
-from camtopod.adapt.tracks import TrackEvents
+from camtopod.adapt import TrackEvents
 from camtopod.client.errors import NothingLearned, UnknownPlace
 from camtopod.client.gate import Gate
 from camtopod.client.site import Predictions, Topology
-from camtopod.serve.bus.session import BusError
+from camtopod.serve.bus import BusError
 
 __all__ = ["BusError", "Gate", "NothingLearned", "Predictions", "Topology", "TrackEvents", "UnknownPlace"]

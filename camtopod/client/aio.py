@@ -19,7 +19,7 @@ from camtopod.client.site_view import Settings, View
 from camtopod.client.wakeup import News
 from camtopod.records import Prediction
 from camtopod.records import Topology as Version
-from camtopod.serve.bus.session import BusError
+from camtopod.serve.bus import BusError
 
 T = TypeVar("T")
 

@@ -24,11 +24,9 @@ from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
 from camtopod.client.errors import zone_at, zones_of
-from camtopod.predict.contexts import Surroundings
-from camtopod.predict.hazards import Hazards
-from camtopod.predict.predictor import Predictor
+from camtopod.predict import Hazards, Predictor, Surroundings
 from camtopod.records import Event, Kind, Topology
-from camtopod.topology.grid import block_of
+from camtopod.topology import block_of
 
 OUTSIDE_SHARE_MIN = 0.05
 """Zones with a smaller share of entries from outside do not tell how long was learned from."""

@@ -8,7 +8,7 @@ from collections import deque
 from camtopod import codec
 from camtopod.client.wakeup import News
 from camtopod.records import CAMERA_PATTERN, Prediction
-from camtopod.serve.bus.session import Bus
+from camtopod.serve.bus import Bus
 
 WAITING_MAX = 1000
 """Predictions that wait; of more the oldest are dropped, and counted."""

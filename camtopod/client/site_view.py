@@ -24,14 +24,12 @@ from camtopod.client.errors import NothingLearned, zone_at, zones_of
 from camtopod.client.gate import Gate
 from camtopod.client.prediction_queue import Inbox
 from camtopod.client.wakeup import News
-from camtopod.config import secret_files
+from camtopod.config import DEFAULT_ENDPOINT, is_endpoint, secret_files
 from camtopod.config import settings as configs
-from camtopod.config.toml_tables import DEFAULT_ENDPOINT, is_endpoint
-from camtopod.predict.predictor import Predictor
+from camtopod.predict import Predictor
 from camtopod.records import CAMERA_PATTERN, Event, Prediction
 from camtopod.records import Topology as Version
-from camtopod.serve.bus.session import Bus, BusError, dial
-from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.serve.bus import Bus, BusError, TopologyView, dial
 from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)

@@ -1,1 +1,37 @@
 """config"""
+
+from __future__ import annotations
+
+from camtopod.config import secret_files, settings, toml_lines
+from camtopod.config.settings import (
+    RESERVED,
+    TABLES,
+    BusSettings,
+    CameraSettings,
+    Config,
+    HealthSettings,
+    KeepSettings,
+    Limits,
+    SiteSettings,
+    StateSettings,
+)
+from camtopod.config.toml_tables import DEFAULT_ENDPOINT, FLOAT_MAX, is_endpoint
+
+__all__ = [
+    "DEFAULT_ENDPOINT",
+    "FLOAT_MAX",
+    "RESERVED",
+    "TABLES",
+    "BusSettings",
+    "CameraSettings",
+    "Config",
+    "HealthSettings",
+    "KeepSettings",
+    "Limits",
+    "SiteSettings",
+    "StateSettings",
+    "is_endpoint",
+    "secret_files",
+    "settings",
+    "toml_lines",
+]

@@ -25,10 +25,10 @@ from camtopod.config.toml_tables import (
     is_endpoint,
     syntax,
 )
-from camtopod.learn.settings import Settings
+from camtopod.learn import Settings
 from camtopod.records import CAMERA_PATTERN
-from camtopod.sharding.assignment import Sharding
-from camtopod.vision.settings import VisionSettings
+from camtopod.sharding import Sharding
+from camtopod.vision import VisionSettings
 
 RESERVED = ("daemon",)
 """No camera's id: ``status/daemon`` is the daemon's."""

@@ -1,1 +1,32 @@
 """Who may do what on the bus of a site: the rules, and the private authority that gives out the names."""
+
+from __future__ import annotations
+
+from camtopod.keys import rules
+from camtopod.keys.authority import (
+    ACCESS,
+    DAEMON,
+    LOCAL_HOSTS,
+    Authority,
+    KeysError,
+    check_cameras,
+    check_hosts,
+    day,
+    write_public,
+)
+from camtopod.keys.rules import PREFIX, STATUS
+
+__all__ = [
+    "ACCESS",
+    "DAEMON",
+    "LOCAL_HOSTS",
+    "PREFIX",
+    "STATUS",
+    "Authority",
+    "KeysError",
+    "check_cameras",
+    "check_hosts",
+    "day",
+    "rules",
+    "write_public",
+]

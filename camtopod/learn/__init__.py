@@ -21,3 +21,50 @@ In the order in which data flows:
 * `hazards`, `places`, `surroundings`, `pace`, `recent`, `under_way`, `succession`, `lag_odds`, `ready`, `predict`:
   where to look next, and when
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from camtopod.lazy import names_from
+
+if TYPE_CHECKING:
+    from camtopod.learn.assemble import by_clocks
+    from camtopod.learn.learner import STEPS, Learner
+    from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX
+    from camtopod.learn.rewinding import rewound
+    from camtopod.learn.settings import Settings
+    from camtopod.learn.snapshot import BYTES_MAX, LearnerState, NewerSnapshot, SnapshotError, pack, unpack
+
+__all__ = [
+    "BYTES_MAX",
+    "OUTCOMES_PER_ZONE_MAX",
+    "STEPS",
+    "Learner",
+    "LearnerState",
+    "NewerSnapshot",
+    "Settings",
+    "SnapshotError",
+    "by_clocks",
+    "pack",
+    "rewound",
+    "unpack",
+]
+
+__getattr__ = names_from(
+    __name__,
+    {
+        "BYTES_MAX": "snapshot",
+        "Learner": "learner",
+        "LearnerState": "snapshot",
+        "NewerSnapshot": "snapshot",
+        "OUTCOMES_PER_ZONE_MAX": "prediction_model",
+        "STEPS": "learner",
+        "Settings": "settings",
+        "SnapshotError": "snapshot",
+        "by_clocks": "assemble",
+        "pack": "snapshot",
+        "rewound": "rewinding",
+        "unpack": "snapshot",
+    },
+)

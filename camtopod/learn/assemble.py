@@ -7,12 +7,11 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.learn.clocks.offsets import Clocks
-from camtopod.learn.links.link_table import LinkTable
-from camtopod.learn.links.shortfall import Lacking
+from camtopod.learn.clocks import Clocks
+from camtopod.learn.links import Lacking, LinkTable
 from camtopod.learn.settings import Settings
-from camtopod.learn.traffic.labelled_events import Scene, ZoneRef
-from camtopod.learn.window.sliding_window import Window
+from camtopod.learn.traffic import Scene, ZoneRef
+from camtopod.learn.window import Window
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     Camera,
@@ -24,11 +23,7 @@ from camtopod.records import (
     Transit,
     Zone,
 )
-from camtopod.topology.camera_pairs import camera_pairs, relation_of
-from camtopod.topology.histograms import DIGITS, counted, short
-from camtopod.topology.lag_bins import LagBins
-from camtopod.topology.markov_chain import markov_chain
-from camtopod.topology.versions import link_key
+from camtopod.topology import DIGITS, LagBins, camera_pairs, counted, link_key, markov_chain, relation_of, short
 
 STAY_DECILES = np.linspace(0.0, 1.0, 11)
 

@@ -20,50 +20,52 @@ from collections.abc import Callable, Set
 import numpy as np
 from msgspec.structs import replace
 
+from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn.assemble import assemble, link_records, zone_id
-from camtopod.learn.association.joint_fit import Fit, fit_jointly
-from camtopod.learn.association.screening import Screen, place, whole
-from camtopod.learn.changes.alarms import AlarmLog
-from camtopod.learn.changes.camera_moved import Move, find_move
-from camtopod.learn.changes.change_points import Change, find_changes, present
-from camtopod.learn.changes.publishers import RETURNS_MIN, Publisher
-from camtopod.learn.changes.silence import Silences, find_silences
-from camtopod.learn.clocks.offsets import ClockKeeper
-from camtopod.learn.links.cross_validation import cross_evidence
-from camtopod.learn.links.link_table import (
+from camtopod.learn.association import Fit, Screen, fit_jointly, place, whole
+from camtopod.learn.changes import AlarmLog, Change, Move, Silences, find_changes, find_move, find_silences, present
+from camtopod.learn.clocks import ClockKeeper
+from camtopod.learn.links import (
     TRANSITIONS_MIN,
     WEAK_TRANSITIONS_MIN,
     LinkTable,
     beside,
+    cross_evidence,
     join,
     joined_by,
+    lacking,
     leaving,
     pace_of,
     refresh_monte_carlo,
     significant,
     tabulate,
     transitions_of,
+    visible_transitions,
+    with_usual_stays,
+    without_missed,
 )
-from camtopod.learn.links.missed_detections import without_missed
-from camtopod.learn.links.shortfall import lacking
-from camtopod.learn.links.visible_links import visible_transitions, with_usual_stays
 from camtopod.learn.long_paths import with_long_ways
-from camtopod.learn.next_camera.fit import Posterior, fit_followed, followed_of
-from camtopod.learn.next_camera.overlapping_views import Overlapping, find_overlapping, table_of, views_of
+from camtopod.learn.next_camera import (
+    Overlapping,
+    Posterior,
+    find_overlapping,
+    fit_followed,
+    followed_of,
+    table_of,
+    views_of,
+)
 from camtopod.learn.prediction_model import model_of
 from camtopod.learn.retired_cameras import LEFT_CAMERAS_MAX, gives_way, left_by, renumbered
 from camtopod.learn.self_score import Scorer
 from camtopod.learn.settings import Settings
 from camtopod.learn.snapshot import CameraState, LearnerState, LeftCamera
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.learn.traffic.labelled_events import Scene, see
-from camtopod.learn.window.reorder_buffer import MICROSECONDS, EventTimeState, Intake, microseconds
-from camtopod.learn.window.sliding_window import GONE, Window, cells_of
-from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape, find_zones, refresh_zones
-from camtopod.predict.predictor import Predictor
+from camtopod.learn.traffic import Arrivals, Departures, Scene, see
+from camtopod.learn.window import GONE, Intake, Window, cells_of
+from camtopod.learn.zones import ZoneMap, ZoneShape, find_zones, refresh_zones
+from camtopod.predict import Predictor
+from camtopod.publishers import RETURNS_MIN, Publisher
 from camtopod.records import Event, Topology
-from camtopod.topology.lag_bins import LagBins, offset_bins
-from camtopod.topology.versions import stamp
+from camtopod.topology import LagBins, offset_bins, stamp
 
 REFIT_EVENTS_MIN = 10
 """No new version for fewer new events, unless they have waited ``refit_hours``."""

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from camtopod.arrays import Bools, Floats, Ints, rows_of
-from camtopod.learn.association.candidates import Candidates
-from camtopod.learn.association.screening import Screen
-from camtopod.learn.changes.change_points import Change
-from camtopod.learn.clocks.correlogram import LAGS, ROWS_AT_ONCE, Counts, chance, correlograms, side_by_side
-from camtopod.learn.links.link_table import LinkTable
-from camtopod.learn.next_camera.fit import Posterior
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.topology.lag_bins import LagBins
+from camtopod.learn.association import Candidates, Screen
+from camtopod.learn.changes import Change
+from camtopod.learn.clocks import LAGS, ROWS_AT_ONCE, Counts, chance, correlograms, side_by_side
+from camtopod.learn.links import LinkTable
+from camtopod.learn.next_camera import Posterior
+from camtopod.learn.traffic import Arrivals, Departures
+from camtopod.topology import LagBins
 
 BIN_SECONDS = 1.0
 LONG_SECONDS_MIN = 60.0

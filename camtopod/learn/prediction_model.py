@@ -8,18 +8,14 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.arrays import Floats, rows_of
+from camtopod.event_time import MICROSECONDS
 from camtopod.learn.assemble import STAY_DECILES, zone_id
-from camtopod.learn.changes.change_points import Change
-from camtopod.learn.next_camera.contexts import LEVELS
-from camtopod.learn.next_camera.fit import Posterior
-from camtopod.learn.next_camera.overlapping_views import Overlapping
-from camtopod.learn.traffic.labelled_events import Scene
-from camtopod.learn.traffic.speed import Persistence, usual_stays
-from camtopod.learn.window.reorder_buffer import MICROSECONDS
-from camtopod.learn.window.sliding_window import Window
+from camtopod.learn.changes import Change
+from camtopod.learn.next_camera import LEVELS, Overlapping, Posterior
+from camtopod.learn.traffic import Persistence, Scene, usual_stays
+from camtopod.learn.window import Window
 from camtopod.records import CameraModel, Context, EntryKernel, Model, Onward, Outcome, Overlap, Pace, Way, ZoneModel
-from camtopod.topology.histograms import in_steps, short
-from camtopod.topology.lag_bins import LagBins, offset_bins
+from camtopod.topology import LagBins, in_steps, offset_bins, short
 
 OUTCOMES_PER_ZONE_MAX = 24
 """Zones where objects leaving one zone may appear next, the likeliest first."""

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.association.screening import Followed, place
-from camtopod.learn.window.reorder_buffer import MICROSECONDS, Intake
-from camtopod.learn.window.sliding_window import GONE, Window
+from camtopod.event_time import MICROSECONDS
+from camtopod.learn.association import Followed, place
+from camtopod.learn.window import GONE, Intake, Window
 
 STAYS_SECONDS = 7 * 86_400.0
 """Event time. A camera without events stays at least so long, listed without zones."""

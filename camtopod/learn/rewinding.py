@@ -7,11 +7,11 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from camtopod.learn.changes.alarms import AlarmState
+from camtopod.event_time import EventTime, EventTimeState, microseconds
+from camtopod.learn.changes import AlarmState
 from camtopod.learn.self_score import ScorerState
 from camtopod.learn.snapshot import LearnerState
-from camtopod.learn.window.reorder_buffer import EventTime, EventTimeState, IntakeState, microseconds
-from camtopod.learn.window.sliding_window import WindowState
+from camtopod.learn.window import IntakeState, WindowState
 
 
 def rewound(state: LearnerState, to: float) -> LearnerState:

@@ -17,10 +17,10 @@ import numpy as np
 from msgspec import Struct
 
 from camtopod.arrays import Floats
-from camtopod.learn.next_camera.fit import Posterior
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.learn.window.reorder_buffer import MICROSECONDS
-from camtopod.predict.predictor import Predictor, PredictorState
+from camtopod.event_time import MICROSECONDS
+from camtopod.learn.next_camera import Posterior
+from camtopod.learn.traffic import Arrivals, Departures
+from camtopod.predict import Predictor, PredictorState
 from camtopod.records import Event, Prediction, SelfScore, Topology
 
 EXITS_PER_VERSION = 100

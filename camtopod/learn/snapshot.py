@@ -15,16 +15,14 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from camtopod.learn.association.screening import Followed
-from camtopod.learn.changes.alarms import AlarmState
-from camtopod.learn.changes.camera_moved import Move
-from camtopod.learn.changes.publishers import Publisher
-from camtopod.learn.clocks.offsets import ClockState
+from camtopod.learn.association import Followed
+from camtopod.learn.changes import AlarmState, Move
+from camtopod.learn.clocks import ClockState
 from camtopod.learn.self_score import ScorerState
 from camtopod.learn.settings import Settings
-from camtopod.learn.window.reorder_buffer import IntakeState
-from camtopod.learn.window.sliding_window import WindowState
-from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape
+from camtopod.learn.window import IntakeState, WindowState
+from camtopod.learn.zones import ZoneMap, ZoneShape
+from camtopod.publishers import Publisher
 from camtopod.records import Topology
 
 FORMAT = 1

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from camtopod.cooperative import Pause, no_pause, unhurried
 from camtopod.predict.hazards import Outcomes
 from camtopod.records import Context, Topology
-from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
+from camtopod.topology import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
 Key = tuple[int | None, int | None, str | None]
 

@@ -19,7 +19,7 @@ from camtopod.predict.hazards import Hazards, Outcomes
 from camtopod.predict.speed import Paces
 from camtopod.predict.time_windows import quantiles, quantiles_beside
 from camtopod.records import Topology, Zone
-from camtopod.topology.shared_constants import LAG_SECONDS_MIN
+from camtopod.topology import LAG_SECONDS_MIN
 
 Pace = tuple[float, float] | None
 """As `Paces.of_passage` has it."""

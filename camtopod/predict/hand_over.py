@@ -14,8 +14,7 @@ import numpy as np
 
 from camtopod.predict.open_passages import Passage, UnderWay
 from camtopod.records import InView, Look, NextCamera, Topology
-from camtopod.topology.histograms import STEPS, on_bins
-from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, offset_bins
+from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, STEPS, offset_bins, on_bins
 
 SHARE_MAX = 0.98
 """Largest probability that another camera sees the object, before its open passages are looked at."""

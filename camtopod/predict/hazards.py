@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, Singles
 from camtopod.cooperative import Pause, no_pause, unhurried
 from camtopod.records import Link, Onward, Topology
-from camtopod.topology.histograms import on_bins
-from camtopod.topology.lag_bins import LAG_SCALE_SECONDS, LAG_STEP, LagBins, smooth
-from camtopod.topology.shared_constants import LEAVE_FLOOR, UNKNOWN_STAY_SECONDS
+from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, LEAVE_FLOOR, UNKNOWN_STAY_SECONDS, LagBins, on_bins, smooth
 
 EXPOSURE_MIN = 0.02
 NORMAL_Q90 = 1.2816

@@ -46,8 +46,7 @@ from camtopod.predict.speed import Paces
 from camtopod.predict.time_windows import paced, quantiles, unknown
 from camtopod.predict.zone_lookup import Places
 from camtopod.records import Event, NextCamera, Prediction, Topology, Zone
-from camtopod.topology.grid import block_of
-from camtopod.topology.shared_constants import LEAVE_FLOOR
+from camtopod.topology import LEAVE_FLOOR, block_of
 
 DEAD_PRIOR = 1e-3
 """Prior probability that a camera has gone silent for good."""

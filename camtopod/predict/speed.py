@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from camtopod.records import Topology
-from camtopod.topology.lag_bins import LAG_STEP, SMOOTHING_SD_BINS
-from camtopod.topology.shared_constants import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN
+from camtopod.topology import LAG_SECONDS_MIN, LAG_STEP, SLOWNESS_MAX, SMOOTHING_SD_BINS, STAY_SECONDS_MIN
 
 NORMAL_Q90 = 1.2816
 SHARP_MIN = 0.5

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from camtopod.records import Event, Zone
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
+from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 
 class _Shape(NamedTuple):

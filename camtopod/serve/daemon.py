@@ -23,30 +23,29 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from camtopod import codec
-from camtopod.config.settings import Config
-from camtopod.learn.window.reorder_buffer import EventTime, microseconds
+from camtopod.config import Config
+from camtopod.event_time import EventTime, microseconds
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
-from camtopod.serve.bus.access import boxes
-from camtopod.serve.bus.self_check import SelfCheck
-from camtopod.serve.bus.session import HANGS_SECONDS, JSON, Bus, QueryError, dial, meet
-from camtopod.serve.bus.single_daemon import Rivals
-from camtopod.serve.ingest.puller import Puller
-from camtopod.serve.ingest.receiver import Receiver
-from camtopod.serve.learner_process.feeder import Learning
-from camtopod.serve.learner_process.process import LearnerProcess
-from camtopod.serve.learner_process.recovery import Recovered, newest_topology, recent_events, recover, told_by
+from camtopod.serve.bus import HANGS_SECONDS, JSON, Bus, QueryError, Rivals, SelfCheck, boxes, dial, meet
+from camtopod.serve.ingest import Puller, Receiver
+from camtopod.serve.learner_process import (
+    LearnerProcess,
+    Learning,
+    Recovered,
+    newest_topology,
+    recent_events,
+    recover,
+    told_by,
+)
 from camtopod.serve.live_predictions import Live
+from camtopod.serve.runtime import Mark, Progress, changes
 from camtopod.serve.runtime import clock as clocks
-from camtopod.serve.runtime.progress import Mark, Progress
-from camtopod.serve.runtime.reload import changes
-from camtopod.serve.shards.membership import Share, Whole
-from camtopod.serve.storage.journal import Journal
-from camtopod.serve.storage.packed_version import Newest, Version, head_of
-from camtopod.serve.storage.sqlite_file import StateError
+from camtopod.serve.shards import Share, Whole
+from camtopod.serve.storage import Journal, Newest, StateError, Version, head_of
 
 if TYPE_CHECKING:
-    from camtopod.serve.shards.shard_exchange import Sharing
+    from camtopod.serve.shards import Sharing
 
 log = logging.getLogger(__name__)
 
@@ -316,7 +315,7 @@ class Daemon:
             self._on_version, storing.on_snapshot, self._receiver.on_deadline, self._new_epoch,
         )  # fmt: skip
         if isinstance(share, Share):
-            from camtopod.serve.shards.shard_exchange import Sharing  # brings what learning needs, which is not small
+            from camtopod.serve.shards import Sharing  # brings what learning needs, which is not small
 
             self._sharing = Sharing(
                 self._config, share, directory, bus, self._learning, told_by(process), self._clock, self._use

@@ -8,14 +8,12 @@ from collections.abc import Callable, Sequence
 
 from camtopod import codec
 from camtopod.cooperative import Pause, no_pause
-from camtopod.predict.predictor import Predictor
+from camtopod.predict import Predictor
 from camtopod.records import Event, Prediction, Topology
-from camtopod.serve.bus.session import QueryError
-from camtopod.serve.ingest.camera_registry import Received
-from camtopod.serve.runtime import memory
-from camtopod.serve.runtime.background_work import Leisure, let_go
-from camtopod.serve.shards.membership import everything
-from camtopod.serve.storage.packed_version import for_prediction
+from camtopod.serve.bus import QueryError
+from camtopod.serve.ingest import Received
+from camtopod.serve.runtime import Leisure, everything, let_go, memory
+from camtopod.serve.storage import for_prediction
 
 
 class Live:

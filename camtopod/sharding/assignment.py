@@ -18,7 +18,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from camtopod.learn.window.reorder_buffer import microseconds
+from camtopod.event_time import microseconds
 
 REMEMBERED_MAX = 100_000
 """Cameras of which it is remembered where they belong: names can be made up."""

@@ -20,11 +20,9 @@ from collections.abc import Callable, Set
 import numpy as np
 from msgspec import Struct
 
-from camtopod.learn.learner import Learner
-from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import LearnerState
-from camtopod.learn.traffic.labelled_events import Scene
-from camtopod.learn.window.reorder_buffer import MICROSECONDS, microseconds
+from camtopod.event_time import MICROSECONDS, microseconds
+from camtopod.learn import Learner, LearnerState, Settings
+from camtopod.learn.traffic import Scene
 from camtopod.records import Event, Topology
 from camtopod.sharding.assignment import Dealing
 from camtopod.sharding.neighbour_scan import find_nearby, with_cameras

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
-from camtopod.learn.zones.zone_map import MATCH_DISTANCE, PLACE_SD_MIN
+from camtopod.learn.zones import MATCH_DISTANCE, PLACE_SD_MIN
 from camtopod.records import Zone
 
 

@@ -14,9 +14,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 from msgspec.structs import replace
 
-from camtopod.learn.assemble import by_clocks
-from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX
-from camtopod.learn.settings import Settings
+from camtopod.learn import OUTCOMES_PER_ZONE_MAX, Settings, by_clocks
 from camtopod.records import (
     TOPOLOGY_SCHEMA,
     CameraModel,
@@ -33,11 +31,7 @@ from camtopod.records import (
 from camtopod.sharding.match_zones import Places
 from camtopod.sharding.parts import Part
 from camtopod.sharding.rename_zones import Names, renamed
-from camtopod.topology.camera_pairs import camera_pairs
-from camtopod.topology.histograms import DIGITS, scaled, short
-from camtopod.topology.markov_chain import markov_chain
-from camtopod.topology.shared_constants import LEAVE_FLOOR
-from camtopod.topology.versions import ALARMS_KEPT_MAX, link_key
+from camtopod.topology import ALARMS_KEPT_MAX, DIGITS, LEAVE_FLOOR, camera_pairs, link_key, markov_chain, scaled, short
 
 ContextKey = tuple[str, str | None, int | None, str | None]
 PACE_SHARE_MIN = 0.5

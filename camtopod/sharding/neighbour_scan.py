@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Bools
-from camtopod.learn.association.screening import ends_of, followed_above_chance
-from camtopod.learn.traffic.labelled_events import Scene
-from camtopod.topology.lag_bins import LagBins
+from camtopod.learn.association import ends_of, followed_above_chance
+from camtopod.learn.traffic import Scene
+from camtopod.topology import LagBins
 
 STANDS_OUT_SD = 3.0
 """Least excess of arrivals at an own camera that follow a camera's departures, at the best lag of any pair of their

@@ -9,8 +9,7 @@ from msgspec.structs import replace
 
 from camtopod.records import Alarm, Model, Onward, Topology
 from camtopod.sharding.assignment import Dealing
-from camtopod.topology.histograms import short
-from camtopod.topology.versions import stamp
+from camtopod.topology import short, stamp
 
 
 class Part(Struct, frozen=True):

@@ -12,8 +12,7 @@ from collections.abc import Iterable
 from msgspec.structs import replace
 
 from camtopod.records import Alarm, Context, EntryKernel, Histogram, Link, Model, Onward, Outcome, Topology
-from camtopod.topology.histograms import counts_added, short, steps_added
-from camtopod.topology.versions import LinkKey, link_key
+from camtopod.topology import LinkKey, counts_added, link_key, short, steps_added
 
 Names = dict[str, list[str]]
 """Owners' ids of each zone, the one at its place first; of what is not in it nothing can be said."""

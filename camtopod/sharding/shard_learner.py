@@ -12,9 +12,8 @@ from collections.abc import Callable, Set
 import msgspec
 from msgspec import Struct
 
-from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import BYTES_MAX, LearnerState, NewerSnapshot, SnapshotError, pack, unpack
-from camtopod.learn.window.reorder_buffer import MICROSECONDS, EventTimeState
+from camtopod.event_time import MICROSECONDS, EventTimeState
+from camtopod.learn import BYTES_MAX, LearnerState, NewerSnapshot, Settings, SnapshotError, pack, unpack
 from camtopod.records import Event, Topology
 from camtopod.sharding.assignment import Dealing, Sharding, districts_of
 from camtopod.sharding.district_learner import District, DistrictState, Hearing

@@ -13,11 +13,11 @@ from collections.abc import Iterable
 from msgspec import Struct
 from msgspec.structs import replace
 
-from camtopod.learn.settings import Settings
+from camtopod.learn import Settings
 from camtopod.records import Alarm, Topology
 from camtopod.sharding.merge import merge
 from camtopod.sharding.parts import Part
-from camtopod.topology.versions import stamp
+from camtopod.topology import stamp
 
 AlarmKey = tuple[float, str, str, str]
 

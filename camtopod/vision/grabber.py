@@ -9,10 +9,7 @@ from typing import Literal
 from camtopod.records import Event
 from camtopod.vision.pipeline import Watcher
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.ffmpeg_log import Complaints
-from camtopod.vision.source.live import LiveSource
-from camtopod.vision.source.recorded import RecordedSource
-from camtopod.vision.source.source_url import kind_of
+from camtopod.vision.source import Complaints, LiveSource, RecordedSource, kind_of
 
 State = Literal["connecting", "running", "stalled", "ended"]
 

@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from camtopod.records import Event
-from camtopod.vision.detect.background import Luma
-from camtopod.vision.detect.blobs import find_blobs
-from camtopod.vision.detect.motion import MotionDetector
-from camtopod.vision.detect.shrink import shrunk
+from camtopod.vision.detect import Luma, MotionDetector, find_blobs, shrunk
 from camtopod.vision.settings import VisionSettings
-from camtopod.vision.track.crossings import Crossings, went_somewhere
-from camtopod.vision.track.track import Track
-from camtopod.vision.track.tracker import Tracker
+from camtopod.vision.track import Crossings, Track, Tracker, went_somewhere
 
 GHOST_SECONDS = 3.0
 """An object that has not moved for this long is looked at again: it may be where something was."""

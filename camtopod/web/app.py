@@ -33,9 +33,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from camtopod.records import CAMERA_PATTERN, Topology
-from camtopod.serve.bus.session import Bus
-from camtopod.serve.runtime.clock import Clock
-from camtopod.serve.runtime.progress import Beat, Progress
+from camtopod.serve.bus import Bus
+from camtopod.serve.runtime import Beat, Clock, Progress
 from camtopod.web.feed import Feed
 from camtopod.web.outbox import Hub
 from camtopod.web.pictures import picture_of

@@ -9,11 +9,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from camtopod.learn.links import mahalanobis, monte_carlo
-from camtopod.learn.links.link_table import MONTE_CARLO_SEED
-from camtopod.learn.settings import Settings
+from camtopod.learn import Settings
+from camtopod.learn.links import MONTE_CARLO_SEED, mahalanobis, monte_carlo
 from camtopod.records import Link, Model, Pair, Topology, Zone, ZoneModel
-from camtopod.topology.lag_bins import LagBins, smooth
+from camtopod.topology import LagBins, smooth
 from camtopod.web.map_data import doubt, in_words, nearness
 
 CURVE_SHARE_MIN = 0.004

@@ -18,12 +18,10 @@ from typing import Any
 import msgspec
 
 from camtopod import codec
-from camtopod.predict.hand_over import seen_now
+from camtopod.predict import seen_now
 from camtopod.records import CAMERA_PATTERN, Event, Look, NextCamera, Prediction, Topology
-from camtopod.serve.bus.session import Bus
-from camtopod.serve.bus.topology_subscriber import TopologyView
-from camtopod.serve.runtime.clock import Clock
-from camtopod.serve.runtime.progress import Beat, no_beat
+from camtopod.serve.bus import Bus, TopologyView
+from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.web.explanations import Stories
 from camtopod.web.map_data import Map, change, draw
 from camtopod.web.outbox import Hub

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from camtopod.export.graph import Edge, edges
-from camtopod.learn.settings import Settings
+from camtopod.export import Edge, edges
+from camtopod.learn import Settings
 from camtopod.records import Alarm, Lacks, Link, Pair, PairRelation, SelfScore, Topology
 from camtopod.web.layout import Place, places
 

@@ -7,7 +7,7 @@ from collections import OrderedDict
 
 from camtopod import codec
 from camtopod.records import Topology
-from camtopod.serve.bus.session import Bus, QueryError
+from camtopod.serve.bus import Bus, QueryError
 from camtopod.web.version_diff import Summary, summary
 
 WHOLE_MAX = 4

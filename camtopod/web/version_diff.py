@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from msgspec import Struct
 
 from camtopod.records import Alarm, Link, Pair, SelfScore, Topology, Zone
-from camtopod.topology.versions import link_key
+from camtopod.topology import link_key
 
 SHARE_CHANGE_MIN = 0.05
 """A link whose share changed by less is the same to a reader."""

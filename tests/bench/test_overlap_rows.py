@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from thesis_tables import (
+
+from bench.support.overlap_rows import overlap_rows
+from bench.support.thesis_tables import (
     TABLE_5_2,
     TABLE_5_2_CAMERAS,
     TABLE_5_3,
@@ -12,8 +14,6 @@ from thesis_tables import (
     TABLE_5_4_CAMERAS,
     table_5_4_transit,
 )
-
-from bench.support.overlap_rows import overlap_rows
 
 
 def test_table_5_3_exactly() -> None:

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 from rendered_scenes import FPS, Scene
-from rtsp_streams import Host, hang_up, missing, rtsp_answer, served, silent, transcode
 from serving import camtopod, small_config
 
+from bench.support.rtsp_streams import Host, hang_up, missing, rtsp_answer, served, silent, transcode
 from camtopod import redact
 from camtopod.cli.cameras import probe as probes
 from camtopod.cli.commands.init import named

@@ -17,9 +17,9 @@ from typing import Any
 import msgspec
 import pytest
 from rendered_scenes import FPS, Person, Scene, line
-from rtsp_streams import FaultProxy, Host, hang_up, missing, rtsp_answer, served, silent, transcode
 from serving import WAIT_SECONDS, camtopod, small_config, wait_for
 
+from bench.support.rtsp_streams import FaultProxy, Host, hang_up, missing, rtsp_answer, served, silent, transcode
 from camtopod.cli.cameras.heartbeat import Ear
 from camtopod.codec import event_from_json
 from camtopod.serve.daemon import Daemon

@@ -17,11 +17,11 @@ from pathlib import Path
 
 import pytest
 from rendered_scenes import FPS, Person, Scene, line
-from rtsp_streams import missing, served, transcode
 from serving import WAIT_SECONDS, camtopod, small_config, wait_for
 from sizes import size
 from test_cameras import children_of
 
+from bench.support.rtsp_streams import missing, served, transcode
 from camtopod.config.settings import KeepSettings, SiteSettings
 from camtopod.serve.bus.session import dial
 from camtopod.serve.daemon import Daemon

@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 
 import pytest
-from rtsp_streams import FaultProxy
 from site_of import LEARNER, MakeSite, Site, check, kill_and_restart
 from sizes import size
+
+from bench.support.rtsp_streams import FaultProxy
 
 EVENTS_PER_SECOND = 400
 

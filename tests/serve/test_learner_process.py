@@ -37,11 +37,11 @@ from camtopod.serve.learner_process.messages import (
     Shown,
     Taught,
     Teach,
+    Told,
 )
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.worker import Pupil
 from camtopod.serve.runtime import memory
-from camtopod.serve.shards.membership import Told
 from camtopod.sharding.assignment import Sharding
 
 FAULTY = "learners.faulty"

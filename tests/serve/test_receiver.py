@@ -23,8 +23,8 @@ from camtopod.serve.ingest.puller import read_batch
 from camtopod.serve.ingest.receiver import BUSY_EVENTS, PREDICT_SECONDS_BUSY, Pulled, Receiver
 from camtopod.serve.live_predictions import Live
 from camtopod.serve.outbox.spool import SpoolBatch
+from camtopod.serve.runtime.ownership import everything
 from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.shards.membership import everything
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot
 from camtopod.serve.storage.packed_version import Version
 from camtopod.serve.storage.sqlite_file import Damaged

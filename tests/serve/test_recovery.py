@@ -21,13 +21,13 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.records import Event
 from camtopod.serve.ingest.camera_registry import Received
-from camtopod.serve.learner_process import corrections, recovery
-from camtopod.serve.learner_process.corrections import rewind
+from camtopod.serve.learner_process import recovery
 from camtopod.serve.learner_process.feeder import Learning
 from camtopod.serve.learner_process.process import PROGRAM, LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import recover
 from camtopod.serve.runtime.progress import no_beat
-from camtopod.serve.storage import wal_check
+from camtopod.serve.storage import corrections, wal_check
+from camtopod.serve.storage.corrections import rewind
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.packed_version import Version
 from camtopod.serve.storage.sqlite_file import StateError, crc

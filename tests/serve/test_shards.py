@@ -27,10 +27,11 @@ from camtopod.serve.bus.session import Bus, BusError, QueryError, dial
 from camtopod.serve.bus.single_daemon import Rivals
 from camtopod.serve.bus.topology_subscriber import TopologyView
 from camtopod.serve.daemon import Daemon
+from camtopod.serve.learner_process.messages import Told
 from camtopod.serve.outbox.publisher import Publisher
 from camtopod.serve.outbox.spool import Spool
 from camtopod.serve.shards import site_merger as mergers
-from camtopod.serve.shards.membership import Share, Told
+from camtopod.serve.shards.membership import Share
 from camtopod.serve.shards.shard_exchange import Sharing
 from camtopod.serve.shards.site_merger import Merger
 from camtopod.serve.shards.subscriptions import SMALL_CAMERAS_MAX, Hearing

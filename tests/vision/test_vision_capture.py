@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import pytest
 from rendered_scenes import FPS, HEIGHT, WIDTH, Person, Scene, line
-from rtsp_streams import FaultProxy, missing, served, transcode
-from watched_clips import best_offset, match, shifted
 
+from bench.support.rtsp_streams import FaultProxy, missing, served, transcode
+from bench.support.watched_clips import best_offset, match, shifted
 from camtopod.records import Event
 from camtopod.vision.grabber import Grabber
 from camtopod.vision.settings import VisionSettings

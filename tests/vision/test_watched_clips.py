@@ -6,8 +6,8 @@ import time
 from pathlib import Path
 
 import pytest
-from watched_clips import VTEST, match, one_by_one, watched
 
+from bench.support.watched_clips import VTEST, match, one_by_one, watched
 from camtopod.vision.grabber import Grabber
 
 

@@ -18,9 +18,9 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.cameras.heartbeat import Ear
-from camtopod.config.settings import CameraSettings, HealthSettings
-from camtopod.serve.runtime.systemd import SOCKET_VARIABLE
-from camtopod.vision.source.source_url import kind_of
+from camtopod.config import CameraSettings, HealthSettings
+from camtopod.serve.runtime import SOCKET_VARIABLE
+from camtopod.vision.source import kind_of
 
 log = logging.getLogger(__name__)
 

@@ -15,13 +15,12 @@ import msgspec
 from camtopod.cli import exits
 from camtopod.cli.cameras.camera_process import in_words
 from camtopod.cli.exits import CommandError
-from camtopod.config import toml_lines
-from camtopod.config.settings import Config
+from camtopod.config import Config, toml_lines
 from camtopod.redact import redact, remember
-from camtopod.serve.bus.session import BusError, dial
+from camtopod.serve.bus import BusError, dial
 from camtopod.visible import visible
-from camtopod.vision.settings import VisionSettings
-from camtopod.vision.source.probe import LOOK_SECONDS, Probe, Question
+from camtopod.vision import VisionSettings
+from camtopod.vision.source import LOOK_SECONDS, Probe, Question
 from camtopod.web import pictures
 
 PROGRAM = "camtopod.vision.source.probe"

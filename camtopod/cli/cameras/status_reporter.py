@@ -6,7 +6,7 @@ import logging
 import threading
 from typing import Any
 
-from camtopod.config.settings import Config
+from camtopod.config import Config
 from camtopod.serve.runtime import clock
 
 log = logging.getLogger(__name__)
@@ -42,7 +42,7 @@ class Speaker:
         self._something.wait()
         if self._closed.is_set():
             return
-        from camtopod.serve.bus.session import Bus, dial
+        from camtopod.serve.bus import Bus, dial
 
         buses: dict[str, Bus] = {}  # one a camera: each may have a certificate of its own
         while not self._closed.is_set():

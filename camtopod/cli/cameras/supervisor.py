@@ -16,7 +16,7 @@ from camtopod.cli.cameras.status_reporter import Speaker
 from camtopod.cli.common import Told, accepted
 from camtopod.cli.exits import CommandError
 from camtopod.cli.terminal import standard_streams
-from camtopod.config.settings import CameraSettings, Config
+from camtopod.config import CameraSettings, Config
 from camtopod.serve.runtime import systemd
 
 log = logging.getLogger(__name__)

@@ -15,11 +15,9 @@ from camtopod.cli.common import configuration, start_logging, until_signal, watc
 from camtopod.cli.events import broker_options
 from camtopod.cli.exits import CommandError
 from camtopod.export import homeassistant
-from camtopod.export.homeassistant import DISCOVERY, PREFIX, Counted, Messages, Said, SiteSaid, Topics
 from camtopod.records import CAMERA_PATTERN, Prediction
-from camtopod.serve.bus.session import Bus, BusError, QueryError, dial
-from camtopod.serve.bus.topology_subscriber import TopologyView
-from camtopod.serve.runtime.progress import Progress
+from camtopod.serve.bus import Bus, BusError, QueryError, TopologyView, dial
+from camtopod.serve.runtime import Progress
 
 LOOK_SECONDS = 1.0
 """How often what has changed is published."""
@@ -34,12 +32,14 @@ def add_parser(subparsers: Any) -> None:
         "until interrupted: there a device for the daemon and one for each camera appear by themselves.",
     )
     parser.add_argument(
-        "url", metavar="URL", help=f"mqtt[s]://[USER@]HOST[:PORT][/PREFIX]; PREFIX of the topics: {PREFIX}"
+        "url",
+        metavar="URL",
+        help=f"mqtt[s]://[USER@]HOST[:PORT][/PREFIX]; PREFIX of the topics: {homeassistant.PREFIX}",
     )
     parser.add_argument(
         "--discovery",
         metavar="PREFIX",
-        default=DISCOVERY,
+        default=homeassistant.DISCOVERY,
         help="Home Assistant's discovery prefix (default: %(default)s)",
     )
     broker_options.add_options(parser)
@@ -48,12 +48,12 @@ def add_parser(subparsers: Any) -> None:
 class Site:
     """What is known of the site at the moment; filled by the bus's threads. At most ``cameras_max`` cameras."""
 
-    def __init__(self, bus: Bus, topics: Topics, cameras_max: int) -> None:
+    def __init__(self, bus: Bus, topics: homeassistant.Topics, cameras_max: int) -> None:
         self._topics, self._cameras_max = topics, cameras_max
         self._mutex = threading.Lock()
         self._daemons: set[str] = set()
-        self._site = SiteSaid()
-        self._said: dict[str, Said] = {}
+        self._site = homeassistant.SiteSaid()
+        self._said: dict[str, homeassistant.Said] = {}
         self._predictions: dict[str, Prediction] = {}
         self._cameras: list[str] = []
         self._discovery = homeassistant.discovery(topics, [])
@@ -65,7 +65,7 @@ class Site:
             for key, payload in bus.ask("status/*"):
                 self._on_status(key, payload)
 
-    def messages(self) -> Messages:
+    def messages(self) -> homeassistant.Messages:
         """Everything there is to say, by topic."""
         self._view.update()
         topics, topology = self._topics, self._view.topology
@@ -78,7 +78,7 @@ class Site:
             self._cameras, self._discovery = cameras, homeassistant.discovery(topics, cameras)
         messages = self._discovery | homeassistant.site_state(topics, alive, site, topology)
         for camera in cameras:
-            counted = site.cameras.get(camera, Counted())
+            counted = site.cameras.get(camera, homeassistant.Counted())
             messages |= homeassistant.camera_state(topics, camera, counted, said.get(camera), zones.get(camera, 0))
             if camera in predictions:
                 messages |= homeassistant.prediction_state(topics, predictions[camera])
@@ -92,9 +92,9 @@ class Site:
         camera = key.removeprefix("status/")
         with contextlib.suppress(codec.Rejected):
             if camera == "daemon":
-                self._site = codec.read(SiteSaid, payload, pack=True)
+                self._site = codec.read(homeassistant.SiteSaid, payload, pack=True)
             else:
-                self._keep(self._said, camera, codec.read(Said, payload, pack=True))
+                self._keep(self._said, camera, codec.read(homeassistant.Said, payload, pack=True))
 
     def _on_prediction(self, key: str, payload: bytes) -> None:
         camera = key.removeprefix("prediction/")
@@ -116,8 +116,8 @@ def run(args: argparse.Namespace) -> int:
     faulthandler.enable(file=2)  # systemd's watchdog ends what hangs with SIGABRT
     descriptors.raise_limit()
     config = configuration(args)
-    target = broker_options.named(args, args.url, PREFIX)
-    topics = Topics(config.site.name, target.prefix, args.discovery.strip("/"))
+    target = broker_options.named(args, args.url, homeassistant.PREFIX)
+    topics = homeassistant.Topics(config.site.name, target.prefix, args.discovery.strip("/"))
     with contextlib.ExitStack() as stack, until_signal() as stop:
         try:
             bus = stack.enter_context(dial(config))

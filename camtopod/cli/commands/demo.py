@@ -31,13 +31,12 @@ from msgspec.structs import replace
 from camtopod.cli import exits
 from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
-from camtopod.config.settings import BusSettings, Config, Limits, SiteSettings, StateSettings
-from camtopod.learn.settings import Settings
+from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
+from camtopod.learn import Settings
 from camtopod.records import Topology
-from camtopod.serve.bus import access
+from camtopod.serve import Daemon
+from camtopod.serve.bus import Bus, BusError, access, dial
 from camtopod.serve.bus import session as buses
-from camtopod.serve.bus.session import Bus, BusError, dial
-from camtopod.serve.daemon import Daemon
 from camtopod.serve.runtime import clock as clocks
 from camtopod.sim.floor import Plan, Walk, passages, site, stroll, truth_of
 from camtopod.sim.picture import Times, camera_times, write_map

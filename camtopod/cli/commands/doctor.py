@@ -24,14 +24,11 @@ import msgspec
 from camtopod.cli import exits, machine_report
 from camtopod.cli.common import configuration, with_options
 from camtopod.cli.exits import CommandError
-from camtopod.config import secret_files
-from camtopod.config.settings import TABLES, Config
+from camtopod.config import TABLES, Config, secret_files
 from camtopod.redact import redact, remember
-from camtopod.serve.bus import access
-from camtopod.serve.bus.session import BusError, dial
+from camtopod.serve.bus import BusError, access, dial
 from camtopod.serve.runtime import clock
-from camtopod.serve.storage import inspect_state
-from camtopod.serve.storage.sqlite_file import StateError
+from camtopod.serve.storage import StateError, inspect_state
 from camtopod.visible import visible
 
 FILES_MAX = 200
@@ -111,7 +108,7 @@ def _remember_secrets(config: Config) -> None:
 
 
 def _video() -> list[str]:
-    from camtopod.vision.source.probe import decoders
+    from camtopod.vision.source import decoders
 
     return decoders()
 

@@ -12,8 +12,7 @@ from typing import Any, BinaryIO
 from camtopod.cli import exits
 from camtopod.cli.events.event_lines import open_input
 from camtopod.codec import Rejected, read_topology
-from camtopod.export import FORMATS
-from camtopod.export.aicity import camera_numbers
+from camtopod.export import FORMATS, camera_numbers
 from camtopod.records import Topology
 
 TOPOLOGY_BYTES_MAX = 512 * 1024**2

@@ -22,16 +22,15 @@ from camtopod.cli.cameras.camera_process import restarted
 from camtopod.cli.cameras.heartbeat import Heart
 from camtopod.cli.common import Leaving, Told, accepted, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
-from camtopod.config.settings import RESERVED, CameraSettings, Config
+from camtopod.config import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
 from camtopod.serve.runtime import clock, systemd
-from camtopod.vision.source import ffmpeg_log
-from camtopod.vision.source.source_url import AGAIN, kind_of
+from camtopod.vision.source import AGAIN, ffmpeg_log, kind_of
 
 if TYPE_CHECKING:
-    from camtopod.serve.bus.session import Bus
-    from camtopod.serve.outbox.publisher import Publisher
-    from camtopod.vision.grabber import Grabber
+    from camtopod.serve.bus import Bus
+    from camtopod.serve.outbox import Publisher
+    from camtopod.vision import Grabber
 
 log = logging.getLogger(__name__)
 
@@ -96,8 +95,8 @@ def _all(args: argparse.Namespace, told: Told) -> int:
 
 def _refuse_a_second(config: Config, stop: threading.Event) -> None:
     """Raises `CommandError` if another grabber has the spool of a camera and does not end within `HANDOVER_SECONDS`."""
-    from camtopod.serve.outbox.spool import spool_path
-    from camtopod.serve.storage.sqlite_file import held_by
+    from camtopod.serve.outbox import spool_path
+    from camtopod.serve.storage import held_by
 
     paths = {camera: spool_path(config.state_directory, config.site.name, camera) for camera in config.cameras}
     deadline = time.monotonic() + HANDOVER_SECONDS
@@ -113,7 +112,7 @@ def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
     with contextlib.ExitStack() as stack:
         output = stack.enter_context(os.fdopen(os.dup(1), "wb")) if args.out == "-" else None
         heard = stack.enter_context(ffmpeg_log.listening())  # FFmpeg talks on standard output from here on
-        from camtopod.vision.grabber import Grabber
+        from camtopod.vision import Grabber
 
         heart = Heart(args.beat_fd)
         heart.beat("connecting", "not opened yet")
@@ -198,10 +197,9 @@ def _to_bus(
     told: Told,
     heart: Heart,
 ) -> int:
-    from camtopod.serve.bus.session import BusError, dial
-    from camtopod.serve.outbox.publisher import Publisher
-    from camtopod.serve.outbox.spool import open_spool
-    from camtopod.serve.storage.sqlite_file import StateError
+    from camtopod.serve.bus import BusError, dial
+    from camtopod.serve.outbox import Publisher, open_spool
+    from camtopod.serve.storage import StateError
 
     with contextlib.ExitStack() as stack:
         try:
@@ -315,7 +313,7 @@ class _Connection:
         """Dial in the background until there is a bus; events wait in the spool."""
 
         def keep() -> None:
-            from camtopod.serve.bus.session import BusError, dial
+            from camtopod.serve.bus import BusError, dial
 
             while not self._closed.is_set():
                 try:

@@ -25,12 +25,11 @@ from camtopod.cli.events.publish_outcome import KNOWN_SECONDS, Outcome
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
-from camtopod.config.settings import Config
+from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Event
-from camtopod.serve.bus.session import BusError, dial
-from camtopod.serve.outbox.publisher import Publisher
-from camtopod.serve.outbox.spool import open_spool
-from camtopod.serve.storage.sqlite_file import StateError
+from camtopod.serve.bus import BusError, dial
+from camtopod.serve.outbox import Publisher, open_spool
+from camtopod.serve.storage import StateError
 
 log = logging.getLogger(__name__)
 

@@ -17,11 +17,10 @@ from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.generated.example_config import table
-from camtopod.config import secret_files
-from camtopod.config.settings import RESERVED, TABLES, Config
+from camtopod.config import RESERVED, TABLES, Config, secret_files
 from camtopod.redact import holds_secret, redact
 from camtopod.visible import visible
-from camtopod.vision.source.source_url import kind_of, percent_encoded
+from camtopod.vision.source import kind_of, percent_encoded
 from camtopod.web import pictures
 
 SECRETS = "secrets"

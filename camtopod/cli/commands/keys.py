@@ -12,9 +12,8 @@ import msgspec
 from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError
-from camtopod.config.settings import Config
-from camtopod.keys import rules
-from camtopod.keys.authority import (
+from camtopod.config import Config
+from camtopod.keys import (
     ACCESS,
     DAEMON,
     LOCAL_HOSTS,
@@ -23,6 +22,7 @@ from camtopod.keys.authority import (
     check_cameras,
     check_hosts,
     day,
+    rules,
     write_public,
 )
 from camtopod.serve.runtime import clock

@@ -18,13 +18,13 @@ from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.exits import STATE, CommandError, InputError
 from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
-from camtopod.config.settings import Config
-from camtopod.learn.learner import STEPS, Learner
-from camtopod.learn.window.reorder_buffer import EVENTS_PER_SECOND_MAX
+from camtopod.config import Config
+from camtopod.learn import STEPS, Learner
+from camtopod.learn.window import EVENTS_PER_SECOND_MAX
 from camtopod.records import Topology
-from camtopod.serve.runtime.clock import wall
-from camtopod.serve.storage.recorded_state import RecordedState
-from camtopod.serve.storage.sqlite_file import StateError
+from camtopod.serve import RecordedState
+from camtopod.serve.runtime import wall
+from camtopod.serve.storage import StateError
 
 EPOCH = "recording"
 """Epoch of a topology learned from files: the same files give the same bytes."""

@@ -11,7 +11,7 @@ from camtopod.cli.events.event_lines import Line, LineReader
 from camtopod.cli.exits import InputError
 from camtopod.cli.terminal.progress import Progress
 from camtopod.codec import to_json
-from camtopod.predict.predictor import Predictor
+from camtopod.predict import Predictor
 
 
 def add_parser(subparsers: Any) -> None:

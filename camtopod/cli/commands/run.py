@@ -12,12 +12,12 @@ from typing import Any
 from camtopod.cli import descriptors, exits
 from camtopod.cli.common import Told, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
-from camtopod.config.settings import Config
-from camtopod.serve.bus.session import BusError, refusals_heard
-from camtopod.serve.daemon import Daemon
+from camtopod.config import Config
+from camtopod.serve import Daemon
+from camtopod.serve.bus import BusError, refusals_heard
 from camtopod.serve.monitoring import health, metrics
 from camtopod.serve.runtime import memory, systemd
-from camtopod.serve.storage.sqlite_file import StateError
+from camtopod.serve.storage import StateError
 
 log = logging.getLogger(__name__)
 

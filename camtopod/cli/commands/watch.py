@@ -25,8 +25,7 @@ from camtopod.cli.terminal.site_state import (
     topology_lines,
     transit,
 )
-from camtopod.serve.bus.session import BusError, dial
-from camtopod.serve.bus.topology_subscriber import TopologyView
+from camtopod.serve.bus import BusError, TopologyView, dial
 from camtopod.serve.runtime import clock
 from camtopod.visible import visible
 

@@ -17,9 +17,8 @@ from typing import Any
 from camtopod.cli import descriptors, exits
 from camtopod.cli.common import configuration, leaving, start_logging, until_signal, watched
 from camtopod.cli.exits import CommandError
-from camtopod.serve.bus.session import BusError, dial
-from camtopod.serve.runtime import clock
-from camtopod.serve.runtime.progress import Progress
+from camtopod.serve.bus import BusError, dial
+from camtopod.serve.runtime import Progress, clock
 
 log = logging.getLogger(__name__)
 

@@ -51,7 +51,7 @@ function _shtab_camtopod_using
 end
 
 set -g _shtab_camtopod_commands demo init grab run learn predict simulate watch web export report ingest bridge keys 'keys init' 'keys daemon' 'keys camera' 'keys reader' 'keys revoke' 'keys list' check doctor completion
-set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --scene --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --uneven --updates --zone-separation --zone-stretch
+set -g _shtab_camtopod_opts_with_value --authority-days --boot --ca --camera --cameras --clock-max --clock-sd --clock-share --close-after-hours --clutter --config --connect --days --discovery --doors-closed --doors-opened --events --fire-doors --for --format --fps --group-share --host --hours --keys --label --listen --log-format --loiterers --lost --minutes --missed --moved --name --objects-per-second --one-way --open-after-hours --out --overlap-share --password-file --path-sd --pictures --platoon-cycle --platoon-size --platoons --position-noise --rhythm --rhythm-hours --seed --shard --site --size --slow-share --speed --speed-sd --start --state --topology --truth --u-turn --uneven --updates --zone-separation --zone-stretch
 
 complete -c camtopod -e
 complete -c camtopod -f
@@ -126,7 +126,6 @@ complete -c camtopod -n '_shtab_camtopod_using; and test $_shtab_camtopod_npos -
 complete -c camtopod -n '_shtab_camtopod_using simulate' -s h -l help -d 'show this help message and exit'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l events -xka "(__fish_complete_path (commandline -ct))" -d 'event lines go here ('"'"'-'"'"': standard output)'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l truth -xka "(__fish_complete_path (commandline -ct))" -d 'the truth goes here'
-complete -c camtopod -n '_shtab_camtopod_using simulate' -l scene -xka "network hall crowd walkway road" -d 'instead of a network of zones and ways (the default): a station hall, a crowded square, walkways of a campus, streets of a town; these have --cameras, --hours, --seed and --start only'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l cameras -x -d 'number of cameras (default 12)'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l hours -x -d 'length of the recording, hours (default 1.5)'
 complete -c camtopod -n '_shtab_camtopod_using simulate' -l seed -x -d 'same seed, same events (default 0)'

@@ -358,7 +358,6 @@ _shtab_camtopod_simulate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--events[event lines go here (\'-\'\: standard output)]:E.jsonl:_files"
   "--truth[the truth goes here]:T.json:_files"
-  "--scene[instead of a network of zones and ways (the default)\: a station hall, a crowded square, walkways of a campus, streets of a town\; these have --cameras, --hours, --seed and --start only]:scene:(network hall crowd walkway road)"
   "--cameras[number of cameras (default 12)]:INT:"
   "--hours[length of the recording, hours (default 1.5)]:FLOAT:"
   "--seed[same seed, same events (default 0)]:INT:"

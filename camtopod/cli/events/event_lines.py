@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from typing import BinaryIO, NamedTuple
 
-from camtopod.adapt.adapter import LINE_BYTES_MAX, Adapter, quotable
+from camtopod.adapt import LINE_BYTES_MAX, Adapter, quotable
 from camtopod.cli.exits import InputError
 from camtopod.codec import EVENT_BYTES_MAX, Rejected, event_from_json
 from camtopod.records import Event

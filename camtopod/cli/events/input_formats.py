@@ -9,15 +9,12 @@ import threading
 from collections.abc import Iterator
 
 from camtopod import mqtt
-from camtopod.adapt.adapter import ANY_CAMERA, LINE_BYTES_MAX, Adapter, Size
-from camtopod.adapt.frigate import Frigate
-from camtopod.adapt.mot import Mot
-from camtopod.adapt.scenescape import SceneScape
+from camtopod.adapt import ANY_CAMERA, LINE_BYTES_MAX, Adapter, Frigate, Mot, SceneScape, Size
 from camtopod.cli import exits
 from camtopod.cli.events import broker_options
 from camtopod.cli.events.event_lines import LineReader, numbered, open_input
 from camtopod.cli.exits import CommandError
-from camtopod.config.settings import RESERVED
+from camtopod.config import RESERVED
 from camtopod.records import Event
 
 FORMATS = ("jsonl", "frigate", "mot", "scenescape")

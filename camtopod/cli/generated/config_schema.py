@@ -9,8 +9,7 @@ import msgspec
 from msgspec import Struct
 
 from camtopod.cli.generated.example_config import attribute_docs
-from camtopod.config.settings import RESERVED, TABLES, CameraSettings
-from camtopod.config.toml_tables import FLOAT_MAX
+from camtopod.config import FLOAT_MAX, RESERVED, TABLES, CameraSettings
 from camtopod.records import CAMERA_PATTERN
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from camtopod.config.settings import TABLES, CameraSettings
+from camtopod.config import TABLES, CameraSettings
 
 _HEAD = """\
 #:schema ./camtopod.schema.json

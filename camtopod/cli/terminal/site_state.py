@@ -12,7 +12,7 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.predict.hand_over import seen_now
+from camtopod.predict import seen_now
 from camtopod.records import CAMERA_PATTERN, Alarm, Link, Prediction, Topology
 
 PREDICTIONS_KEPT = 30

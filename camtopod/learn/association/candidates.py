@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.topology.lag_bins import LagBins, smoother
+from camtopod.learn.traffic import Arrivals, Departures
+from camtopod.topology import LagBins, smoother
 
 PAIR_TABLE_MAX = 20_000_000
 """Largest dense table over pairs of zones, entries."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Floats, rows_of
-from camtopod.learn.traffic.events import Departures
-from camtopod.topology.lag_bins import LagBins
+from camtopod.learn.traffic import Departures
+from camtopod.topology import LagBins
 
 
 def exposures(departures: Departures, bins: LagBins, zones: int, until: float) -> Floats:

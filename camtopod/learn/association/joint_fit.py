@@ -26,19 +26,19 @@ import numpy as np
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
 from camtopod.learn.association.candidates import Candidates, first_hazards, runs_of, together
 from camtopod.learn.association.exposure import exposures
-from camtopod.learn.traffic.background_rate import Chance
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.learn.traffic.speed import (
+from camtopod.learn.traffic import (
     NO_PERSISTENCE,
     SURE_RESPONSIBILITY,
+    Arrivals,
+    Chance,
+    Departures,
     Persistence,
     adjusted_lag,
     agreement,
     combined,
     persistence,
 )
-from camtopod.topology.lag_bins import LagBins, smooth
-from camtopod.topology.shared_constants import LEAVE_FLOOR
+from camtopod.topology import LEAVE_FLOOR, LagBins, smooth
 
 OUTSIDE_FLOOR = 0.01
 START_NOISE_SD = 2.0

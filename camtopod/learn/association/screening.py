@@ -34,7 +34,7 @@ from camtopod.learn.association.candidates import (
 )
 from camtopod.learn.association.exposure import exposures
 from camtopod.learn.association.joint_fit import START_FLOOR
-from camtopod.learn.association.limits import (
+from camtopod.learn.limits import (
     JUDGED_MAX,
     LOOKED_PER_EVENT_MAX,
     WEIGHED_AT_ONCE,
@@ -43,9 +43,8 @@ from camtopod.learn.association.limits import (
     clearest,
     zone_pairs_max,
 )
-from camtopod.learn.traffic.background_rate import Chance
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.topology.lag_bins import LagBins, smooth, smoother
+from camtopod.learn.traffic import Arrivals, Chance, Departures
+from camtopod.topology import LagBins, smooth, smoother
 
 Part = tuple[Ints, Ints, Singles, Singles]
 

@@ -14,9 +14,9 @@ from msgspec import Struct
 from camtopod.arrays import rows_of
 from camtopod.learn.changes.change_points import Change, Trials, latest_change, threshold_nats
 from camtopod.learn.changes.silence import Silences
-from camtopod.learn.traffic.labelled_events import Scene
+from camtopod.learn.traffic import Scene
 from camtopod.records import Alarm, Camera
-from camtopod.topology.versions import ALARMS_KEPT_MAX
+from camtopod.topology import ALARMS_KEPT_MAX
 
 SUBJECTS_MAX = 10_000
 """Links and zones whose last report is remembered; beyond, the oldest is forgotten."""

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.learn.zones.daspec import kernel_1d
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
+from camtopod.learn.zones import kernel_1d
+from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 FALSE_ALARM = 1e-9
 """Chance of a likelihood ratio like that in one look at one camera that stands still, if zones were known exactly."""

@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from camtopod.arrays import Floats, Longs, rows_of
-from camtopod.learn.association.joint_fit import Fit
-from camtopod.learn.links.link_table import LinkTable
-from camtopod.learn.links.significance import log_likelihood_ratio
-from camtopod.learn.traffic.events import Arrivals, Departures
+from camtopod.learn.association import Fit
+from camtopod.learn.links import LinkTable, log_likelihood_ratio
+from camtopod.learn.traffic import Arrivals, Departures
 
 FALSE_ALARM = 5e-3
 """Probability by theory that chance makes a change anywhere in one window; what is doubtful varies less than theory has

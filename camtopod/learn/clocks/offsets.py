@@ -21,8 +21,7 @@ from scipy.sparse import coo_array
 from camtopod.arrays import Bools, Floats, Ints
 from camtopod.learn.clocks.correlogram import ROWS_AT_ONCE, correlograms, highest, side_by_side
 from camtopod.learn.clocks.two_way_paths import two_ways
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.learn.traffic.labelled_events import Scene
+from camtopod.learn.traffic import Arrivals, Departures, Scene
 
 BIN_SECONDS = 1.0
 SCREENING_BIN_SECONDS = 4.0

@@ -19,11 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.association.candidates import Candidates
-from camtopod.learn.association.joint_fit import Fit, JointFitter, adjust
-from camtopod.learn.traffic.background_rate import Chance
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.topology.lag_bins import LagBins
+from camtopod.learn.association import Candidates, Fit, JointFitter, adjust
+from camtopod.learn.traffic import Arrivals, Chance, Departures
+from camtopod.topology import LagBins
 
 PARTS = 8
 BETS = ((1, 2), (2, 3), (3, 5), (5, 8))

@@ -12,15 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints, rows_together
-from camtopod.learn.association.exposure import exposures
-from camtopod.learn.association.joint_fit import Fit
+from camtopod.learn.association import Fit, exposures
 from camtopod.learn.links import mahalanobis, monte_carlo
 from camtopod.learn.links.significance import log_likelihood_ratio, q_values
 from camtopod.learn.links.transit_time import MEDIAN_ERROR, TransitFigures, transit_figures
 from camtopod.learn.settings import Settings
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.learn.traffic.speed import combined
-from camtopod.topology.lag_bins import LagBins, smooth
+from camtopod.learn.traffic import Arrivals, Departures, combined
+from camtopod.topology import LagBins, smooth
 
 TRANSITIONS_MIN = 2.0
 """A published link rests on at least this many expected transitions."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, Rows, rows_at, rows_together
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable
 from camtopod.learn.settings import Settings
-from camtopod.topology.lag_bins import LagBins
+from camtopod.topology import LagBins
 
 WINDOW_SD = 2.0
 """A way's lags lie within this many standard deviations of its median: those of its parts added up, as a slow walker is

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Floats
-from camtopod.topology.lag_bins import LagBins
+from camtopod.topology import LagBins
 
 OBSERVATIONS = 89
 """Observations per link, as in the thesis's experiment 1."""

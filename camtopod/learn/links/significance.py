@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Floats, Ints
-from camtopod.learn.association.candidates import RESPONSIBILITY_MAX
+from camtopod.learn.association import RESPONSIBILITY_MAX
 
 FLAT_MAX = 1e6
 

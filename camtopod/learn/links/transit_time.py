@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.topology.lag_bins import LagBins
+from camtopod.topology import LagBins
 
 QUANTILES = (0.1, 0.5, 0.9)
 QUARTILES = (0.25, 0.5, 0.75)

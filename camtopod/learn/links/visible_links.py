@@ -11,14 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from camtopod.arrays import Floats, Longs, rows_of
-from camtopod.learn.association.candidates import find_candidates, in_reach, newest
-from camtopod.learn.association.joint_fit import fit_jointly
-from camtopod.learn.association.limits import fair_share
+from camtopod.learn.association import find_candidates, fit_jointly, in_reach, newest
+from camtopod.learn.limits import fair_share
 from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable, Transitions, join, transitions_of
-from camtopod.learn.traffic.background_rate import local_rates
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.learn.traffic.labelled_events import Scene
-from camtopod.topology.lag_bins import LagBins
+from camtopod.learn.traffic import Arrivals, Departures, Scene, local_rates
+from camtopod.topology import LagBins
 
 
 def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:

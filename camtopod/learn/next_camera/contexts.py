@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Singles
-from camtopod.learn.association.candidates import Candidates, together
-from camtopod.learn.association.limits import context_cells_max
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
+from camtopod.learn.association import Candidates, together
+from camtopod.learn.limits import context_cells_max
+from camtopod.learn.traffic import Arrivals, Departures
+from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 
 LEVELS = ("entry", "block", "entry+block", "previous")
 """In this order: the zone of entry; the block of the image of the exit; both; the camera before."""

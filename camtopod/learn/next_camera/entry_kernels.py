@@ -12,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, rows_together
-from camtopod.learn.association.candidates import Candidates, first_hazards
-from camtopod.learn.association.joint_fit import START_FLOOR
-from camtopod.learn.association.limits import entry_pairs_max
-from camtopod.learn.links.visible_links import in_view
-from camtopod.learn.traffic.background_rate import Chance
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.topology.lag_bins import LagBins, smooth
+from camtopod.learn.association import START_FLOOR, Candidates, first_hazards
+from camtopod.learn.limits import entry_pairs_max
+from camtopod.learn.links import in_view
+from camtopod.learn.traffic import Arrivals, Chance, Departures
+from camtopod.topology import LagBins, smooth
 
 
 class Entering:

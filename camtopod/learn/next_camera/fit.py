@@ -23,10 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
-from camtopod.learn.association.candidates import Candidates
-from camtopod.learn.association.joint_fit import NOTHING, Fit, JointFitter, Tables, within
-from camtopod.learn.association.limits import FOLLOWED_MAX
-from camtopod.learn.association.screening import not_overlapping
+from camtopod.learn.association import NOTHING, Candidates, Fit, JointFitter, Tables, not_overlapping, within
+from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.next_camera.contexts import Contexts, Counted, Level, multipliers
 from camtopod.learn.next_camera.entry_kernels import Entering
 from camtopod.learn.next_camera.prior import Prior
@@ -34,9 +32,8 @@ from camtopod.learn.next_camera.sampling import Sources, with_faint
 from camtopod.learn.next_camera.skip_rate import Skipping
 from camtopod.learn.next_camera.skipped_cameras import Legs, legs_of, skip_hazards, skipped_beside, ways_through
 from camtopod.learn.next_camera.spurious import doubts
-from camtopod.learn.traffic.events import Arrivals, Departures
-from camtopod.topology.lag_bins import LagBins
-from camtopod.topology.shared_constants import LEAVE_FLOOR
+from camtopod.learn.traffic import Arrivals, Departures
+from camtopod.topology import LEAVE_FLOOR, LagBins
 
 FIRST_NOISE_SD = 3.0
 """A fit from nothing starts with what exceeds chance by this many standard deviations."""

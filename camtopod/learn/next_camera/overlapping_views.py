@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Longs, Rows
-from camtopod.learn.traffic.labelled_events import Scene
-from camtopod.topology.lag_bins import LagBins, smooth, smoother
+from camtopod.learn.traffic import Scene
+from camtopod.topology import LagBins, smooth, smoother
 
 SHIFTS_SECONDS = (-30.0, -15.0, 15.0, 30.0)
 """Shifts of the exits that make up the null model."""

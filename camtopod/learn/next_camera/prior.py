@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Singles, numbered, rows_together, summed
-from camtopod.learn.association.candidates import Candidates
-from camtopod.topology.lag_bins import smooth
+from camtopod.learn.association import Candidates
+from camtopod.topology import smooth
 
 POOLING = 1.0
 """What leaves anywhere in a camera's view counts for each of its zones as much as this many departures."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
-from camtopod.topology.lag_bins import LagBins
+from camtopod.topology import LagBins
 
 FAINT_TRANSITIONS = 0.2
 """Every pair of zones that is followed has this many transitions beforehand, at any lag after the exit: what has not

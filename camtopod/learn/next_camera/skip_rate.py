@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from camtopod.arrays import Floats, Indices, Ints, Longs, Singles
-from camtopod.learn.association.candidates import Candidates
-from camtopod.topology.lag_bins import LagBins
+from camtopod.learn.association import Candidates
+from camtopod.topology import LagBins
 
 ODDS_FIRST, ODDS_MAX = 0.1, 2.0 / 3.0
 """Passages that a camera misses for each that it records."""

@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Longs
-from camtopod.learn.association.candidates import Candidates
-from camtopod.learn.links.missed_detections import joined
-from camtopod.learn.traffic.events import Departures
-from camtopod.topology.lag_bins import LagBins, smoother
-from camtopod.topology.shared_constants import UNKNOWN_STAY_SECONDS
+from camtopod.learn.association import Candidates
+from camtopod.learn.links import joined
+from camtopod.learn.traffic import Departures
+from camtopod.topology import UNKNOWN_STAY_SECONDS, LagBins, smoother
 
 PASSAGE_SHARE_MIN = 0.02
 """Less likely ways through a view are not followed; nor are ..."""

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import expit
 
 from camtopod.arrays import Floats, Ints
-from camtopod.learn.links.significance import unrelated
+from camtopod.learn.links import unrelated
 
 SPREAD_MIN = 0.7
 """Standard deviation of the log of the evidence per transition among the ways of any site, at least."""

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Ints
+from camtopod.event_time import MICROSECONDS
 from camtopod.learn.traffic.background_rate import local_rates
 from camtopod.learn.traffic.events import Arrivals, Departures
 from camtopod.learn.traffic.speed import slowness
-from camtopod.learn.window.reorder_buffer import MICROSECONDS
-from camtopod.learn.window.sliding_window import Window, cells_of
-from camtopod.learn.zones.zone_map import ZoneMap, ZoneShape
-from camtopod.topology.grid import blocks_of
+from camtopod.learn.window import Window, cells_of
+from camtopod.learn.zones import ZoneMap, ZoneShape
+from camtopod.topology import blocks_of
 
 NO_ZONE = -1
 

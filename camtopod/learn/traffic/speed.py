@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.topology.lag_bins import LagBins
-from camtopod.topology.shared_constants import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN
+from camtopod.topology import LAG_SECONDS_MIN, SLOWNESS_MAX, STAY_SECONDS_MIN, LagBins
 
 WAY_PASSAGES_MIN = 5
 """The median of a way counts from this many passages."""

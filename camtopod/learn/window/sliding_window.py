@@ -17,10 +17,9 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from camtopod.arrays import rows_of
-from camtopod.learn.zones.cell_sums import GridSums
-from camtopod.learn.zones.zone_map import CellSums
+from camtopod.learn.zones import CellSums, GridSums
 from camtopod.records import Event
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
+from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 OPEN_PASSAGES_MAX = 100_000
 """Entries whose exit has not come, over all cameras; beyond, the oldest is forgotten."""

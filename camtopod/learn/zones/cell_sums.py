@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Longs
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
+from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 PLANES = ("count", "sx", "sy", "sxx", "sxy", "syy", "entries")
 

@@ -15,7 +15,7 @@ from scipy.special import gammainc
 
 from camtopod.arrays import Floats
 from camtopod.learn.zones.daspec import BANDWIDTH_MIN, bandwidth, data_spectroscopy, kernel_1d
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
+from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 Labels = NDArray[np.intp]
 Counts = NDArray[np.int64] | Floats

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
+from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 _LOG_TAU = float(np.log(2 * np.pi))
 _X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS

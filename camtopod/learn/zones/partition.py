@@ -25,7 +25,7 @@ from camtopod.arrays import Floats
 from camtopod.learn.zones.clutter import CONTRAST_MIN, FLOOR_CHANCE, FOUND_CHANCE, dense_cells, groups_of
 from camtopod.learn.zones.marginal_likelihood import covariance, gaussians, log_zone, log_zones, moments
 from camtopod.learn.zones.separation import discriminant, far, sd_along, valley
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS
+from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 Labels = NDArray[np.intp]
 

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.arrays import Floats, Longs
-from camtopod.learn.association.limits import ZONES_PER_CAMERA_MAX
+from camtopod.learn.limits import ZONES_PER_CAMERA_MAX
 from camtopod.learn.zones.clutter import clutter_rates
 from camtopod.learn.zones.mixture import classify_cells
 from camtopod.learn.zones.partition import Cells, partition
-from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
+from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 ANEW_EVENTS_MAX = 4000
 """With so many events zones are no longer learned from nothing."""

@@ -10,9 +10,9 @@ import logging
 import threading
 from pathlib import Path
 
-from camtopod.config.settings import Config
+from camtopod.config import Config
 from camtopod.keys import rules
-from camtopod.serve.runtime.clock import Clock
+from camtopod.serve.runtime import Clock
 
 log = logging.getLogger(__name__)
 

@@ -12,10 +12,10 @@ import threading
 
 import msgspec
 
-from camtopod.config.settings import Config
+from camtopod.config import Config
 from camtopod.serve.bus.session import Bus, BusError, dial
 from camtopod.serve.bus.single_daemon import ROLE
-from camtopod.serve.runtime.progress import Mark
+from camtopod.serve.runtime import Mark
 
 log = logging.getLogger(__name__)
 

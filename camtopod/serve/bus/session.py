@@ -22,8 +22,8 @@ from typing import Any
 import zenoh
 
 from camtopod import codec
-from camtopod.config.settings import BusSettings, Config
-from camtopod.keys.rules import PREFIX
+from camtopod.config import BusSettings, Config
+from camtopod.keys import PREFIX
 from camtopod.records import CAMERA_PATTERN
 from camtopod.redact import redact
 from camtopod.serve.bus import access, refusals, sockets

@@ -9,10 +9,10 @@ import time
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.keys.rules import STATUS
+from camtopod.keys import STATUS
 from camtopod.records import Delta, Topology
 from camtopod.serve.bus.session import Bus, QueryError
-from camtopod.topology.versions import apply_delta
+from camtopod.topology import apply_delta
 
 log = logging.getLogger(__name__)
 

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable
 from msgspec import Struct
 from msgspec.structs import asdict
 
-from camtopod.learn.window.reorder_buffer import EventTime, microseconds
+from camtopod.event_time import EventTime, microseconds
 from camtopod.records import Ack
-from camtopod.serve.bus.session import Bus
+from camtopod.serve.bus import Bus
 from camtopod.serve.ingest.camera_registry import Received
 from camtopod.serve.ingest.sequencing import Key
-from camtopod.serve.runtime.progress import Beat
+from camtopod.serve.runtime import Beat
 
 
 class Counts(Struct):

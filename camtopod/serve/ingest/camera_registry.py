@@ -27,11 +27,10 @@ from typing import Any
 
 from msgspec import Struct, field
 
-from camtopod.config.settings import Limits
-from camtopod.learn.changes.publishers import Publisher
+from camtopod.config import Limits
+from camtopod.publishers import Publisher
 from camtopod.records import Event
-from camtopod.serve.learner_process.messages import Rewind
-from camtopod.serve.storage.journal import Entry
+from camtopod.serve.storage import Entry, Rewind
 
 log = logging.getLogger(__name__)
 

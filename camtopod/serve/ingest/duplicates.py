@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from camtopod import codec
 from camtopod.records import Event
 from camtopod.serve.ingest.sequencing import Key
-from camtopod.serve.runtime.clock import Clock
-from camtopod.serve.storage.journal import Entry, Journal
+from camtopod.serve.runtime import Clock
+from camtopod.serve.storage import Entry, Journal
 
 log = logging.getLogger(__name__)
 

@@ -12,13 +12,12 @@ import time
 from collections.abc import Callable
 
 from camtopod import codec
-from camtopod.config.settings import Limits
+from camtopod.config import Limits
 from camtopod.records import CAMERA_PATTERN
-from camtopod.serve.bus.session import Bus, QueryError
+from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.ingest.receiver import Pulled
-from camtopod.serve.outbox.spool import SpoolBatch
-from camtopod.serve.runtime.progress import Mark
-from camtopod.serve.runtime.rejects import Rejects
+from camtopod.serve.outbox import SpoolBatch
+from camtopod.serve.runtime import Mark, Rejects
 
 log = logging.getLogger(__name__)
 

@@ -17,11 +17,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from camtopod import codec
-from camtopod.config.settings import Limits
-from camtopod.learn.window.reorder_buffer import MICROSECONDS
-from camtopod.learn.window.reorder_buffer import EventTime as LearnedTime
+from camtopod.config import Limits
+from camtopod.event_time import MICROSECONDS
+from camtopod.event_time import EventTime as LearnedTime
 from camtopod.records import CAMERA_CHARACTERS_MAX, Event
-from camtopod.serve.bus.session import Bus, Ear, Heard
+from camtopod.serve.bus import Bus, Ear, Heard
 from camtopod.serve.ingest.acks import Acks
 from camtopod.serve.ingest.backlog import Merge
 from camtopod.serve.ingest.camera_registry import Cameras, Received
@@ -30,15 +30,9 @@ from camtopod.serve.ingest.idle_time import EventTime
 from camtopod.serve.ingest.inbox import Inbox, Message
 from camtopod.serve.ingest.sequencing import Streams
 from camtopod.serve.ingest.store_queue import Handover
-from camtopod.serve.learner_process.corrections import rewind
-from camtopod.serve.outbox.spool import SpoolBatch
-from camtopod.serve.runtime.clock import Clock, steady_beside
-from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.runtime.rejects import Rejects
-from camtopod.serve.shards.membership import everything
-from camtopod.serve.storage.journal import Entry, Journal
-from camtopod.serve.storage.journal_writer import Storing
-from camtopod.serve.storage.packed_version import Version
+from camtopod.serve.outbox import SpoolBatch
+from camtopod.serve.runtime import Beat, Clock, Rejects, everything, no_beat, steady_beside
+from camtopod.serve.storage import Entry, Journal, Storing, Version, rewind
 
 log = logging.getLogger(__name__)
 

@@ -16,8 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from camtopod.serve.ingest.camera_registry import Received
-from camtopod.serve.learner_process.corrections import read_rewind
+from camtopod.serve.ingest import Received
 from camtopod.serve.learner_process.messages import (
     LESSONS_MAX,
     OUT_OF_MEMORY,
@@ -35,10 +34,8 @@ from camtopod.serve.learner_process.messages import (
 )
 from camtopod.serve.learner_process.process import LearnerEnded, LearnerProcess
 from camtopod.serve.learner_process.recovery import Recovered, note_failure
-from camtopod.serve.runtime import memory
-from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.storage.journal import Entry, Journal, Snapshot
-from camtopod.serve.storage.packed_version import Version, head_of
+from camtopod.serve.runtime import Beat, memory, no_beat
+from camtopod.serve.storage import Entry, Journal, Snapshot, Version, head_of, read_rewind
 
 log = logging.getLogger(__name__)
 

@@ -15,9 +15,10 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from camtopod.learn.settings import Settings
-from camtopod.learn.window.reorder_buffer import EventTimeState
-from camtopod.sharding.assignment import Sharding
+from camtopod.event_time import EventTimeState
+from camtopod.learn import Settings
+from camtopod.serve.storage import Rewind
+from camtopod.sharding import Part, Sharding
 
 LESSONS_MAX = 4_000
 """In one message: some hundred kilobytes, some hundredths of a second without a fit. Where the daemon's threads are
@@ -26,16 +27,6 @@ READ_BYTES_MAX = 1 << 20
 OUT_OF_MEMORY = 71
 """Exit status of the learner's process when it was refused memory."""
 _LENGTH = struct.Struct("<Q")
-
-
-class Rewind(Struct, frozen=True):
-    """Event time had been taken along by a wrong clock: what is later than ``to`` (seconds) is dropped, and ``epoch``
-    begins. ``stored``: digests of its versions that may have been published.
-    """
-
-    to: float
-    epoch: str
-    stored: dict[int, str] = {}
 
 
 Lesson = bytes | float | Rewind | None
@@ -249,3 +240,14 @@ class Board:
         self._cells.release()
         self._memory.close()
         os.close(self.fd)
+
+
+class Told(Struct):
+    """On ``part/{shard}``: parts of a shard's districts in the order they were made, and the event time (seconds) up to
+    which it has told all there are, none where nothing has come yet. A question is answered with the newest of each.
+    """
+
+    shard: int
+    shards: int
+    reached: float | None
+    parts: list[Part] = []

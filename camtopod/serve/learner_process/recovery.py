@@ -14,13 +14,11 @@ from typing import NamedTuple
 import msgspec
 
 from camtopod import codec
-from camtopod.learn.settings import Settings
+from camtopod.learn import Settings
 from camtopod.records import Event, Topology
-from camtopod.serve.learner_process.corrections import corrections, leave_out, offender
 from camtopod.serve.learner_process.messages import Begin, Load, Loaded, Portion, Show, Shown, Taught, Unusable
 from camtopod.serve.learner_process.process import LearnerProcess
-from camtopod.serve.storage.journal import Journal
-from camtopod.serve.storage.sqlite_file import StateError
+from camtopod.serve.storage import Journal, StateError, corrections, leave_out, offender
 
 log = logging.getLogger(__name__)
 

@@ -18,10 +18,7 @@ import traceback
 from collections.abc import Callable
 
 from camtopod import codec
-from camtopod.learn.learner import Learner
-from camtopod.learn.rewinding import rewound
-from camtopod.learn.settings import Settings
-from camtopod.learn.snapshot import LearnerState, NewerSnapshot, SnapshotError, pack, unpack
+from camtopod.learn import Learner, LearnerState, NewerSnapshot, Settings, SnapshotError, pack, rewound, unpack
 from camtopod.records import Topology
 from camtopod.serve.learner_process import messages
 from camtopod.serve.learner_process.messages import (
@@ -37,19 +34,19 @@ from camtopod.serve.learner_process.messages import (
     Portion,
     Question,
     Refresh,
-    Rewind,
     Save,
     Saved,
     Show,
     Shown,
     Taught,
     Teach,
+    Told,
     Unusable,
 )
 from camtopod.serve.runtime import memory
-from camtopod.serve.shards.membership import Told
-from camtopod.sharding.shard_learner import ShardLearner, ShardState, pack_shard, unpack_shard
-from camtopod.topology.versions import make_delta
+from camtopod.serve.storage import Rewind
+from camtopod.sharding import ShardLearner, ShardState, pack_shard, unpack_shard
+from camtopod.topology import make_delta
 
 NICENESS = 5
 """Added to the daemon's: where all cores are busy, predictions and acknowledgements come before a fit, which has time.

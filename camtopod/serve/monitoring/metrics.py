@@ -16,7 +16,7 @@ import msgspec
 
 from camtopod import codec
 from camtopod.records import CAMERA_PATTERN
-from camtopod.serve.bus.session import Bus, QueryError
+from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring.health import Page
 

@@ -10,11 +10,10 @@ from collections.abc import Callable, Sequence
 
 from camtopod import codec
 from camtopod.records import Ack, Event
-from camtopod.serve.bus.session import Bus, QueryError
+from camtopod.serve.bus import Bus, QueryError
 from camtopod.serve.outbox.spool import Spool, SpoolBatch
-from camtopod.serve.runtime import clock
-from camtopod.serve.runtime.rejects import Rejects
-from camtopod.serve.storage.sqlite_file import StateError
+from camtopod.serve.runtime import Rejects, clock
+from camtopod.serve.storage import StateError
 
 log = logging.getLogger(__name__)
 

@@ -22,7 +22,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from camtopod import codec
-from camtopod.config.settings import Limits
+from camtopod.config import Limits
 from camtopod.records import CameraId, Event
 from camtopod.serve.outbox import spool_schema
 from camtopod.serve.runtime import clock

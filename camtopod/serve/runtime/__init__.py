@@ -1,1 +1,32 @@
 """runtime"""
+
+from __future__ import annotations
+
+from camtopod.serve.runtime import clock, memory, systemd
+from camtopod.serve.runtime.background_work import Leisure, let_go
+from camtopod.serve.runtime.clock import Clock, steady_beside, ulid, wall
+from camtopod.serve.runtime.ownership import everything
+from camtopod.serve.runtime.progress import Beat, Mark, Progress, no_beat
+from camtopod.serve.runtime.rejects import Rejects
+from camtopod.serve.runtime.reload import changes
+from camtopod.serve.runtime.systemd import SOCKET_VARIABLE
+
+__all__ = [
+    "SOCKET_VARIABLE",
+    "Beat",
+    "Clock",
+    "Leisure",
+    "Mark",
+    "Progress",
+    "Rejects",
+    "changes",
+    "clock",
+    "everything",
+    "let_go",
+    "memory",
+    "no_beat",
+    "steady_beside",
+    "systemd",
+    "ulid",
+    "wall",
+]

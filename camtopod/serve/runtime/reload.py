@@ -6,7 +6,7 @@ from operator import attrgetter
 
 import msgspec
 
-from camtopod.config.settings import TABLES, Config, Limits
+from camtopod.config import TABLES, Config, Limits
 
 WHILE_RUNNING = (
     "future_seconds_max",

@@ -5,27 +5,14 @@ Which camera is whose follows from its name alone (`dealing`), so every shard kn
 
 from __future__ import annotations
 
-from msgspec import Struct
-
-from camtopod.keys.rules import STATUS
-from camtopod.learn.window.reorder_buffer import microseconds
-from camtopod.serve.learner_process.messages import Portion
-from camtopod.sharding.assignment import Dealing, Sharding, districts_of
-from camtopod.sharding.parts import Part
+from camtopod.event_time import microseconds
+from camtopod.keys import STATUS
+from camtopod.serve.learner_process import Portion
+from camtopod.serve.runtime import everything
+from camtopod.sharding import Dealing, Sharding, districts_of
 
 SOON_SECONDS = 60.0
 """So long before its turn a guest is heard, as clocks differ and subscribing takes a moment."""
-
-
-class Told(Struct):
-    """On ``part/{shard}``: parts of a shard's districts in the order they were made, and the event time (seconds) up to
-    which it has told all there are, none where nothing has come yet. A question is answered with the newest of each.
-    """
-
-    shard: int
-    shards: int
-    reached: float | None
-    parts: list[Part] = []
 
 
 class Share:
@@ -86,8 +73,3 @@ class Whole:
     def owns(self, camera: str) -> bool:
         """Every camera is its own."""
         return everything(camera)
-
-
-def everything(camera: str) -> bool:
-    """Owned by a daemon that has the site to itself."""
-    return True

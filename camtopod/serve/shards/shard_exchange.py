@@ -10,18 +10,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from camtopod import codec
-from camtopod.config.settings import Config
+from camtopod.config import Config
 from camtopod.records import Topology
-from camtopod.serve.bus.session import Bus, OnMessage, QueryError
-from camtopod.serve.bus.single_daemon import ROLE
-from camtopod.serve.bus.topology_subscriber import TopologyView
-from camtopod.serve.learner_process.feeder import Learning
-from camtopod.serve.runtime.clock import Clock
-from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.shards.membership import Share, Told
+from camtopod.serve.bus import ROLE, Bus, OnMessage, QueryError, TopologyView
+from camtopod.serve.learner_process import Learning, Told
+from camtopod.serve.runtime import Beat, Clock, no_beat
+from camtopod.serve.shards.membership import Share
 from camtopod.serve.shards.site_merger import Merger
 from camtopod.serve.shards.subscriptions import Hearing
-from camtopod.serve.storage.packed_version import Version
+from camtopod.serve.storage import Version
 
 log = logging.getLogger(__name__)
 

@@ -20,19 +20,15 @@ from pathlib import Path
 import msgspec
 
 from camtopod import codec
-from camtopod.config.settings import KeepSettings
-from camtopod.learn.settings import Settings
+from camtopod.config import KeepSettings
+from camtopod.learn import Settings
 from camtopod.records import Topology
+from camtopod.serve.learner_process import Told
+from camtopod.serve.runtime import Beat, no_beat
 from camtopod.serve.runtime import clock as clocks
-from camtopod.serve.runtime.progress import Beat, no_beat
-from camtopod.serve.shards.membership import Told
-from camtopod.serve.storage.journal import Journal, Snapshot
-from camtopod.serve.storage.journal_writer import Storing
-from camtopod.serve.storage.packed_version import Version
-from camtopod.sharding.assignment import Dealing, Sharding
-from camtopod.sharding.parts import is_dealt
-from camtopod.sharding.version_line import Line, LineState, age_of
-from camtopod.topology.versions import make_delta
+from camtopod.serve.storage import Journal, Snapshot, Storing, Version
+from camtopod.sharding import Dealing, Line, LineState, Sharding, age_of, is_dealt
+from camtopod.topology import make_delta
 
 log = logging.getLogger(__name__)
 

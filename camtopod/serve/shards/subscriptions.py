@@ -12,9 +12,8 @@ import threading
 from collections.abc import Callable, Iterable
 
 from camtopod.records import CAMERA_PATTERN
-from camtopod.serve.bus.session import Bus, OnMessage
-from camtopod.serve.runtime.clock import Clock
-from camtopod.serve.runtime.progress import Beat, no_beat
+from camtopod.serve.bus import Bus, OnMessage
+from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.serve.shards.membership import Share
 
 log = logging.getLogger(__name__)

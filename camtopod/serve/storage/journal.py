@@ -24,7 +24,7 @@ from typing import Any, Literal, NamedTuple
 
 from msgspec import Struct
 
-from camtopod.config.settings import KeepSettings
+from camtopod.config import KeepSettings
 from camtopod.serve.storage import journal_schema, sqlite_file
 from camtopod.serve.storage.journal_schema import SCHEMA, last_entry, prepare, rescue
 from camtopod.serve.storage.open_files import Displaced
@@ -53,7 +53,7 @@ _ROWS_AT_ONCE = (1_000, 100, 10, 1)
 EntryKind = Literal["event", "future", "refused", "advance", "rewind", "leave-out"]
 """``event``: learned. ``future``, ``refused``: kept for the record and for the sequence, not learned.
 ``advance``: event time went on without an event; ``raw`` is the time as decimal text.
-``rewind``, ``leave-out``: what had been learned is corrected, in a new epoch; see `camtopod.serve.learner_process.corrections`."""
+``rewind``, ``leave-out``: what had been learned is corrected, in a new epoch; see `camtopod.serve.storage.corrections`."""
 
 
 class Entry(Struct, frozen=True, gc=False):

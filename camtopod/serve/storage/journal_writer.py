@@ -14,8 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 
-from camtopod.serve.runtime.clock import Clock
-from camtopod.serve.runtime.progress import Beat, no_beat
+from camtopod.serve.runtime import Beat, Clock, no_beat
 from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
 from camtopod.serve.storage.packed_version import Version
 from camtopod.serve.storage.sqlite_file import StateError

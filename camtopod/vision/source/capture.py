@@ -18,8 +18,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from camtopod.vision.detect.background import Luma
-from camtopod.vision.detect.shrink import shrunk
+from camtopod.vision.detect import Luma, shrunk
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.source.source_url import kind_of, percent_encoded
 

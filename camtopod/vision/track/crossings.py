@@ -10,7 +10,7 @@ from __future__ import annotations
 from statistics import median
 
 from camtopod.records import Event, Kind
-from camtopod.vision.detect.motion import Box
+from camtopod.vision.detect import Box
 from camtopod.vision.track.doors import Doors
 from camtopod.vision.track.track import Changes, Sighting, Track
 

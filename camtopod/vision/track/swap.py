@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camtopod.vision.detect.motion import Box
+from camtopod.vision.detect import Box
 from camtopod.vision.track.track import Sighting
 
 CHANGE_HEIGHTS = 0.35

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from camtopod.vision.detect.motion import Box
+from camtopod.vision.detect import Box
 from camtopod.vision.track.kalman import Kalman, Vector
 
 HISTORY_SIGHTINGS = 16

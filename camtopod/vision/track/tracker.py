@@ -19,8 +19,7 @@ from typing import Protocol
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from camtopod.vision.detect.blobs import Blob
-from camtopod.vision.detect.motion import Box
+from camtopod.vision.detect import Blob, Box
 from camtopod.vision.settings import VisionSettings
 from camtopod.vision.track.kalman import Kalman
 from camtopod.vision.track.stature import Stature

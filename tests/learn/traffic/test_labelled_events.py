@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from camtopod.event_time import microseconds
 from camtopod.learn.links.visible_links import visible_transitions
 from camtopod.learn.traffic.labelled_events import Scene, number_zones, see
 from camtopod.learn.traffic.speed import WAY_PASSAGES_MIN
-from camtopod.learn.window.reorder_buffer import microseconds
 from camtopod.learn.window.sliding_window import Window
 from camtopod.learn.zones.zone_map import ZoneMap, cell_of, find_zones
 from camtopod.records import Event

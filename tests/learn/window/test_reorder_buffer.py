@@ -10,15 +10,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from camtopod.event_time import BEHIND_EVENTS, MICROSECONDS, microseconds
 from camtopod.learn.window import reorder_buffer as module
-from camtopod.learn.window.reorder_buffer import (
-    BEHIND_EVENTS,
-    MICROSECONDS,
-    Intake,
-    IntakeState,
-    Sequence,
-    microseconds,
-)
+from camtopod.learn.window.reorder_buffer import Intake, IntakeState, Sequence
 from camtopod.records import Event
 from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate

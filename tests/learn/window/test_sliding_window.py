@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from camtopod.event_time import microseconds
 from camtopod.learn.window import sliding_window as module
-from camtopod.learn.window.reorder_buffer import microseconds
 from camtopod.learn.window.sliding_window import FLOOD_CAMERAS_MIN, FLOOD_SHARE, NO_CELL, NO_MATE, Window, cells_of
 from camtopod.records import Event
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from thesis_tables import FIGURE_4_4_ZONES, TABLE_5_1, figure_4_4
 
+from bench.support.thesis_tables import FIGURE_4_4_ZONES, TABLE_5_1, figure_4_4
 from camtopod.learn.zones.daspec import authors_bandwidth, bandwidth, data_spectroscopy
 from camtopod.learn.zones.zone_map import cells_of
 

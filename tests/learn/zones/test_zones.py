@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from thesis_tables import FIGURE_4_4_ZONES, figure_4_4
 
+from bench.support.thesis_tables import FIGURE_4_4_ZONES, figure_4_4
 from camtopod.learn.zones import clutter as clutter_module
 from camtopod.learn.zones import separation as valley_module
 from camtopod.learn.zones.clutter import clutter_rate, clutter_rates, dense_cells

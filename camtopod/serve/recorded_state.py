@@ -13,13 +13,11 @@ from pathlib import Path
 from types import TracebackType
 
 from camtopod import codec
-from camtopod.config.settings import KeepSettings
-from camtopod.learn.learner import Learner
-from camtopod.learn.snapshot import pack
+from camtopod.config import KeepSettings
+from camtopod.learn import Learner, pack
 from camtopod.records import Event
-from camtopod.serve.runtime.clock import ulid
-from camtopod.serve.storage.journal import Entry, Journal, Snapshot, StoredVersion
-from camtopod.serve.storage.sqlite_file import StateError
+from camtopod.serve.runtime import ulid
+from camtopod.serve.storage import Entry, Journal, Snapshot, StateError, StoredVersion
 
 ENTRIES_AT_ONCE = 10_000
 """Entries that one transaction stores."""

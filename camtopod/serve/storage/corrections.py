@@ -16,7 +16,6 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from camtopod import codec
-from camtopod.serve.learner_process.messages import Rewind
 from camtopod.serve.storage.journal import Entry, Journal
 
 log = logging.getLogger(__name__)
@@ -91,3 +90,13 @@ def offender(journal: Journal, after: int, failed_at: int, most: bool) -> str | 
         return sender
     largest = max(sent, key=lambda camera: (sent[camera], camera), default=None)
     return largest if largest is not None and sent[largest] else None
+
+
+class Rewind(Struct, frozen=True):
+    """Event time had been taken along by a wrong clock: what is later than ``to`` (seconds) is dropped, and ``epoch``
+    begins. ``stored``: digests of its versions that may have been published.
+    """
+
+    to: float
+    epoch: str
+    stored: dict[int, str] = {}

@@ -49,7 +49,7 @@ def transcode(source: Path, target: Path, fps: float, seconds: float | None = No
 @contextmanager
 def served(path: Path) -> Iterator[int]:
     """Serve an H.264 file at rtsp://127.0.0.1:PORT/camera; gives the port."""
-    script = Path(__file__).parent / "rtsp_server.py"
+    script = Path(__file__).parents[2] / "tests" / "support" / "rtsp_server.py"
     with subprocess.Popen([SYSTEM_PYTHON, str(script), str(path)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:

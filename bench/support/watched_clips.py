@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from paths import TESTS
 from scipy.optimize import linear_sum_assignment
 
 from camtopod.records import Event
@@ -16,7 +15,7 @@ from camtopod.records import Event
 SECONDS = 1.5
 DIAGONALS = 0.12
 """An event is found within this time and distance (of the picture's diagonal)."""
-HERE = TESTS
+HERE = Path(__file__).parent
 VTEST = Path("/usr/share/doc/opencv-doc/examples/data/vtest.avi")
 """From Debian's package opencv-doc; recorded at 7 frames a second, though its header says 10."""
 
