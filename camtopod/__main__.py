@@ -1,6 +1,6 @@
 """`python -m camtopod` is the console script."""
 
-from camtopod.cli.main import console
+from camtopod.cli import console
 
 if __name__ == "__main__":
     console()

@@ -1,8 +1,13 @@
-"""Imports go one way: the nouns, then what computes, then what can fail, then the commands."""
+"""Imports go one way, and through the packages' doors.
+
+`FLOORS` lists the packages from the ground up: a module imports from its own package and from lower ones. From outside,
+a package is used through its door: the names in its ``__all__``.
+"""
 
 from __future__ import annotations
 
 import ast
+import importlib
 import subprocess
 import sys
 
@@ -10,66 +15,129 @@ import pytest
 from paths import ROOT
 
 PACKAGE = ROOT / "camtopod"
-MODULES = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py"))
-PURE = {"numpy", "scipy", "msgspec"}
-NOUNS = {"camtopod.records", "camtopod.codec", "camtopod.soundness"}
+MODULES = sorted(
+    path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
+    for path in PACKAGE.rglob("*.py")
+    if path.parent != PACKAGE or path.name != "__init__.py"
+)
+PACKAGES = sorted(module.removesuffix(".__init__") for module in MODULES if module.endswith(".__init__"))
+
+FLOORS = (
+    "records arrays lazy redact visible soundness codec event_time publishers mqtt",
+    "topology",
+    "predict",
+    "learn.settings learn.limits",
+    "learn.zones",
+    "learn.window",
+    "learn.traffic",
+    "learn.clocks learn.association",
+    "learn.links",
+    "learn.changes learn.next_camera",
+    "learn",
+    "sharding adapt export sim",
+    "vision.settings",
+    "vision.detect",
+    "vision.source vision.track",
+    "vision",
+    "config",
+    "keys",
+    "serve.runtime",
+    "serve.bus serve.storage",
+    "serve.outbox",
+    "serve.ingest",
+    "serve.learner_process",
+    "serve.shards",
+    "serve",
+    "serve.monitoring client web",
+    "cli.exits cli.descriptors",
+    "cli.terminal",
+    "cli.common cli.machine_report",
+    "cli.events cli.generated cli.cameras",
+    "cli.commands",
+    "cli",
+    "__main__",
+)
+FLOOR = {f"camtopod.{name}": number for number, line in enumerate(FLOORS) for name in line.split()}
+PURE = ("topology", "predict", "learn", "sharding", "adapt")
+"""Packages without I/O, clocks, threads and randomness of their own: what goes in is all that matters."""
+NOT_PURE = {"logging", "threading", "socket", "time", "random", "sqlite3", "zenoh", "cv2", "subprocess", "os"}
+HOMES = {
+    "zenoh": ("serve.bus.session", "serve.bus.refusals"),
+    "paho": ("mqtt",),
+    "prometheus_client": ("serve.monitoring.metrics",),
+    "starlette": ("web.app",),
+    "uvicorn": ("web.app",),
+    "rich": ("cli.terminal.screen",),
+    "cv2": ("vision", "sim", "export"),
+    "sqlite3": ("serve.storage", "serve.outbox", "serve.recorded_state", "serve.daemon"),
+}
+"""Other people's packages, and the modules or packages that may know them."""
 
 
-def imports(source: str) -> set[str]:
-    """Every module a source text imports, wherever in it."""
-    found = set()
+def imports(source: str) -> list[tuple[str, str | None]]:
+    """Every (module, name) that a source text imports, wherever in it; of plain ``import`` no name."""
+    found: list[tuple[str, str | None]] = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            found += [(alias.name, None) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "relative import"
-            module = node.module or ""
-            found.add(module)
-            if module == "camtopod":
-                found |= {f"camtopod.{alias.name}" for alias in node.names}
+            found += [(node.module or "", alias.name) for alias in node.names]
     return found
 
 
+def below(name: str, package: str) -> bool:
+    """Whether a module is a package, or lies in it."""
+    return f"{name}.".startswith(f"{package}.")
+
+
+def floor_of(module: str) -> int:
+    """The floor of a module's nearest listed package."""
+    while module not in FLOOR:
+        module, _, rest = module.rpartition(".")
+        assert module, f"no floor for {rest}"
+    return FLOOR[module]
+
+
+def package_of(module: str) -> str:
+    """The package that a module lies in."""
+    module = module.removesuffix(".__init__")
+    return module if module in PACKAGES else module.rpartition(".")[0]
+
+
+def door_of(module: str) -> list[str]:
+    """The names in a package's ``__all__``."""
+    return list(getattr(importlib.import_module(module), "__all__", ()))
+
+
 def problems(module: str, source: str) -> list[str]:
-    """What is wrong with the imports of ``module`` (a path below the package)."""
-    found = imports(source)
-    ours = {name for name in found if name.startswith("camtopod.")}
-    packages = {name.split(".")[0] for name in found}
-    folder = module.split("/")[0] if "/" in module else ""
+    """What is wrong with the imports of ``module`` (its dotted name)."""
     wrong = []
-    if module in ("records.py", "codec.py", "soundness.py"):
-        wrong += sorted(ours - NOUNS)
-    if folder == "learn":
-        wrong += sorted(name for name in ours if name not in NOUNS and not name.startswith("camtopod.learn"))
-        wrong += sorted(packages & {"logging", "threading", "socket", "time", "random", "sqlite3", "zenoh", "cv2"})
-    if folder == "districts":
-        wrong += sorted(
-            name for name in ours if name not in NOUNS and not name.startswith(("camtopod.districts", "camtopod.learn"))
-        )
-        wrong += sorted(packages & {"logging", "threading", "socket", "time", "random"})
-    if folder == "adapt":
-        wrong += sorted(name for name in ours if name not in NOUNS and not name.startswith("camtopod.adapt"))
-        wrong += sorted(packages & {"logging", "threading", "socket", "time", "random"})
-    if folder == "vision":
-        wrong += sorted(
-            name for name in ours if name not in NOUNS | {"camtopod.redact"} and not name.startswith("camtopod.vision")
-        )
-    if folder in ("serve", "sim", "export", "client", "web") or module == "config.py":
-        wrong += sorted(name for name in ours if f"{name}.".startswith("camtopod.cli."))
-    if "zenoh" in packages and module != "serve/bus.py":
-        wrong.append("zenoh")
-    if "paho" in packages and module != "serve/mqtt.py":
-        wrong.append("paho")
-    if "prometheus_client" in packages and module != "serve/metrics.py":
-        wrong.append("prometheus_client")
-    if packages & {"starlette", "uvicorn"} and module != "web/app.py":
-        wrong.append("starlette")
-    if "rich" in packages and module != "cli/screen.py":
-        wrong.append("rich")
-    if "cv2" in packages and folder not in ("vision", "sim", "export"):
-        wrong.append("cv2")
-    if "sqlite3" in packages and folder != "serve":
-        wrong.append("sqlite3")
+    here = package_of(module)
+    for target, name in imports(source):
+        known_in = HOMES.get(target.partition(".")[0])
+        if known_in and not any(below(module, f"camtopod.{home}") for home in known_in):
+            wrong.append(target)
+        if any(below(module, f"camtopod.{package}") for package in PURE) and target.partition(".")[0] in NOT_PURE:
+            wrong.append(target)
+        if not below(target, "camtopod"):
+            continue
+        if target == "camtopod":
+            target, name = f"camtopod.{name}", None
+        if target == "camtopod.__version__":
+            continue
+        from_submodule = f"{target}.{name}" in MODULES or f"{target}.{name}" in PACKAGES
+        used = f"{target}.{name}" if from_submodule and f"{target}.{name}" in FLOOR else target
+        inside = package_of(target) == here or below(here, package_of(target))
+        settings = target in ("camtopod.learn", "camtopod.vision") and name in ("Settings", "VisionSettings")
+        if not settings and not inside and floor_of(used) >= floor_of(module):
+            wrong.append(f"{used} is not below")
+        if inside or (target not in PACKAGES and target.count(".") == 1):
+            continue
+        if target not in PACKAGES:
+            wrong.append(f"{target} is behind the door of {package_of(target)}")
+        elif name and name not in door_of(target):
+            wrong.append(f"{name} is not in the door of {target}")
     return wrong
 
 
@@ -87,37 +155,65 @@ def wall_clock_reads(source: str) -> list[int]:
 
 
 @pytest.mark.parametrize("module", MODULES)
-def test_imports_go_one_way(module: str) -> None:
-    source = (ROOT / module).read_text(encoding="utf-8")
+def test_imports_go_one_way_and_through_doors(module: str) -> None:
+    source = (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
     assert problems(module, source) == []
-    if module != "serve/clock.py":
+    if module != "camtopod.serve.runtime.clock":
         assert wall_clock_reads(source) == []
 
 
-def test_the_guard_sees_a_wrong_import() -> None:
-    assert problems("learn/x.py", "import zenoh\nfrom camtopod.serve import bus") == [
-        "camtopod.serve", "zenoh", "zenoh",
-    ]  # fmt: skip
-    assert problems("records.py", "from camtopod import config") == ["camtopod.config.settings"]
-    assert problems("districts/x.py", "import time\nfrom camtopod.serve import bus") == ["camtopod.serve", "time"]
-    assert problems("learn/x.py", "from camtopod.districts import line") == ["camtopod.districts"]
-    assert problems("vision/x.py", "def f():\n    from camtopod.learn import settings") != []
-    assert problems("serve/x.py", "import camtopod.cli.main") == ["camtopod.cli.main"]
-    assert problems("web/x.py", "import uvicorn, camtopod.cli.exits") == ["camtopod.cli.exits", "starlette"]
-    assert problems("client/x.py", "from camtopod.client import view") == []
-    assert problems("cli/x.py", "from paho.mqtt import client\nfrom rich import print") == ["paho", "rich"]
-    assert problems("serve/x.py", "import prometheus_client") == ["prometheus_client"]
-    assert problems("adapt/x.py", "import time\nfrom camtopod.serve import mqtt") == ["camtopod.serve", "time"]
+@pytest.mark.parametrize(
+    ("module", "source", "wrong"),
+    [
+        ("camtopod.learn.x", "import zenoh", ["zenoh", "zenoh"]),
+        ("camtopod.learn.x", "from camtopod.serve.bus import Bus", ["camtopod.serve.bus is not below"]),
+        ("camtopod.learn.x", "from camtopod.sharding import Part", ["camtopod.sharding is not below"]),
+        ("camtopod.learn.zones.x", "from camtopod.learn.links import LinkTable", ["camtopod.learn.links is not below"]),
+        ("camtopod.records", "from camtopod import config", ["camtopod.config is not below"]),
+        ("camtopod.vision.x", "def f():\n    from camtopod.config import Config", ["camtopod.config is not below"]),
+        ("camtopod.serve.x", "import prometheus_client", ["prometheus_client"]),
+        ("camtopod.cli.x", "from rich import print", ["rich"]),
+        ("camtopod.adapt.x", "import time", ["time"]),
+        (
+            "camtopod.web.x",
+            "from camtopod.learn.links.transit_time import peak",
+            ["camtopod.learn.links.transit_time is behind the door of camtopod.learn.links"],
+        ),
+        (
+            "camtopod.web.x",
+            "from camtopod.learn.links import no_such",
+            ["no_such is not in the door of camtopod.learn.links"],
+        ),
+        ("camtopod.web.x", "from camtopod.learn.links import LinkTable", []),
+        ("camtopod.client.x", "from camtopod.client import site_view", []),
+    ],
+)
+def test_the_guard_sees_a_wrong_import(module: str, source: str, wrong: list[str]) -> None:
+    assert problems(module, source) == wrong
+
+
+def test_the_guard_sees_the_wall_clock() -> None:
     assert wall_clock_reads("import time\nnow = time.time()") == [2]
     assert wall_clock_reads("from time import time") == [1]
 
 
 def test_every_module_is_seen() -> None:
-    assert {"records.py", "learn/learner.py", "serve/bus.py", "vision/grabber.py"} <= set(MODULES)
+    assert {"camtopod.records", "camtopod.learn.learner", "camtopod.serve.bus.session"} <= set(MODULES)
 
 
-@pytest.mark.parametrize("module", ["camtopod.predict.predictor", "camtopod.client", "camtopod.serve.daemon"])
-def test_who_only_predicts_does_not_load_what_learning_needs(module: str) -> None:
+@pytest.mark.parametrize("package", [name for name in PACKAGES if name.count(".")])
+def test_a_package_is_small_and_has_a_door(package: str) -> None:
+    folder = ROOT / package.replace(".", "/")
+    assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= 20
+    door = importlib.import_module(package)
+    assert door.__doc__
+    for name in getattr(door, "__all__", ()):
+        if not (folder / f"{name}.py").exists():
+            assert hasattr(door, name), name
+
+
+@pytest.mark.parametrize("module", ["camtopod.predict", "camtopod.client", "camtopod.serve.daemon"])
+def test_programs_that_only_predict_do_not_load_scipy(module: str) -> None:
     """SciPy takes 50 MB and most of a second; the daemon's own process and every tracker would have it."""
     code = f"import sys, {module}; sys.exit(any(name.split('.')[0] == 'scipy' for name in sys.modules))"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

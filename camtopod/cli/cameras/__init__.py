@@ -1,1 +1,32 @@
 """cameras"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from camtopod.lazy import names_from
+
+if TYPE_CHECKING:
+    from camtopod.cli.cameras.camera_process import restarted
+    from camtopod.cli.cameras.heartbeat import Heart
+    from camtopod.cli.cameras.probe import check_site, probe_all
+    from camtopod.cli.cameras.supervisor import supervise
+
+__all__ = [
+    "Heart",
+    "check_site",
+    "probe_all",
+    "restarted",
+    "supervise",
+]
+
+__getattr__ = names_from(
+    __name__,
+    {
+        "Heart": "heartbeat",
+        "check_site": "probe",
+        "probe_all": "probe",
+        "restarted": "camera_process",
+        "supervise": "supervisor",
+    },
+)

@@ -34,12 +34,12 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Mistakes go to standard error as ``file:line: what``, and so do warnings of what is open to others."""
     if args.example:
-        from camtopod.cli.generated.example_config import example
+        from camtopod.cli.generated import example
 
         sys.stdout.write(example())
         return exits.DONE
     if args.schema:
-        from camtopod.cli.generated.config_schema import text
+        from camtopod.cli.generated import text
 
         sys.stdout.write(text())
         return exits.DONE
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"{path}: no mistakes; site {loaded.site.name}, {_cameras(len(loaded.cameras))}", file=sys.stderr)
     if not args.probe:
         return exits.DONE
-    from camtopod.cli.cameras.probe import check_site
+    from camtopod.cli.cameras import check_site
 
     return check_site(path, loaded, args.pictures)
 

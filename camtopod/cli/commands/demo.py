@@ -29,7 +29,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from camtopod.cli import exits
-from camtopod.cli.terminal.progress import Progress
+from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import BusSettings, Config, Limits, SiteSettings, StateSettings
 from camtopod.learn import Settings
@@ -38,11 +38,21 @@ from camtopod.serve import Daemon
 from camtopod.serve.bus import Bus, BusError, access, dial
 from camtopod.serve.bus import session as buses
 from camtopod.serve.runtime import clock as clocks
-from camtopod.sim.floor import Plan, Walk, passages, site, stroll, truth_of
-from camtopod.sim.picture import Times, camera_times, write_map
-from camtopod.sim.render import SUFFIX, render
-from camtopod.sim.score import score
-from camtopod.sim.truth import Truth
+from camtopod.sim import (
+    SUFFIX,
+    Plan,
+    Times,
+    Truth,
+    Walk,
+    camera_times,
+    passages,
+    render,
+    score,
+    site,
+    stroll,
+    truth_of,
+    write_map,
+)
 
 WALKERS_PER_SECOND = 0.1
 MINUTES = 18.0

@@ -18,8 +18,7 @@ import msgspec
 
 from camtopod import codec, redact
 from camtopod.cli import descriptors, exits
-from camtopod.cli.cameras.camera_process import restarted
-from camtopod.cli.cameras.heartbeat import Heart
+from camtopod.cli.cameras import Heart, restarted
 from camtopod.cli.common import Leaving, Told, accepted, configuration, leaving, signals, start_logging
 from camtopod.cli.exits import CommandError
 from camtopod.config import RESERVED, CameraSettings, Config
@@ -88,7 +87,7 @@ def _all(args: argparse.Namespace, told: Told) -> int:
     if not config.cameras:
         raise CommandError("nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE)
     _refuse_a_second(config, told.stop)
-    from camtopod.cli.cameras.supervisor import supervise
+    from camtopod.cli.cameras import supervise
 
     return supervise(args, config, text, told)
 

@@ -19,11 +19,9 @@ import msgspec
 
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
-from camtopod.cli.events.event_lines import LineReader, open_input
-from camtopod.cli.events.input_formats import FORMATS, add_options, events
-from camtopod.cli.events.publish_outcome import KNOWN_SECONDS, Outcome
+from camtopod.cli.events import FORMATS, KNOWN_SECONDS, LineReader, Outcome, add_options, events, open_input
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.terminal.progress import Progress
+from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.records import CAMERA_PATTERN, Event

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from camtopod.cli import exits
 from camtopod.cli.common import configuration
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.generated.example_config import table
+from camtopod.cli.generated import table
 from camtopod.config import RESERVED, TABLES, Config, secret_files
 from camtopod.redact import holds_secret, redact
 from camtopod.visible import visible
@@ -71,7 +71,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Messages go to standard error. A camera that cannot be watched at the moment is in the configuration, too."""
-    from camtopod.cli.cameras.probe import probe_all
+    from camtopod.cli.cameras import probe_all
 
     settings = configuration(args)
     cameras = named(_given(args.sources))

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from camtopod.cli.common import configuration
-from camtopod.cli.events.event_lines import LineReader
+from camtopod.cli.events import LineReader
 from camtopod.cli.exits import STATE, CommandError, InputError
-from camtopod.cli.terminal.progress import Progress
+from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.config import Config
 from camtopod.learn import STEPS, Learner

@@ -7,9 +7,9 @@ import sys
 from typing import Any
 
 from camtopod.cli.commands.export import load
-from camtopod.cli.events.event_lines import Line, LineReader
+from camtopod.cli.events import Line, LineReader
 from camtopod.cli.exits import InputError
-from camtopod.cli.terminal.progress import Progress
+from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.predict import Predictor
 

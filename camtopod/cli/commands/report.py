@@ -9,13 +9,12 @@ from typing import Any
 
 from camtopod.cli import exits
 from camtopod.cli.commands.export import TOO_LONG, TOPOLOGY_BYTES_MAX, load
-from camtopod.cli.events.event_lines import numbered
+from camtopod.cli.events import numbered
 from camtopod.cli.exits import CommandError, InputError
-from camtopod.cli.terminal.progress import Progress
+from camtopod.cli.terminal import Progress
 from camtopod.codec import Rejected, read_topology
 from camtopod.records import Topology
-from camtopod.web.report import gather
-from camtopod.web.single_file import page
+from camtopod.web import gather, page
 
 OLDER_MAX = 200
 """Older versions on the time line; each is as large as the topology."""

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import IO, Any
 
 from camtopod.cli import exits
-from camtopod.cli.terminal.progress import Progress
+from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
 from camtopod.records import Event
-from camtopod.sim.simulation import SimSettings, simulate
+from camtopod.sim import SimSettings, simulate
 
 BLOCK_LINES = 10_000
 

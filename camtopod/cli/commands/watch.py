@@ -14,7 +14,7 @@ from typing import Any
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
 from camtopod.cli.exits import CommandError
-from camtopod.cli.terminal.site_state import (
+from camtopod.cli.terminal import (
     Board,
     View,
     alarm_line,
@@ -110,7 +110,7 @@ def _on_screen(look: Callable[[], View], stop: threading.Event) -> bool:
     if not sys.stdout.isatty():
         return False
     try:
-        from camtopod.cli.terminal.screen import show
+        from camtopod.cli.terminal import show
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "rich":
             raise

@@ -1,1 +1,40 @@
 """events"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from camtopod.lazy import names_from
+
+if TYPE_CHECKING:
+    from camtopod.cli.events.event_lines import Line, LineReader, numbered, open_input
+    from camtopod.cli.events.input_formats import FORMATS, add_options, events
+    from camtopod.cli.events.publish_outcome import KNOWN_SECONDS, Outcome
+
+__all__ = [
+    "FORMATS",
+    "KNOWN_SECONDS",
+    "Line",
+    "LineReader",
+    "Outcome",
+    "add_options",
+    "broker_options",
+    "events",
+    "numbered",
+    "open_input",
+]
+
+__getattr__ = names_from(
+    __name__,
+    {
+        "FORMATS": "input_formats",
+        "KNOWN_SECONDS": "publish_outcome",
+        "Line": "event_lines",
+        "LineReader": "event_lines",
+        "Outcome": "publish_outcome",
+        "add_options": "input_formats",
+        "events": "input_formats",
+        "numbered": "event_lines",
+        "open_input": "event_lines",
+    },
+)

@@ -1,1 +1,26 @@
 """generated"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from camtopod.lazy import names_from
+
+if TYPE_CHECKING:
+    from camtopod.cli.generated.config_schema import text
+    from camtopod.cli.generated.example_config import example, table
+
+__all__ = [
+    "example",
+    "table",
+    "text",
+]
+
+__getattr__ = names_from(
+    __name__,
+    {
+        "example": "example_config",
+        "table": "example_config",
+        "text": "config_schema",
+    },
+)

@@ -1,1 +1,54 @@
 """terminal"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from camtopod.lazy import names_from
+
+if TYPE_CHECKING:
+    from camtopod.cli.terminal.progress import Progress
+    from camtopod.cli.terminal.screen import show
+    from camtopod.cli.terminal.site_state import (
+        Board,
+        View,
+        alarm_line,
+        busiest_links,
+        daemon_line,
+        newest_alarms,
+        prediction_line,
+        topology_lines,
+        transit,
+    )
+
+__all__ = [
+    "Board",
+    "Progress",
+    "View",
+    "alarm_line",
+    "busiest_links",
+    "daemon_line",
+    "newest_alarms",
+    "prediction_line",
+    "show",
+    "standard_streams",
+    "topology_lines",
+    "transit",
+]
+
+__getattr__ = names_from(
+    __name__,
+    {
+        "Board": "site_state",
+        "Progress": "progress",
+        "View": "site_state",
+        "alarm_line": "site_state",
+        "busiest_links": "site_state",
+        "daemon_line": "site_state",
+        "newest_alarms": "site_state",
+        "prediction_line": "site_state",
+        "show": "screen",
+        "topology_lines": "site_state",
+        "transit": "site_state",
+    },
+)

@@ -1,1 +1,8 @@
 """monitoring"""
+
+from __future__ import annotations
+
+__all__ = [
+    "health",
+    "metrics",
+]
