@@ -1,4 +1,6 @@
-"""``python -m bench PART [ARGUMENTS]``: each part is a module of this package with ``main(argv) -> int``."""
+"""``python -m bench PART [ARGUMENTS]``: each part is a module of this package with ``main(argv) ->
+int``.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ import bench
 
 def main(argv: list[str]) -> int:
     parts = sorted(
-        module.name for module in iter_modules(bench.__path__) if not module.ispkg and not module.name.startswith("_")
+        module.name
+        for module in iter_modules(bench.__path__)
+        if not module.ispkg and not module.name.startswith("_")
     )
     if not argv or argv[0] not in parts:
         print(f"usage: python -m bench {{{','.join(parts)}}} [ARGUMENTS]", file=sys.stderr)

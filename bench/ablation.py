@@ -1,17 +1,19 @@
-"""What each mechanism of the learner is worth: every figure with all of them, and with each left out in turn.
+"""What each mechanism of the learner is worth: every figure with all of them, and with each left
+out in turn.
 
     python -m bench ablation [--data FOLDER] [--constants] [--mechanisms a,b] [--regimes a,b] [--seeds N]
                              [--scale X] [--sampling-seeds N] [--jobs 2] [--json FILE]
 
-The networks are the real ones of `bench real` (skipped where there is no data) and made-up ones of `bench.regimes`.
-Each is learned in one fit of its first 70 % and judged by the rest. The seed of the sampler alone moves the figures of
-a small network, so each is measured with several and averaged. A difference is paired by network: without the
-mechanism, less with all; for log loss and calibration error positive is worse without, for links and top-1 negative. A
-mechanism earns its place when leaving it out costs more than two standard errors on the real networks, or more than
+The networks are the real ones of `bench real` (skipped where there is no data) and made-up ones of
+`bench.regimes`. Each is learned in one fit of its first 70 % and judged by the rest. The seed of
+the sampler alone moves the figures of a small network, so each is measured with several and
+averaged. A difference is paired by network: without the mechanism, less with all; for log loss and
+calibration error positive is worse without, for links and top-1 negative. A mechanism earns its
+place when leaving it out costs more than two standard errors on the real networks, or more than
 `REGIME_COST` on a kind of made-up ones and more than two of its standard errors.
 
-With ``--constants`` nothing is left out: each constant is halved and doubled in turn, and it is shown what the value
-that is best on the other real networks makes of the one left out.
+With ``--constants`` nothing is left out: each constant is halved and doubled in turn, and it is
+shown what the value that is best on the other real networks makes of the one left out.
 """
 
 from __future__ import annotations
@@ -44,15 +46,18 @@ DEFAULT_REGIMES = "hall,crowd,walkway,road,short,dense,platoons,faulty"
 REGIME_COST = 0.01
 TOLD_NATS = 6.0
 FIGURES = ("log loss", "leave", "calibration", "top-1", "links")
-"""Log loss and its part of "leaves or not", above a chain that is told identities; calibration error of the first
-guess; top-1 over that chain's; links found, of those that can be told (real) or F1 of links or pairs (made up).
+"""Log loss and its part of "leaves or not", above a chain that is told identities; calibration
+error of the first guess; top-1 over that chain's; links found, of those that can be told (real) or
+F1 of links or pairs (made up).
 """
 WORSE = (1.0, 1.0, 1.0, -1.0, -1.0)
 """The sign of a difference that is worse."""
 
 
 class Mechanism(Struct, frozen=True):
-    """One that can be left out: what stands in for which names (``module:name``, below `camtopod`)."""
+    """One that can be left out: what stands in for which names (``module:name``, below
+    `camtopod`).
+    """
 
     name: str
     replaced: dict[str, Any]
@@ -84,31 +89,61 @@ def _no_skips(appears: Any, candidates: Any, through: Any, bins: Any, zones: int
 
 
 MECHANISMS = [
-    Mechanism("context: zone of entry", {"learn.next_camera.contexts:Contexts._contexts": _untold(0)}),
-    Mechanism("context: block of exit", {"learn.next_camera.contexts:Contexts._contexts": _untold(1)}),
-    Mechanism("context: entry and block", {"learn.next_camera.contexts:Contexts._contexts": _untold(2)}),
-    Mechanism("context: camera before", {"learn.next_camera.contexts:Contexts._contexts": _untold(3)}),
-    Mechanism("contexts, all", {"learn.next_camera.contexts:Contexts._contexts": _untold(0, 1, 2, 3)}),
-    Mechanism("pace", {"learn.association.joint_fit:persistence": lambda *arguments: NO_PERSISTENCE}),
+    Mechanism(
+        "context: zone of entry", {"learn.next_camera.contexts:Contexts._contexts": _untold(0)}
+    ),
+    Mechanism(
+        "context: block of exit", {"learn.next_camera.contexts:Contexts._contexts": _untold(1)}
+    ),
+    Mechanism(
+        "context: entry and block", {"learn.next_camera.contexts:Contexts._contexts": _untold(2)}
+    ),
+    Mechanism(
+        "context: camera before", {"learn.next_camera.contexts:Contexts._contexts": _untold(3)}
+    ),
+    Mechanism(
+        "contexts, all", {"learn.next_camera.contexts:Contexts._contexts": _untold(0, 1, 2, 3)}
+    ),
+    Mechanism(
+        "pace", {"learn.association.joint_fit:persistence": lambda *arguments: NO_PERSISTENCE}
+    ),
     Mechanism("skipped views", {"learn.next_camera.fit:skip_hazards": _no_skips}),
     Mechanism("prior: ways are two-way", {"learn.next_camera.prior:RETURNING": 0.0}),
     Mechanism("prior: zones of a view", {"learn.next_camera.prior:POOLING": 0.0}),
     Mechanism("sampling", {"learn.next_camera.fit:PosteriorFitter.sample": lambda self: None}),
     Mechanism("faint transitions", {"learn.next_camera.sampling:FAINT_TRANSITIONS": 0.0}),
-    Mechanism("doubt", {"learn.next_camera.fit:doubts": lambda pair, responsibility, pairs, *rest: np.zeros(pairs)}),
-    Mechanism("entry kernels", {"learn.next_camera.entry_kernels:entry_pairs_max": lambda cameras: 0}),
     Mechanism(
-        "test of overlap", {"learn.next_camera.fit:not_overlapping": lambda c, *rest: np.zeros(len(c.lag), np.bool_)}
+        "doubt",
+        {
+            "learn.next_camera.fit:doubts": lambda pair, responsibility, pairs, *rest: np.zeros(
+                pairs
+            )
+        },
+    ),
+    Mechanism(
+        "entry kernels", {"learn.next_camera.entry_kernels:entry_pairs_max": lambda cameras: 0}
+    ),
+    Mechanism(
+        "test of overlap",
+        {"learn.next_camera.fit:not_overlapping": lambda c, *rest: np.zeros(len(c.lag), np.bool_)},
     ),
     Mechanism("first look at candidates", {"learn.next_camera.fit:NEGLIGIBLE": 0.0}),
     Mechanism("bets spread over lags", {"learn.links.cross_validation:EVEN_SHARES": (0.0,)}),
-    Mechanism("missed passages", {"learn.learner:without_missed": lambda between, through, found, *rest: found}),
+    Mechanism(
+        "missed passages",
+        {"learn.learner:without_missed": lambda between, through, found, *rest: found},
+    ),
     Mechanism("changes", {"learn.learner:find_changes": lambda *arguments: []}),
     Mechanism("longer steps of EM", {"learn.association.joint_fit:STRIDE": 1.0}),
     Mechanism("sparse prior", {"learn.association.joint_fit:SPARSITY": 0.0}),
     Mechanism("long ways", {"learn.long_paths:find_long_ways": lambda *arguments: []}),
-    Mechanism("usual stays", {"learn.learner:with_usual_stays": lambda departures, through: departures}),
-    Mechanism("silent cameras", {"predict.predictor:Predictor._alive": lambda self, ready: [1.0] * len(ready.cameras)}),
+    Mechanism(
+        "usual stays", {"learn.learner:with_usual_stays": lambda departures, through: departures}
+    ),
+    Mechanism(
+        "silent cameras",
+        {"predict.predictor:Predictor._alive": lambda self, ready: [1.0] * len(ready.cameras)},
+    ),
     Mechanism("seen before the exit", {"predict.exit_tables:Site.before": lambda self, zone: []}),
 ]
 
@@ -139,7 +174,10 @@ def _times(name: str, factor: float) -> str:
 SCALED = [
     Mechanism(
         _times(name, factor),
-        {f"{one}:{name}": factor * getattr(import_module(f"camtopod.{one}"), name) for one in modules},
+        {
+            f"{one}:{name}": factor * getattr(import_module(f"camtopod.{one}"), name)
+            for one in modules
+        },
     )
     for name, modules in CONSTANTS
     for factor in FACTORS
@@ -149,16 +187,27 @@ SCALED = [
 def main(argv: Sequence[str]) -> int:
     """Measure, print the table; returns the exit status."""
     arguments = _parse(argv)
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers: two of them share two cores
+    os.environ.setdefault(
+        "OMP_NUM_THREADS", "1"
+    )  # inherited by the workers: two of them share two cores
     known = [one.name for one in (SCALED if arguments.constants else MECHANISMS)]
     names = ["", *(arguments.mechanisms.split(",") if arguments.mechanisms else known)]
     if unknown := [name for name in names[1:] if name not in known]:
-        print(f"bench ablation: there is no {', '.join(unknown)}; there are {', '.join(known)}", file=sys.stderr)
+        print(
+            f"bench ablation: there is no {', '.join(unknown)}; there are {', '.join(known)}",
+            file=sys.stderr,
+        )
         return 2
-    folders = sorted(path.parent for path in arguments.data.glob("*/identities.csv")) if arguments.data else []
+    folders = (
+        sorted(path.parent for path in arguments.data.glob("*/identities.csv"))
+        if arguments.data
+        else []
+    )
     networks = [(REAL, str(folder)) for folder in folders]
     networks += [
-        (kind, str(seed)) for kind in filter(None, arguments.regimes.split(",")) for seed in range(arguments.seeds)
+        (kind, str(seed))
+        for kind in filter(None, arguments.regimes.split(","))
+        for seed in range(arguments.seeds)
     ]
     if not folders:
         print("bench ablation: no real networks (--data or CAMTOPOD_REAL_DATA name their folder)")
@@ -173,7 +222,15 @@ def main(argv: Sequence[str]) -> int:
     for task, row in figures.items():
         averaged[task.mechanism, task.kind, task.network].append(row)
     means = {key: np.array(rows).mean(axis=0) for key, rows in averaged.items()}
-    print("\n".join(table(means, names[1:], "worse than as it is" if arguments.constants else "earns its place")))
+    print(
+        "\n".join(
+            table(
+                means,
+                names[1:],
+                "worse than as it is" if arguments.constants else "earns its place",
+            )
+        )
+    )
     if arguments.constants:
         print("\n".join(chosen_on_the_others(means)))
     if arguments.json is not None:
@@ -189,7 +246,9 @@ def measure(task: Task) -> list[float]:
             return _real(Path(task.network))
         regime = REGIMES[task.kind]
         events, truth = regime.make(int(task.network), task.scale)
-        [record] = measure_regime("batch", task.kind, int(task.network), events, truth, regime.learning(task.scale))
+        [record] = measure_regime(
+            "batch", task.kind, int(task.network), events, truth, regime.learning(task.scale)
+        )
     links = record.get("f1") if not math.isnan(record.get("f1")) else record.get("pair_f1")
     error, top1 = record.get("first_calibration_error"), record.get("top1_ratio")
     return [record.get("log_loss_above"), math.nan, error, top1, links]
@@ -206,7 +265,13 @@ def _real(folder: Path) -> list[float]:
         return [math.nan, math.nan, math.nan, math.nan, links]
     ours, told = found.ours, found.told
     error = calibration_error(ours.confidence, ours.right)
-    return [ours.log_loss - told.log_loss, ours.leave_loss - told.leave_loss, error, ours.top1 / told.top1, links]
+    return [
+        ours.log_loss - told.log_loss,
+        ours.leave_loss - told.leave_loss,
+        error,
+        ours.top1 / told.top1,
+        links,
+    ]
 
 
 @contextlib.contextmanager
@@ -227,17 +292,24 @@ def without(mechanism: str, sampling_seed: int) -> Iterator[None]:
         yield
 
 
-def table(means: dict[tuple[str, str, str], Any], names: Sequence[str], verdict: str = "earns its place") -> list[str]:
+def table(
+    means: dict[tuple[str, str, str], Any], names: Sequence[str], verdict: str = "earns its place"
+) -> list[str]:
     """One block a kind of network, one row a mechanism; and in the end what each costs most."""
     kinds = list(dict.fromkeys(kind for _, kind, _ in means))
     lines, earns = [], defaultdict[str, list[str]](list)
     for kind in kinds:
         networks = [network for name, one, network in means if one == kind and name == ""]
-        whole = [_mean([means["", kind, network][k] for network in networks]) for k in range(len(FIGURES))]
+        whole = [
+            _mean([means["", kind, network][k] for network in networks])
+            for k in range(len(FIGURES))
+        ]
         lines += ["", _row(f"{kind}, {len(networks)} networks", *FIGURES)]
         lines.append(_row("with all", *(f"{value:.3f}" for value in whole)))
         for name in names:
-            apart = np.array([means[name, kind, network] - means["", kind, network] for network in networks])
+            apart = np.array(
+                [means[name, kind, network] - means["", kind, network] for network in networks]
+            )
             cells = []
             for column, figure in enumerate(FIGURES):
                 each = apart[:, column][~np.isnan(apart[:, column])]
@@ -245,18 +317,25 @@ def table(means: dict[tuple[str, str, str], Any], names: Sequence[str], verdict:
                     cells.append("-")
                     continue
                 mean = float(each.mean())
-                error = float(each.std(ddof=1) / math.sqrt(len(each))) if len(each) > 1 else math.nan
+                error = (
+                    float(each.std(ddof=1) / math.sqrt(len(each))) if len(each) > 1 else math.nan
+                )
                 cells.append(f"{mean:+.3f} ({error:.3f})")
                 cost = WORSE[column] * mean
                 if cost > 2.0 * error and (kind == REAL or cost > REGIME_COST):
                     earns[name].append(f"{figure} of {kind} {mean:+.3f}")
             lines.append(_row(f"- {name}", *cells))
-    return [*lines, "", f"{verdict}:", *(f"  {name}: {', '.join(earns[name]) or 'NOTHING'}" for name in names)]
+    return [
+        *lines,
+        "",
+        f"{verdict}:",
+        *(f"  {name}: {', '.join(earns[name]) or 'NOTHING'}" for name in names),
+    ]
 
 
 def chosen_on_the_others(means: dict[tuple[str, str, str], Any]) -> list[str]:
-    """One row a constant: the log loss of each real network with the value that is best for the others, less that with
-    the value as it is.
+    """One row a constant: the log loss of each real network with the value that is best for the
+    others, less that with the value as it is.
     """
     networks = [network for name, kind, network in means if kind == REAL and name == ""]
     lines = ["", _row("real, one network left out", "log loss")]
@@ -284,13 +363,25 @@ def _row(title: str, *cells: object) -> str:
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     named = os.environ.get("CAMTOPOD_REAL_DATA")
-    parser = argparse.ArgumentParser(prog="python -m bench ablation", description="The learner without each mechanism.")
-    parser.add_argument("--data", type=Path, default=Path(named) if named else None, metavar="FOLDER")
-    parser.add_argument("--constants", action="store_true", help="halve and double constants instead")
-    parser.add_argument("--mechanisms", help="or constants with their factors; comma-separated (default: all)")
-    parser.add_argument("--regimes", default=DEFAULT_REGIMES, help=f"comma-separated (default: {DEFAULT_REGIMES})")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench ablation", description="The learner without each mechanism."
+    )
+    parser.add_argument(
+        "--data", type=Path, default=Path(named) if named else None, metavar="FOLDER"
+    )
+    parser.add_argument(
+        "--constants", action="store_true", help="halve and double constants instead"
+    )
+    parser.add_argument(
+        "--mechanisms", help="or constants with their factors; comma-separated (default: all)"
+    )
+    parser.add_argument(
+        "--regimes", default=DEFAULT_REGIMES, help=f"comma-separated (default: {DEFAULT_REGIMES})"
+    )
     parser.add_argument("--seeds", type=int, default=3, help="networks per regime (default 3)")
-    parser.add_argument("--scale", type=float, default=0.3, help="length of the made-up recordings (default 0.3)")
+    parser.add_argument(
+        "--scale", type=float, default=0.3, help="length of the made-up recordings (default 0.3)"
+    )
     parser.add_argument("--sampling-seeds", type=int, default=2, help="of the sampler (default 2)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--json", type=Path, metavar="FILE")

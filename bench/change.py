@@ -1,14 +1,16 @@
-"""Doors that close and open, and buildings that stay as they are: how soon it is known, and how often wrongly.
+"""Doors that close and open, and buildings that stay as they are: how soon it is known, and how
+often wrongly.
 
     python -m bench change [--seeds N] [--first-seed S] [--hours H] [--doors D] [--jobs close,open,steady,score]
                            [--objects RATE] [--rhythm SHARE] [--groups SHARE]
 
-Half-way through a made-up recording some doors (paths, both directions) close, or open. A link is *right* from the
-first version on after which it stays gone, or stays published; one that never is counts as taking for ever. What it
-took is counted in passages: of a closed door those who would have taken it (departures at its zone times its earlier
-share), of an opened one those who did, both ends recorded. Versions come as the learner makes them, so passages are
-lost to waiting for the next. `steady` counts versions with an alarm where nothing changes; `score` holds the learner's
-own marks against the truth for the same exits.
+Half-way through a made-up recording some doors (paths, both directions) close, or open. A link is
+*right* from the first version on after which it stays gone, or stays published; one that never is
+counts as taking for ever. What it took is counted in passages: of a closed door those who would
+have taken it (departures at its zone times its earlier share), of an opened one those who did, both
+ends recorded. Versions come as the learner makes them, so passages are lost to waiting for the
+next. `steady` counts versions with an alarm where nothing changes; `score` holds the learner's own
+marks against the truth for the same exits.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ SOON_PASSAGES = (20, 40, 80)
 
 
 class Found(NamedTuple):
-    """What became of one link: passages walked before the change and after it, and until it was right (nan: never).
+    """What became of one link: passages walked before the change and after it, and until it was
+    right (nan: never).
 
     ``known``: whether a link that closed had been published at all.
     """
@@ -60,11 +63,16 @@ def main(argv: list[str]) -> int:
     given = parser.parse_args(argv)
     for job in given.jobs.split(","):
         base = SimSettings(
-            hours=given.hours, objects_per_second=given.objects, rhythm=given.rhythm,
-            rhythm_hours=given.hours / 2, group_share=given.groups,
-        )  # fmt: skip
+            hours=given.hours,
+            objects_per_second=given.objects,
+            rhythm=given.rhythm,
+            rhythm_hours=given.hours / 2,
+            group_share=given.groups,
+        )
         seeds = range(given.first_seed, given.first_seed + given.seeds)
-        {"close": _doors, "open": _doors, "steady": _steady, "score": _score}[job](job, base, seeds, given.doors)
+        {"close": _doors, "open": _doors, "steady": _steady, "score": _score}[job](
+            job, base, seeds, given.doors
+        )
     return 0
 
 
@@ -87,7 +95,8 @@ def _doors(job: str, base: SimSettings, seeds: range, doors: int) -> None:
         false += wrong
         for row in here:
             print(
-                f"{job} seed {seed}: " + " ".join(f"{name} {value:g}" for name, value in row._asdict().items()),
+                f"{job} seed {seed}: "
+                + " ".join(f"{name} {value:g}" for name, value in row._asdict().items()),
                 flush=True,
             )
     print(*summary(job, rows), sep="\n")
@@ -95,7 +104,9 @@ def _doors(job: str, base: SimSettings, seeds: range, doors: int) -> None:
 
 
 def summary(job: str, rows: Sequence[Found]) -> list[str]:
-    """How soon links were right; how many were so within some passages, of those that had as many."""
+    """How soon links were right; how many were so within some passages, of those that had as
+    many.
+    """
     lines = []
     for least in (0, *SOON_PASSAGES):
         some = [row for row in rows if row.known and row.after >= least]
@@ -116,26 +127,40 @@ def _measure(job: str, base: SimSettings, seed: int, doors: int) -> tuple[list[F
     settings = replace(base, seed=seed, doors_closed=closed, doors_opened=opened)
     events, truth = simulate(settings)
     made = list(versions(events))
-    changed = {(link.from_, link.to): link for link in truth.links if link.closed_at or link.opened_at}
+    changed = {
+        (link.from_, link.to): link for link in truth.links if link.closed_at or link.opened_at
+    }
     ids: dict[str, str] = {}
     for version in reversed(made):
         ids = match_zones(version.zones, truth.zones, ZONE_TOLERANCE) | ids
-    found = [_found(job, link, ids, events, truth, made, base.start + base.hours * 1800) for link in changed.values()]
+    found = [
+        _found(job, link, ids, events, truth, made, base.start + base.hours * 1800)
+        for link in changed.values()
+    ]
     names = {f"{ids.get(link.from_)}->{ids.get(link.to)}" for link in changed.values()}
     kinds = ("link_opened", "link_closed")
     wrong = [a for a in made[-1].alarms or [] if a.kind in kinds and a.subject not in names]
     for alarm in wrong:
-        print(f"{job} seed {seed}: other alarm {alarm.kind} {alarm.subject} {alarm.detail} in version {alarm.version}")
+        print(
+            f"{job} seed {seed}: other alarm {alarm.kind} {alarm.subject} {alarm.detail} in version {alarm.version}"
+        )
     return found, len(wrong)
 
 
 def _found(
-    job: str, link: TrueLink, ids: dict[str, str], events: Sequence[Event], truth: Truth, made: list[Topology],
+    job: str,
+    link: TrueLink,
+    ids: dict[str, str],
+    events: Sequence[Event],
+    truth: Truth,
+    made: list[Topology],
     moment: float,
-) -> Found:  # fmt: skip
+) -> Found:
     walked = np.array(_walked(link, events, truth))
     source = [zone.id for zone in truth.zones].index(link.from_)
-    left = np.array([e.t for e, z in zip(events, truth.zone, strict=True) if e.kind == "exit" and z == source])
+    left = np.array(
+        [e.t for e, z in zip(events, truth.zone, strict=True) if e.kind == "exit" and z == source]
+    )
     key = ids.get(link.from_), ids.get(link.to)
     right = np.nan
     for version in made:
@@ -150,11 +175,15 @@ def _found(
     if job == "close":
         rate = before / max(int(np.sum(left < moment)), 1)
         after = float(rate * np.sum(left >= moment))
-        needed = rate * float(np.sum((left >= moment) & (left <= right))) if right == right else np.nan
+        needed = (
+            rate * float(np.sum((left >= moment) & (left <= right))) if right == right else np.nan
+        )
     else:
         needed = float(np.sum((walked >= moment) & (walked <= right))) if right == right else np.nan
     kind = f"link_{'closed' if job == 'close' else 'opened'}"
-    alarmed = any((a.kind, a.subject) == (kind, f"{key[0]}->{key[1]}") for a in made[-1].alarms or [])
+    alarmed = any(
+        (a.kind, a.subject) == (kind, f"{key[0]}->{key[1]}") for a in made[-1].alarms or []
+    )
     last = [version for version in made if version.as_of <= moment][-1]
     known = job == "open" or any((x.from_, x.to) == key for x in last.links)
     return Found(known, round(before, 1), round(after, 1), round(float(needed), 1), alarmed)
@@ -166,9 +195,11 @@ def _walked(link: TrueLink, events: Sequence[Event], truth: Truth) -> list[float
     return [
         events[k].t
         for k, entry in enumerate(next_entries(events, truth))
-        if entry >= 0 and zones[truth.zone[k]] == link.from_ and zones[truth.zone[entry]] == link.to
+        if entry >= 0
+        and zones[truth.zone[k]] == link.from_
+        and zones[truth.zone[entry]] == link.to
         and truth.passage[entry] == truth.passage[k] + 1
-    ]  # fmt: skip
+    ]
 
 
 def _steady(job: str, base: SimSettings, seeds: range, doors: int) -> None:
@@ -193,8 +224,12 @@ class _Told(Scorer):
     def __init__(self, events: Sequence[Event], truth: Truth) -> None:
         super().__init__()
         self.pairs: list[tuple[Marks, Marks]] = []
-        self._exits_at = {(round(e.t, 6), e.camera): k for k, e in enumerate(events) if e.kind == "exit"}
-        self._next = [None if entry < 0 else events[entry].camera for entry in next_entries(events, truth)]
+        self._exits_at = {
+            (round(e.t, 6), e.camera): k for k, e in enumerate(events) if e.kind == "exit"
+        }
+        self._next = [
+            None if entry < 0 else events[entry].camera for entry in next_entries(events, truth)
+        ]
 
     def note(self, guess: Guess, happened: dict[str, float]) -> None:
         super().note(guess, happened)
@@ -214,20 +249,29 @@ def _score(job: str, base: SimSettings, seeds: range, doors: int) -> None:
         learner.flush()
         rows.append([_figures([pair[k] for pair in told.pairs]) for k in (0, 1)])
         for who, row in zip(("self", "true"), rows[-1], strict=True):
-            figures = ", ".join(f"{name} {value:.3f}" for name, value in zip(names, row, strict=True))
+            figures = ", ".join(
+                f"{name} {value:.3f}" for name, value in zip(names, row, strict=True)
+            )
             print(f"score seed {seed}, {len(told.pairs)} exits, {who}: {figures}", flush=True)
     table = np.array(rows)
     for who, row in (
-        ("self", table[:, 0].mean(axis=0)), ("true", table[:, 1].mean(axis=0)),
+        ("self", table[:, 0].mean(axis=0)),
+        ("true", table[:, 1].mean(axis=0)),
         ("apart", np.abs(table[:, 0] - table[:, 1]).mean(axis=0)),
-    ):  # fmt: skip
-        print(f"score, mean {who}: " + ", ".join(f"{name} {v:.3f}" for name, v in zip(names, row, strict=True)))
+    ):
+        print(
+            f"score, mean {who}: "
+            + ", ".join(f"{name} {v:.3f}" for name, v in zip(names, row, strict=True))
+        )
 
 
 def _figures(given: list[Marks]) -> list[float]:
     m = {name: sum(getattr(mark, name) for mark in given) for name in Marks._fields}
     followed = max(m["followed"], 1e-9)
     return [
-        m["loss"] / len(given), m["top1"] / followed, m["top3"] / followed,
-        m["baseline_loss"] / len(given), m["baseline_top1"] / followed,
-    ]  # fmt: skip
+        m["loss"] / len(given),
+        m["top1"] / followed,
+        m["top3"] / followed,
+        m["baseline_loss"] / len(given),
+        m["baseline_top1"] / followed,
+    ]

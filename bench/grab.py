@@ -1,11 +1,12 @@
-"""What a camera costs: CPU seconds a streamed frame of the grabber, of decoding alone and of Frigate's way.
+"""What a camera costs: CPU seconds a streamed frame of the grabber, of decoding alone and of
+Frigate's way.
 
     python -m bench grab [--rounds 7] [--seconds 40] [--crf 20] [--films FOLDER] [--json FILE]
 
-Films of 1080p and 720p at 25 frames a second, H.264, are made up first (two minutes; FOLDER keeps them): a busy one
-with a dozen people on their way at any time, a quiet one that a single person crosses now and then. Everything decodes
-in software. Decoding alone is OpenCV's capture opened as the grabber opens it, every frame grabbed, none retrieved.
-Needs the program ffmpeg with libx264.
+Films of 1080p and 720p at 25 frames a second, H.264, are made up first (two minutes; FOLDER keeps
+them): a busy one with a dozen people on their way at any time, a quiet one that a single person
+crosses now and then. Everything decodes in software. Decoding alone is OpenCV's capture opened as
+the grabber opens it, every frame grabbed, none retrieved. Needs the program ffmpeg with libx264.
 """
 
 from __future__ import annotations
@@ -33,7 +34,12 @@ SMALL_DETECT = (640, 360)
 SIZES = {"1080p": (1920, 1080), "720p": (1280, 720)}
 SCENES = {"busy": (12, 0.5), "quiet": (1, 20.0)}
 """People, and for how many seconds each stays away."""
-RATIO_MAX = {("1080p", "busy"): 1.25, ("1080p", "quiet"): 1.35, ("720p", "busy"): 1.5, ("720p", "quiet"): 1.5}
+RATIO_MAX = {
+    ("1080p", "busy"): 1.25,
+    ("1080p", "quiet"): 1.35,
+    ("720p", "busy"): 1.5,
+    ("720p", "quiet"): 1.5,
+}
 
 
 class Film(NamedTuple):
@@ -54,11 +60,15 @@ class Film(NamedTuple):
 
 def main(argv: list[str]) -> int:
     """Print the tables; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench grab", description="What a camera costs.")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench grab", description="What a camera costs."
+    )
     ratios.add_arguments(parser, ROUNDS)
     parser.add_argument("--seconds", type=float, default=SECONDS, help="length of a film")
     parser.add_argument("--films", type=Path, metavar="FOLDER", help="where films are kept")
-    parser.add_argument("--crf", type=int, default=films.CRF, help="quality of the films: lower is more bits")
+    parser.add_argument(
+        "--crf", type=int, default=films.CRF, help="quality of the films: lower is more bits"
+    )
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
     given = parser.parse_args(argv)
     if shutil.which("ffmpeg") is None:
@@ -85,7 +95,9 @@ def made_films(folder: Path, sizes: list[str], seconds: float, crf: int) -> list
                 part = path.with_suffix(".part.mp4")
                 films.film(part, SIZES[size_name], films.people(many, pause, seed=3), seconds, crf)
                 part.rename(path)
-            result.append(Film(size_name, scene, SIZES[size_name], path, round(seconds * films.FPS)))
+            result.append(
+                Film(size_name, scene, SIZES[size_name], path, round(seconds * films.FPS))
+            )
     return result
 
 
@@ -139,7 +151,19 @@ def frigates_way(film: Film, detect: tuple[int, int]) -> None:
 
 def decode_by_ffmpeg(film: Film) -> None:
     """Another build of the same decoder, one thread: tells how far decoders differ."""
-    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-threads", "1", "-i", str(film.path), "-f", "null", "-"]
+    command = [
+        "ffmpeg",
+        "-nostdin",
+        "-loglevel",
+        "error",
+        "-threads",
+        "1",
+        "-i",
+        str(film.path),
+        "-f",
+        "null",
+        "-",
+    ]
     subprocess.run(command, check=True)
 
 

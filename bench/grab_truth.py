@@ -2,9 +2,9 @@
 
     python -m bench grab_truth [--data FOLDER] [--vtest FILE] [--rtsp] [--details]
 
-FOLDER holds one-by-one/ (default: the environment's CAMTOPOD_TEST_DATA). ``--rtsp`` also serves vtest.avi
-over a real RTSP server at its own pace (two minutes) and compares with the file. Tolerances: 1.5 s and
-0.12 of the diagonal.
+FOLDER holds one-by-one/ (default: the environment's CAMTOPOD_TEST_DATA). ``--rtsp`` also serves
+vtest.avi over a real RTSP server at its own pace (two minutes) and compares with the file.
+Tolerances: 1.5 s and 0.12 of the diagonal.
 """
 
 from __future__ import annotations
@@ -18,7 +18,15 @@ from pathlib import Path
 import numpy as np
 
 from bench.support import rtsp_streams as streams
-from bench.support.watched_clips import VTEST, Match, best_offset, match, one_by_one, shifted, watched
+from bench.support.watched_clips import (
+    VTEST,
+    Match,
+    best_offset,
+    match,
+    one_by_one,
+    shifted,
+    watched,
+)
 from camtopod.records import Event
 from camtopod.vision.grabber import Grabber
 
@@ -29,9 +37,13 @@ def main(argv: list[str]) -> int:
     """Print the figures; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench grab_truth")
     parser.add_argument("--data", help="folder with one-by-one/")
-    parser.add_argument("--vtest", type=Path, default=VTEST, help="vtest.avi of Debian's opencv-doc")
+    parser.add_argument(
+        "--vtest", type=Path, default=VTEST, help="vtest.avi of Debian's opencv-doc"
+    )
     parser.add_argument("--rtsp", action="store_true", help="also over a real RTSP server")
-    parser.add_argument("--details", action="store_true", help="name what was missed and what was spurious")
+    parser.add_argument(
+        "--details", action="store_true", help="name what was missed and what was spurious"
+    )
     arguments = parser.parse_args(argv)
     if arguments.data:
         os.environ["CAMTOPOD_TEST_DATA"] = arguments.data
@@ -47,11 +59,25 @@ def main(argv: list[str]) -> int:
         slow = Path(folder) / "vtest.mp4"
         if reason := streams.missing():
             print(f"vtest at its true 7 frames/s and over RTSP: {reason}")
-            _file("vtest (10 frames/s, as in the file)", arguments.vtest, watched("vtest", 10.0), 4 / 3, True)
+            _file(
+                "vtest (10 frames/s, as in the file)",
+                arguments.vtest,
+                watched("vtest", 10.0),
+                4 / 3,
+                True,
+            )
             return 0
         streams.transcode(arguments.vtest, slow, VTEST_FPS)
-        _file("vtest, avi (plays at 10 fps)", arguments.vtest, watched("vtest", 10.0), 4 / 3, arguments.details)
-        recorded = _file("vtest, mp4 (7 fps)", slow, watched("vtest", VTEST_FPS), 4 / 3, arguments.details)
+        _file(
+            "vtest, avi (plays at 10 fps)",
+            arguments.vtest,
+            watched("vtest", 10.0),
+            4 / 3,
+            arguments.details,
+        )
+        recorded = _file(
+            "vtest, mp4 (7 fps)", slow, watched("vtest", VTEST_FPS), 4 / 3, arguments.details
+        )
         if arguments.rtsp:
             _rtsp(slow, recorded, arguments.details)
     return 0
@@ -105,7 +131,9 @@ def _rtsp(path: Path, recorded: list[Event], details: bool) -> None:
     _line("vtest, RTSP against the file", recorded, streamed, result, details)
     differences = [streamed[j].t - recorded[i].t for i, j in result.pairs]
     if differences:
-        print(f"    times differ by {np.std(differences):.3f} s (sd), {np.abs(differences).max():.3f} s at most")
+        print(
+            f"    times differ by {np.std(differences):.3f} s (sd), {np.abs(differences).max():.3f} s at most"
+        )
 
 
 if __name__ == "__main__":

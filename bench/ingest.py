@@ -1,11 +1,13 @@
-"""How many events a second the daemon takes, beside zenoh + msgspec that receive the same and do nothing.
+"""How many events a second the daemon takes, beside zenoh + msgspec that receive the same and do
+nothing.
 
     python -m bench ingest [--cameras 100] [--events 200000] [--rounds 5] [--json FILE]
 
-One process puts, another receives. It is the real `camtopod run`: it orders, journals, acknowledges, learns and
-predicts (as far as there is time, which is counted); everything put has to have been stored once, or the run does not
-count. The site has learned before. ``no version due`` leaves out the learner's fits; ``a version a minute`` is with
-them, by default settings: 50 events of a camera stand for a second of event time, as when a backlog comes in.
+One process puts, another receives. It is the real `camtopod run`: it orders, journals,
+acknowledges, learns and predicts (as far as there is time, which is counted); everything put has to
+have been stored once, or the run does not count. The site has learned before. ``no version due``
+leaves out the learner's fits; ``a version a minute`` is with them, by default settings: 50 events
+of a camera stand for a second of event time, as when a backlog comes in.
 """
 
 from __future__ import annotations
@@ -20,7 +22,11 @@ from bench.support import ratios, site
 from bench.support.clients import client, learned_status, ready_at, result, status_of, write_events
 from bench.support.site import learned_site, running, traffic
 
-BARE, QUIET, FITTING = "zenoh + msgspec, doing nothing", "daemon, no version due", "daemon, a version a minute"
+BARE, QUIET, FITTING = (
+    "zenoh + msgspec, doing nothing",
+    "daemon, no version due",
+    "daemon, a version a minute",
+)
 NEVER = "refit_share = 1e9\nrefit_hours = 1e9"
 COST_MAX = 4.0
 """A quarter of the bare rate."""
@@ -33,7 +39,9 @@ class Lost(RuntimeError):
 
 def main(argv: list[str]) -> int:
     """Measure; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench ingest", description="The daemon's rate of events.")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench ingest", description="The daemon's rate of events."
+    )
     site.add_arguments(parser)
     parser.add_argument("--events", type=int, default=200_000)
     ratios.add_arguments(parser, rounds=5)
@@ -42,7 +50,8 @@ def main(argv: list[str]) -> int:
         folder = Path(name)
         learned = learned_site(given.site or folder, given.cameras, given.learned)
         events = write_events(
-            folder / "events", traffic(given.cameras, EVENTS_PER_SECOND_PER_CAMERA * given.cameras, given.events)
+            folder / "events",
+            traffic(given.cameras, EVENTS_PER_SECOND_PER_CAMERA * given.cameras, given.events),
         )
         costs = ratios.take_turns(
             {
@@ -53,10 +62,14 @@ def main(argv: list[str]) -> int:
             given.rounds,
         )
     at_most = {QUIET: COST_MAX, FITTING: COST_MAX}
-    table = ratios.compare(f"{given.events} events of {given.cameras} cameras", "us an event", costs, BARE, at_most)
+    table = ratios.compare(
+        f"{given.events} events of {given.cameras} cameras", "us an event", costs, BARE, at_most
+    )
     print("\n".join(ratios.lines(table)))
     for row in table.rows:
-        print(f"  {row.name}: {1e6 / row.cost.median:,.0f} events/s, {1 / row.ratio.median:.2f} of the bare rate")
+        print(
+            f"  {row.name}: {1e6 / row.cost.median:,.0f} events/s, {1 / row.ratio.median:.2f} of the bare rate"
+        )
     if given.json:
         ratios.write(given.json, "ingest", [table], cameras=given.cameras, events=given.events)
     return 0

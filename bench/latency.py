@@ -1,11 +1,12 @@
-"""How long after its exit was put by one process a prediction is in another, beside a bare zenoh round trip.
+"""How long after its exit was put by one process a prediction is in another, beside a bare zenoh
+round trip.
 
     python -m bench latency [--cameras 100] [--rate 1000] [--seconds 20] [--rounds 5] [--json FILE]
 
-Three processes and sessions in each case: one puts events, stamped with the moment of the put and as irregular as a
-made-up network's are; the second is the meeting point and answers each exit; the third hears the answers. The second is
-the real `camtopod run` on a site that has learned, or a bare session that answers with as many bytes. ``refitting`` has
-the learner fit anew all the time.
+Three processes and sessions in each case: one puts events, stamped with the moment of the put and
+as irregular as a made-up network's are; the second is the meeting point and answers each exit; the
+third hears the answers. The second is the real `camtopod run` on a site that has learned, or a bare
+session that answers with as many bytes. ``refitting`` has the learner fit anew all the time.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ class Round(NamedTuple):
 class Case:
     """What is measured, again and again."""
 
-    def __init__(self, folder: Path, learned: Path, cameras: int, rate: float, seconds: float) -> None:
+    def __init__(
+        self, folder: Path, learned: Path, cameras: int, rate: float, seconds: float
+    ) -> None:
         self._folder, self._learned = folder, learned
         events = traffic(cameras, rate, int(rate * seconds))
         self.exits = sum(event.kind == "exit" for event in events)
@@ -77,24 +80,35 @@ class Case:
         bare = name == BARE
         with (
             client("hear", self._folder, endpoint=endpoint, bare=bare) as ear,
-            client("put_paced", self._folder, endpoint=endpoint, events=self._events, bare=bare) as sender,
+            client(
+                "put_paced", self._folder, endpoint=endpoint, events=self._events, bare=bare
+            ) as sender,
         ):
             put = result(sender)
             heard = result(ear)
         if len(heard["ms"]) < self.exits:
             print(f"    {name}: {self.exits} exits and {len(heard['ms'])} answers")
         one = Round(heard["ms"], heard["size"])
-        tail = " ".join(f"p{100 * share:g} {one.quantile(share):.2f}" for share in (0.5, 0.9, 0.99, 0.999))
-        print(f"    {name}: {tail} ms, {one.size} bytes, puts {put['late_ms']:.2f} ms late", flush=True)
+        tail = " ".join(
+            f"p{100 * share:g} {one.quantile(share):.2f}" for share in (0.5, 0.9, 0.99, 0.999)
+        )
+        print(
+            f"    {name}: {tail} ms, {one.size} bytes, puts {put['late_ms']:.2f} ms late",
+            flush=True,
+        )
         self.rounds[name].append(one)
         return one.quantile(0.5)
 
 
 def main(argv: list[str]) -> int:
     """Measure; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench latency", description="From an exit to its prediction.")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench latency", description="From an exit to its prediction."
+    )
     site.add_arguments(parser)
-    parser.add_argument("--rate", type=float, default=1000.0, help="events a second, half of them exits")
+    parser.add_argument(
+        "--rate", type=float, default=1000.0, help="events a second, half of them exits"
+    )
     parser.add_argument("--seconds", type=float, default=20.0)
     ratios.add_arguments(parser, rounds=5)
     given = parser.parse_args(argv)
@@ -107,17 +121,24 @@ def main(argv: list[str]) -> int:
             BARE: case.bare,
         }
         p50 = ratios.take_turns(ways, given.rounds)
-    p99 = {name: [one.quantile(0.99) for one in case.rounds[name][ratios.WARM_ROUNDS :]] for name in p50}
+    p99 = {
+        name: [one.quantile(0.99) for one in case.rounds[name][ratios.WARM_ROUNDS :]]
+        for name in p50
+    }
     fitting = {name: p99[name] for name in (QUIET, REFITTING)}
     tables = [
         ratios.compare("median", "ms", p50, BARE, {QUIET: P50_MAX}),
         ratios.compare("99th percentile", "ms", p99, BARE, {QUIET: P99_MAX}),
-        ratios.compare("99th percentile, while fitting anew", "ms", fitting, QUIET, {REFITTING: REFIT_P99_MAX}),
+        ratios.compare(
+            "99th percentile, while fitting anew", "ms", fitting, QUIET, {REFITTING: REFIT_P99_MAX}
+        ),
     ]
     for table in tables:
         print("\n".join(ratios.lines(table)))
     versions = [one.versions for one in case.rounds[REFITTING]]
     print(f"versions made while measuring, a round: {min(versions)} .. {max(versions)}")
     if given.json:
-        ratios.write(given.json, "latency", tables, cameras=given.cameras, rate=given.rate, versions=versions)
+        ratios.write(
+            given.json, "latency", tables, cameras=given.cameras, rate=given.rate, versions=versions
+        )
     return 0

@@ -2,9 +2,10 @@
 
     python -m bench learn [--seeds N] [--first-seed S] [--cameras N] [--hours H] [--json FILE]
 
-A network has 12 cameras, 10 % missed passages and 10 % clutter; 1.7 hours are about 20,000 events. They are fed one
-by one, as `camtopod learn` does. Predictions come from a learner that saw the first 70 % of the events and are scored
-on the rest; beside it stands a Markov chain over the true zones that was told who is who in those 70 %.
+A network has 12 cameras, 10 % missed passages and 10 % clutter; 1.7 hours are about 20,000 events.
+They are fed one by one, as `camtopod learn` does. Predictions come from a learner that saw the
+first 70 % of the events and are scored on the rest; beside it stands a Markov chain over the true
+zones that was told who is who in those 70 %.
 """
 
 from __future__ import annotations
@@ -90,11 +91,15 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--cameras", type=int, default=12)
     parser.add_argument("--hours", type=float, default=1.7)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="the figures of every network go here, too")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="the figures of every network go here, too"
+    )
     arguments = parser.parse_args(argv)
     rows = []
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-        rows.append(measure(SimSettings(cameras=arguments.cameras, hours=arguments.hours, seed=seed)))
+        rows.append(
+            measure(SimSettings(cameras=arguments.cameras, hours=arguments.hours, seed=seed))
+        )
         print(f"seed {seed}: {rows[-1].events} events in {rows[-1].seconds:.1f} s", flush=True)
     print("\n".join(table(rows)))
     if arguments.json:
@@ -163,7 +168,9 @@ def predict(topology: Topology, events: Sequence[Event], cut: int) -> list[Predi
 
 
 def markov_told(events: Sequence[Event], truth: Truth, cut: int) -> list[Prediction]:
-    """The same from counts per true zone of who was seen next where before ``cut``; clutter predicts nothing."""
+    """The same from counts per true zone of who was seen next where before ``cut``; clutter
+    predicts nothing.
+    """
     following: dict[int, Counter[str]] = {}
     for index, entry in enumerate(next_entries(events, truth)[:cut]):
         if entry < cut and events[index].kind == "exit" and truth.identity[index] != CLUTTER:
@@ -183,7 +190,9 @@ def markov_told(events: Sequence[Event], truth: Truth, cut: int) -> list[Predict
 
 def table(rows: list[Row]) -> list[str]:
     """A line a figure, a column a network, mean and standard deviation last."""
-    lines = [" " * 26 + "".join(f"{f'seed {row.seed}':>10}" for row in rows) + f"{'mean':>12}{'sd':>10}"]
+    lines = [
+        " " * 26 + "".join(f"{f'seed {row.seed}':>10}" for row in rows) + f"{'mean':>12}{'sd':>10}"
+    ]
     for name, title in COLUMNS.items():
         values = np.array([getattr(row, name) for row in rows], dtype=float)
         digits = 0 if all(isinstance(getattr(row, name), int) for row in rows) else 3

@@ -1,8 +1,10 @@
-"""How much the events can say of who came from where: does a search that begins at the truth stay there?
+"""How much the events can say of who came from where: does a search that begins at the truth stay
+there?
 
     python -m bench limits [--regimes road,walkway] [--seeds N] [--sweeps 15,100,400] [--jobs 2]
 
-One fit on the first 70 % of each network, predictions on the rest, as shares of a chain that is told who is who:
+One fit on the first 70 % of each network, predictions on the rest, as shares of a chain that is
+told who is who:
 
 * ``learned``: what the product says;
 * ``told``: the same tables and the same predictor, told for every departure where it went. It is what the product would
@@ -11,8 +13,8 @@ One fit on the first 70 % of each network, predictions on the rest, as shares of
   nothing afterwards. Were the truth the best explanation of the events it would stay near it;
 * ``from the fit, N sweeps``: the same sampler as the product starts it.
 
-Where the last two come to meet, no better search would help: only other assumptions, or more events. ``on the truth``
-is the share of the true transitions in the recording that is believed.
+Where the last two come to meet, no better search would help: only other assumptions, or more
+events. ``on the truth`` is the share of the true transitions in the recording that is believed.
 """
 
 from __future__ import annotations
@@ -39,7 +41,12 @@ from camtopod.records import Event
 from camtopod.sim.score import next_entries
 from camtopod.sim.truth import Truth
 
-FIGURES = {"top1_ratio": "top-1", "top3_ratio": "top-3", "log_loss_above": "log loss above", "kept": "on the truth"}
+FIGURES = {
+    "top1_ratio": "top-1",
+    "top3_ratio": "top-3",
+    "log_loss_above": "log loss above",
+    "kept": "on the truth",
+}
 MICROSECONDS = 1_000_000
 
 
@@ -59,7 +66,8 @@ class Told:
         """1 for each candidate (M,) that is one object's next appearance, else 0."""
         c = fitter.candidates
         left, came = (
-            np.rint(t * MICROSECONDS).astype(np.int64).tolist() for t in (fitter.departures.t, fitter.arrivals.t)
+            np.rint(t * MICROSECONDS).astype(np.int64).tolist()
+            for t in (fitter.departures.t, fitter.arrivals.t)
         )
         pairs = zip(c.departure.tolist(), c.arrival.tolist(), strict=True)
         return np.array([self.next.get(left[d]) == came[a] for d, a in pairs], np.float32)
@@ -73,7 +81,10 @@ class Told:
             expect(fitter, hazard)
             fitter.responsibility = self.of(fitter)
 
-        with patch.object(PosteriorFitter, "_expect", told), patch.object(PosteriorFitter, "sample", lambda _: None):
+        with (
+            patch.object(PosteriorFitter, "_expect", told),
+            patch.object(PosteriorFitter, "sample", lambda _: None),
+        ):
             yield
 
     @contextmanager
@@ -123,7 +134,9 @@ def measure(regime: str, sweeps: Sequence[int], seed: int) -> dict[str, dict[str
                 learner.receive(event)
             learner.flush()
         assert learner.topology is not None
-        return prediction_figures(predict(learner.topology, events), events, truth) | {"kept": told.kept}
+        return prediction_figures(predict(learner.topology, events), events, truth) | {
+            "kept": told.kept
+        }
 
     rows = {"learned": figures()}
     with told.at_every_step():

@@ -1,12 +1,14 @@
-"""How fast `camtopod learn` keeps a topology, beside working out anew at every version what others would.
+"""How fast `camtopod learn` keeps a topology, beside working out anew at every version what others
+would.
 
     python -m bench links [--events 1000000] [--cameras 100] [--rate 0.3] [--rounds 1] [--json FILE]
 
-Ours is `camtopod learn` over a made-up site, in one fit of the last window, as a process of its own: events a second
-of processor time. The baselines of `bench quality` are run once over the newest events (true zones, no clutter; at most
-the newest ten million pairs of a departure and an arrival, which is in their favour), and that time is taken for each
-minute of event time, as each would have to be run again to say what is new. To reach: 20,000 events a second, and 30
-times the quickest of them.
+Ours is `camtopod learn` over a made-up site, in one fit of the last window, as a process of its
+own: events a second of processor time. The baselines of `bench quality` are run once over the
+newest events (true zones, no clutter; at most the newest ten million pairs of a departure and an
+arrival, which is in their favour), and that time is taken for each minute of event time, as each
+would have to be run again to say what is new. To reach: 20,000 events a second, and 30 times the
+quickest of them.
 """
 
 from __future__ import annotations
@@ -40,10 +42,14 @@ def main(argv: Sequence[str]) -> int:
     seconds = arguments.events / (arguments.rate * arguments.cameras)
     objects = arguments.rate * arguments.cameras / EVENTS_PER_OBJECT
     events, truth = simulate(
-        SimSettings(cameras=arguments.cameras, hours=seconds / 3600.0, seed=5, objects_per_second=objects)
+        SimSettings(
+            cameras=arguments.cameras, hours=seconds / 3600.0, seed=5, objects_per_second=objects
+        )
     )
     minutes = (events[-1].t - events[0].t) / 60.0
-    print(f"{len(events)} events of {arguments.cameras} cameras in {minutes:.0f} minutes", flush=True)
+    print(
+        f"{len(events)} events of {arguments.cameras} cameras in {minutes:.0f} minutes", flush=True
+    )
     costs: dict[str, list[float]] = {OURS: []}
     with tempfile.TemporaryDirectory() as folder:
         recorded, learned = Path(folder) / "events.jsonl", Path(folder) / "topology.json"
@@ -58,13 +64,20 @@ def main(argv: Sequence[str]) -> int:
     found = score(topology, truth)
     quickest = min((name for name in costs if name != OURS), key=lambda name: sum(costs[name]))
     tables = [
-        ratios.compare("a version a minute", "CPU s", costs, quickest, at_most={OURS: 1.0 / TIMES_FASTER_MIN}),
         ratios.compare(
-            "events a second of CPU", "events/s",
-            {OURS: [len(events) / cost for cost in costs[OURS]], TO_REACH: [EVENTS_PER_SECOND_MIN] * arguments.rounds},
-            TO_REACH, at_least={OURS: 1.0},
+            "a version a minute", "CPU s", costs, quickest, at_most={OURS: 1.0 / TIMES_FASTER_MIN}
         ),
-    ]  # fmt: skip
+        ratios.compare(
+            "events a second of CPU",
+            "events/s",
+            {
+                OURS: [len(events) / cost for cost in costs[OURS]],
+                TO_REACH: [EVENTS_PER_SECOND_MIN] * arguments.rounds,
+            },
+            TO_REACH,
+            at_least={OURS: 1.0},
+        ),
+    ]
     for table in tables:
         print(*ratios.lines(table), sep="\n")
     print(
@@ -72,7 +85,12 @@ def main(argv: Sequence[str]) -> int:
         f"links: precision {found.link_precision:.3f}, recall {found.link_recall:.3f}"
     )
     if arguments.json is not None:
-        facts = {"events": len(events), "minutes": minutes, "memory_mb": memory, "versions": topology.version}
+        facts = {
+            "events": len(events),
+            "minutes": minutes,
+            "memory_mb": memory,
+            "versions": topology.version,
+        }
         ratios.write(arguments.json, "links", tables, **facts)
     return 0
 
@@ -83,9 +101,16 @@ def baselines(events: Sequence[Event], truth: Truth) -> dict[str, float]:
     held = max(settings.window_events, settings.window_camera_events * len(truth.cameras))
     newest = slice(-held, None)
     cut = Truth(
-        truth.schema, truth.cameras, truth.zones, truth.links, truth.pairs, truth.clock_offsets,
-        truth.identity[newest], truth.passage[newest], truth.zone[newest],
-    )  # fmt: skip
+        truth.schema,
+        truth.cameras,
+        truth.zones,
+        truth.links,
+        truth.pairs,
+        truth.clock_offsets,
+        truth.identity[newest],
+        truth.passage[newest],
+        truth.zone[newest],
+    )
     seen = crossings(events[newest], cut)
     took = {}
     for name, method in LINK_METHODS.items():
@@ -97,9 +122,15 @@ def baselines(events: Sequence[Event], truth: Truth) -> dict[str, float]:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench links", description="How fast links are kept up to date.")
-    parser.add_argument("--events", type=int, default=1_000_000, help="events of the recording, about")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench links", description="How fast links are kept up to date."
+    )
+    parser.add_argument(
+        "--events", type=int, default=1_000_000, help="events of the recording, about"
+    )
     parser.add_argument("--cameras", type=int, default=100)
-    parser.add_argument("--rate", type=float, default=0.3, help="events a second and camera (default 0.3)")
+    parser.add_argument(
+        "--rate", type=float, default=0.3, help="events a second and camera (default 0.3)"
+    )
     ratios.add_arguments(parser, rounds=1)
     return parser.parse_args(argv)

@@ -2,11 +2,12 @@
 
     python -m bench memory [--cameras 100,1000,10000] [--events 70000] [--json FILE]
 
-The real `camtopod run` begins with nothing and is sent a made-up network's traffic, 0.1 events a second and camera, as
-fast as it takes it; its window holds all of them (2,000 events a camera, at least 60,000: with more `--events` more).
-Measured are the most that it and its child process ever had at one moment, looked at fifty times a second, files that
-both have counted once; what each of them ever had at most (VmHWM), added up, which is more, as the one works while the
-other waits; and what they have when all is learned. By default settings, but for the number of cameras.
+The real `camtopod run` begins with nothing and is sent a made-up network's traffic, 0.1 events a
+second and camera, as fast as it takes it; its window holds all of them (2,000 events a camera, at
+least 60,000: with more `--events` more). Measured are the most that it and its child process ever
+had at one moment, looked at fifty times a second, files that both have counted once; what each of
+them ever had at most (VmHWM), added up, which is more, as the one works while the other waits; and
+what they have when all is learned. By default settings, but for the number of cameras.
 """
 
 from __future__ import annotations
@@ -20,7 +21,13 @@ from typing import NamedTuple
 from bench.support import ratios
 from bench.support.clients import client, result, status_of, write_events
 from bench.support.ratios import Row, Spread, Table
-from bench.support.site import LEARNED_PER_SECOND_PER_CAMERA, most_at_once, resident, running, traffic
+from bench.support.site import (
+    LEARNED_PER_SECOND_PER_CAMERA,
+    most_at_once,
+    resident,
+    running,
+    traffic,
+)
 
 MEGABYTES_MAX = {100: 300.0, 1_000: 1_000.0, 10_000: 4_000.0}
 """To reach; at another number of cameras there is no figure."""
@@ -41,10 +48,14 @@ class Taken(NamedTuple):
 
 def main(argv: list[str]) -> int:
     """Measure; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench memory", description="The daemon's memory.")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench memory", description="The daemon's memory."
+    )
     parser.add_argument("--cameras", default="100,1000,10000")
     parser.add_argument("--events", type=int, default=70_000)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures, and a plot beside them")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures, and a plot beside them"
+    )
     given = parser.parse_args(argv)
     rows = []
     columns = f"{'most MB':>10}{'each its most':>15}{'settled MB':>12}{'events':>9}{'versions':>10}"
@@ -52,15 +63,30 @@ def main(argv: list[str]) -> int:
     for cameras in map(int, given.cameras.split(",")):
         taken = measure(cameras, given.events)
         allowed = MEGABYTES_MAX.get(cameras)
-        wanted = "" if allowed is None else f"<= {allowed:.0f} {'yes' if taken.most <= allowed else 'NO'}"
+        wanted = (
+            ""
+            if allowed is None
+            else f"<= {allowed:.0f} {'yes' if taken.most <= allowed else 'NO'}"
+        )
         sizes = f"{taken.most:10.0f}{taken.added:15.0f}{taken.settled:12.0f}"
         figures = f"{sizes}{taken.events:9}{taken.versions:10}"
         print(f"{cameras:8}{figures}{wanted:>16}", flush=True)
         share = taken.most / (allowed or taken.most)
         once = Spread(taken.most, taken.settled, taken.added)
-        rows.append(Row(f"{cameras} cameras", once, Spread(share, share, share), None if allowed is None else 1.0))
+        rows.append(
+            Row(
+                f"{cameras} cameras",
+                once,
+                Spread(share, share, share),
+                None if allowed is None else 1.0,
+            )
+        )
     if given.json:
-        ratios.write(given.json, "memory", [Table("resident memory of the daemon", "MB", "what is allowed", rows)])
+        ratios.write(
+            given.json,
+            "memory",
+            [Table("resident memory of the daemon", "MB", "what is allowed", rows)],
+        )
     return 0
 
 
@@ -68,9 +94,16 @@ def measure(cameras: int, count: int) -> Taken:
     """What a daemon takes that learns so many events."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        events = write_events(folder / "events", traffic(cameras, LEARNED_PER_SECOND_PER_CAMERA * cameras, count))
-        with running(folder, limits=f"cameras_max = {cameras + 100}") as (endpoint, pid), most_at_once(pid) as most:
-            with client("put_flood", folder, endpoint=endpoint, events=events, window=STRANGERS_WINDOW) as sender:
+        events = write_events(
+            folder / "events", traffic(cameras, LEARNED_PER_SECOND_PER_CAMERA * cameras, count)
+        )
+        with (
+            running(folder, limits=f"cameras_max = {cameras + 100}") as (endpoint, pid),
+            most_at_once(pid) as most,
+        ):
+            with client(
+                "put_flood", folder, endpoint=endpoint, events=events, window=STRANGERS_WINDOW
+            ) as sender:
                 result(sender)
             deadline = time.monotonic() + LEARN_SECONDS_MAX
             while (status := status_of(endpoint)).events.waiting:

@@ -1,22 +1,27 @@
-"""Everything beside everything else, in one table: what the learner finds and foretells, and what others would.
+"""Everything beside everything else, in one table: what the learner finds and foretells, and what
+others would.
 
     python -m bench quality [--seeds N] [--first-seed S] [--regimes a,b] [--jobs 2] [--json FILE] [--data FOLDER]
                             [--no-baselines]
 
-Ours three times: ``online``, fed as `camtopod learn --updates` is, with a version of all there is at 70 % (for the
-predictions of the rest) and at the end; ``live``, where each exit of the rest is predicted by the newest version that
-had been made by itself, as the daemon does; and ``batch``, the one fit of `camtopod learn` without ``--updates``. Each
-network is made from its seed (`bench.regimes`); the learner was developed with seeds 0 to 9, so ``--first-seed 1000``
-gives networks it has never seen. ``campus-auditorium`` is a real recording, skipped where it is not at hand (``--data``
-or CAMTOPOD_TEST_DATA name the folder it lies in). Each figure is a mean over networks with its standard error.
+Ours three times: ``online``, fed as `camtopod learn --updates` is, with a version of all there is
+at 70 % (for the predictions of the rest) and at the end; ``live``, where each exit of the rest is
+predicted by the newest version that had been made by itself, as the daemon does; and ``batch``, the
+one fit of `camtopod learn` without ``--updates``. Each network is made from its seed
+(`bench.regimes`); the learner was developed with seeds 0 to 9, so ``--first-seed 1000`` gives
+networks it has never seen. ``campus-auditorium`` is a real recording, skipped where it is not at
+hand (``--data`` or CAMTOPOD_TEST_DATA name the folder it lies in). Each figure is a mean over
+networks with its standard error.
 
-With ``--json`` every result is appended to a file as it comes; a run that finds results there goes on where it was
-left, and with nothing left to do only prints the table. Results of an older learner have to be deleted by hand.
+With ``--json`` every result is appended to a file as it comes; a run that finds results there goes
+on where it was left, and with nothing left to do only prints the table. Results of an older learner
+have to be deleted by hand.
 
-The baselines have the true zones (where there are none, a camera is one, and pairs of cameras are to be found), no
-clutter, and per regime the variant and threshold with the best mean F1 on these very networks; the second F1 is at the
-one variant and threshold that are best over all regimes together, which is how ours has to work. The chain that is told
-who is who is smoothed as suits it best on each network.
+The baselines have the true zones (where there are none, a camera is one, and pairs of cameras are
+to be found), no clutter, and per regime the variant and threshold with the best mean F1 on these
+very networks; the second F1 is at the one variant and threshold that are best over all regimes
+together, which is how ours has to work. The chain that is told who is who is smoothed as suits it
+best on each network.
 """
 
 from __future__ import annotations
@@ -82,12 +87,17 @@ class Done(msgspec.Struct):
 def main(argv: list[str]) -> int:
     """Measure what is missing, then print the table; returns the exit status."""
     arguments = _parse(argv)
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers: two of them share two cores
+    os.environ.setdefault(
+        "OMP_NUM_THREADS", "1"
+    )  # inherited by the workers: two of them share two cores
     known = [*REGIMES, CAMPUS]
     names = arguments.regimes.split(",") if arguments.regimes else known
     unknown = [name for name in names if name not in known]
     if unknown:
-        print(f"bench quality: no regime {', '.join(unknown)}; there are {', '.join(known)}", file=sys.stderr)
+        print(
+            f"bench quality: no regime {', '.join(unknown)}; there are {', '.join(known)}",
+            file=sys.stderr,
+        )
         return 2
     data = arguments.data or os.environ.get("CAMTOPOD_TEST_DATA")
     notes = []
@@ -101,17 +111,27 @@ def main(argv: list[str]) -> int:
 
 
 def _tasks(arguments: argparse.Namespace, names: Sequence[str], data: str | None) -> list[Task]:
-    """All that is asked for, seed by seed, so that a run that is stopped has something of every regime."""
+    """All that is asked for, seed by seed, so that a run that is stopped has something of every
+    regime.
+    """
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     groups = [group for group in GROUPS if group in arguments.methods.split(",")]
     if arguments.no_baselines:
         groups = [group for group in groups if group != "baselines"]
-    made = [Task(n, seed, g, arguments.scale, None) for seed in seeds for n in names if n != CAMPUS for g in groups]
+    made = [
+        Task(n, seed, g, arguments.scale, None)
+        for seed in seeds
+        for n in names
+        if n != CAMPUS
+        for g in groups
+    ]
     return made + [Task(CAMPUS, 0, group, 1.0, data) for group in groups if CAMPUS in names]
 
 
 def _measured(tasks: Sequence[Task], jobs: int, path: Path | None) -> list[Done]:
-    """Results of the tasks, those of earlier runs from ``path``, to which new ones are appended as they come."""
+    """Results of the tasks, those of earlier runs from ``path``, to which new ones are appended as
+    they come.
+    """
     wanted = {task.key for task in tasks}
     done = {one.key: one for one in _read(path) if one.key in wanted}
     left = [task for task in tasks if task.key not in done]
@@ -122,23 +142,42 @@ def _measured(tasks: Sequence[Task], jobs: int, path: Path | None) -> list[Done]
             with path.open("ab") as out:
                 out.write(to_json(one) + b"\n")
         passed = time.perf_counter() - started
-        print(f"{passed:7.0f} s, {number} of {len(left)}: {one.regime} {one.seed} {one.group}", file=sys.stderr)
+        print(
+            f"{passed:7.0f} s, {number} of {len(left)}: {one.regime} {one.seed} {one.group}",
+            file=sys.stderr,
+        )
     return [done[task.key] for task in tasks]
 
 
 def _parse(argv: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench quality", description="Ours beside the baselines.")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench quality", description="Ours beside the baselines."
+    )
     parser.add_argument("--seeds", type=int, default=10, help="networks per regime (default 10)")
-    parser.add_argument("--first-seed", type=int, default=0, help="1000: networks apart from development (default 0)")
-    parser.add_argument("--scale", type=float, default=1.0, help="length of the recordings (default 1.0)")
+    parser.add_argument(
+        "--first-seed",
+        type=int,
+        default=0,
+        help="1000: networks apart from development (default 0)",
+    )
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="length of the recordings (default 1.0)"
+    )
     parser.add_argument("--regimes", help="comma-separated (default: all)")
-    parser.add_argument("--methods", default=",".join(GROUPS), help=f"of {','.join(GROUPS)} (default: all)")
+    parser.add_argument(
+        "--methods", default=",".join(GROUPS), help=f"of {','.join(GROUPS)} (default: all)"
+    )
     parser.add_argument("--no-baselines", action="store_true")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="results go here as they come, and are taken from here"
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help="results go here as they come, and are taken from here",
     )
-    parser.add_argument("--data", metavar="FOLDER", help="where campus-auditorium lies (default CAMTOPOD_TEST_DATA)")
+    parser.add_argument(
+        "--data", metavar="FOLDER", help="where campus-auditorium lies (default CAMTOPOD_TEST_DATA)"
+    )
     return parser.parse_args(argv)
 
 

@@ -2,12 +2,13 @@
 
     python -m bench real [--data FOLDER] [--networks a,b] [--jobs 2] [--json FILE]
 
-Each folder in ``--data`` with events.jsonl and identities.csv is a network (default: CAMTOPOD_REAL_DATA); without data
-it says so and does nothing. The first 70 % of the events are learned in one fit, as `camtopod learn` does; every exit
-is predicted by that, as `camtopod predict` does, and those after the cut are judged. Beside it are a Markov chain that
-is told identities, on the same zones, and of links the cross-correlation of cameras (Makris 2004) at the bin width and
-threshold that are best on these very networks. Links are pooled over the networks, what a search saves is a geometric
-mean, the rest are plain means.
+Each folder in ``--data`` with events.jsonl and identities.csv is a network (default:
+CAMTOPOD_REAL_DATA); without data it says so and does nothing. The first 70 % of the events are
+learned in one fit, as `camtopod learn` does; every exit is predicted by that, as `camtopod predict`
+does, and those after the cut are judged. Beside it are a Markov chain that is told identities, on
+the same zones, and of links the cross-correlation of cameras (Makris 2004) at the bin width and
+threshold that are best on these very networks. Links are pooled over the networks, what a search
+saves is a geometric mean, the rest are plain means.
 """
 
 from __future__ import annotations
@@ -57,7 +58,9 @@ class Result(Struct):
     who: float
     told_who: float
     correlated: list[list[tuple[float, bool, bool]]]
-    """By bin width, of every pair of cameras the score, whether it is a true link, whether it counts as false."""
+    """By bin width, of every pair of cameras the score, whether it is a true link, whether it
+    counts as false.
+    """
     learn_seconds: float
     """Processor time."""
     predict_seconds: float
@@ -66,13 +69,23 @@ class Result(Struct):
 def main(argv: Sequence[str]) -> int:
     """Measure, print the tables; returns the exit status."""
     arguments = _parse(argv)
-    folders = sorted(path.parent for path in arguments.data.glob("*/identities.csv")) if arguments.data else []
-    wanted = arguments.networks.split(",") if arguments.networks else [folder.name for folder in folders]
+    folders = (
+        sorted(path.parent for path in arguments.data.glob("*/identities.csv"))
+        if arguments.data
+        else []
+    )
+    wanted = (
+        arguments.networks.split(",") if arguments.networks else [folder.name for folder in folders]
+    )
     folders = [folder for folder in folders if folder.name in wanted]
     if not folders:
-        print("bench real: skipped, there is no data (--data or CAMTOPOD_REAL_DATA name its folder)")
+        print(
+            "bench real: skipped, there is no data (--data or CAMTOPOD_REAL_DATA name its folder)"
+        )
         return 0
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # inherited by the workers: two of them share two cores
+    os.environ.setdefault(
+        "OMP_NUM_THREADS", "1"
+    )  # inherited by the workers: two of them share two cores
     results = done(measure, folders, arguments.jobs)
     print("\n".join([*_links(results), "", *_predictions(results)]))
     if arguments.json is not None:
@@ -115,7 +128,9 @@ def measure(folder: Path) -> Result:
 
 
 def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bool]]:
-    """How far the peak of each pair of cameras' cross-correlation stands above its mean, in standard deviations."""
+    """How far the peak of each pair of cameras' cross-correlation stands above its mean, in
+    standard deviations.
+    """
     left: dict[str, list[float]] = {camera: [] for camera in recording.cameras}
     came: dict[str, list[float]] = {camera: [] for camera in recording.cameras}
     for event in recording.events:
@@ -130,7 +145,11 @@ def correlated(recording: Recording, width: float) -> list[tuple[float, bool, bo
                 continue
             lags = np.subtract.outer(np.array(came[target]), np.array(left[source])).ravel()
             counts = np.histogram(lags, edges)[0]
-            score = (counts.max() - counts.mean()) / max(float(counts.std()), 1e-9) if counts.sum() >= 3 else -np.inf
+            score = (
+                (counts.max() - counts.mean()) / max(float(counts.std()), 1e-9)
+                if counts.sum() >= 3
+                else -np.inf
+            )
             pair: CameraPair = source, target
             spurious = len(transitions.get(pair, [])) <= SPURIOUS_TRANSITIONS_MAX
             scores.append((float(score), pair in links, spurious))
@@ -155,23 +174,38 @@ def best_correlation(results: Sequence[Result]) -> tuple[float, float]:
 def _links(results: Sequence[Result]) -> list[str]:
     """The table of links."""
     titles = [f"of those told at {least:g} nats" for least in TELLABLE_NATS]
-    lines = [_row("links between cameras", "true", "found", "false", *titles, "relations right", "transit off by")]
+    lines = [
+        _row(
+            "links between cameras",
+            "true",
+            "found",
+            "false",
+            *titles,
+            "relations right",
+            "transit off by",
+        )
+    ]
     for one in results:
         f = one.links
         told = [f"{f.found[least]} of {f.can_be_told[least]}" for least in TELLABLE_NATS]
         relations = f"{f.relations_right} of {f.relations}"
-        lines.append(_row(one.name, f.true, f.right, f.false, *told, relations, f"{f.transit_error:.1f} s"))
+        lines.append(
+            _row(one.name, f.true, f.right, f.false, *told, relations, f"{f.transit_error:.1f} s")
+        )
 
     every = [one.links for one in results]
     right, false, true, relations_right, relations_all = (
-        sum(getattr(f, name) for f in every) for name in ("right", "false", "true", "relations_right", "relations")
+        sum(getattr(f, name) for f in every)
+        for name in ("right", "false", "true", "relations_right", "relations")
     )
     told = []
     for least in TELLABLE_NATS:
         found, can = sum(f.found[least] for f in every), sum(f.can_be_told[least] for f in every)
         told.append(f"{found} of {can}: {found / max(can, 1):.2f}")
     found_of_all = f"{right}: {right / max(true, 1):.2f}"
-    lines.append(_row("all", true, found_of_all, false, *told, f"{relations_right} of {relations_all}", ""))
+    lines.append(
+        _row("all", true, found_of_all, false, *told, f"{relations_right} of {relations_all}", "")
+    )
     precision, recall = best_correlation(results)
     lines += [
         f"precision {right / max(right + false, 1):.2f}",
@@ -182,16 +216,34 @@ def _links(results: Sequence[Result]) -> list[str]:
 
 def _predictions(results: Sequence[Result]) -> list[str]:
     """The table of predictions: ours / told."""
-    titles = ("log loss", "its leave part", "top-1", "top-3", "calibration error", "coverage", "look")
+    titles = (
+        "log loss",
+        "its leave part",
+        "top-1",
+        "top-3",
+        "calibration error",
+        "coverage",
+        "look",
+    )
     lines = [_row("ours / told", "exits", *titles, "hand-over (ours)", "saved at .9", "who")]
-    judged = [(one, one.ours, one.told) for one in results if one.ours is not None and one.told is not None]
+    judged = [
+        (one, one.ours, one.told)
+        for one in results
+        if one.ours is not None and one.told is not None
+    ]
     for one, ours, told in judged:
         figures = [f"{getattr(ours, name):.2f}/{getattr(told, name):.2f}" for name in _COMPARED]
         saved = f"{ours.saved[0.9]:.1f}/{told.saved[0.9]:.1f}" if ours.saved else ""
         look = f"{one.look:.2f}/{one.told_look:.2f}"
         lines.append(
             _row(
-                one.name, ours.exits, *figures, look, f"{one.hand_over:.2f}", saved, f"{one.who:.2f}/{one.told_who:.2f}"
+                one.name,
+                ours.exits,
+                *figures,
+                look,
+                f"{one.hand_over:.2f}",
+                saved,
+                f"{one.who:.2f}/{one.told_who:.2f}",
             )
         )
 
@@ -200,23 +252,33 @@ def _predictions(results: Sequence[Result]) -> list[str]:
         for name in ("log_loss", "leave_loss")
     )
     top1, top3 = (
-        np.mean([getattr(ours, name) / getattr(told, name) for _, ours, told in judged]) for name in ("top1", "top3")
+        np.mean([getattr(ours, name) / getattr(told, name) for _, ours, told in judged])
+        for name in ("top1", "top3")
     )
     calibration = [
-        calibration_error([c for f in side for c in f.confidence], [r for f in side for r in f.right])
+        calibration_error(
+            [c for f in side for c in f.confidence], [r for f in side for r in f.right]
+        )
         for side in ([ours for _, ours, _ in judged], [told for _, _, told in judged])
     ]
     saved_of = {
-        recall: np.exp(np.mean([np.log(o.saved[recall] / t.saved[recall]) for _, o, t in judged if o.saved]))
+        recall: np.exp(
+            np.mean([np.log(o.saved[recall] / t.saved[recall]) for _, o, t in judged if o.saved])
+        )
         for recall in SEARCH_RECALLS
     }
     who = [one.who / one.told_who for one in results if one.told_who > 0]
-    seconds = [sum(getattr(one, name) for one in results) for name in ("learn_seconds", "predict_seconds")]
+    seconds = [
+        sum(getattr(one, name) for one in results) for name in ("learn_seconds", "predict_seconds")
+    ]
     lines += [
         f"log loss above told {above:.3f}, of it leaving {leave:.3f}",
         f"top-1 and top-3, share of told's: {top1:.2f}, {top3:.2f}",
-        "calibration error of the first guess, all exits together: {:.3f}, told {:.3f}".format(*calibration),
-        "camera-seconds saved, share of told's: " + ", ".join(f"{s:.2f} at recall {r:g}" for r, s in saved_of.items()),
+        "calibration error of the first guess, all exits together: {:.3f}, told {:.3f}".format(
+            *calibration
+        ),
+        "camera-seconds saved, share of told's: "
+        + ", ".join(f"{s:.2f} at recall {r:g}" for r, s in saved_of.items()),
         f"who is who, F1 as a share of told's: {np.mean(who) if who else float('nan'):.2f}",
         "processor time: learning {:.1f} s, predicting {:.1f} s".format(*seconds),
     ]
@@ -232,8 +294,12 @@ def _row(title: str, *cells: object) -> str:
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     named = os.environ.get("CAMTOPOD_REAL_DATA")
-    parser = argparse.ArgumentParser(prog="python -m bench real", description="Real networks with identities.")
-    parser.add_argument("--data", type=Path, default=Path(named) if named else None, metavar="FOLDER")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench real", description="Real networks with identities."
+    )
+    parser.add_argument(
+        "--data", type=Path, default=Path(named) if named else None, metavar="FOLDER"
+    )
     parser.add_argument("--networks", help="comma-separated (default: all)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--json", type=Path, metavar="FILE")

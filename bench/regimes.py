@@ -1,11 +1,12 @@
-"""Kinds of networks to measure on: the rows of the table to reach, twins of real networks, and disturbances.
+"""Kinds of networks to measure on: the rows of the table to reach, twins of real networks, and
+disturbances.
 
     python -m bench regimes [NAME ...] [--seed S] [--scale X]
 
-Without names it lists the regimes; with names it makes each and says what it is like: how many events how often, how
-many people are recorded again, and how often a Markov chain that is told who is who names the next camera, from the
-present camera, from the place in its image, from the true zone (where there are zones), and from the present and the
-previous camera.
+Without names it lists the regimes; with names it makes each and says what it is like: how many
+events how often, how many people are recorded again, and how often a Markov chain that is told who
+is who names the next camera, from the present camera, from the place in its image, from the true
+zone (where there are zones), and from the present and the previous camera.
 """
 
 from __future__ import annotations
@@ -51,10 +52,14 @@ class Regime(Struct, frozen=True):
         """How it is to be learned; a shorter recording has a shorter window."""
         if self.window_events is None:
             return LearnSettings()
-        return LearnSettings(window_events=round(scale * self.window_events), window_camera_events=0)
+        return LearnSettings(
+            window_events=round(scale * self.window_events), window_camera_events=0
+        )
 
     def make(self, seed: int, scale: float = 1.0) -> tuple[list[Event], Truth]:
-        """Events and truth; ``scale`` < 1 makes a shorter recording of the same network (and day)."""
+        """Events and truth; ``scale`` < 1 makes a shorter recording of the same network (and
+        day).
+        """
         chosen = msgspec.structs.replace(_scaled(self.settings, scale), seed=seed)
         match chosen:
             case SimSettings():
@@ -74,12 +79,16 @@ def _scaled(settings: Settings, scale: float) -> Settings:
         lost = tuple((camera, begin * scale, end * scale) for camera, begin, end in settings.lost)
         moved = tuple((camera, since * scale) for camera, since in settings.moved)
         hours, rhythm_hours = settings.hours * scale, settings.rhythm_hours * scale
-        return msgspec.structs.replace(settings, hours=hours, rhythm_hours=rhythm_hours, lost=lost, moved=moved)
+        return msgspec.structs.replace(
+            settings, hours=hours, rhythm_hours=rhythm_hours, lost=lost, moved=moved
+        )
     return msgspec.structs.replace(settings, seconds=settings.seconds * scale)
 
 
 def _rows() -> list[Regime]:
-    """The table of issue 3: 12 cameras with 2 to 5 zones, a tenth missed and a tenth clutter unless said."""
+    """The table of issue 3: 12 cameras with 2 to 5 zones, a tenth missed and a tenth clutter unless
+    said.
+    """
     sparse = SimSettings(objects_per_second=0.05, hours=34.0)
     medium = SimSettings(objects_per_second=0.12, hours=14.0)
     dense = SimSettings(objects_per_second=0.6, hours=2.8)
@@ -95,21 +104,46 @@ def _rows() -> list[Regime]:
         Regime("dense", "0.6 objects a second, about 50,000 events", dense),
         Regime("rhythm", "a day with a rhythm of +-90 %, about 50,000 events", day),
         Regime(
-            "rhythm-sparse", "0.05 objects a second, +-90 % in 34 hours", change(sparse, rhythm=0.9, rhythm_hours=34.0)
+            "rhythm-sparse",
+            "0.05 objects a second, +-90 % in 34 hours",
+            change(sparse, rhythm=0.9, rhythm_hours=34.0),
         ),
         Regime(
-            "rhythm-medium", "0.12 objects a second, +-90 % in 14 hours", change(medium, rhythm=0.9, rhythm_hours=14.0)
+            "rhythm-medium",
+            "0.12 objects a second, +-90 % in 14 hours",
+            change(medium, rhythm=0.9, rhythm_hours=14.0),
         ),
         Regime(
-            "rhythm-dense", "0.6 objects a second, +-90 % in 2.8 hours", change(dense, rhythm=0.9, rhythm_hours=2.8)
+            "rhythm-dense",
+            "0.6 objects a second, +-90 % in 2.8 hours",
+            change(dense, rhythm=0.9, rhythm_hours=2.8),
         ),
-        Regime("faulty", "25 % missed, 30 % clutter, about 50,000 events", change(medium, missed=0.25, clutter=0.3)),
+        Regime(
+            "faulty",
+            "25 % missed, 30 % clutter, about 50,000 events",
+            change(medium, missed=0.25, clutter=0.3),
+        ),
         Regime("no-links", "everybody at one camera only, a day with a rhythm of +-90 %", alone),
-        Regime("short", "3 hours, about 9,000 events", SimSettings(objects_per_second=0.108, hours=3.0)),
-        Regime("overlapped", "40 % of the links overlapped", change(medium, overlap_share=OVERLAPPED_PER_CAMERA)),
-        Regime("windows", "0.12 objects a second, five times what the learner keeps", medium, window_events=10_000),
+        Regime(
+            "short", "3 hours, about 9,000 events", SimSettings(objects_per_second=0.108, hours=3.0)
+        ),
+        Regime(
+            "overlapped",
+            "40 % of the links overlapped",
+            change(medium, overlap_share=OVERLAPPED_PER_CAMERA),
+        ),
+        Regime(
+            "windows",
+            "0.12 objects a second, five times what the learner keeps",
+            medium,
+            window_events=10_000,
+        ),
         Regime("clocks", "a third of the clocks off by up to 30 s", clocks),
-        Regime("clocks-uneven", "the same, ways 10 % longer or shorter each way", change(clocks, uneven=0.1)),
+        Regime(
+            "clocks-uneven",
+            "the same, ways 10 % longer or shorter each way",
+            change(clocks, uneven=0.1),
+        ),
     ]
 
 
@@ -118,13 +152,23 @@ def _twins() -> list[Regime]:
     return [
         Regime("hall", "station hall, 7 overlapping views with open borders", HallSettings()),
         Regime("crowd", "open square, 7 strongly overlapping views, long stays", CrowdSettings()),
-        Regime("walkway", "6 cameras on a campus, few people, cameras that begin and end", WalkwaySettings()),
-        Regime("road", "20 cameras in a town, vehicles without positions, traffic lights", RoadSettings()),
+        Regime(
+            "walkway",
+            "6 cameras on a campus, few people, cameras that begin and end",
+            WalkwaySettings(),
+        ),
+        Regime(
+            "road",
+            "20 cameras in a town, vehicles without positions, traffic lights",
+            RoadSettings(),
+        ),
     ]
 
 
 def _disturbed() -> list[Regime]:
-    """One disturbance each, on a network of the usual traffic for three hours (about 35,000 events)."""
+    """One disturbance each, on a network of the usual traffic for three hours (about 35,000
+    events).
+    """
     usual = SimSettings(hours=3.0)
 
     def like(name: str, about: str, **changes: object) -> Regime:
@@ -139,7 +183,11 @@ def _disturbed() -> list[Regime]:
         like("closing-door", "two paths close half-way", doors_closed=2),
         like("opening-door", "two paths open half-way", doors_opened=2),
         like("lost-camera", "one camera silent for a while, one for good", lost=lost),
-        like("moved-camera", "two cameras turned elsewhere half-way", moved=(("cam03", 5400.0), ("cam08", 5400.0))),
+        like(
+            "moved-camera",
+            "two cameras turned elsewhere half-way",
+            moved=(("cam03", 5400.0), ("cam08", 5400.0)),
+        ),
         like("one-way", "half of the ways taken in one direction only", one_way=0.5),
         like("no-tracks", "nothing ties an entry to its exit", tracks=False),
         like("no-positions", "one zone per camera", positions=False),
@@ -151,11 +199,15 @@ def _disturbed() -> list[Regime]:
 
 OVERLAPPED_PER_CAMERA = 0.8
 """Overlapping pairs per camera with which 40 % of the links are overlapped."""
-REGIMES: dict[str, Regime] = {regime.name: regime for regime in (*_rows(), *_twins(), *_disturbed())}
+REGIMES: dict[str, Regime] = {
+    regime.name: regime for regime in (*_rows(), *_twins(), *_disturbed())
+}
 
 
 def told_top1(events: Sequence[Event], truth: Truth) -> dict[str, float]:
-    """Share of the next cameras that a chain told who is who names, learned on 70 % of the events, on the rest."""
+    """Share of the next cameras that a chain told who is who names, learned on 70 % of the events,
+    on the rest.
+    """
     following = next_entries(events, truth)
     before = _previous(events, truth)
     exits = [i for i, e in enumerate(events) if e.kind == "exit" and following[i] >= 0]
@@ -180,14 +232,20 @@ def told_top1(events: Sequence[Event], truth: Truth) -> dict[str, float]:
         for i in exits:
             if i >= cut:
                 known = counts.get(state[i], Counter())
-                chosen = known if known.total() >= SEEN_MIN else counts.get(events[i].camera, Counter())
-                right.append([camera for camera, _ in chosen.most_common(1)] == [events[following[i]].camera])
+                chosen = (
+                    known if known.total() >= SEEN_MIN else counts.get(events[i].camera, Counter())
+                )
+                right.append(
+                    [camera for camera, _ in chosen.most_common(1)] == [events[following[i]].camera]
+                )
         result[name] = float(np.mean(right)) if right else float("nan")
     return result
 
 
 def _cell(event: Event) -> tuple[int, int] | None:
-    return None if event.x is None or event.y is None else (int(GRID * event.x), int(GRID * event.y))
+    return (
+        None if event.x is None or event.y is None else (int(GRID * event.x), int(GRID * event.y))
+    )
 
 
 def _previous(events: Sequence[Event], truth: Truth) -> dict[tuple[int, int], str]:
@@ -197,7 +255,11 @@ def _previous(events: Sequence[Event], truth: Truth) -> dict[tuple[int, int], st
         for event, who, number in zip(events, truth.identity, truth.passage, strict=True)
         if event.kind == "entry" and who != CLUTTER
     )
-    return {(who, number): camera for (earlier, _, camera), (who, number, _) in pairwise(entries) if who == earlier}
+    return {
+        (who, number): camera
+        for (earlier, _, camera), (who, number, _) in pairwise(entries)
+        if who == earlier
+    }
 
 
 def describe(regime: Regime, seed: int, scale: float) -> str:
@@ -230,7 +292,9 @@ def main(argv: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench regimes")
     parser.add_argument("names", nargs="*", metavar="NAME", choices=(*REGIMES, []))
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--scale", type=float, default=1.0, help="length of the recording (default 1.0)")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="length of the recording (default 1.0)"
+    )
     arguments = parser.parse_args(argv)
     for regime in REGIMES.values():
         if regime.name in arguments.names:

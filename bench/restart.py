@@ -2,8 +2,8 @@
 
     python -m bench restart [--events 50000] [--behind 2000] [--times 5]
 
-The journal of a made-up site of 12 cameras holds ``--events`` events, the snapshot all but the last ``--behind``. The
-real `camtopod run` is started on it, timed until it receives events, and killed.
+The journal of a made-up site of 12 cameras holds ``--events`` events, the snapshot all but the last
+``--behind``. The real `camtopod run` is started on it, timed until it receives events, and killed.
 """
 
 from __future__ import annotations
@@ -35,14 +35,18 @@ OBJECTS_PER_SECOND, EVENTS_PER_HOUR = 0.12, 3500.0
 
 def main(argv: list[str]) -> int:
     """Measure; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench restart", description="Time from a kill to being back.")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench restart", description="Time from a kill to being back."
+    )
     parser.add_argument("--events", type=int, default=50_000)
     parser.add_argument("--behind", type=int, default=2_000)
     parser.add_argument("--times", type=int, default=5)
     given = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
         hours = given.events / EVENTS_PER_HOUR + 1.0
-        events, _ = simulate(SimSettings(seed=1, objects_per_second=OBJECTS_PER_SECOND, hours=hours))
+        events, _ = simulate(
+            SimSettings(seed=1, objects_per_second=OBJECTS_PER_SECOND, hours=hours)
+        )
         size = lay_out(Path(folder), events[: given.events], given.behind)
         config = Path(folder) / "camtopod.toml"
         config.write_text(
@@ -51,12 +55,16 @@ def main(argv: list[str]) -> int:
         )
         seconds = [start(config) for _ in range(given.times)]
     print(f"snapshot {size / 1e6:.2f} MB, {given.behind} entries behind it")
-    print(f"ready after {statistics.median(seconds):.2f} s (median of {len(seconds)}), {max(seconds):.2f} s at most")
+    print(
+        f"ready after {statistics.median(seconds):.2f} s (median of {len(seconds)}), {max(seconds):.2f} s at most"
+    )
     return 0
 
 
 def lay_out(folder: Path, events: Sequence[Event], behind: int) -> int:
-    """Write the journal of a daemon that has learned all but the last events; returns the bytes of the snapshot."""
+    """Write the journal of a daemon that has learned all but the last events; returns the bytes of
+    the snapshot.
+    """
     epoch = ulid(events[0].t)
     learner = Learner(SETTINGS, "site", epoch)
     for event in events[: len(events) - behind]:
@@ -65,7 +73,9 @@ def lay_out(folder: Path, events: Sequence[Event], behind: int) -> int:
     journal.set_meta("epoch", epoch)
     journal.commit([Entry("event", event.camera, None, None, to_pack(event)) for event in events])
     made = learner.updates()
-    journal.commit([], [StoredVersion(one.epoch, one.version, one.digest, to_json(one)) for one in made])
+    journal.commit(
+        [], [StoredVersion(one.epoch, one.version, one.digest, to_json(one)) for one in made]
+    )
     state = pack(learner.save())
     journal.commit([], snapshot=Snapshot(len(events) - behind, epoch, state))
     journal.close()

@@ -1,10 +1,12 @@
 """What a router costs that stands between the cameras and the daemons of a site.
 
-    python -m bench router [--cameras 100] [--events 200000] [--readers 1,4] [--rounds 3] [--json FILE]
+    python -m bench router [--cameras 100] [--events 200000] [--readers 1,4] [--rounds 3] [--json
+    FILE]
 
-One process puts events as fast as they are taken, a router passes them on to so many readers, each of which hears
-everything and does nothing with it. Measured is the router's processor time per message that it hands out; the ratio is
-to one reader. The router is a session of zenoh in mode ``router``, as the daemon's own is; zenohd is the same code.
+One process puts events as fast as they are taken, a router passes them on to so many readers, each
+of which hears everything and does nothing with it. Measured is the router's processor time per
+message that it hands out; the ratio is to one reader. The router is a session of zenoh in mode
+``router``, as the daemon's own is; zenohd is the same code.
 """
 
 from __future__ import annotations
@@ -23,10 +25,14 @@ from bench.support.site import traffic
 
 def main(argv: list[str]) -> int:
     """Measure; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench router", description="A router's cost per message.")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench router", description="A router's cost per message."
+    )
     parser.add_argument("--cameras", type=int, default=100)
     parser.add_argument("--events", type=int, default=200_000)
-    parser.add_argument("--readers", default="1,4", help="how many hear everything, comma-separated")
+    parser.add_argument(
+        "--readers", default="1,4", help="how many hear everything, comma-separated"
+    )
     ratios.add_arguments(parser, rounds=3)
     given = parser.parse_args(argv)
     counts = [int(count) for count in given.readers.split(",")]
@@ -35,9 +41,15 @@ def main(argv: list[str]) -> int:
         rate = EVENTS_PER_SECOND_PER_CAMERA * given.cameras
         events = write_events(folder / "events", traffic(given.cameras, rate, given.events))
         costs = ratios.take_turns(
-            {_name(count): partial(passed_on, folder, events, given.events, count) for count in counts}, given.rounds
+            {
+                _name(count): partial(passed_on, folder, events, given.events, count)
+                for count in counts
+            },
+            given.rounds,
         )
-    table = ratios.compare(f"{given.events} events passed on", "us a message", costs, _name(counts[0]))
+    table = ratios.compare(
+        f"{given.events} events passed on", "us a message", costs, _name(counts[0])
+    )
     print("\n".join(ratios.lines(table)))
     for row in table.rows:
         print(f"  {row.name}: {1e6 / row.cost.median:,.0f} messages a second of a core")
@@ -48,9 +60,15 @@ def main(argv: list[str]) -> int:
 
 def passed_on(folder: Path, events: str, count: int, readers: int) -> float:
     """Microseconds of the router's processor time for each message to a reader."""
-    with client("router", folder, endpoint="tcp/127.0.0.1:0") as router, contextlib.ExitStack() as stack:
+    with (
+        client("router", folder, endpoint="tcp/127.0.0.1:0") as router,
+        contextlib.ExitStack() as stack,
+    ):
         endpoint = ready_at(router)
-        sinks = [stack.enter_context(client("sink", folder, endpoint=endpoint, dials=True)) for _ in range(readers)]
+        sinks = [
+            stack.enter_context(client("sink", folder, endpoint=endpoint, dials=True))
+            for _ in range(readers)
+        ]
         with client("put_flood", folder, endpoint=endpoint, events=events) as sender:
             result(sender)
         received = [result(sink)["received"] for sink in sinks]

@@ -1,10 +1,12 @@
 """What an event costs `camtopod learn` on sites of growing size, at the same traffic per camera.
 
-    python -m bench scale [--cameras 100,1000,10000] [--hours 0.5] [--rate 0.1] [--rounds 1] [--json FILE]
+    python -m bench scale [--cameras 100,1000,10000] [--hours 0.5] [--rate 0.1] [--rounds 1] [--json
+    FILE]
 
-Each site is made up from a seed, its events (``--rate`` a second and camera) are written to a file, and `camtopod
-learn` runs over it as a process of its own: processor time per event, the most memory it had, and how much of the truth
-it found. The ratio is to the site before; 1.3 a step is to be reached.
+Each site is made up from a seed, its events (``--rate`` a second and camera) are written to a file,
+and `camtopod learn` runs over it as a process of its own: processor time per event, the most memory
+it had, and how much of the truth it found. The ratio is to the site before; 1.3 a step is to be
+reached.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ EVENTS_PER_OBJECT = 8.1
 """Events that somebody who enters a made-up site causes, about."""
 
 COLUMNS = "{:>8}{:>10}{:>10}{:>26}{:>8}{:>8}{:>11}{:>8}"
-HEADER = COLUMNS.format("cameras", "events", "a second", "us an event", "step", "MB", "precision", "recall")
+HEADER = COLUMNS.format(
+    "cameras", "events", "a second", "us an event", "step", "MB", "precision", "recall"
+)
 
 
 class Size(Struct):
@@ -59,7 +63,9 @@ def main(argv: Sequence[str]) -> int:
     print(HEADER)
     with tempfile.TemporaryDirectory() as folder:
         for cameras in map(int, arguments.cameras.split(",")):
-            sizes.append(measure(Path(folder), cameras, arguments.hours, arguments.rate, arguments.rounds))
+            sizes.append(
+                measure(Path(folder), cameras, arguments.hours, arguments.rate, arguments.rounds)
+            )
             print(line(sizes), flush=True)
     if arguments.json is not None:
         ratios.write(arguments.json, "scale", tables(sizes), sizes=to_builtins(sizes))
@@ -70,16 +76,26 @@ def tables(sizes: Sequence[Size]) -> list[Table]:
     """Each size beside the one before, and the memory of each beside what is allowed."""
     steps = [
         ratios.compare(
-            f"cost of an event, {before.cameras} to {now.cameras} cameras", "us",
-            {name(size): size.each_microseconds for size in (before, now)}, name(before), at_most={name(now): STEP_MAX},
+            f"cost of an event, {before.cameras} to {now.cameras} cameras",
+            "us",
+            {name(size): size.each_microseconds for size in (before, now)},
+            name(before),
+            at_most={name(now): STEP_MAX},
         )
         for before, now in pairwise(sizes)
-    ]  # fmt: skip
+    ]
     memory = []
     for size in sizes:
         allowed = MEMORY_MAX_MB.get(size.cameras)
         share = size.memory_mb / (allowed or size.memory_mb)
-        memory.append(Row(name(size), spread([size.memory_mb]), spread([share]), None if allowed is None else 1.0))
+        memory.append(
+            Row(
+                name(size),
+                spread([size.memory_mb]),
+                spread([share]),
+                None if allowed is None else 1.0,
+            )
+        )
     return [*steps, Table("most memory of camtopod learn", "MB", "what is allowed", memory)]
 
 
@@ -91,23 +107,31 @@ def name(size: Size) -> str:
 def measure(folder: Path, cameras: int, hours: float, rate: float, rounds: int) -> Size:
     """Learn one site as often as there are rounds."""
     objects = rate * cameras / EVENTS_PER_OBJECT
-    events, truth = simulate(SimSettings(cameras=cameras, hours=hours, seed=cameras, objects_per_second=objects))
+    events, truth = simulate(
+        SimSettings(cameras=cameras, hours=hours, seed=cameras, objects_per_second=objects)
+    )
     recorded, learned = folder / "events.jsonl", folder / "topology.json"
     with recorded.open("wb") as out:
         out.writelines(to_json(event) + b"\n" for event in events)
     runs = [learn(recorded, learned) for _ in range(rounds)]
     found: Score = score(load(str(learned)), truth)
     return Size(
-        cameras, len(events), len(events) / (3600.0 * hours * cameras),
-        [seconds / len(events) * 1e6 for seconds, _ in runs], max(memory for _, memory in runs),
-        found.link_precision, found.link_recall,
-    )  # fmt: skip
+        cameras,
+        len(events),
+        len(events) / (3600.0 * hours * cameras),
+        [seconds / len(events) * 1e6 for seconds, _ in runs],
+        max(memory for _, memory in runs),
+        found.link_precision,
+        found.link_recall,
+    )
 
 
 def learn(recorded: Path, learned: Path) -> tuple[float, float]:
     """Processor seconds and the most megabytes of one `camtopod learn`."""
     command = [sys.executable, "-m", "camtopod", "learn", str(recorded), "--topology", str(learned)]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    process = subprocess.Popen(
+        command, stderr=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"}
+    )
     _, status, used = os.wait4(process.pid, 0)
     if status:
         raise RuntimeError(f"camtopod learn ended with status {os.waitstatus_to_exitcode(status)}")
@@ -118,21 +142,37 @@ def learn(recorded: Path, learned: Path) -> tuple[float, float]:
 def line(sizes: Sequence[Size]) -> str:
     """The newest size for a person, with its ratio to the one before."""
     now, cost = sizes[-1], spread(sizes[-1].each_microseconds)
-    step = "" if len(sizes) < 2 else f"{cost.median / spread(sizes[-2].each_microseconds).median:.2f}"
+    step = (
+        "" if len(sizes) < 2 else f"{cost.median / spread(sizes[-2].each_microseconds).median:.2f}"
+    )
     wanted = MEMORY_MAX_MB.get(now.cameras)
     too_much = "" if wanted is None or now.memory_mb <= wanted else f" (more than {wanted:.0f} MB)"
     dear = "" if not step or float(step) <= STEP_MAX else f" (more than {STEP_MAX})"
     row = COLUMNS.format(
-        now.cameras, now.events, f"{now.rate:.3f}", f"{cost.median:.0f} ({cost.low:.0f} .. {cost.high:.0f})", step,
-        f"{now.memory_mb:.0f}", f"{now.precision:.3f}", f"{now.recall:.3f}",
-    )  # fmt: skip
+        now.cameras,
+        now.events,
+        f"{now.rate:.3f}",
+        f"{cost.median:.0f} ({cost.low:.0f} .. {cost.high:.0f})",
+        step,
+        f"{now.memory_mb:.0f}",
+        f"{now.precision:.3f}",
+        f"{now.recall:.3f}",
+    )
     return row + dear + too_much
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench scale", description="What an event costs on larger sites.")
-    parser.add_argument("--cameras", default="100,1000,10000", help="sizes of site, comma-separated")
-    parser.add_argument("--hours", type=float, default=0.5, help="length of the recordings (default 0.5)")
-    parser.add_argument("--rate", type=float, default=0.1, help="events a second and camera (default 0.1)")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench scale", description="What an event costs on larger sites."
+    )
+    parser.add_argument(
+        "--cameras", default="100,1000,10000", help="sizes of site, comma-separated"
+    )
+    parser.add_argument(
+        "--hours", type=float, default=0.5, help="length of the recordings (default 0.5)"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=0.1, help="events a second and camera (default 0.1)"
+    )
     ratios.add_arguments(parser, rounds=1)
     return parser.parse_args(argv)

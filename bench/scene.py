@@ -1,8 +1,10 @@
 """Events and ground truth of a simulated scene that is not a network of zones and paths.
 
-    python -m bench scene {hall,crowd,walkway,road} --events E.jsonl [--truth T.json] [--cameras N] [--seconds S] [--seed N]
+    python -m bench scene {hall,crowd,walkway,road} --events E.jsonl [--truth T.json] [--cameras N]
+    [--seconds S] [--seed N]
 
-A station hall, a crowded square, the walkways of a campus, the streets of a town. `camtopod simulate` makes networks.
+A station hall, a crowded square, the walkways of a campus, the streets of a town. `camtopod
+simulate` makes networks.
 """
 
 from __future__ import annotations
@@ -31,13 +33,21 @@ SCENES: dict[str, tuple[type[Struct], Callable[[Any], tuple[list[Event], Truth]]
 
 
 def main(argv: list[str]) -> int:
-    parser = argparse.ArgumentParser(prog="bench scene", description="Simulate a scene: events and ground truth.")
+    parser = argparse.ArgumentParser(
+        prog="bench scene", description="Simulate a scene: events and ground truth."
+    )
     parser.add_argument("scene", choices=SCENES)
-    parser.add_argument("--events", type=Path, required=True, metavar="E.jsonl", help="where the event lines go")
+    parser.add_argument(
+        "--events", type=Path, required=True, metavar="E.jsonl", help="where the event lines go"
+    )
     parser.add_argument("--truth", type=Path, metavar="T.json", help="where the ground truth goes")
     parser.add_argument("--cameras", type=int, default=argparse.SUPPRESS)
-    parser.add_argument("--seconds", type=float, default=argparse.SUPPRESS, help="length of the recording")
-    parser.add_argument("--seed", type=int, default=argparse.SUPPRESS, help="same seed, same events")
+    parser.add_argument(
+        "--seconds", type=float, default=argparse.SUPPRESS, help="length of the recording"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=argparse.SUPPRESS, help="same seed, same events"
+    )
     given = vars(parser.parse_args(argv))
     settings, simulate = SCENES[given.pop("scene")]
     events_file, truth_file = given.pop("events"), given.pop("truth")

@@ -1,13 +1,16 @@
-"""Several shards on a site so many times as large, beside one: what an event costs each, and what each has to hear.
+"""Several shards on a site so many times as large, beside one: what an event costs each, and what
+each has to hear.
 
-    python -m bench shards [--cameras 100] [--shards 4] [--hours 0.5] [--rate 0.1] [--rounds 1] [--json FILE]
+    python -m bench shards [--cameras 100] [--shards 4] [--hours 0.5] [--rate 0.1] [--rounds 1]
+    [--json FILE]
 
-One shard learns a made-up site of so many cameras; then each of ``--shards`` learns its share of a site that is as many
-times as large, in districts of the same size and at the same traffic per camera. Compared are processor time per event
-of a shard's own cameras (to reach: within 10 %) and the events it hears for each of its own, in all and from the fourth
-turn on, when no camera is new any more. Cameras are dealt by
-building (``together``), as somebody who shards a site would, and by the hash of their names, as happens without a word.
-Each camera is a guest in so many turns that the guests of a shard are a quarter of its own cameras.
+One shard learns a made-up site of so many cameras; then each of ``--shards`` learns its share of a
+site that is as many times as large, in districts of the same size and at the same traffic per
+camera. Compared are processor time per event of a shard's own cameras (to reach: within 10 %) and
+the events it hears for each of its own, in all and from the fourth turn on, when no camera is new
+any more. Cameras are dealt by building (``together``), as somebody who shards a site would, and by
+the hash of their names, as happens without a word. Each camera is a guest in so many turns that the
+guests of a shard are a quarter of its own cameras.
 """
 
 from __future__ import annotations
@@ -49,7 +52,9 @@ class Work(Struct):
     """Of both, those from the fourth turn on, when nearly all neighbours are known, ..."""
     known_heard: int
     known_near: int
-    """... and of the site's those of its own cameras and of all that a way really joins to one of them."""
+    """... and of the site's those of its own cameras and of all that a way really joins to one of
+    them.
+    """
     site: int
     seconds: float
     """Processor time."""
@@ -71,12 +76,20 @@ def main(argv: Sequence[str]) -> int:
                 costs.setdefault(run.name, []).append(run.seconds / run.own * 1e6)
             done += runs
         wanted = {name: 1.0 + SAME_WITHIN for name in costs if name != "one shard"}
-        tables.append(ratios.compare(f"cost of an own event, cameras dealt {dealt}", "us", costs, "one shard", wanted))
+        tables.append(
+            ratios.compare(
+                f"cost of an own event, cameras dealt {dealt}", "us", costs, "one shard", wanted
+            )
+        )
         print(*ratios.lines(tables[-1]), sep="\n")
         for run in runs:
             heard = f"heard {run.heard / run.own:.2f} times as many"
-            heard += f", {run.known_heard / max(run.known_own, 1):.2f} times once neighbours are known"
-            heard += f" (its own and its true neighbours: {run.known_near / max(run.known_own, 1):.2f})"
+            heard += (
+                f", {run.known_heard / max(run.known_own, 1):.2f} times once neighbours are known"
+            )
+            heard += (
+                f" (its own and its true neighbours: {run.known_near / max(run.known_own, 1):.2f})"
+            )
             print(f"    {run.name}: {run.own} own events, {heard}; {run.site} on the whole site")
     if arguments.json is not None:
         ratios.write(arguments.json, "shards", tables, work=to_builtins(done))
@@ -86,7 +99,9 @@ def main(argv: Sequence[str]) -> int:
 def site(cameras: int, hours: float, rate: float) -> Site:
     """A made-up site's events."""
     objects = rate * cameras / EVENTS_PER_OBJECT
-    return simulate(SimSettings(cameras=cameras, hours=hours, seed=cameras, objects_per_second=objects))
+    return simulate(
+        SimSettings(cameras=cameras, hours=hours, seed=cameras, objects_per_second=objects)
+    )
 
 
 def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
@@ -95,7 +110,9 @@ def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
     districts = DISTRICTS_PER_SHARD * shard[1]
     places = by_place(truth, districts) if dealt == BY_PLACE else ()
     learner = ShardLearner(
-        sharding=Sharding(districts=districts, together=places, guest_turns=4 * shard[1], turn_hours=TURN_HOURS),
+        sharding=Sharding(
+            districts=districts, together=places, guest_turns=4 * shard[1], turn_hours=TURN_HOURS
+        ),
         shard=shard,
     )
     own = heard = known_own = known_heard = known_near = 0
@@ -112,11 +129,22 @@ def work(name: str, site: Site, shard: tuple[int, int], dealt: str) -> Work:
         if is_heard:
             learner.receive(event)
     learner.flush()
-    return Work(name, own, heard, known_own, known_heard, known_near, len(events), time.process_time() - began)
+    return Work(
+        name,
+        own,
+        heard,
+        known_own,
+        known_heard,
+        known_near,
+        len(events),
+        time.process_time() - began,
+    )
 
 
 def by_place(truth: Truth, districts: int) -> tuple[str, ...]:
-    """Patterns that put cameras which ways join into one district: cut from a line in which neighbours are near."""
+    """Patterns that put cameras which ways join into one district: cut from a line in which
+    neighbours are near.
+    """
     number = {camera: k for k, camera in enumerate(truth.cameras)}
     joined = np.zeros((len(number), len(number)))
     for pair in truth.pairs:
@@ -128,10 +156,18 @@ def by_place(truth: Truth, districts: int) -> tuple[str, ...]:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench shards", description="Several shards beside one.")
-    parser.add_argument("--cameras", type=int, default=100, help="of the one shard's site (default 100)")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench shards", description="Several shards beside one."
+    )
+    parser.add_argument(
+        "--cameras", type=int, default=100, help="of the one shard's site (default 100)"
+    )
     parser.add_argument("--shards", type=int, default=4, help="on the larger one (default 4)")
-    parser.add_argument("--hours", type=float, default=0.5, help="length of the recordings (default 0.5)")
-    parser.add_argument("--rate", type=float, default=0.1, help="events a second and camera (default 0.1)")
+    parser.add_argument(
+        "--hours", type=float, default=0.5, help="length of the recordings (default 0.5)"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=0.1, help="events a second and camera (default 0.1)"
+    )
     ratios.add_arguments(parser, rounds=1)
     return parser.parse_args(argv)

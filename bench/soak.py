@@ -1,13 +1,13 @@
-"""A month in simulated time: the real spool, bus, journal and daemon, restarted every night; memory and disk have to
-stay flat, and the disk below the bounds that are set.
+"""A month in simulated time: the real spool, bus, journal and daemon, restarted every night; memory
+and disk have to stay flat, and the disk below the bounds that are set.
 
     python -m bench soak [--days 30] [--cameras 20] [--events 6000] [--json FILE]
 
-One made-up day of traffic is repeated with new seconds and numbers. Windows and retention are short enough to be full
-after two days (memory) and five (disk), so that whatever still grows then is a leak. Every night the daemon stops and
-another starts on the same state, in the same process, which has nothing else in it: its memory and its learner's are
-what is measured. At the end every camera's events have been stored, each once, and a plain learner given the same
-events has the same versions.
+One made-up day of traffic is repeated with new seconds and numbers. Windows and retention are short
+enough to be full after two days (memory) and five (disk), so that whatever still grows then is a
+leak. Every night the daemon stops and another starts on the same state, in the same process, which
+has nothing else in it: its memory and its learner's are what is measured. At the end every camera's
+events have been stored, each once, and a plain learner given the same events has the same versions.
 """
 
 from __future__ import annotations
@@ -44,26 +44,34 @@ from camtopod.sim.simulation import simulate
 
 DAY_SECONDS = 86_400.0
 MEMORY_FROM_DAY, DISK_FROM_DAY = 2, 5
-"""Days, counted from 1, at whose end windows and retention are full; the days after are held against them."""
+"""Days, counted from 1, at whose end windows and retention are full; the days after are held
+against them.
+"""
 GROWTH_MAX = 0.05
 JOURNAL_BYTES, JOURNAL_EVENT_BYTES = 2 * 2**20, 300
-"""What the journal may have: so much for versions and snapshots, and for each event of a day. It is full on the third;
-with days as the only bound it would have a third more."""
+"""What the journal may have: so much for versions and snapshots, and for each event of a day. It is
+full on the third; with days as the only bound it would have a third more."""
 SPOOL_BYTES = 2**20
 """What the spool may have: several days' events, so that it is full on the first ones."""
 BESIDE_BYTES = {"journal": 2**20, "spool": 5 * 2**18}
-"""On the disk besides what a bound counts: what comes before the next look at the bound; the spool's log of 1 MiB."""
+"""On the disk besides what a bound counts: what comes before the next look at the bound; the
+spool's log of 1 MiB.
+"""
 REACHED_SHARE = 0.8
 """A bound to which the disk never comes as near as this has not been tried."""
 BATCH_EVENTS = 500
 BATCH_SECONDS = 7200.0
-"""Simulated time that comes at once, in any order of cameras; the learner is told to wait for as long."""
+"""Simulated time that comes at once, in any order of cameras; the learner is told to wait for as
+long.
+"""
 WAIT_SECONDS = 300.0
 _PROCESSES = multiprocessing.get_context("spawn")
 
 
 class Day(Struct):
-    """How things are at the end of a simulated day, the first being 1. Bytes; seconds of wall time."""
+    """How things are at the end of a simulated day, the first being 1. Bytes; seconds of wall
+    time.
+    """
 
     day: int
     resident: int
@@ -75,11 +83,17 @@ class Day(Struct):
 
 
 def main(argv: list[str]) -> int:
-    """Run the days; returns the exit status: 0 if memory and disk stayed flat and nothing was lost."""
-    parser = argparse.ArgumentParser(prog="python -m bench soak", description="Many days in simulated time.")
+    """Run the days; returns the exit status: 0 if memory and disk stayed flat and nothing was
+    lost.
+    """
+    parser = argparse.ArgumentParser(
+        prog="python -m bench soak", description="Many days in simulated time."
+    )
     parser.add_argument("--days", type=int, default=30)
     parser.add_argument("--cameras", type=int, default=20)
-    parser.add_argument("--events", type=int, default=6000, help="events a day, about (default 6000)")
+    parser.add_argument(
+        "--events", type=int, default=6000, help="events a day, about (default 6000)"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="one line a day goes here")
     given = parser.parse_args(argv)
     with (
@@ -90,8 +104,13 @@ def main(argv: list[str]) -> int:
         for day in range(1, given.days + 1):
             soak.live_through(day)
             d = soak.days[-1]
-            sizes = "  ".join(f"{value / 2**20:11.2f}" for value in (d.resident, d.journal, d.spool))
-            print(f"{d.day:3}  {sizes}  {d.version:7}  {d.start_seconds:7.2f}  {d.seconds:5.0f}", flush=True)
+            sizes = "  ".join(
+                f"{value / 2**20:11.2f}" for value in (d.resident, d.journal, d.spool)
+            )
+            print(
+                f"{d.day:3}  {sizes}  {d.version:7}  {d.start_seconds:7.2f}  {d.seconds:5.0f}",
+                flush=True,
+            )
             if given.json is not None:
                 with given.json.open("ab") as out:
                     out.write(msgspec.json.encode(d) + b"\n")
@@ -102,7 +121,11 @@ def main(argv: list[str]) -> int:
 
 def grown(days: Sequence[Day]) -> Iterator[str]:
     """What any later day has more of than the day when it should have been full."""
-    for name, since in (("resident", MEMORY_FROM_DAY), ("journal", DISK_FROM_DAY), ("spool", DISK_FROM_DAY)):
+    for name, since in (
+        ("resident", MEMORY_FROM_DAY),
+        ("journal", DISK_FROM_DAY),
+        ("spool", DISK_FROM_DAY),
+    ):
         if len(days) <= since:
             yield f"{name}: more than {since} days are needed to tell"
             continue
@@ -115,11 +138,15 @@ def grown(days: Sequence[Day]) -> Iterator[str]:
 
 
 def outside(days: Sequence[Day], bounds: Mapping[str, int]) -> Iterator[str]:
-    """What had more bytes than it may, on any day; or never came near, so that nothing is known of its bound."""
+    """What had more bytes than it may, on any day; or never came near, so that nothing is known of
+    its bound.
+    """
     for name, most in bounds.items():
         peak = max(days, key=lambda day: int(getattr(day, name)))
         size = getattr(peak, name)
-        print(f"{name}: at most {size} bytes, on day {peak.day}; it may have {most}, and {BESIDE_BYTES[name]} beside")
+        print(
+            f"{name}: at most {size} bytes, on day {peak.day}; it may have {most}, and {BESIDE_BYTES[name]} beside"
+        )
         if size > most + BESIDE_BYTES[name]:
             yield f"{name} has {size} bytes on day {peak.day} and may have {most}"
         elif size < REACHED_SHARE * most:
@@ -131,7 +158,11 @@ def miscounted(sent: Mapping[str, int], stored: Counter[tuple[str, int]]) -> Ite
     made = {(camera, seq) for camera, last in sent.items() for seq in range(1, last + 1)}
     lost, foreign = made - stored.keys(), stored.keys() - made
     doubled = [one for one, times in stored.items() if times > 1]
-    for what, which in (("lost", lost), ("stored more than once", doubled), ("stored and never sent", foreign)):
+    for what, which in (
+        ("lost", lost),
+        ("stored more than once", doubled),
+        ("stored and never sent", foreign),
+    ):
         if which:
             yield f"{len(which)} of {len(made)} events are {what}, the first {min(which)}"
 
@@ -182,9 +213,18 @@ def keep_house(pipe: Connection, config: Config, now: Any) -> None:
                     pipe.send(daemon.start())
                 case "status" if daemon is not None:
                     made = daemon.topology
-                    pipe.send((daemon.status()["events"]["waiting"], (made.version, made.digest) if made else None))
+                    pipe.send(
+                        (
+                            daemon.status()["events"]["waiting"],
+                            (made.version, made.digest) if made else None,
+                        )
+                    )
                 case ("newer", int(read)) if daemon is not None:  # of the events in the journal
-                    newer = ((n, one) for n, one in daemon._journal.entries(read) if one and one.kind == "event")
+                    newer = (
+                        (n, one)
+                        for n, one in daemon._journal.entries(read)
+                        if one and one.kind == "event"
+                    )
                     pipe.send([(number, event.camera, event.seq) for number, event in newer])
                 case "tidy":  # what the daemons of the nights before left in cycles
                     gc.collect()
@@ -198,7 +238,9 @@ def keep_house(pipe: Connection, config: Config, now: Any) -> None:
 
 
 def learn_beside(pipe: Connection, settings: Settings) -> None:
-    """The process of a plain learner that never stops: answers events with the versions they led to."""
+    """The process of a plain learner that never stops: answers events with the versions they led
+    to.
+    """
     learner = Learner(settings, "site", "plain")
     with contextlib.suppress(EOFError):
         while True:
@@ -211,15 +253,25 @@ class Soak:
     """An installation and its days."""
 
     def __init__(self, folder: Path, cameras: int, events: int) -> None:
-        learn = Settings(lateness_seconds=2 * BATCH_SECONDS, ahead_seconds_max=0.0, window_hours=24.0, refit_hours=4.0)
+        learn = Settings(
+            lateness_seconds=2 * BATCH_SECONDS,
+            ahead_seconds_max=0.0,
+            window_hours=24.0,
+            refit_hours=4.0,
+        )
         keep = KeepSettings(
-            journal_days=3.0, history_days=3.0, snapshot_events=2000,
+            journal_days=3.0,
+            history_days=3.0,
+            snapshot_events=2000,
             journal_bytes_max=JOURNAL_BYTES + JOURNAL_EVENT_BYTES * events,
-        )  # fmt: skip
+        )
         self._config = Config(
-            bus=BusSettings(listen=(f"tcp/127.0.0.1:{_free_port()}",)), state=StateSettings(str(folder / "state")),
-            learn=learn, keep=keep, limits=Limits(spool_bytes_max=SPOOL_BYTES, spool_kept_events=100_000),
-        )  # fmt: skip
+            bus=BusSettings(listen=(f"tcp/127.0.0.1:{_free_port()}",)),
+            state=StateSettings(str(folder / "state")),
+            learn=learn,
+            keep=keep,
+            limits=Limits(spool_bytes_max=SPOOL_BYTES, spool_kept_events=100_000),
+        )
         self.bounds = {"journal": keep.journal_bytes_max, "spool": SPOOL_BYTES}
         rate = events / DAY_SECONDS / 12.0  # objects a second; each makes about twelve events
         day = SimSettings(seed=1, cameras=cameras, hours=23.5, objects_per_second=rate, rhythm=0.8)
@@ -234,7 +286,9 @@ class Soak:
         self._read = 0  # entries of the journal
         self._bus: Bus | None = None
         limits = self._config.limits
-        self._spool = Spool(folder / "spool.db", "boot", 100_000, limits.spool_bytes_max, limits.spool_kept_events)
+        self._spool = Spool(
+            folder / "spool.db", "boot", 100_000, limits.spool_bytes_max, limits.spool_kept_events
+        )
         self._publisher = Publisher(self._spool, BATCH_EVENTS)
         self._folder = folder
         self.days: list[Day] = []
@@ -264,14 +318,20 @@ class Soak:
         self._made[version] = digest
         self._home.ask("tidy")
         taken = self._home.resident
-        self._home.ask("stop")  # which folds the journal's log in: how long that is depends on the moment
+        self._home.ask(
+            "stop"
+        )  # which folds the journal's log in: how long that is depends on the moment
         journal, spool = _bytes(self._folder / "state"), _bytes(self._folder, "spool")
-        self.days.append(Day(day, taken, journal, spool, version, ready, time.perf_counter() - started))
+        self.days.append(
+            Day(day, taken, journal, spool, version, ready, time.perf_counter() - started)
+        )
 
     def wrong(self) -> Iterator[str]:
         """What the daemon lost, or learned otherwise than one that never stopped."""
         yield from miscounted(self._sent, self._stored)
-        other = [version for version, digest in self._made.items() if self._expected[version] != digest]
+        other = [
+            version for version, digest in self._made.items() if self._expected[version] != digest
+        ]
         if other:
             yield f"versions {other} differ from those of an uninterrupted run"
 

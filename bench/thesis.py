@@ -1,4 +1,6 @@
-"""The thesis's own figures: tables 5.1 to 5.4 and figure 4.4. ``python -m bench thesis [SEEDS]``."""
+"""The thesis's own figures: tables 5.1 to 5.4 and figure 4.4. ``python -m bench thesis
+[SEEDS]``.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def table_5_1() -> bool:
     pairs = set(zip(labels.tolist(), zones.tolist(), strict=True))
     good = spectrum.groups == 2 and len(pairs) == 2
     authors = authors_bandwidth(points.astype(np.float64))
-    print(f"table 5.1: bandwidth {width:.2f} grid steps: {spectrum.groups} zones, as printed: {good}")
+    print(
+        f"table 5.1: bandwidth {width:.2f} grid steps: {spectrum.groups} zones, as printed: {good}"
+    )
     split = data_spectroscopy(grid, authors).groups
     print(f"           the authors' bandwidth rule gives {authors:.2f} and {split} zones")
     return good
@@ -41,9 +45,21 @@ def table_5_1() -> bool:
 def table_5_3() -> bool:
     rows = overlap_rows(thesis.TABLE_5_2, thesis.TABLE_5_2_CAMERAS, 0.200)
     found = [
-        (r.camera_ab, r.camera_c, r.a + 1, r.b + 1, r.c + 1, r.transit_ac, r.transit_cb, r.transit_ab) for r in rows
+        (
+            r.camera_ab,
+            r.camera_c,
+            r.a + 1,
+            r.b + 1,
+            r.c + 1,
+            r.transit_ac,
+            r.transit_cb,
+            r.transit_ab,
+        )
+        for r in rows
     ]
-    print(f"table 5.3 from table 5.2 with T = 0.200: {len(rows)} rows, as printed: {found == thesis.TABLE_5_3}")
+    print(
+        f"table 5.3 from table 5.2 with T = 0.200: {len(rows)} rows, as printed: {found == thesis.TABLE_5_3}"
+    )
     for row, overlap in zip(found, rows, strict=True):
         print("          ", *row, f"  |AB - (AC + CB)| = {overlap.error:.3f}")
     return found == thesis.TABLE_5_3
@@ -97,7 +113,9 @@ def figure_4_4(seeds: int) -> bool:
 
 
 def k_means(place: Floats, truth: NDArray[np.intp]) -> dict[str, bool]:
-    """K-means with k chosen by silhouette; and told k, whether its clusters are the zones (95 % of each)."""
+    """K-means with k chosen by silhouette; and told k, whether its clusters are the zones (95 % of
+    each).
+    """
     from sklearn.cluster import KMeans
     from sklearn.metrics import silhouette_score
 
@@ -109,6 +127,12 @@ def k_means(place: Floats, truth: NDArray[np.intp]) -> dict[str, bool]:
         labels = {k: KMeans(k, n_init=1, random_state=0).fit_predict(sample) for k in range(2, 8)}
         picked = max(labels, key=lambda k: silhouette_score(sample, labels[k]))
     k = int(truth.max()) + 1
-    pure = all(np.bincount(labels[k][truth == zone]).max() >= 0.95 * (truth == zone).sum() for zone in range(k))
+    pure = all(
+        np.bincount(labels[k][truth == zone]).max() >= 0.95 * (truth == zone).sum()
+        for zone in range(k)
+    )
     distinct = len({int(np.bincount(labels[k][truth == zone]).argmax()) for zone in range(k)}) == k
-    return {"k-means, k by silhouette": picked == k, "k-means told k: clusters are zones": pure and distinct}
+    return {
+        "k-means, k by silhouette": picked == k,
+        "k-means told k: clusters are zones": pure and distinct,
+    }

@@ -1,11 +1,13 @@
 """Share of made-up cameras whose number of zones is found, and what that costs (`_zone_speed`).
 
-``python -m bench zones [CAMERAS [FIRST_SEED]] [--speed] [--json FILE]``; with ``--speed`` only the cost.
+``python -m bench zones [CAMERAS [FIRST_SEED]] [--speed] [--json FILE]``; with ``--speed`` only the
+cost.
 
-Each camera has two to six zones (spread 0.01 to 0.05 of the image, unequal traffic), 10 to 30 % clutter, and at
-least four events in each zone. Beside ours, over the same cameras: plain DaSpec with the bandwidth rule, k-means with
-k by silhouette, HDBSCAN. The seeds used in development were below 20,000. At the end: how often the numbers of a
-camera's zones change while its traffic is steady, held (as the learner does) and each time learned from nothing.
+Each camera has two to six zones (spread 0.01 to 0.05 of the image, unequal traffic), 10 to 30 %
+clutter, and at least four events in each zone. Beside ours, over the same cameras: plain DaSpec
+with the bandwidth rule, k-means with k by silhouette, HDBSCAN. The seeds used in development were
+below 20,000. At the end: how often the numbers of a camera's zones change while its traffic is
+steady, held (as the learner does) and each time learned from nothing.
 """
 
 from __future__ import annotations
@@ -29,11 +31,12 @@ SLOW_EVENTS_MAX = 1000
 
 
 class Kind(NamedTuple):
-    """A kind of camera. ``apart``: least distance of two zones in mean standard deviations along the line
-    that tells them apart best; ``aspect``: longest over shortest spread; ``rare``: share of the first zone, which is
-    narrow then (0: drawn); ``shape``: what the events of a zone spread like; ``clutter``: even, half of it in blobs of
-    five times a zone's width, or half of it along the ways between zones; ``strip``: least and largest thickness of a
-    border open along part of an edge."""
+    """A kind of camera. ``apart``: least distance of two zones in mean standard deviations along
+    the line that tells them apart best; ``aspect``: longest over shortest spread; ``rare``: share
+    of the first zone, which is narrow then (0: drawn); ``shape``: what the events of a zone spread
+    like; ``clutter``: even, half of it in blobs of five times a zone's width, or half of it along
+    the ways between zones; ``strip``: least and largest thickness of a border open along part of an
+    edge."""
 
     name: str
     apart: float
@@ -74,7 +77,13 @@ def main(argv: list[str]) -> int:
     parser.add_argument("cameras", type=int, nargs="?", default=8, help="of each kind (default 8)")
     parser.add_argument("first", type=int, nargs="?", default=FIRST_SEED, help="seed of the first")
     parser.add_argument("--speed", action="store_true", help="only what zones cost")
-    parser.add_argument("--events", type=int, nargs="+", default=zone_speed.EVENTS, help="in the window, for the cost")
+    parser.add_argument(
+        "--events",
+        type=int,
+        nargs="+",
+        default=zone_speed.EVENTS,
+        help="in the window, for the cost",
+    )
     ratios.add_arguments(parser, rounds=7)
     given = parser.parse_args(argv)
     if not given.speed:
@@ -115,13 +124,16 @@ def rightness(cameras: int, first: int) -> None:
     for kind in KINDS:
         changes = np.mean([flicker(seed, kind) for seed in range(first, first + cameras)], axis=0)
         print(
-            f"{kind.name:28s} changes in 1,000 events: held {changes[0]:.3f}, from nothing {changes[1]:.3f}", flush=True
+            f"{kind.name:28s} changes in 1,000 events: held {changes[0]:.3f}, from nothing {changes[1]:.3f}",
+            flush=True,
         )
     print(f"camtopod: {1e3 * seconds / refreshed:.1f} ms of processor time a camera\n")
 
 
 def flicker(seed: int, kind: Kind) -> tuple[float, float]:
-    """Changes of the set of numbers in 1,000 events of steady traffic: held, and learned from nothing each time."""
+    """Changes of the set of numbers in 1,000 events of steady traffic: held, and learned from
+    nothing each time.
+    """
     positions, _ = camera(seed, kind, STEADY_EVENTS)
     positions = positions[np.random.default_rng(seed).permutation(len(positions))]
     maps = [find_zones(cell_sums(*positions[:STEADY_WINDOW].T))] * 2
@@ -130,20 +142,26 @@ def flicker(seed: int, kind: Kind) -> tuple[float, float]:
         sums = cell_sums(*positions[at - STEADY_WINDOW : at].T)
         new = [refresh_zones(sums, maps[0]), find_zones(sums, maps[1].zones, maps[1].next_number)]
         for k in range(2):
-            changes[k] += {zone.number for zone in new[k].zones} != {zone.number for zone in maps[k].zones}
+            changes[k] += {zone.number for zone in new[k].zones} != {
+                zone.number for zone in maps[k].zones
+            }
         maps = new
     thousands = (STEADY_EVENTS - STEADY_WINDOW) / 1000
     return changes[0] / thousands, changes[1] / thousands
 
 
 def others(positions: Floats) -> tuple[int, int]:
-    """Zones found by k-means with k by silhouette and by HDBSCAN (smallest cluster 2.5 %, at least 5)."""
+    """Zones found by k-means with k by silhouette and by HDBSCAN (smallest cluster 2.5 %, at least
+    5).
+    """
     from sklearn.cluster import HDBSCAN, KMeans
     from sklearn.metrics import silhouette_score
 
     rng = np.random.default_rng(0)
     few = positions[rng.choice(len(positions), min(200, len(positions)), replace=False)]
-    some = positions[rng.choice(len(positions), min(SLOW_EVENTS_MAX, len(positions)), replace=False)]
+    some = positions[
+        rng.choice(len(positions), min(SLOW_EVENTS_MAX, len(positions)), replace=False)
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         labels = {k: KMeans(k, n_init=1, random_state=0).fit_predict(few) for k in range(2, 8)}
@@ -200,8 +218,8 @@ def _clutter(rng: np.random.Generator, kind: Kind, events: int, centres: Floats)
 
 
 def _zones(rng: np.random.Generator, kind: Kind, zones: int) -> tuple[list[Floats], list[Floats]]:
-    """Centres and roots of the covariances of so many zones, each apart from the others; from the start when
-    stuck."""
+    """Centres and roots of the covariances of so many zones, each apart from the others; from the
+    start when stuck."""
     centres: list[Floats] = []
     roots: list[Floats] = []
     angle = rng.uniform(0, np.pi)
@@ -214,12 +232,22 @@ def _zones(rng: np.random.Generator, kind: Kind, zones: int) -> tuple[list[Float
         centre, root = _zone(rng, kind)
         if kind.line:
             root = rng.uniform(0.01, 0.02) * np.eye(2)
-            reach = kind.apart / 2 * (root[0, 0] + roots[-1][0, 0]) * rng.uniform(1, 1.8) if roots else 0.0
-            centre = centres[-1] + reach * np.array([np.cos(angle), np.sin(angle)]) if centres else centre
+            reach = (
+                kind.apart / 2 * (root[0, 0] + roots[-1][0, 0]) * rng.uniform(1, 1.8)
+                if roots
+                else 0.0
+            )
+            centre = (
+                centres[-1] + reach * np.array([np.cos(angle), np.sin(angle)])
+                if centres
+                else centre
+            )
             if (np.abs(centre - 0.5) > 0.47).any():
                 centres, roots = [], []
                 continue
-        if all(_apart(centre, root, c, r) >= kind.apart for c, r in zip(centres, roots, strict=True)):
+        if all(
+            _apart(centre, root, c, r) >= kind.apart for c, r in zip(centres, roots, strict=True)
+        ):
             centres.append(centre)
             roots.append(root)
     return centres, roots

@@ -1,4 +1,6 @@
-"""Array types, and operations on rows by group: one pass over the rows, however many groups there are."""
+"""Array types, and operations on rows by group: one pass over the rows, however many groups there
+are.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
-"""Figures of each candidate, of which there may be millions: half the memory. Sums are in double precision."""
+"""Figures of each candidate, of which there may be millions: half the memory. Sums are in double
+precision.
+"""
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 Rows = NDArray[np.intp]
@@ -21,7 +25,9 @@ Bools = NDArray[np.bool_]
 
 ALL_KEYS_MAX = 1000
 SHORT_MAX = np.iinfo(np.int16).max
-"""Indices up to this are sorted as 16 bits, which NumPy does by radix: ten times as fast as longer ones."""
+"""Indices up to this are sorted as 16 bits, which NumPy does by radix: ten times as fast as longer
+ones.
+"""
 
 
 def rows_of(label: Indices, groups: int) -> list[NDArray[np.intp]]:
@@ -46,7 +52,11 @@ def summed(rows: Floats, group: Indices, groups: int) -> Floats:
     result = np.zeros((groups, rows.shape[1]))
     order = np.argsort(group, kind="stable")
     present, first, number = np.unique(group[order], return_index=True, return_counts=True)
-    one, two, more = number == 1, number == 2, number > 2  # most are of one or two, which is done far quicker
+    one, two, more = (
+        number == 1,
+        number == 2,
+        number > 2,
+    )  # most are of one or two, which is done far quicker
     result[present[one]] = rows[order[first[one]]]
     result[present[two]] = rows[order[first[two]]] + rows[order[first[two] + 1]]
     if more.any():
@@ -56,7 +66,9 @@ def summed(rows: Floats, group: Indices, groups: int) -> Floats:
 
 
 def rows_at(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Where each of the ``wanted`` (n,) is among the ``keys``, and whether it is there at all: (n,) each."""
+    """Where each of the ``wanted`` (n,) is among the ``keys``, and whether it is there at all: (n,)
+    each.
+    """
     if len(keys) == 0:
         return np.zeros(len(wanted), np.intp), np.zeros(len(wanted), np.bool_)
     order = np.argsort(keys, kind="stable")
@@ -65,12 +77,14 @@ def rows_at(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[n
 
 
 ROWS_AT_ONCE = 1024
-"""Rows of a table worked on together, so that intermediate results stay in the processor's cache."""
+"""Rows of a table worked on together, so that intermediate results stay in the processor's
+cache.
+"""
 
 
 def rows_together(rows: int) -> Iterator[slice]:
-    """Of a table with so many rows, some at a time. A product of few rows is reckoned otherwise and would differ in
-    the last bit from one of all rows, so the last has the rest, too.
+    """Of a table with so many rows, some at a time. A product of few rows is reckoned otherwise and
+    would differ in the last bit from one of all rows, so the last has the rest, too.
     """
     parts = max(rows // ROWS_AT_ONCE, 1)
     for k in range(parts):

@@ -1,4 +1,6 @@
-"""Pauses in what takes long, for whoever makes them: here there is no clock to say when it is time for one."""
+"""Pauses in what takes long, for whoever makes them: here there is no clock to say when it is time
+for one.
+"""
 
 from __future__ import annotations
 

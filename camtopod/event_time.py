@@ -1,9 +1,10 @@
 """Event time: how far the events of a site have come, and which of them are too late to be learned.
 
-Event time is where a second camera has come to, so that a single camera whose clock is ahead does not make other
-cameras' events late; but it is at most ``apart`` behind the first, so that silent cameras hold nothing up. The
-watermark trails event time by the lateness. A camera whose events are mostly late, but by no more than ``apart``, has a
-clock that is behind: from then on the watermark waits for it.
+Event time is where a second camera has come to, so that a single camera whose clock is ahead does
+not make other cameras' events late; but it is at most ``apart`` behind the first, so that silent
+cameras hold nothing up. The watermark trails event time by the lateness. A camera whose events are
+mostly late, but by no more than ``apart``, has a clock that is behind: from then on the watermark
+waits for it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ class Behind(Struct):
     """How far one camera's events come behind event time, in microseconds."""
 
     known: int = 0
-    """The most that one of the last `BEHIND_EVENTS` was behind; 0 when most of them were not late."""
+    """The most that one of the last `BEHIND_EVENTS` was behind; 0 when most of them were not
+    late.
+    """
     events: int = 0
     """Since then, ..."""
     late: int = 0
@@ -57,10 +60,15 @@ class EventTimeState(Struct):
 
 
 class EventTime:
-    """How far event time has come, and which events are too late for it. All times in microseconds."""
+    """How far event time has come, and which events are too late for it. All times in
+    microseconds.
+    """
 
     def __init__(self, lateness_seconds: float, clocks_apart_seconds: float = 0.0) -> None:
-        self._lateness_us, self._apart_us = microseconds(lateness_seconds), microseconds(clocks_apart_seconds)
+        self._lateness_us, self._apart_us = (
+            microseconds(lateness_seconds),
+            microseconds(clocks_apart_seconds),
+        )
         self.newest_us: int | None = None
         self.watermark_us: int | None = None
         """Nothing older will be learned any more; None before the first event."""
@@ -70,7 +78,9 @@ class EventTime:
         """... which is this one."""
         self.behind: dict[str, Behind] = {}
         self.lateness_us = self._lateness_us
-        """By how much the watermark trails event time: the setting, and the clock that is furthest behind."""
+        """By how much the watermark trails event time: the setting, and the clock that is furthest
+        behind.
+        """
 
     def note(self, t_us: int, camera: str) -> bool:
         """A camera has an event at ``t_us``; False if that is too late to be learned."""
@@ -94,14 +104,18 @@ class EventTime:
             self._raise_watermark()
 
     def rewind(self, to_us: int) -> None:
-        """What was later than ``to`` was stamped by a wrong clock: from there on events are learned again."""
+        """What was later than ``to`` was stamped by a wrong clock: from there on events are learned
+        again.
+        """
         if self.watermark_us is not None and self.watermark_us > to_us:
             self.newest_us = self.second_us = to_us + self.lateness_us
             self.leader, self.watermark_us = None, to_us
 
     def save(self) -> EventTimeState:
         """Everything `load` needs to go on from here."""
-        return EventTimeState(self.newest_us, self.second_us, self.leader, self.watermark_us, self.behind)
+        return EventTimeState(
+            self.newest_us, self.second_us, self.leader, self.watermark_us, self.behind
+        )
 
     def load(self, state: EventTimeState) -> None:
         """Go on from there."""
@@ -116,7 +130,9 @@ class EventTime:
         self._wait_for_the_last()
 
     def _look_behind(self, t_us: int, camera: str) -> None:
-        """How far an event is behind event time; one that is further than clocks may be apart tells of no clock."""
+        """How far an event is behind event time; one that is further than clocks may be apart tells
+        of no clock.
+        """
         come = self._come_to()
         if come is None or come - t_us > self._apart_us:
             return
@@ -127,7 +143,9 @@ class EventTime:
             self._wait_for_the_last()
 
     def _wait_for_the_last(self) -> None:
-        self.lateness_us = self._lateness_us + max((behind.known for behind in self.behind.values()), default=0)
+        self.lateness_us = self._lateness_us + max(
+            (behind.known for behind in self.behind.values()), default=0
+        )
 
     def _come_to(self) -> int | None:
         """Event time."""

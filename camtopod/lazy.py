@@ -1,6 +1,7 @@
 """Package doors that load a module when one of its names is first asked for (PEP 562).
 
-For packages of which most users want a light part: settings are read without SciPy, a bus is spoken without OpenCV.
+For packages of which most users want a light part: settings are read without SciPy, a bus is spoken
+without OpenCV.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Messages of an MQTT broker, and to one. The one home of paho-mqtt, which is an extra (``[mqtt]``)."""
+"""Messages of an MQTT broker, and to one. The one home of paho-mqtt, which is an extra
+(``[mqtt]``).
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,8 @@ MESSAGES_MAX = 10_000
 WAITING_BYTES_MAX = 32 * 1024**2
 """Messages, and bytes, that wait to be read; further messages are dropped and counted."""
 PACKET_BYTES_MAX = 2 * 1024**2
-"""A broker that speaks MQTT 5 does not send larger packets; one that does all the same is disconnected. Lines of all
-formats are shorter.
+"""A broker that speaks MQTT 5 does not send larger packets; one that does all the same is
+disconnected. Lines of all formats are shorter.
 """
 CONNECT_SECONDS = 10.0
 """How long the first connection may take."""
@@ -48,8 +50,8 @@ class MqttError(Exception):
 
 
 class Broker(Struct, frozen=True):
-    """Where messages come from or go to. ``prefix``: the levels before a program's own topics, without a slash at the
-    end.
+    """Where messages come from or go to. ``prefix``: the levels before a program's own topics,
+    without a slash at the end.
     """
 
     host: str
@@ -62,7 +64,9 @@ class Broker(Struct, frozen=True):
     """File with the authorities to trust; None: the system's."""
 
 
-def broker(url: str, password: str | None = None, ca: str | None = None, prefix: str = "") -> Broker:
+def broker(
+    url: str, password: str | None = None, ca: str | None = None, prefix: str = ""
+) -> Broker:
     """From ``mqtt[s]://[USER@]HOST[:PORT]/PREFIX``; ``prefix`` stands for one that is left out.
 
     Raises `ValueError`, also for a password in it.
@@ -70,19 +74,27 @@ def broker(url: str, password: str | None = None, ca: str | None = None, prefix:
     remember(url)
     parts = urlsplit(url)
     if parts.scheme not in PORTS or not parts.hostname:
-        raise ValueError(f"{redact(url)!r}: write it like mqtt://HOST:1883/PREFIX, or mqtts:// for TLS")
+        raise ValueError(
+            f"{redact(url)!r}: write it like mqtt://HOST:1883/PREFIX, or mqtts:// for TLS"
+        )
     if parts.password is not None:
-        raise ValueError("others on this machine can read a password on the command line: put it in a file")
+        raise ValueError(
+            "others on this machine can read a password on the command line: put it in a file"
+        )
     prefix = unquote(parts.path).strip("/") or prefix
     if not prefix or "+" in prefix or parts.query or "#" in url:
-        raise ValueError(f"{redact(url)!r}: it ends in the program's topic prefix, for example /frigate")
+        raise ValueError(
+            f"{redact(url)!r}: it ends in the program's topic prefix, for example /frigate"
+        )
     user = None if parts.username is None else unquote(parts.username)
     if password is not None:
         if user is None:
             raise ValueError("a password needs a user: put the name and an @ before the host")
         remember(f"mqtt://{user}:{password}@")
     tls = parts.scheme == "mqtts"
-    return Broker(parts.hostname, parts.port or PORTS[parts.scheme], tls, prefix, user, password, ca)
+    return Broker(
+        parts.hostname, parts.port or PORTS[parts.scheme], tls, prefix, user, password, ca
+    )
 
 
 def _bounded() -> type[Client]:
@@ -92,7 +104,11 @@ def _bounded() -> type[Client]:
     class Bounded(Client):
         def _sock_recv(self, bufsize: int) -> bytes:
             if bufsize > PACKET_BYTES_MAX:
-                log.warning("the broker sends a packet of %d bytes; at most %d are taken", bufsize, PACKET_BYTES_MAX)
+                log.warning(
+                    "the broker sends a packet of %d bytes; at most %d are taken",
+                    bufsize,
+                    PACKET_BYTES_MAX,
+                )
                 raise ConnectionError("a packet is too large")
             return super()._sock_recv(bufsize)
 
@@ -102,7 +118,8 @@ def _bounded() -> type[Client]:
 class _Connection:
     """A client of the broker.
 
-    Raises `MqttError` if the first connection fails; a later one that is lost is made again, for as long as it takes.
+    Raises `MqttError` if the first connection fails; a later one that is lost is made again, for as
+    long as it takes.
     """
 
     def __init__(self, at: Broker) -> None:
@@ -184,15 +201,17 @@ class _Connection:
         self._ready.set()
 
     def _on_disconnect(self, _: Client, __: Any, ___: Any, code: ReasonCode, ____: Any) -> None:
-        if not self._ready.is_set():  # so some brokers answer to a version of MQTT that they do not speak
+        if (
+            not self._ready.is_set()
+        ):  # so some brokers answer to a version of MQTT that they do not speak
             self._tell(CLOSED)
         elif self._refused is None:
             log.warning("lost %s:%d (%s); trying again", self._at.host, self._at.port, code)
 
 
 class Messages(_Connection):
-    """What comes under one topic below the broker's prefix, oldest first, until told to stop. What was published while
-    there was no connection is missing. Raises `MqttError`.
+    """What comes under one topic below the broker's prefix, oldest first, until told to stop. What
+    was published while there was no connection is missing. Raises `MqttError`.
     """
 
     def __init__(self, source: Broker, topic: str, limit_messages: int = MESSAGES_MAX) -> None:
@@ -228,7 +247,9 @@ class Messages(_Connection):
     def _joined(self) -> None:
         self._client.subscribe(self.topic, qos=1)
 
-    def _on_subscribe(self, _: Client, __: Any, ___: int, codes: list[ReasonCode], ____: Any) -> None:
+    def _on_subscribe(
+        self, _: Client, __: Any, ___: int, codes: list[ReasonCode], ____: Any
+    ) -> None:
         failed = [str(code) for code in codes if code.is_failure]
         if failed:
             self._tell(f"{self.topic}: {failed[0]}")
@@ -248,15 +269,17 @@ class Messages(_Connection):
                 return
         self.dropped += 1
         if self.dropped == 1:
-            log.warning("messages come faster than they are read; those beyond %s are dropped", full)
+            log.warning(
+                "messages come faster than they are read; those beyond %s are dropped", full
+            )
 
 
 class Board(_Connection):
-    """Retained messages, one a topic. ``availability`` is a topic that says ``online`` as long as this program is there
-    and the broker reaches it, and ``offline`` otherwise. Raises `MqttError`.
+    """Retained messages, one a topic. ``availability`` is a topic that says ``online`` as long as
+    this program is there and the broker reaches it, and ``offline`` otherwise. Raises `MqttError`.
 
-    What is sent when the connection breaks may be lost, so everything is sent again with the next one; a quality of
-    service above 0 would then bring back what is out of date.
+    What is sent when the connection breaks may be lost, so everything is sent again with the next
+    one; a quality of service above 0 would then bring back what is out of date.
     """
 
     def __init__(self, target: Broker, availability: str) -> None:
@@ -267,7 +290,9 @@ class Board(_Connection):
         self._connect()
 
     def show(self, messages: Mapping[str, str]) -> None:
-        """Publish what is not known to be there, by topic; what cannot be sent now is sent with the next call."""
+        """Publish what is not known to be there, by topic; what cannot be sent now is sent with the
+        next call.
+        """
         with self._mutex:
             for topic, text in messages.items():
                 if self._client.is_connected() and self._said.get(topic) != text:

@@ -1,5 +1,5 @@
-"""Who publishes a camera: one program at a time, each start of it with a boot of its own. Two that take turns are two
-boxes with one camera id, whose views are learned as if they were one.
+"""Who publishes a camera: one program at a time, each start of it with a boot of its own. Two that
+take turns are two boxes with one camera id, whose views are learned as if they were one.
 """
 
 from __future__ import annotations
@@ -7,12 +7,14 @@ from __future__ import annotations
 from msgspec import Struct
 
 RETURNS_MIN = 3
-"""So often in a row two boots have to take turns: the last events of one that ended may come after the first of the
-next."""
+"""So often in a row two boots have to take turns: the last events of one that ended may come after
+the first of the next."""
 
 
 class Publisher(Struct):
-    """Whose event came last (``boot``), whose before that, and how often these two have taken turns since."""
+    """Whose event came last (``boot``), whose before that, and how often these two have taken turns
+    since.
+    """
 
     boot: str
     before: str = ""

@@ -1,7 +1,8 @@
 """The nouns: events, topology, predictions. What outsiders hold on to, and nothing that computes.
 
-Times are seconds since the Unix epoch at the moment of capture; image positions are fractions of the width
-(``x``, to the right) and height (``y``, downwards); durations are seconds. Fields may be added, never changed.
+Times are seconds since the Unix epoch at the moment of capture; image positions are fractions of
+the width (``x``, to the right) and height (``y``, downwards); durations are seconds. Fields may be
+added, never changed.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ PairRelation = Literal["overlapped", "unseen_path"]
 class Event(Struct, frozen=True, omit_defaults=True, gc=False):
     """One object appearing in (``entry``) or leaving (``exit``) the view of one camera.
 
-    ``x``, ``y`` is the foot point, both or neither. ``track`` ties the entry and the exit of one passage through
-    this camera. ``boot`` and ``seq`` (the publisher's incarnation and a gap-free count within it) make delivery
-    idempotent. ``clock_sd`` is the one-sigma uncertainty of ``t`` in seconds.
+    ``x``, ``y`` is the foot point, both or neither. ``track`` ties the entry and the exit of one
+    passage through this camera. ``boot`` and ``seq`` (the publisher's incarnation and a gap-free
+    count within it) make delivery idempotent. ``clock_sd`` is the one-sigma uncertainty of ``t`` in
+    seconds.
     """
 
     camera: CameraId
@@ -43,8 +45,9 @@ class Event(Struct, frozen=True, omit_defaults=True, gc=False):
 class Zone(Struct, frozen=True, omit_defaults=True):
     """An entry/exit zone. One without positions (one zone per camera) has no ``x``, ``y``, ``cov``.
 
-    ``entries`` and ``exits`` are counts in the window learned from; ``x``, ``y`` their mean foot point; ``cov`` its
-    covariance (2, 2), [[xx, xy], [xy, yy]]: of fractions of the width and height, so without a unit.
+    ``entries`` and ``exits`` are counts in the window learned from; ``x``, ``y`` their mean foot
+    point; ``cov`` its covariance (2, 2), [[xx, xy], [xy, yy]]: of fractions of the width and
+    height, so without a unit.
     """
 
     id: str
@@ -57,8 +60,9 @@ class Zone(Struct, frozen=True, omit_defaults=True):
 
 
 class Camera(Struct, frozen=True):
-    """A camera, its zones, and the estimated offset of its clock in seconds: positive when it is ahead, 0.0 where
-    unknown. ``clock_offset_sd``: standard deviation if the clocks that count as right are; none where unknown.
+    """A camera, its zones, and the estimated offset of its clock in seconds: positive when it is
+    ahead, 0.0 where unknown. ``clock_offset_sd``: standard deviation if the clocks that count as
+    right are; none where unknown.
     """
 
     id: str
@@ -68,7 +72,8 @@ class Camera(Struct, frozen=True):
 
 
 class Transit(Struct, frozen=True, omit_defaults=True):
-    """Transit time from the exit at ``from`` to the entry at ``to``, seconds; negative where views overlap.
+    """Transit time from the exit at ``from`` to the entry at ``to``, seconds; negative where views
+    overlap.
 
     ``mean_sd``, ``q50_sd``: standard errors of mean and median.
     """
@@ -84,8 +89,9 @@ class Transit(Struct, frozen=True, omit_defaults=True):
 
 
 class Histogram(Struct, frozen=True, omit_defaults=True):
-    """Transit-time histogram: ``mass[k]`` times ``unit`` is the expected number of transits in lag bin ``first + k``.
-    The unit is 1 for links. ``delay``: seconds to add to the lags of the bins, for long ways.
+    """Transit-time histogram: ``mass[k]`` times ``unit`` is the expected number of transits in lag
+    bin ``first + k``. The unit is 1 for links. ``delay``: seconds to add to the lags of the bins,
+    for long ways.
     """
 
     first: int
@@ -95,8 +101,8 @@ class Histogram(Struct, frozen=True, omit_defaults=True):
 
 
 class Lacks(Struct, frozen=True):
-    """What a weak link still needs until it is published: further ``passages``, which take ``seconds`` at this
-    traffic.
+    """What a weak link still needs until it is published: further ``passages``, which take
+    ``seconds`` at this traffic.
     """
 
     passages: float
@@ -107,9 +113,10 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     """A directed link between two zones.
 
     ``probability``: of all objects that leave at ``from``, the share that appears next at ``to``;
-    ``transitions``: their expected number. ``q_value``: false discovery rate at which the link is published.
-    ``mahalanobis_variance``: the thesis's figure, Var(d) (table 4.3). ``histogram`` counts on the lag bins of the
-    topology's model. ``lacks``: of a weak link, unless waiting does not help.
+    ``transitions``: their expected number. ``q_value``: false discovery rate at which the link is
+    published. ``mahalanobis_variance``: the thesis's figure, Var(d) (table 4.3). ``histogram``
+    counts on the lag bins of the topology's model. ``lacks``: of a weak link, unless waiting does
+    not help.
     """
 
     from_: str
@@ -125,10 +132,11 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
 
 
 class Pair(Struct, frozen=True, omit_defaults=True):
-    """A related pair of cameras, ids sorted: the thesis's black (overlapped) or grey (unseen path) edge.
+    """A related pair of cameras, ids sorted: the thesis's black (overlapped) or grey (unseen path)
+    edge.
 
-    ``by_lags``: from where the lags of the links lie; ``by_sum_rule``: from the thesis's table 4.4, none where it could
-    not be tested; ``reason``: why the two are not the same.
+    ``by_lags``: from where the lags of the links lie; ``by_sum_rule``: from the thesis's table 4.4,
+    none where it could not be tested; ``reason``: why the two are not the same.
     """
 
     cameras: tuple[str, str]
@@ -159,9 +167,10 @@ class CameraModel(Struct, frozen=True):
 
 
 class Outcome(Struct, frozen=True):
-    """One zone where objects may appear next. ``share`` of the departures are expected there; ``hazard`` has, per lag
-    bin, the probability of appearing in it for a departure that is exposed to it. ``doubt``: the share of this that may
-    as well be chance, in which case they were not seen again.
+    """One zone where objects may appear next. ``share`` of the departures are expected there;
+    ``hazard`` has, per lag bin, the probability of appearing in it for a departure that is exposed
+    to it. ``doubt``: the share of this that may as well be chance, in which case they were not seen
+    again.
     """
 
     to: str
@@ -171,7 +180,9 @@ class Outcome(Struct, frozen=True):
 
 
 class Onward(Struct, frozen=True):
-    """What is expected of objects leaving ``zone``: to appear next elsewhere, or (``leave``) not to be seen again."""
+    """What is expected of objects leaving ``zone``: to appear next elsewhere, or (``leave``) not to
+    be seen again.
+    """
 
     zone: str
     leave: float
@@ -179,8 +190,8 @@ class Onward(Struct, frozen=True):
 
 
 class EntryKernel(Struct, frozen=True):
-    """Objects that entered a view at ``zone`` and appear at ``to`` before they leave it; the lags of ``hazard`` count
-    from the entry.
+    """Objects that entered a view at ``zone`` and appear at ``to`` before they leave it; the lags
+    of ``hazard`` count from the entry.
     """
 
     zone: str
@@ -189,9 +200,10 @@ class EntryKernel(Struct, frozen=True):
 
 
 class Context(Struct, frozen=True, omit_defaults=True):
-    """Departures at ``zone`` of which more is known: the zone of ``entry``, the ``block`` of the image where they left
-    (row * columns + column of a coarse grid), the camera where they probably were before (``previous``). ``departures``
-    and the transitions ``to`` each zone are weighed by how sure they are.
+    """Departures at ``zone`` of which more is known: the zone of ``entry``, the ``block`` of the
+    image where they left (row * columns + column of a coarse grid), the camera where they probably
+    were before (``previous``). ``departures`` and the transitions ``to`` each zone are weighed by
+    how sure they are.
     """
 
     zone: str
@@ -203,7 +215,9 @@ class Context(Struct, frozen=True, omit_defaults=True):
 
 
 class Way(Struct, frozen=True):
-    """A way through one view: passages from ``entry`` to ``exit`` take ``stay`` seconds (median)."""
+    """A way through one view: passages from ``entry`` to ``exit`` take ``stay`` seconds
+    (median).
+    """
 
     entry: str
     exit: str
@@ -211,9 +225,9 @@ class Way(Struct, frozen=True):
 
 
 class Pace(Struct, frozen=True):
-    """How slowness (log of a passage's duration over its way's median) persists: transit times scale with it to the
-    power ``scaling``, two views of one object correlate by ``correlation``, ``sd`` is its standard deviation. Hazards
-    are of objects of usual pace.
+    """How slowness (log of a passage's duration over its way's median) persists: transit times
+    scale with it to the power ``scaling``, two views of one object correlate by ``correlation``,
+    ``sd`` is its standard deviation. Hazards are of objects of usual pace.
     """
 
     scaling: float
@@ -223,9 +237,10 @@ class Pace(Struct, frozen=True):
 
 
 class Overlap(Struct, frozen=True):
-    """Two views that overlap. Of the objects that leave the view of ``camera``, ``share`` are in that of ``to`` at that
-    moment. ``same``: their passages there, ``others``: passages of others under way there, both for each exit and by
-    how many seconds later than the one that ends they began, on lag bins.
+    """Two views that overlap. Of the objects that leave the view of ``camera``, ``share`` are in
+    that of ``to`` at that moment. ``same``: their passages there, ``others``: passages of others
+    under way there, both for each exit and by how many seconds later than the one that ends they
+    began, on lag bins.
     """
 
     camera: str
@@ -236,7 +251,9 @@ class Overlap(Struct, frozen=True):
 
 
 class Model(Struct, frozen=True):
-    """What `predict` needs beyond the links. Lag bin ``k`` starts at ``lag_scale * sinh(lag_step * k)`` seconds."""
+    """What `predict` needs beyond the links. Lag bin ``k`` starts at ``lag_scale * sinh(lag_step *
+    k)`` seconds.
+    """
 
     lag_scale: float
     lag_step: float
@@ -245,7 +262,9 @@ class Model(Struct, frozen=True):
     zones: list[ZoneModel]
     cameras: list[CameraModel]
     clocks_corrected: bool = False
-    """Whether the links' transit times are in right time, not by the cameras' own clocks. Histograms always are."""
+    """Whether the links' transit times are in right time, not by the cameras' own clocks.
+    Histograms always are.
+    """
     onward: list[Onward] | None = None
     """The posterior, weak evidence included; without it prediction reads the links."""
     entered: list[EntryKernel] | None = None
@@ -256,8 +275,8 @@ class Model(Struct, frozen=True):
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
-    """A transition of the Markov chain over cameras (thesis 4.6): of those leaving ``from``, the share seen at
-    ``to``.
+    """A transition of the Markov chain over cameras (thesis 4.6): of those leaving ``from``, the
+    share seen at ``to``.
     """
 
     from_: str
@@ -268,9 +287,10 @@ class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
 class Alarm(Struct, frozen=True):
     """Something changed, as found in ``version``; ``t`` is that version's ``as_of``.
 
-    ``kind`` is ``link_opened``, ``link_closed``, ``link_changed``, ``zone_new``, ``zone_gone``, ``camera_silent``,
-    ``camera_back``, ``camera_moved``, ``camera_doubled`` or ``clock_changed``; there may be further ones. ``subject``
-    is a camera, a zone or two zones (``lobby/1->hall/2``); ``detail`` is for people.
+    ``kind`` is ``link_opened``, ``link_closed``, ``link_changed``, ``zone_new``, ``zone_gone``,
+    ``camera_silent``, ``camera_back``, ``camera_moved``, ``camera_doubled`` or ``clock_changed``;
+    there may be further ones. ``subject`` is a camera, a zone or two zones (``lobby/1->hall/2``);
+    ``detail`` is for people.
     """
 
     version: int
@@ -283,9 +303,10 @@ class Alarm(Struct, frozen=True):
 class SelfScore(Struct, frozen=True):
     """How well the last ``exits`` predictions scored were, the oldest made with ``since_version``.
 
-    Who went where is taken from later versions, which have seen what came after. ``top1``, ``top3``: share of those
-    seen again whose next camera was the likeliest, or among the likeliest three; ``log_loss``: mean over all exits of
-    -ln(probability of what happened), nats. The baseline always says the most frequent next camera of a camera.
+    Who went where is taken from later versions, which have seen what came after. ``top1``,
+    ``top3``: share of those seen again whose next camera was the likeliest, or among the likeliest
+    three; ``log_loss``: mean over all exits of -ln(probability of what happened), nats. The
+    baseline always says the most frequent next camera of a camera.
     """
 
     exits: int
@@ -298,7 +319,9 @@ class SelfScore(Struct, frozen=True):
 
 
 class Topology(Struct, frozen=True, omit_defaults=True):
-    """One version of the learned topology. ``digest`` is over the content, not over site, epoch and version."""
+    """One version of the learned topology. ``digest`` is over the content, not over site, epoch and
+    version.
+    """
 
     schema: str
     site: str
@@ -324,7 +347,8 @@ class Topology(Struct, frozen=True, omit_defaults=True):
 
 
 class Delta(Struct, frozen=True, omit_defaults=True):
-    """What changed from ``version - 1`` to ``version``: new or changed items whole, gone items by key.
+    """What changed from ``version - 1`` to ``version``: new or changed items whole, gone items by
+    key.
 
     A link's key is (from, to, relation). ``digest`` is the digest of the topology that results.
     """
@@ -365,8 +389,8 @@ class NextCamera(Struct, frozen=True):
 
 
 class Look(Struct, frozen=True):
-    """``probability`` that a camera sees an object at the moment it leaves another view or, if none does, is the next
-    to see it.
+    """``probability`` that a camera sees an object at the moment it leaves another view or, if none
+    does, is the next to see it.
     """
 
     camera: str
@@ -374,8 +398,8 @@ class Look(Struct, frozen=True):
 
 
 class InView(Struct, frozen=True):
-    """A passage under way in the view of ``camera``, ``since`` Unix seconds, that is of the object that leaves with
-    this ``probability``.
+    """A passage under way in the view of ``camera``, ``since`` Unix seconds, that is of the object
+    that leaves with this ``probability``.
     """
 
     camera: str
@@ -385,10 +409,12 @@ class InView(Struct, frozen=True):
 
 
 class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next"}):
-    """Where an object that has just left will appear next. ``next`` (falling probability) and ``leave`` sum to 1.
+    """Where an object that has just left will appear next. ``next`` (falling probability) and
+    ``leave`` sum to 1.
 
-    ``look`` and ``in_view`` are there where other views overlap the one that was left, with falling probability. The
-    probabilities of ``look`` may sum to more than 1, as several cameras may see the object at once.
+    ``look`` and ``in_view`` are there where other views overlap the one that was left, with falling
+    probability. The probabilities of ``look`` may sum to more than 1, as several cameras may see
+    the object at once.
     """
 
     camera: str
@@ -405,9 +431,10 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next
 class Ack(Struct, frozen=True, omit_defaults=True):
     """The highest (boot, seq) of a camera below which everything is safely stored.
 
-    The counters are of the events of this boot since the daemon's start: those that are learned from, those that were
-    older than what had been learned already (``late``), those that came again (``duplicate``), and those that are
-    stored and not learned from, as their camera flooded or their time was in the future (``refused``).
+    The counters are of the events of this boot since the daemon's start: those that are learned
+    from, those that were older than what had been learned already (``late``), those that came again
+    (``duplicate``), and those that are stored and not learned from, as their camera flooded or
+    their time was in the future (``refused``).
     """
 
     camera: str

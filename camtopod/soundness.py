@@ -1,7 +1,7 @@
 """Whether a topology from another program makes sense: names, ranges, shapes and sizes.
 
-Prediction, the page, reports and exports rely on it; otherwise they would end with a traceback, or ask for more memory
-than there is. The ranges are those of any possible site, not of a likely one.
+Prediction, the page, reports and exports rely on it; otherwise they would end with a traceback, or
+ask for more memory than there is. The ranges are those of any possible site, not of a likely one.
 """
 
 from __future__ import annotations
@@ -57,12 +57,22 @@ _RANGES: dict[type[Struct], Ranges] = {
     Topology: {"version": _COUNT, "events": _COUNT, "as_of": _TIME},
     Camera: {"clock_offset": _TIME, "clock_offset_sd": _SPAN},
     Zone: {"entries": _COUNT, "exits": _COUNT, "x": _SHARE, "y": _SHARE},
-    Link: {"probability": _SHARE, "transitions": _NUMBER, "q_value": _SHARE, "mahalanobis_variance": _NUMBER},
+    Link: {
+        "probability": _SHARE,
+        "transitions": _NUMBER,
+        "q_value": _SHARE,
+        "mahalanobis_variance": _NUMBER,
+    },
     Lacks: {"passages": _NUMBER, "seconds": _SPAN},
     Transit: dict.fromkeys(("mode", "mean", "q10", "q50", "q90"), _TIME)
     | dict.fromkeys(("sd", "mean_sd", "q50_sd"), _SPAN),
     Histogram: {"unit": _NUMBER, "delay": _SPAN},
-    Model: {"lag_scale": (1e-3, 1e6), "lag_step": (1e-4, 10.0), "lag_min": (-1e6, 1e6), "lag_max": (-1e6, 1e6)},
+    Model: {
+        "lag_scale": (1e-3, 1e6),
+        "lag_step": (1e-4, 10.0),
+        "lag_min": (-1e6, 1e6),
+        "lag_max": (-1e6, 1e6),
+    },
     ZoneModel: {"departures": _COUNT, "arrival_rate": _NUMBER},
     CameraModel: {"share": _SHARE, "last_event": _TIME},
     Onward: {"leave": _SHARE},
@@ -79,7 +89,9 @@ _RANGES: dict[type[Struct], Ranges] = {
 
 
 def problems(topology: Topology) -> Iterator[str]:
-    """What is wrong, a phrase each with its place in the JSON. Stop at the first: others may follow from it."""
+    """What is wrong, a phrase each with its place in the JSON. Stop at the first: others may follow
+    from it.
+    """
     yield from _names(topology)
     yield from _repeated(topology)
     yield from _walk(topology, "")
@@ -122,7 +134,10 @@ def _repeated(topology: Topology) -> Iterator[str]:
             ("model.entered", ((kernel.zone, kernel.to) for kernel in model.entered or [])),
             ("model.overlaps", ((row.camera, row.to) for row in model.overlaps or [])),
         ]
-        keyed += [(f"model.onward[{k}].next_", (o.to for o in row.next_)) for k, row in enumerate(model.onward or [])]
+        keyed += [
+            (f"model.onward[{k}].next_", (o.to for o in row.next_))
+            for k, row in enumerate(model.onward or [])
+        ]
     for place, keys in keyed:
         twice = [key for key, count in Counter(keys).items() if count > 1]
         if twice:
@@ -160,7 +175,9 @@ def _zone_shape(zone: Zone) -> str:
         return "cov is not 2 by 2"
     (xx, xy), (yx, yy) = zone.cov
     rounded = 1e-6 * (xx + yy) + 1e-12
-    if not (0 <= xx <= 1 and 0 <= yy <= 1 and abs(xy - yx) <= 1e-6 and xy * xy <= xx * yy + rounded):
+    if not (
+        0 <= xx <= 1 and 0 <= yy <= 1 and abs(xy - yx) <= 1e-6 and xy * xy <= xx * yy + rounded
+    ):
         return "cov is not the covariance of positions"
     return ""
 
@@ -184,7 +201,11 @@ def _stay_shape(zone: ZoneModel) -> str:
 
 def _context_shape(context: Context) -> str:
     low, high = _NUMBER
-    return "" if all(low <= number <= high for number in context.to.values()) else "to has no number of departures"
+    return (
+        ""
+        if all(low <= number <= high for number in context.to.values())
+        else "to has no number of departures"
+    )
 
 
 _SHAPES: dict[type[Struct], Callable[[Any], str]] = {
@@ -218,7 +239,11 @@ def _histograms(topology: Topology, model: Model) -> Iterator[str]:
         ("links", k, link.histogram) for k, link in enumerate(topology.links)
     ]
     held += [("weak_links", k, link.histogram) for k, link in enumerate(topology.weak_links or [])]
-    held += [("model.onward", k, one.hazard) for k, row in enumerate(model.onward or []) for one in row.next_]
+    held += [
+        ("model.onward", k, one.hazard)
+        for k, row in enumerate(model.onward or [])
+        for one in row.next_
+    ]
     held += [("model.entered", k, kernel.hazard) for k, kernel in enumerate(model.entered or [])]
     for place, k, histogram in held:
         if histogram is None or not histogram.mass:
@@ -230,7 +255,11 @@ def _histograms(topology: Topology, model: Model) -> Iterator[str]:
 @functools.cache
 def _inner(kind: type[Struct]) -> list[str]:
     """The fields of a noun that hold nouns."""
-    return [field.name for field in msgspec.structs.fields(kind) if any(_is_noun(one) for one in _types(field.type))]
+    return [
+        field.name
+        for field in msgspec.structs.fields(kind)
+        if any(_is_noun(one) for one in _types(field.type))
+    ]
 
 
 def _types(given: Any) -> Iterator[Any]:

@@ -1,9 +1,11 @@
-"""Writes the files that are made from the program's own commands and settings; run it after changing one of them.
+"""Writes the files that are made from the program's own commands and settings; run it after
+changing one of them.
 
     .venv/bin/python deploy/generate.py
 
-Needs the extra [test]. What is written by hand, the manual page, is so because argparse-manpage repeats the common
-options below each command and knows no exit statuses; the completions are shtab's.
+Needs the extra [test]. What is written by hand, the manual page, is so because argparse-manpage
+repeats the common options below each command and knows no exit statuses; the completions are
+shtab's.
 """
 
 from __future__ import annotations
@@ -22,9 +24,17 @@ from camtopod.cli.main import COMMANDS, parser_of
 
 ROOT = Path(__file__).parent.parent
 _FILES = (
-    "FILE", "CONFIG", "SOURCE", "[NAME=]SOURCE", "EVENTS", "TOPOLOGY.json", "OUT.json", "OUT.jsonl", "E.jsonl",
+    "FILE",
+    "CONFIG",
+    "SOURCE",
+    "[NAME=]SOURCE",
+    "EVENTS",
+    "TOPOLOGY.json",
+    "OUT.json",
+    "OUT.jsonl",
+    "E.jsonl",
     "T.json",
-)  # fmt: skip
+)
 _FOLDERS = ("DIR", "DIRECTORY", "FOLDER")
 _DATE = "2026-11-22"
 """Of the manual page; another one would make every day's page another."""
@@ -55,12 +65,15 @@ def completion(shell: str) -> str:
     parser, _ = parser_of(COMMANDS)
     _prepare(parser)
     text = shtab.complete(parser, shell)
-    # shtab writes what zsh takes for "the first argument, and no others beside it" where it means "each argument".
+    # shtab writes what zsh takes for "the first argument, and no others beside it" where it means
+    # "each argument".
     return text.replace('\n  "(*):', '\n  "*:') if shell == "zsh" else text
 
 
 def _prepare(parser: argparse.ArgumentParser) -> None:
-    """Say which values are files, and of commands what the help of the command above says of them."""
+    """Say which values are files, and of commands what the help of the command above says of
+    them.
+    """
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for listed in action._choices_actions:
@@ -90,7 +103,10 @@ def manual() -> str:
         *(line for command in commands for line in _command(command)),
         ".SH EXIT STATUS",
         *(line for status, meaning in _STATUSES.items() for line in (".TP", str(status), meaning)),
-        *_section("SEE ALSO", "camtopod check --example writes a configuration with every setting and its meaning."),
+        *_section(
+            "SEE ALSO",
+            "camtopod check --example writes a configuration with every setting and its meaning.",
+        ),
     ]
     return "\n".join(lines) + "\n"
 
@@ -101,9 +117,16 @@ def _section(title: str, text: str) -> list[str]:
 
 def _command(parser: argparse.ArgumentParser) -> list[str]:
     """A command with what belongs to it alone, and then its own commands."""
-    named = [action for action in parser._actions if not action.option_strings and not _inner(action)]
-    groups = {title: actions for title, actions in _groups(parser).items() if title != "common options"}
-    lines = [f".SS {parser.prog}{''.join(f' {_usage(action)}' for action in named)}", *_text(str(parser.description))]
+    named = [
+        action for action in parser._actions if not action.option_strings and not _inner(action)
+    ]
+    groups = {
+        title: actions for title, actions in _groups(parser).items() if title != "common options"
+    }
+    lines = [
+        f".SS {parser.prog}{''.join(f' {_usage(action)}' for action in named)}",
+        *_text(str(parser.description)),
+    ]
     lines += [line for actions in groups.values() for action in actions for line in _option(action)]
     return lines + [line for inner in _commands(parser) for line in _command(inner)]
 
@@ -112,7 +135,11 @@ def _groups(parser: argparse.ArgumentParser) -> dict[str | None, list[argparse.A
     """What a person is told of, by the group's title."""
     hidden = (argparse._HelpAction, argparse._SubParsersAction)
     return {
-        group.title: [a for a in group._group_actions if a.help != argparse.SUPPRESS and not isinstance(a, hidden)]
+        group.title: [
+            a
+            for a in group._group_actions
+            if a.help != argparse.SUPPRESS and not isinstance(a, hidden)
+        ]
         for group in parser._action_groups
     }
 
@@ -122,7 +149,9 @@ def _inner(action: argparse.Action) -> bool:
 
 
 def _commands(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
-    """The commands below a parser, with the description they have or the help of the parser above."""
+    """The commands below a parser, with the description they have or the help of the parser
+    above.
+    """
     found = []
     for action in filter(_inner, parser._actions):
         for listed in action._choices_actions:
@@ -141,11 +170,15 @@ def _option(action: argparse.Action) -> list[str]:
 
 def _usage(action: argparse.Action) -> str:
     """The value of an option, or an argument, as in a usage line."""
-    name = action.metavar or ("|".join(map(str, action.choices)) if action.choices else action.dest.upper())
+    name = action.metavar or (
+        "|".join(map(str, action.choices)) if action.choices else action.dest.upper()
+    )
     shown = rf"\fI{_escaped(str(name))}\fR"
     if action.option_strings:
         return shown
-    return {"?": f"[{shown}]", "*": f"[{shown}]...", "+": f"{shown}..."}.get(str(action.nargs), shown)
+    return {"?": f"[{shown}]", "*": f"[{shown}]...", "+": f"{shown}..."}.get(
+        str(action.nargs), shown
+    )
 
 
 def _text(text: str) -> list[str]:

@@ -1,6 +1,8 @@
-"""With the environment variable CI set, a skip is a failure: .ci/run provides everything that tests need.
+"""With the environment variable CI set, a skip is a failure: .ci/run provides everything that tests
+need.
 
-Only the data that is not part of the repository may be missing: CAMTOPOD_TEST_DATA names its folder where it is there.
+Only the data that is not part of the repository may be missing: CAMTOPOD_TEST_DATA names its folder
+where it is there.
 """
 
 from __future__ import annotations
@@ -10,10 +12,12 @@ import os
 import signal
 from collections.abc import Generator, Iterator
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded: the matrices are small, the cores are taken
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before numpy is loaded: the matrices are small, the cores are taken
 
-# Containers often set it, a user's shell does not: with it C's standard output waits for nothing, too, in all programs
-# that tests start, and what is stuck there is not seen.
+# Containers often set it, a user's shell does not: with it C's standard output waits for nothing,
+# too, in all programs that tests start, and what is stuck there is not seen.
 os.environ.pop("PYTHONUNBUFFERED", None)
 
 import pytest
@@ -29,13 +33,19 @@ settings.register_profile("patient", deadline=None, suppress_health_check=[Healt
 settings.load_profile("patient")  # that a busy machine is slow says nothing about what is tested
 
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as of what a shell script runs in the background
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # or every program a test starts would ignore it, too
+if (
+    signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+):  # as of what a shell script runs in the background
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # or every program a test starts would ignore it, too
 
 
 @pytest.fixture(autouse=True)
 def _logging_as_it_was() -> Generator[None]:
-    """A command run inside a test sets up the process's log; what the next test finds in its own is not its doing."""
+    """A command run inside a test sets up the process's log; what the next test finds in its own is
+    not its doing.
+    """
     root = logging.getLogger()
     level, handlers = root.level, root.handlers[:]
     yield
@@ -45,7 +55,9 @@ def _logging_as_it_was() -> Generator[None]:
 
 @pytest.fixture(autouse=True)
 def _environment_as_it_was() -> Generator[None]:
-    """What a test, or a command inside it, leaves in the environment is found by every program of a later test."""
+    """What a test, or a command inside it, leaves in the environment is found by every program of a
+    later test.
+    """
 
     def ours() -> dict[str, str]:
         return {name: value for name, value in os.environ.items() if name.startswith(OURS)}

@@ -10,8 +10,8 @@ import scipy.special
 
 
 def data_spectroscopy(points, bandwidth):
-    """DaSpec over n points (n, 2) with the dense n x n kernel: kept eigenvalues and eigenvectors, label of
-    each point."""
+    """DaSpec over n points (n, 2) with the dense n x n kernel: kept eigenvalues and eigenvectors,
+    label of each point."""
     n = len(points)
     squared = ((points[:, None, :] - points[None, :, :]) ** 2).sum(axis=2)
     values, vectors = np.linalg.eigh(np.exp(-squared / (2 * bandwidth**2)) / n)
@@ -30,7 +30,10 @@ def eigenfunction_labels(points, values, vectors, bandwidth, new):
     labels = []
     for x in new:
         kernel = np.exp(-((points - x) ** 2).sum(axis=1) / (2 * bandwidth**2))
-        phi = [abs(kernel @ v) / (len(points) * value) for v, value in zip(vectors.T, values, strict=True)]
+        phi = [
+            abs(kernel @ v) / (len(points) * value)
+            for v, value in zip(vectors.T, values, strict=True)
+        ]
         labels.append(int(np.argmax(phi)))
     return np.array(labels)
 
@@ -41,7 +44,9 @@ def bandwidth_of_points(points):
     radii = []
     for x in points:
         distances = sorted(np.hypot(*(points - x).T))
-        radii.append(next((d for i, d in enumerate(distances, 1) if i >= wanted - 1e-9), distances[-1]))
+        radii.append(
+            next((d for i, d in enumerate(distances, 1) if i >= wanted - 1e-9), distances[-1])
+        )
     radii.sort()
     q95 = next(r for i, r in enumerate(radii, 1) if i / len(points) >= 0.95 - 1e-9)
     return max(q95 / np.sqrt(5.991464547107979), 0.75)
@@ -90,14 +95,17 @@ def dense_cells(count, rate, chance, contrast, widths):
 
 
 def valley(positions, low, high, steps):
-    """`camtopod.learn.zones.separation.valley` over points on a line, by trying every pair of flanks and every
-    valley."""
+    """`camtopod.learn.zones.separation.valley` over points on a line, by trying every pair of
+    flanks and every valley."""
     grid = np.linspace(low, high, steps)
     best = 0.0
     for b in range(steps):
         for c in range(b + 1, steps):
             left = max((_valley_ratio(positions, grid, b, c, a, b) for a in range(b)), default=0.0)
-            right = max((_valley_ratio(positions, grid, b, c, c, d) for d in range(c + 1, steps)), default=0.0)
+            right = max(
+                (_valley_ratio(positions, grid, b, c, c, d) for d in range(c + 1, steps)),
+                default=0.0,
+            )
             best = max(best, min(left, right))
     return best
 
@@ -123,8 +131,8 @@ def gaussian_density(points, mean, cov):
 
 
 def wiener(image, size, noise):
-    """Wiener's filter over windows of ``size`` x ``size``; ``noise`` is a variance or None for scipy's
-    guess."""
+    """Wiener's filter over windows of ``size`` x ``size``; ``noise`` is a variance or None for
+    scipy's guess."""
     return scipy.signal.wiener(image, size, noise)
 
 
@@ -132,8 +140,8 @@ def wiener(image, size, noise):
 
 
 def window_sums(events, rows, columns, one):
-    """Per camera, from a list of events: sums over its cells (7, rows, columns) as `Window.sums`, and
-    (entries, exits) without a position."""
+    """Per camera, from a list of events: sums over its cells (7, rows, columns) as `Window.sums`,
+    and (entries, exits) without a position."""
     sums, unplaced = {}, {}
     for event in events:
         grid = sums.setdefault(event.camera, np.zeros((7, rows, columns), np.int64))
@@ -173,7 +181,9 @@ def lag_bin(lag, lag_min, lag_max, scale, step):
 
 
 def local_rates(t, zone, half_window, prior):
-    """`camtopod.learn.traffic.background_rate.local_rates`, each arrival by looking at all others."""
+    """`camtopod.learn.traffic.background_rate.local_rates`, each arrival by looking at all
+    others.
+    """
     rates = []
     for i in range(len(t)):
         same = [j for j in range(len(t)) if zone[j] == zone[i]]
@@ -185,8 +195,8 @@ def local_rates(t, zone, half_window, prior):
 
 
 def chance_rates(left_t, left_zone, came_t, came_zone, zones, width):
-    """`camtopod.learn.traffic.background_rate.chance_rates`: the mean, over the departures of u, of the rate of arrivals at v
-    in the three bins of time around each."""
+    """`camtopod.learn.traffic.background_rate.chance_rates`: the mean, over the departures of u, of
+    the rate of arrivals at v in the three bins of time around each."""
     first = min(min(left_t), min(came_t))
     last_bin = int((max(max(left_t), max(came_t)) - first) // width)
     result = np.zeros((zones, zones))
@@ -197,15 +207,16 @@ def chance_rates(left_t, left_zone, came_t, came_zone, zones, width):
                 here = int((t - first) // width)
                 around = [k for k in (here - 1, here, here + 1) if 0 <= k <= last_bin]
                 near = sum(
-                    zone == v and int((s - first) // width) in around for s, zone in zip(came_t, came_zone, strict=True)
+                    zone == v and int((s - first) // width) in around
+                    for s, zone in zip(came_t, came_zone, strict=True)
                 )
                 result[u, v] += near / (width * len(around)) / len(own)
     return result
 
 
 def candidates(departures, arrivals, lag_min, lag_max):
-    """(departure, arrival) of every candidate, by arrival, then by departure. Of passages that begin together the one
-    that ends first comes first.
+    """(departure, arrival) of every candidate, by arrival, then by departure. Of passages that
+    begin together the one that ends first comes first.
     """
     found = []
     for a in range(len(arrivals.t)):
@@ -221,9 +232,16 @@ def candidates(departures, arrivals, lag_min, lag_max):
 
 
 def coexisting(camera, entered, left, shift):
-    """`camtopod.learn.next_camera.overlapping_views`: (exit, passage) of other cameras under way ``shift`` seconds after the exit."""
+    """`camtopod.learn.next_camera.overlapping_views`: (exit, passage) of other cameras under way
+    ``shift`` seconds after the exit.
+    """
     every = range(len(left))
-    return {(i, k) for i in every for k in every if camera[i] != camera[k] and entered[k] <= left[i] + shift < left[k]}
+    return {
+        (i, k)
+        for i in every
+        for k in every
+        if camera[i] != camera[k] and entered[k] <= left[i] + shift < left[k]
+    }
 
 
 def exposures(departures, bins, zones, until):
@@ -232,7 +250,9 @@ def exposures(departures, bins, zones, until):
     for t, zone, since in zip(departures.t, departures.zone, departures.since, strict=True):
         for k in range(bins.size):
             if bins.edges[k + 1] <= 0:
-                exposed[zone, k] += min(max(bins.edges[k + 1] + t - since, 0.0) / bins.widths[k], 1.0)
+                exposed[zone, k] += min(
+                    max(bins.edges[k + 1] + t - since, 0.0) / bins.widths[k], 1.0
+                )
             else:
                 exposed[zone, k] += until - t >= bins.edges[k + 1]
     return exposed
@@ -240,7 +260,9 @@ def exposures(departures, bins, zones, until):
 
 @functools.cache
 def smoothing_kernel(size, sd_bins):
-    """Matrix whose column j is a normal density around bin j, cut off at the ends and made to sum to 1."""
+    """Matrix whose column j is a normal density around bin j, cut off at the ends and made to sum
+    to 1.
+    """
     result = np.zeros((size, size))
     for j in range(size):
         column = [np.exp(-((i - j) ** 2) / (2 * sd_bins**2)) for i in range(size)]
@@ -261,12 +283,24 @@ def smoothed(row, steps):
     return spread, kernel[middle, middle]
 
 
-def joint_fit(departures, arrivals, pairs, hazard, bins, exposure, zones, outside, sparsity, iterations, constants):
+def joint_fit(
+    departures,
+    arrivals,
+    pairs,
+    hazard,
+    bins,
+    exposure,
+    zones,
+    outside,
+    sparsity,
+    iterations,
+    constants,
+):
     """Iterations of the joint fit at EM's own stride, without pooling and slowness.
 
-    ``pairs``: (departure, arrival) of each candidate. ``hazard``: (u, v) -> (bins,). ``constants``: least shares that
-    leave and that come from outside, and the steps of smoothing. Returns the responsibilities, the counts and new
-    hazards by pair of zones, and the outside shares.
+    ``pairs``: (departure, arrival) of each candidate. ``hazard``: (u, v) -> (bins,). ``constants``:
+    least shares that leave and that come from outside, and the steps of smoothing. Returns the
+    responsibilities, the counts and new hazards by pair of zones, and the outside shares.
     """
     leave_floor, outside_floor, smoothing = constants
     lag = [arrivals.t[a] - departures.t[d] for d, a in pairs]
@@ -276,12 +310,19 @@ def joint_fit(departures, arrivals, pairs, hazard, bins, exposure, zones, outsid
     message, responsibility = [1.0] * len(pairs), [0.0] * len(pairs)
     own = {z: np.zeros(bins.size) for z in hazard}
     for _ in range(iterations):
-        others = [max(1 - r * own[z][k], 0.0) for r, z, k in zip(responsibility, zone_pair, cell, strict=True)]
+        others = [
+            max(1 - r * own[z][k], 0.0)
+            for r, z, k in zip(responsibility, zone_pair, cell, strict=True)
+        ]
         weight = [hazard[z][k] * o for z, k, o in zip(zone_pair, cell, others, strict=True)]
         offer = []
         for c, (d, _) in enumerate(pairs):
-            leave = max(1.0 - appears_again(departures.zone[d], hazard, bins, exposure), leave_floor)
-            rivals = sum(weight[o] * message[o] for o, (e, _) in enumerate(pairs) if e == d and o != c)
+            leave = max(
+                1.0 - appears_again(departures.zone[d], hazard, bins, exposure), leave_floor
+            )
+            rivals = sum(
+                weight[o] * message[o] for o, (e, _) in enumerate(pairs) if e == d and o != c
+            )
             offer.append(weight[c] / (leave + rivals))
         message, responsibility = [], []
         for c, (_, a) in enumerate(pairs):
@@ -302,19 +343,26 @@ def joint_fit(departures, arrivals, pairs, hazard, bins, exposure, zones, outsid
             kept = max(total - sparsity, 0.001 * total) / max(total, 1e-300)
             spread, stays = smoothed(kept * row, smoothing)
             own[u, v] = stays / np.maximum(spread, 1e-300)
-            fresh[u, v] = np.array([spread[k] / (max(exposure[u, k], 1.0) * bins.widths[k]) for k in range(bins.size)])
+            fresh[u, v] = np.array(
+                [spread[k] / (max(exposure[u, k], 1.0) * bins.widths[k]) for k in range(bins.size)]
+            )
         hazard = fresh
     return responsibility, counts, hazard, outside
 
 
 def pooled(counts, camera, exposure, came, steps):
-    """Of `Expected.of`: transitions per exposed departure of each pair of zones if only the cameras counted.
+    """Of `Expected.of`: transitions per exposed departure of each pair of zones if only the cameras
+    counted.
 
     ``counts``: (u, v) -> (bins,); ``came``: arrivals by zone, at least 1.
     """
     size, zones, result = exposure.shape[1], range(len(camera)), {}
     for u, v in counts:
-        alike = [row for (s, t), row in counts.items() if (camera[s], camera[t]) == (camera[u], camera[v])]
+        alike = [
+            row
+            for (s, t), row in counts.items()
+            if (camera[s], camera[t]) == (camera[u], camera[v])
+        ]
         total, _ = smoothed([sum(row[k] for row in alike) for k in range(size)], steps)
         left = [sum(exposure[z, k] for z in zones if camera[z] == camera[u]) for k in range(size)]
         share = came[v] / sum(came[z] for z in zones if camera[z] == camera[v])
@@ -323,7 +371,8 @@ def pooled(counts, camera, exposure, came, steps):
 
 
 def returning(rates):
-    """Of `Expected.of`: what each pair of zones would have if it were taken as the other way round is.
+    """Of `Expected.of`: what each pair of zones would have if it were taken as the other way round
+    is.
 
     ``rates``: (u, v) -> (bins,) transitions per exposed departure.
     """
@@ -341,7 +390,11 @@ def appears_again(zone, hazard, bins, exposure):
     again = 0.0
     for (source, _), row in hazard.items():
         for k in range(bins.size):
-            share = 1.0 if bins.edges[k + 1] > 0 else exposure[source, k] / max(max(exposure[source]), 1.0)
+            share = (
+                1.0
+                if bins.edges[k + 1] > 0
+                else exposure[source, k] / max(max(exposure[source]), 1.0)
+            )
             again += (source == zone) * row[k] * bins.widths[k] * share
     return again
 
@@ -369,7 +422,9 @@ def q_values(p, tests):
     return np.array(result)
 
 
-def doubts(pair, responsibility, pairs, evidence, left, spread_min, to_tell, chance, few, least, departures):
+def doubts(
+    pair, responsibility, pairs, evidence, left, spread_min, to_tell, chance, few, least, departures
+):
     """1 - P(something is linked) P(in character), pair by pair."""
     transitions, nats = [0.0] * pairs, [0.0] * pairs
     for p, r in zip(pair, responsibility, strict=True):
@@ -378,7 +433,9 @@ def doubts(pair, responsibility, pairs, evidence, left, spread_min, to_tell, cha
     every = len(left) ** 2
     unknown = sum(np.exp(-n / departures) for n in left) / len(left) * (every - len(evidence))
     odds = (sum(np.exp(e) for e in evidence) + unknown) / every
-    each = sorted((nats[p] / transitions[p], transitions[p]) for p in range(pairs) if transitions[p] > 0)
+    each = sorted(
+        (nats[p] / transitions[p], transitions[p]) for p in range(pairs) if transitions[p] > 0
+    )
     reached = [(value, sum(n for _, n in each[: k + 1])) for k, (value, _) in enumerate(each)]
 
     def quantile(share):
@@ -389,7 +446,11 @@ def doubts(pair, responsibility, pairs, evidence, left, spread_min, to_tell, cha
         real = 1.0
         if transitions[p] > 0:
             usual, high = quantile(0.5), quantile(0.75)
-            variance = (np.log(high / usual) / 0.6745) ** 2 + spread_min**2 + to_tell / (usual * transitions[p])
+            variance = (
+                (np.log(high / usual) / 0.6745) ** 2
+                + spread_min**2
+                + to_tell / (usual * transitions[p])
+            )
             below = min(np.log(max(nats[p] / transitions[p] / usual, 1e-12)), 0.0)
             likely = np.exp(-0.5 * below**2 / variance)
             odds_of_chance = chance * (1 + few / transitions[p])
@@ -399,18 +460,24 @@ def doubts(pair, responsibility, pairs, evidence, left, spread_min, to_tell, cha
 
 
 def slowness(source, target, stay, least, stay_min, slowness_max):
-    """Log of each passage's duration over the median of its way; nan for a way with few passages."""
+    """Log of each passage's duration over the median of its way; nan for a way with few
+    passages.
+    """
     result = []
     for u, v, seconds in zip(source, target, stay, strict=True):
         own = [s for a, b, s in zip(source, target, stay, strict=True) if (a, b) == (u, v)]
         median = np.median(np.log(np.maximum(own, stay_min)))
         relative = np.log(max(seconds, stay_min)) - median
-        result.append(max(-slowness_max, min(relative, slowness_max)) if len(own) >= least else np.nan)
+        result.append(
+            max(-slowness_max, min(relative, slowness_max)) if len(own) >= least else np.nan
+        )
     return np.array(result)
 
 
 def chain(zones, links):
-    """(from, to) -> share of those leaving a camera that are next seen at another, counted exit by exit."""
+    """(from, to) -> share of those leaving a camera that are next seen at another, counted exit by
+    exit.
+    """
     moved = {}
     for a in {zone.camera for zone in zones}:
         exits = sum(zone.exits for zone in zones if zone.camera == a)
@@ -432,35 +499,49 @@ def chain(zones, links):
 
 
 def standing_out(departures, arrivals, zone, bins, exposure, chance, seen_min, widths):
-    """How far the lags from each zone to ``zone`` stand out of chance where they do most, in standard deviations; 0 of
-    those seen fewer than ``seen_min`` times. ``chance``: (sources, targets) -> rates in 1/s."""
+    """How far the lags from each zone to ``zone`` stand out of chance where they do most, in
+    standard deviations; 0 of those seen fewer than ``seen_min`` times. ``chance``: (sources,
+    targets) -> rates in 1/s."""
     zones, result = len(exposure), []
     pairs = [
-        (d, a) for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max) if arrivals.zone[a] == zone
+        (d, a)
+        for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max)
+        if arrivals.zone[a] == zone
     ]
     for u in range(zones):
         seen = np.zeros(bins.size)
         for d, a in pairs:
             lag = arrivals.t[a] - departures.t[d]
-            seen[lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step)] += departures.zone[d] == u
+            seen[lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step)] += (
+                departures.zone[d] == u
+            )
         usual = chance(np.array([u]), np.array([zone]))[0] * exposure[u] * bins.widths
         most = 0.0
         for width in widths:
             kernel = smoothing_kernel(bins.size, width)
             for k in range(bins.size):
                 noise = sum(kernel[k, j] ** 2 * max(usual[j], 0.5) for j in range(bins.size))
-                most = max(most, sum(kernel[k, j] * (seen[j] - usual[j]) for j in range(bins.size)) / np.sqrt(noise))
+                most = max(
+                    most,
+                    sum(kernel[k, j] * (seen[j] - usual[j]) for j in range(bins.size))
+                    / np.sqrt(noise),
+                )
         result.append(most if sum(seen) >= seen_min else 0.0)
     return result
 
 
-def likely(departures, arrivals, zone, sources, bins, exposure, chance, first, smoothing, constants):
-    """`camtopod.learn.association.screening._likely`: (departure, arrival) -> probability. ``first``: `excess` of a histogram."""
+def likely(
+    departures, arrivals, zone, sources, bins, exposure, chance, first, smoothing, constants
+):
+    """`camtopod.learn.association.screening._likely`: (departure, arrival) -> probability.
+    ``first``: `excess` of a histogram.
+    """
     rounds, outside_first, start_floor, least = constants
     pairs = [
-        (d, a) for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max)
+        (d, a)
+        for d, a in candidates(departures, arrivals, bins.lag_min, bins.lag_max)
         if arrivals.zone[a] == zone and departures.zone[d] in sources
-    ]  # fmt: skip
+    ]
     lags = [arrivals.t[a] - departures.t[d] for d, a in pairs]
     at = [lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step) for lag in lags]
     hazard = {}
@@ -471,7 +552,8 @@ def likely(departures, arrivals, zone, sources, bins, exposure, chance, first, s
         usual = chance(np.array([u]), np.array([zone]))[0] * exposure[u] * bins.widths
         above = first(seen[None, :], usual[None, :])[0]
         hazard[u] = [
-            max(above[k], start_floor * seen[k]) / max(exposure[u, k] * bins.widths[k], bins.widths[k])
+            max(above[k], start_floor * seen[k])
+            / max(exposure[u, k] * bins.widths[k], bins.widths[k])
             for k in range(bins.size)
         ]
     share = []
@@ -487,7 +569,9 @@ def likely(departures, arrivals, zone, sources, bins, exposure, chance, first, s
             moved[departures.zone[d]][k] += own / max(total, 1.0)
         for u in sources:
             spread, _ = smoothed(moved[u], smoothing)
-            hazard[u] = [spread[k] / (max(exposure[u, k], 1.0) * bins.widths[k]) for k in range(bins.size)]
+            hazard[u] = [
+                spread[k] / (max(exposure[u, k], 1.0) * bins.widths[k]) for k in range(bins.size)
+            ]
     return {pair: own for pair, own in zip(pairs, share, strict=True) if own > least}
 
 
@@ -500,7 +584,9 @@ def entered_at(departures, arrivals):
 
 
 def likeliest_before(departures, arrivals, pairs, responsibility, least):
-    """(Camera each departure's object was at before, how sure), by adding up who its arrival could have been."""
+    """(Camera each departure's object was at before, how sure), by adding up who its arrival could
+    have been.
+    """
     result = []
     for own in departures.own:
         mass = {}
@@ -514,14 +600,18 @@ def likeliest_before(departures, arrivals, pairs, responsibility, least):
 
 
 def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, back_off, least):
-    """`camtopod.learn.next_camera.contexts.Contexts`: every candidate and departure is judged by all the others, one by one.
+    """`camtopod.learn.next_camera.contexts.Contexts`: every candidate and departure is judged by
+    all the others, one by one.
 
-    Returns for each level (departures by context, transitions by context and target); the shares; the leaving.
+    Returns for each level (departures by context, transitions by context and target); the shares;
+    the leaving.
     """
     n, entry = len(departures.t), entered_at(departures, arrivals)
     sure = {}
     for zone in set(departures.zone.tolist()):
-        own = [r for (d, _), r in zip(pairs, responsibility, strict=True) if departures.zone[d] == zone]
+        own = [
+            r for (d, _), r in zip(pairs, responsibility, strict=True) if departures.zone[d] == zone
+        ]
         sure[zone] = sum(r * r for r in own) / max(sum(own), 1e-300)
     before = likeliest_before(departures, arrivals, pairs, responsibility, least)
     levels = []
@@ -542,9 +632,10 @@ def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, ba
         new_share = []
         for c, (d, a) in enumerate(pairs):
             above = sum(
-                moved[o] for o, (e, b) in enumerate(pairs)
+                moved[o]
+                for o, (e, b) in enumerate(pairs)
                 if o != c and key[e] == key[d] and arrivals.zone[b] == arrivals.zone[a]
-            )  # fmt: skip
+            )
             below = sum(mine[e] for e in range(n) if e != d and key[e] == key[d])
             here = (above + back_off * share[c]) / (below + back_off)
             new_share.append(told[d] * here + (1 - told[d]) * share[c])
@@ -566,8 +657,9 @@ def contexts(departures, arrivals, pairs, responsibility, share, gone, leave, ba
 
 
 def entry_kernels(departures, arrivals, candidates, bins, zones):
-    """What entry kernels count: per zone of entry and lag bin, the passages still in view when the bin begins; and of
-    each candidate that appears before the exit: ((zone of entry, zone of appearance), bin of the lag from the entry).
+    """What entry kernels count: per zone of entry and lag bin, the passages still in view when the
+    bin begins; and of each candidate that appears before the exit: ((zone of entry, zone of
+    appearance), bin of the lag from the entry).
     """
     entry = entered_at(departures, arrivals)
     exposed = np.zeros((zones, bins.size))
@@ -594,7 +686,8 @@ def multiplier(before, after, most):
 def surroundings(share, leave, steps, back_off, most, leave_floor):
     """`camtopod.predict.contexts.Surroundings.multipliers`, target by target.
 
-    ``share``: target -> share; ``steps``: (departures, transitions by target, how sure) of each context, in order.
+    ``share``: target -> share; ``steps``: (departures, transitions by target, how sure) of each
+    context, in order.
     """
     now, stays_now = dict(share), leave
     for departures, moved, told in steps:
@@ -602,15 +695,20 @@ def surroundings(share, leave, steps, back_off, most, leave_floor):
             here = (moved.get(target, 0.0) + back_off * now[target]) / (departures + back_off)
             now[target] = told * here + (1 - told) * now[target]
         stays = max(departures - sum(moved.values()), 0.0)
-        stays_now = told * (stays + back_off * stays_now) / (departures + back_off) + (1 - told) * stays_now
-    return {target: multiplier(share[target], now[target], most) for target in share}, max(stays_now, leave_floor)
+        stays_now = (
+            told * (stays + back_off * stays_now) / (departures + back_off) + (1 - told) * stays_now
+        )
+    return {target: multiplier(share[target], now[target], most) for target in share}, max(
+        stays_now, leave_floor
+    )
 
 
 def predicted(topology, seen, asked, zone_of, constants, now=None):
-    """`camtopod.predict.predictor.Predictor`: after the events ``seen`` (all at different times, clocks right), where the
-    object of the exit ``asked`` goes: {zone index: probability}, None for leaving. ``constants``: back-off, largest
-    multiplier, least leaving, prior of a dead camera, least probability, least rate, shortest stay, largest slowness.
-    ``now``: as it is known then; the exit itself and what came after it may be among the events.
+    """`camtopod.predict.predictor.Predictor`: after the events ``seen`` (all at different times,
+    clocks right), where the object of the exit ``asked`` goes: {zone index: probability}, None for
+    leaving. ``constants``: back-off, largest multiplier, least leaving, prior of a dead camera,
+    least probability, least rate, shortest stay, largest slowness. ``now``: as it is known then;
+    the exit itself and what came after it may be among the events.
     """
     back_off, most, leave_floor, dead, least, rate_min, stay_min, slowest = constants
     model, zones = topology.model, topology.zones
@@ -625,10 +723,18 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
         return scale * np.sinh(step * k), scale * np.sinh(step * (k + 1))
 
     def table(histogram):
-        width = {histogram.first + i: edges(histogram.first + i) for i in range(len(histogram.mass))}
-        return {k: mass / (high - low) for (k, (low, high)), mass in zip(width.items(), histogram.mass, strict=True)}
+        width = {
+            histogram.first + i: edges(histogram.first + i) for i in range(len(histogram.mass))
+        }
+        return {
+            k: mass / (high - low)
+            for (k, (low, high)), mass in zip(width.items(), histogram.mass, strict=True)
+        }
 
-    onward = {index[row.zone]: {index[o.to]: (o.share, table(o.hazard)) for o in row.next_} for row in model.onward}
+    onward = {
+        index[row.zone]: {index[o.to]: (o.share, table(o.hazard)) for o in row.next_}
+        for row in model.onward
+    }
     leave = {index[row.zone]: row.leave for row in model.onward}
     kernels = {(index[row.zone], index[row.to]): table(row.hazard) for row in model.entered}
     stay = {index[row.zone]: row.stay for row in model.zones}
@@ -651,25 +757,37 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
         result = 0.0
         for u in own:
             row = onward[u][v][1]
-            ahead = sum(h * (edges(k)[1] - edges(k)[0]) * begun(u, k) for k, h in row.items() if edges(k)[1] <= 0)
+            ahead = sum(
+                h * (edges(k)[1] - edges(k)[0]) * begun(u, k)
+                for k, h in row.items()
+                if edges(k)[1] <= 0
+            )
             result += zones[u].exits / exits * ahead / max(stay[u][5] if stay[u] else 10.0, 1.0)
         return result
 
     def passage_of(n, event):
-        """Number of the entry that began the passage which an exit ends, number n or before that."""
+        """Number of the entry that began the passage which an exit ends, number n or before
+        that.
+        """
         for j in range(n - 1, -1, -1):
-            if event.track is not None and (seen[j].camera, seen[j].track) == (event.camera, event.track):
+            if event.track is not None and (seen[j].camera, seen[j].track) == (
+                event.camera,
+                event.track,
+            ):
                 return j if seen[j].kind == "entry" else None
         return None
 
     def under_way(j, n):
         """Whether the passage begun by entry number j goes on when event number n comes."""
-        same = [seen[i].camera == seen[j].camera and seen[i].track == seen[j].track for i in range(j + 1, n)]
+        same = [
+            seen[i].camera == seen[j].camera and seen[i].track == seen[j].track
+            for i in range(j + 1, n)
+        ]
         return seen[j].kind == "entry" and seen[j].track is not None and not any(same)
 
     def causes(n, known, but=()):
-        """By camera, the rate at which what is known when event ``known`` comes could have caused arrival number n;
-        without the events ``but``.
+        """By camera, the rate at which what is known when event ``known`` comes could have caused
+        arrival number n; without the events ``but``.
         """
         a, v, found = seen[n], zone_of(seen[n]), {}
         for x in range(known):
@@ -678,12 +796,16 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
                 other = seen[x].camera != a.camera
                 fits = other and lag >= model.lag_min and (p is None or seen[p].t < a.t)
                 if lag > 0 or fits:
-                    found[seen[x].camera] = found.get(seen[x].camera, 0.0) + rate(zone_of(seen[x]), v, lag)
+                    found[seen[x].camera] = found.get(seen[x].camera, 0.0) + rate(
+                        zone_of(seen[x]), v, lag
+                    )
                 if lag < 0 and fits and p is not None:
                     found[seen[x].camera] -= rate_ahead(seen[x].camera, v)
         for j in range(n):
             if j not in but and under_way(j, n) and seen[j].camera != a.camera:
-                more = rate_ahead(seen[j].camera, v) + rate_entered(zone_of(seen[j]), v, a.t - seen[j].t)
+                more = rate_ahead(seen[j].camera, v) + rate_entered(
+                    zone_of(seen[j]), v, a.t - seen[j].t
+                )
                 found[seen[j].camera] = found.get(seen[j].camera, 0.0) + more
         return found
 
@@ -694,26 +816,37 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
     if p is not None and model.pace is not None:
         for way in model.pace.ways:
             if (index[way.entry], index[way.exit]) == (zone_of(seen[p]), u):
-                slow = min(max(np.log(max(asked.t - since, stay_min) / way.stay), -slowest), slowest)
+                slow = min(
+                    max(np.log(max(asked.t - since, stay_min) / way.stay), -slowest), slowest
+                )
                 slower = np.exp(model.pace.scaling * slow * (1 + model.pace.correlation) / 2)
 
     def odds_by(until):
         """By zone, of appearing there, as it is known then."""
         mass, pace = {}, slower if until > asked.t else 1.0
         for v, (_, row) in onward[u].items():
-            last = max((n for n, event in enumerate(seen, 1) if event.camera == zones[v].camera), default=0)
+            last = max(
+                (n for n, event in enumerate(seen, 1) if event.camera == zones[v].camera), default=0
+            )
             share = sum(known.share for known in model.cameras if known.camera == zones[v].camera)
             alive = 1.0 / (1.0 + dead * np.exp(min((len(seen) - last) * share, 50.0)))
             mass[v] = 0.0
             for k, h in row.items():
                 low, high = edges(k)
                 if high > 0:
-                    left = (high * pace - max(until - asked.t, low * pace)) / (high * pace - low * pace)
+                    left = (high * pace - max(until - asked.t, low * pace)) / (
+                        high * pace - low * pace
+                    )
                     mass[v] += h * (high - low) * alive * max(left, 0.0)
         for n, a in enumerate(seen):
             v, lag = zone_of(a), a.t - asked.t
             usual = lag / pace if lag > 0 else lag
-            if a.kind != "entry" or v not in onward[u] or a.t > until or (lag < 0 and a.camera == asked.camera):
+            if (
+                a.kind != "entry"
+                or v not in onward[u]
+                or a.t > until
+                or (lag < 0 and a.camera == asked.camera)
+            ):
                 continue
             if a.t <= since or at(usual) is None:
                 continue
@@ -721,7 +854,11 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
             exposed = begun(u, k)
             if p is not None:
                 low, high = edges(k)
-                exposed = min(max((high - (since - asked.t)) / (high - low), 0.0), 1.0) if high <= 0 else 1.0
+                exposed = (
+                    min(max((high - (since - asked.t)) / (high - low), 0.0), 1.0)
+                    if high <= 0
+                    else 1.0
+                )
                 entered = rate_entered(zone_of(seen[p]), v, a.t - since) if lag < 0 else 0.0
             here = rate(u, v, usual) * exposed / (pace if lag > 0 else 1.0) + entered
             others = sum(causes(n, len(seen), own).values())
@@ -733,14 +870,22 @@ def predicted(topology, seen, asked, zone_of, constants, now=None):
     block = None if asked.x is None else int(asked.y * 6) * 6 + int(asked.x * 6)
     entry, before = (None, {}) if p is None else (zones[zone_of(seen[p])].id, causes(p, p))
     previous = max(before, key=before.get, default=None)
-    sure = before[previous] / (outside[zone_of(seen[p])] + sum(before.values())) if previous else 0.0
+    sure = (
+        before[previous] / (outside[zone_of(seen[p])] + sum(before.values())) if previous else 0.0
+    )
     known = {(row.zone, row.entry, row.block, row.previous): row for row in model.contexts}
     both = None if entry is None or block is None else (entry, block, None)
     asks = [(entry, None, None), (None, block, None), both, (None, None, previous)]
     for key, told in zip(asks, (1.0, 1.0, 1.0, sure), strict=True):
-        row = known.get((zones[u].id, *key)) if key and any(part is not None for part in key) else None
+        row = (
+            known.get((zones[u].id, *key))
+            if key and any(part is not None for part in key)
+            else None
+        )
         if row is not None:
-            steps.append((row.departures, {index[name]: count for name, count in row.to.items()}, told))
+            steps.append(
+                (row.departures, {index[name]: count for name, count in row.to.items()}, told)
+            )
     shares = {v: share for v, (share, _) in onward[u].items()}
     likelier, stays = surroundings(shares, leave[u], steps, back_off, most, leave_floor)
     if not any(row.zone == zones[u].id for row in model.contexts):
@@ -795,8 +940,13 @@ def skip_hazards(appears, source, target, through, bins, quantiles, sd_bins, lin
                 for one in quantiles:
                     for other in quantiles:
                         lag = seconds
-                        for row, whole, x in ((appears[first], p, one), (appears[second], q, other)):
-                            lag += bins.centres[next(k for k, s in enumerate(np.cumsum(row) / whole) if s >= x)]
+                        for row, whole, x in (
+                            (appears[first], p, one),
+                            (appears[second], q, other),
+                        ):
+                            lag += bins.centres[
+                                next(k for k, s in enumerate(np.cumsum(row) / whole) if s >= x)
+                            ]
                         at = lag_bin(lag, bins.lag_min, bins.lag_max, bins.scale, bins.step)
                         if at >= 0:
                             mass[number[u, v], at] += taken / len(quantiles) ** 2

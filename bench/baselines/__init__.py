@@ -1,6 +1,8 @@
-"""What else could be used: other people's methods, each from its paper, measured beside ours. Never in the product.
+"""What else could be used: other people's methods, each from its paper, measured beside ours. Never
+in the product.
 
-They are given what ours has to find out: the true zones, no clutter, and a threshold chosen on the truth.
+They are given what ours has to find out: the true zones, no clutter, and a threshold chosen on the
+truth.
 
 * `crossings`: the events as they get them; `findings`: what they answer, and how it is scored
 * links between zones: `closest` (Alkhateeb 2011), `correlation` (Makris, Ellis, Black 2004), `information` (Tieu,

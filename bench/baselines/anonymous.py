@@ -1,12 +1,14 @@
 """Markov chains from anonymous counts: conditional least squares with transit delays.
 
-Bernstein and Sheldon, "Consistently estimating Markov chains with noisy aggregate data" (AISTATS 2016), after
-Kalbfleisch and Lawless: with counts of people by state and time step and no identities, the transition matrix is found
-by regressing the counts of a step on those of the step before, never negative. Martin, Pryer and Zanetti (arXiv
-2501.17532, 2025) are about the same problem; their paper was not at hand, so this is not their estimator. Here a step
-is two seconds, the next state follows after any of many delays, and a moving average takes the place of newcomers:
+Bernstein and Sheldon, "Consistently estimating Markov chains with noisy aggregate data" (AISTATS
+2016), after Kalbfleisch and Lawless: with counts of people by state and time step and no
+identities, the transition matrix is found by regressing the counts of a step on those of the step
+before, never negative. Martin, Pryer and Zanetti (arXiv 2501.17532, 2025) are about the same
+problem; their paper was not at hand, so this is not their estimator. Here a step is two seconds,
+the next state follows after any of many delays, and a moving average takes the place of newcomers:
 
-    arrivals_v(t) - average = sum_u sum_d p_uv(d) (departures_u(t - d) - average) + noise,    p_uv(d) >= 0.
+    arrivals_v(t) - average = sum_u sum_d p_uv(d) (departures_u(t - d) - average) + noise,
+    p_uv(d) >= 0.
 """
 
 from __future__ import annotations
@@ -24,7 +26,35 @@ from camtopod.arrays import Floats
 
 STEP_SECONDS = 2.0
 GROUPS = (
-    *(-120, -90, -64, -44, -30, -20, -12, -8, -6, -4, -2, 0, 2, 4, 6, 8, 12, 16, 20, 26, 32, 40, 50, 64, 80, 100, 120),
+    *(
+        -120,
+        -90,
+        -64,
+        -44,
+        -30,
+        -20,
+        -12,
+        -8,
+        -6,
+        -4,
+        -2,
+        0,
+        2,
+        4,
+        6,
+        8,
+        12,
+        16,
+        20,
+        26,
+        32,
+        40,
+        50,
+        64,
+        80,
+        100,
+        120,
+    ),
     *(150, 180),
 )
 """Seconds: between two of these ``p_uv(d)`` is the same."""
@@ -35,12 +65,16 @@ ITERATIONS = 150
 
 
 def anonymous(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
-    """Scores: probability of the transition, its size against chance, and the highest rate of any delay."""
+    """Scores: probability of the transition, its size against chance, and the highest rate of any
+    delay.
+    """
     zones = len(seen.zones)
     groups = np.array([seconds for seconds in GROUPS if lags.low <= seconds <= lags.high])
     edges = groups / STEP_SECONDS
     left, came = _centred(seen)
-    leaving, coming = (np.bincount(z, minlength=zones).astype(float) for z in (seen.left_zone, seen.came_zone))
+    leaving, coming = (
+        np.bincount(z, minlength=zones).astype(float) for z in (seen.left_zone, seen.came_zone)
+    )
     rate = fit(left, came, edges.astype(np.int64), seen.between)
     share = (rate * np.diff(edges)[:, None, None]).sum(axis=0)
     noise = np.sqrt(np.maximum(coming, 1.0)[None, :] / np.maximum(leaving, 1.0)[:, None])
@@ -48,13 +82,16 @@ def anonymous(seen: Crossings, lags: Lags = NARROW) -> dict[str, Findings]:
     return {
         "probability": Findings(share, transit),
         "against chance": Findings(share / noise, transit),
-        "highest rate": Findings((rate * np.sqrt(np.diff(edges))[:, None, None]).max(axis=0) / noise, transit),
+        "highest rate": Findings(
+            (rate * np.sqrt(np.diff(edges))[:, None, None]).max(axis=0) / noise, transit
+        ),
     }
 
 
 def fit(left: Floats, came: Floats, edges: NDArray[np.int64], allowed: NDArray[np.bool_]) -> Floats:
-    """``p_uv(d)`` per step for delays between ``edges`` (steps), (delays, zones, zones), from centred counts (steps,
-    zones): non-negative least squares by accelerated projected gradient on the normal equations."""
+    """``p_uv(d)`` per step for delays between ``edges`` (steps), (delays, zones, zones), from
+    centred counts (steps, zones): non-negative least squares by accelerated projected gradient on
+    the normal equations."""
     zones, n = left.shape[1], len(edges) - 1
     # Sums of lagged products over the steps of two groups, from running sums over the lag.
     span = int(edges[-1] - edges[0])

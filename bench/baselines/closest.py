@@ -1,7 +1,9 @@
-"""The thesis's own test (Alkhateeb 2011, table 4.3): Mahalanobis distances of closest pairs, linked when Var(d) <= 1.
+"""The thesis's own test (Alkhateeb 2011, table 4.3): Mahalanobis distances of closest pairs, linked
+when Var(d) <= 1.
 
-The thesis takes S in the distance from the two zones' times themselves (eq. 4.4), against which no difference is large.
-The other scalings are kinder to it: S from how far apart the closest of two unrelated Poisson processes lie.
+The thesis takes S in the distance from the two zones' times themselves (eq. 4.4), against which no
+difference is large. The other scalings are kinder to it: S from how far apart the closest of two
+unrelated Poisson processes lie.
 """
 
 from __future__ import annotations
@@ -19,11 +21,20 @@ MODE_BINS = 40
 
 
 def closest(seen: Crossings) -> dict[str, Findings]:
-    """Score -Var(d): `LITERAL`, and against chance for the closest arrival on either side and the first one after."""
+    """Score -Var(d): `LITERAL`, and against chance for the closest arrival on either side and the
+    first one after.
+    """
     zones = len(seen.zones)
     names = (LITERAL, "closest, against chance", "first after, against chance")
-    result = {name: Findings(np.full((zones, zones), -np.inf), np.full((zones, zones), np.nan)) for name in names}
-    seconds = float(max(seen.left[-1], seen.came[-1]) - min(seen.left[0], seen.came[0])) if len(seen.left) else 0.0
+    result = {
+        name: Findings(np.full((zones, zones), -np.inf), np.full((zones, zones), np.nan))
+        for name in names
+    }
+    seconds = (
+        float(max(seen.left[-1], seen.came[-1]) - min(seen.left[0], seen.came[0]))
+        if len(seen.left)
+        else 0.0
+    )
     left = [seen.left[seen.left_zone == k] for k in range(zones)]
     came = [seen.came[seen.came_zone == k] for k in range(zones)]
     for u, v in np.argwhere(seen.between):
@@ -47,12 +58,16 @@ def closest(seen: Crossings) -> dict[str, Findings]:
 def _nearest(left: Floats, came: Floats) -> Floats:
     """For each time of ``left`` the nearest of ``came``."""
     after = np.clip(np.searchsorted(came, left), 1, len(came) - 1)
-    near: Floats = np.where(came[after] - left < left - came[after - 1], came[after], came[after - 1])
+    near: Floats = np.where(
+        came[after] - left < left - came[after - 1], came[after], came[after - 1]
+    )
     return near
 
 
 def _mode(lags: Floats) -> float:
-    """Centre of the fullest histogram bin (thesis 4.5), within the middle 90 % of the differences."""
+    """Centre of the fullest histogram bin (thesis 4.5), within the middle 90 % of the
+    differences.
+    """
     low, high = np.quantile(lags, (0.05, 0.95))
     if high <= low:
         return float(low)

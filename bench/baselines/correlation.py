@@ -1,7 +1,9 @@
-"""Cross-correlation of departures and arrivals (Makris, Ellis, Black, "Bridging the gaps between cameras", CVPR 2004).
+"""Cross-correlation of departures and arrivals (Makris, Ellis, Black, "Bridging the gaps between
+cameras", CVPR 2004).
 
-Two zones are linked when the correlation has a clear peak: above its mean over all lags by so many of its standard
-deviations. The lag of the peak is the transit time. The bin width is theirs to choose.
+Two zones are linked when the correlation has a clear peak: above its mean over all lags by so many
+of its standard deviations. The lag of the peak is the transit time. The bin width is theirs to
+choose.
 """
 
 from __future__ import annotations

@@ -22,14 +22,18 @@ class Lags(NamedTuple):
 
 
 NARROW, WIDE = Lags(-20.0, 120.0), Lags(-120.0, 180.0)
-"""Where most transits of the made-up networks lie, which spares the baselines much chance, and what ours looks at by
-default. The better one counts."""
+"""Where most transits of the made-up networks lie, which spares the baselines much chance, and what
+ours looks at by default. The better one counts."""
 CANDIDATES_MAX = 10_000_000
-"""At most this many pairs of a departure and an arrival are weighed; beyond, only the newest events are."""
+"""At most this many pairs of a departure and an arrival are weighed; beyond, only the newest events
+are.
+"""
 
 
 class Crossings(NamedTuple):
-    """Departures and arrivals by time (seconds), with the index of their zone; ``zones`` names, ``camera`` indices."""
+    """Departures and arrivals by time (seconds), with the index of their zone; ``zones`` names,
+    ``camera`` indices.
+    """
 
     zones: list[str]
     camera: Longs
@@ -40,13 +44,17 @@ class Crossings(NamedTuple):
 
     @property
     def between(self) -> NDArray[np.bool_]:
-        """(zones, zones) whether a pair of zones lies in two cameras, the only ones that can be linked."""
+        """(zones, zones) whether a pair of zones lies in two cameras, the only ones that can be
+        linked.
+        """
         result: NDArray[np.bool_] = self.camera[:, None] != self.camera[None, :]
         return result
 
 
 class Candidates(NamedTuple):
-    """Pairs (departure, arrival) within the lags, zones in two cameras, by arrival: indices, pair of zones, seconds."""
+    """Pairs (departure, arrival) within the lags, zones in two cameras, by arrival: indices, pair
+    of zones, seconds.
+    """
 
     departure: Longs
     arrival: Longs
@@ -57,8 +65,8 @@ class Candidates(NamedTuple):
 
 
 def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
-    """The recorded events of walkers; without positions a camera is one zone, named by its first true one, and without
-    true zones one named after it."""
+    """The recorded events of walkers; without positions a camera is one zone, named by its first
+    true one, and without true zones one named after it."""
     cameras = {name: index for index, name in enumerate(truth.cameras)}
     placed = all(zone.x is not None for zone in truth.zones)
     names: list[TrueZone] = []
@@ -84,12 +92,19 @@ def crossings(events: Sequence[Event], truth: Truth) -> Crossings:
     return Crossings(
         [zone.id for zone in names],
         np.array([cameras[zone.camera] for zone in names]),
-        t[left], at[left], t[came], at[came],
-    )  # fmt: skip
+        t[left],
+        at[left],
+        t[came],
+        at[came],
+    )
 
 
-def candidates(seen: Crossings, candidates_max: int = CANDIDATES_MAX, lags: Lags = NARROW) -> Candidates:
-    """All candidates, or those of the newest arrivals when there are more than ``candidates_max``."""
+def candidates(
+    seen: Crossings, candidates_max: int = CANDIDATES_MAX, lags: Lags = NARROW
+) -> Candidates:
+    """All candidates, or those of the newest arrivals when there are more than
+    ``candidates_max``.
+    """
     low = np.searchsorted(seen.left, seen.came - lags.high, side="left")
     high = np.searchsorted(seen.left, seen.came - lags.low, side="right")
     n = high - low
@@ -105,7 +120,9 @@ def candidates(seen: Crossings, candidates_max: int = CANDIDATES_MAX, lags: Lags
 
 
 def lag_counts(seen: Crossings, found: Candidates, width: float) -> tuple[Floats, Floats]:
-    """Cross-correlation of departures and arrivals: (zones, zones, bins) pairs per lag bin, and the bins' centres."""
+    """Cross-correlation of departures and arrivals: (zones, zones, bins) pairs per lag bin, and the
+    bins' centres.
+    """
     (low, high), zones = found.lags, len(seen.zones)
     bins = math.ceil((high - low) / width)
     at = np.minimum(((found.lag - low) / width).astype(np.int64), bins - 1)

@@ -1,4 +1,6 @@
-"""What a baseline says of every pair of zones, and how near the truth that is at the threshold that suits it best."""
+"""What a baseline says of every pair of zones, and how near the truth that is at the threshold that
+suits it best.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +15,25 @@ from camtopod.sim.score import TRANSIT_FLOOR_SECONDS
 from camtopod.sim.truth import TrueLink, Truth
 
 FALSE_KEPT = 3
-"""Of each network, the best pairs are kept: this many times the true links, and no fewer than `KEPT_MIN`."""
+"""Of each network, the best pairs are kept: this many times the true links, and no fewer than
+`KEPT_MIN`.
+"""
 KEPT_MIN = 100
 
 
 class Findings(Struct):
-    """Scores of pairs of zones, (zones, zones), the higher the surer; and transit times, seconds (nan: unknown)."""
+    """Scores of pairs of zones, (zones, zones), the higher the surer; and transit times, seconds
+    (nan: unknown).
+    """
 
     score: Floats
     transit: Floats
 
 
 class Ranked(Struct):
-    """The best pairs of one network by falling score, cut to some digits: what choosing a threshold needs."""
+    """The best pairs of one network by falling score, cut to some digits: what choosing a threshold
+    needs.
+    """
 
     walked: int
     """True links that were walked."""
@@ -51,12 +59,17 @@ class Tuned(Struct):
 def rank(found: Findings, seen: Crossings, truth: Truth, everything: bool = False) -> Ranked:
     """Hold the findings against the truth; with ``everything`` all pairs are kept.
 
-    A truth without zones knows pairs of cameras only: then each camera is a zone, and the surer direction counts.
+    A truth without zones knows pairs of cameras only: then each camera is a zone, and the surer
+    direction counts.
     """
     if not truth.zones:
         return _rank_pairs(found, truth)
     index = {name: k for k, name in enumerate(seen.zones)}
-    by_camera = {seen.camera[k]: k for k in range(len(seen.zones))} if len(seen.zones) < len(truth.zones) else {}
+    by_camera = (
+        {seen.camera[k]: k for k in range(len(seen.zones))}
+        if len(seen.zones) < len(truth.zones)
+        else {}
+    )
     cameras = {name: k for k, name in enumerate(truth.cameras)}
     place = {z.id: by_camera[cameras[z.camera]] if by_camera else index[z.id] for z in truth.zones}
     links: dict[tuple[int, int], TrueLink] = {}
@@ -74,7 +87,9 @@ def rank(found: Findings, seen: Crossings, truth: Truth, everything: bool = Fals
         true = links.get((u, v))
         result.score.append(float(f"{score[pair]:.6g}"))
         result.kind.append(0 if true is None else 2 if true.transitions else 1)
-        result.error.append(-1.0 if true is None else round(_error(float(found.transit[u, v]), true), 4))
+        result.error.append(
+            -1.0 if true is None else round(_error(float(found.transit[u, v]), true), 4)
+        )
     return result
 
 
@@ -84,11 +99,14 @@ def _rank_pairs(found: Findings, truth: Truth) -> Ranked:
     score = np.maximum(score, score.T)
     names = truth.cameras
     pairs = [
-        (score[u, v], tuple(sorted((names[u], names[v])))) for u, v in zip(*np.triu_indices(len(names), 1), strict=True)
+        (score[u, v], tuple(sorted((names[u], names[v]))))
+        for u, v in zip(*np.triu_indices(len(names), 1), strict=True)
     ]
     pairs = sorted((pair for pair in pairs if np.isfinite(pair[0])), key=lambda pair: -pair[0])
     scores = [float(f"{surest:.6g}") for surest, _ in pairs]
-    return Ranked(len(true), scores, [2 * (cameras in true) for _, cameras in pairs], [-1.0] * len(pairs))
+    return Ranked(
+        len(true), scores, [2 * (cameras in true) for _, cameras in pairs], [-1.0] * len(pairs)
+    )
 
 
 def _error(seconds: float, true: TrueLink) -> float:
@@ -96,7 +114,9 @@ def _error(seconds: float, true: TrueLink) -> float:
     if not np.isfinite(seconds):
         return -1.0
     figures = (true.transit.mode, true.transit.q50)
-    return min(abs(seconds - figure) / max(abs(figure), TRANSIT_FLOOR_SECONDS) for figure in figures)
+    return min(
+        abs(seconds - figure) / max(abs(figure), TRANSIT_FLOOR_SECONDS) for figure in figures
+    )
 
 
 def at(networks: Sequence[Ranked], threshold: float) -> Tuned:
@@ -107,8 +127,12 @@ def at(networks: Sequence[Ranked], threshold: float) -> Tuned:
 
 
 def tune(networks: Sequence[Ranked]) -> Tuned:
-    """At the threshold with the best mean F1 over the networks; above everything when there is nothing to find."""
-    scores = np.unique(np.concatenate([np.array(network.score) for network in networks] or [np.zeros(0)]))
+    """At the threshold with the best mean F1 over the networks; above everything when there is
+    nothing to find.
+    """
+    scores = np.unique(
+        np.concatenate([np.array(network.score) for network in networks] or [np.zeros(0)])
+    )
     curves = [_curve(network, scores) for network in networks]
     if not len(scores) or not curves:
         return at(networks, np.inf)

@@ -1,10 +1,12 @@
-"""What Frigate (MIT licence; version 0.16) does with a camera before any detector runs, written anew from its sources.
+"""What Frigate (MIT licence; version 0.16) does with a camera before any detector runs, written
+anew from its sources.
 
-An ``ffmpeg`` process decodes, takes ``fps`` frames a second, scales them to the detect size and pipes them as raw
-yuv420p; they are read into a buffer; motion is looked for on the luma at 100 rows: contrast stretched between the 4th
-and 96th percentile averaged over 50 frames, blurred, compared with a running mean, thresholded, dilated, contours.
-Its settings by default: 5 frames a second, threshold 30, contours from 10 pixels, learning rate 0.01 (0.2 at first),
-two threads. Left out, in its favour: the frame goes from process to process through shared memory and two queues.
+An ``ffmpeg`` process decodes, takes ``fps`` frames a second, scales them to the detect size and
+pipes them as raw yuv420p; they are read into a buffer; motion is looked for on the luma at 100
+rows: contrast stretched between the 4th and 96th percentile averaged over 50 frames, blurred,
+compared with a running mean, thresholded, dilated, contours. Its settings by default: 5 frames a
+second, threshold 30, contours from 10 pixels, learning rate 0.01 (0.2 at first), two threads. Left
+out, in its favour: the frame goes from process to process through shared memory and two queues.
 """
 
 from __future__ import annotations
@@ -57,7 +59,9 @@ class Motion:
             moving_area += area
             if area > CONTOUR_AREA_MIN:
                 x, y, width, height = cv2.boundingRect(contour)
-                left, top, right, bottom = (int(self._factor * value) for value in (x, y, x + width, y + height))
+                left, top, right, bottom = (
+                    int(self._factor * value) for value in (x, y, x + width, y + height)
+                )
                 boxes.append((left, top, right, bottom))
         share = moving_area / mask.size
         if share < CALIBRATED_SHARE and len(boxes) <= CALIBRATED_BOXES:
@@ -77,13 +81,25 @@ class Motion:
         self._contrast[self._frames % CONTRAST_FRAMES] = (dark, bright)
         self._frames += 1
         low, high = np.mean(self._contrast, axis=0)
-        result: NDArray[np.uint8] = ((np.clip(small, low, high) - low) / (high - low) * 255).astype(np.uint8)
+        result: NDArray[np.uint8] = ((np.clip(small, low, high) - low) / (high - low) * 255).astype(
+            np.uint8
+        )
         return result
 
 
 def watch(path: Path, width: int, height: int, fps: float = FPS) -> tuple[int, int]:
     """Frames looked at, and how many of them had motion; detect size ``width`` x ``height``."""
-    command = ["ffmpeg", "-nostdin", "-hide_banner", "-loglevel", "warning", "-threads", "2", "-i", str(path)]
+    command = [
+        "ffmpeg",
+        "-nostdin",
+        "-hide_banner",
+        "-loglevel",
+        "warning",
+        "-threads",
+        "2",
+        "-i",
+        str(path),
+    ]
     command += ["-r", str(fps), "-vf", f"fps={fps},scale={width}:{height}"]
     command += ["-threads", "2", "-f", "rawvideo", "-pix_fmt", "yuv420p", "pipe:"]
     size = width * height * 3 // 2

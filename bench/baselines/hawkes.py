@@ -1,8 +1,9 @@
 """A multivariate Hawkes process: every departure raises the rate of arrivals elsewhere for a while.
 
-Fitted by EM with histogram kernels and a background that changes over the day (Lewis and Mohler, "A nonparametric EM
-algorithm for multiscale Hawkes processes", 2011). It explains indirect links away, but a departure may cause any number
-of arrivals and nobody is ever in two places. Kernels may reach back in time, for overlapping views.
+Fitted by EM with histogram kernels and a background that changes over the day (Lewis and Mohler, "A
+nonparametric EM algorithm for multiscale Hawkes processes", 2011). It explains indirect links away,
+but a departure may cause any number of arrivals and nobody is ever in two places. Kernels may reach
+back in time, for overlapping views.
 """
 
 from __future__ import annotations
@@ -21,19 +22,32 @@ BACKGROUND_SECONDS = 900.0
 
 
 def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
-    """Scores: arrivals caused per departure, and how much likelier the kernel makes the arrivals, nats."""
+    """Scores: arrivals caused per departure, and how much likelier the kernel makes the arrivals,
+    nats.
+    """
     (low, high), zones = found.lags, len(seen.zones)
     first = int(np.floor(np.arcsinh(low / SCALE_SECONDS) / STEP))
-    edges = SCALE_SECONDS * np.sinh(STEP * np.arange(first, np.arcsinh(high / SCALE_SECONDS) / STEP + 1))
+    edges = SCALE_SECONDS * np.sinh(
+        STEP * np.arange(first, np.arcsinh(high / SCALE_SECONDS) / STEP + 1)
+    )
     edges[0], edges[-1] = low, high
     bins, widths = len(edges) - 1, np.diff(edges)
     at = np.clip(np.searchsorted(edges, found.lag, side="right") - 1, 0, bins - 1)
     key = (found.pair * bins + at).astype(np.int32)
     used = np.unique(found.arrival)
     arrival = np.searchsorted(used, found.arrival)
-    starts = np.flatnonzero(np.r_[True, arrival[1:] != arrival[:-1]]) if len(arrival) else np.zeros(0, np.int64)
-    block = ((seen.came[used] - seen.came[0]) / BACKGROUND_SECONDS).astype(np.int64) * zones + seen.came_zone[used]
-    exposure = np.repeat(np.maximum(np.bincount(seen.left_zone, minlength=zones), 1), zones)[:, None] * widths
+    starts = (
+        np.flatnonzero(np.r_[True, arrival[1:] != arrival[:-1]])
+        if len(arrival)
+        else np.zeros(0, np.int64)
+    )
+    block = ((seen.came[used] - seen.came[0]) / BACKGROUND_SECONDS).astype(
+        np.int64
+    ) * zones + seen.came_zone[used]
+    exposure = (
+        np.repeat(np.maximum(np.bincount(seen.left_zone, minlength=zones), 1), zones)[:, None]
+        * widths
+    )
     rate = np.full((zones * zones, bins), 0.5 / zones / (high - low))
     background = np.bincount(block) * 0.5 / BACKGROUND_SECONDS
     mass = np.zeros_like(rate)
@@ -48,7 +62,10 @@ def hawkes(seen: Crossings, found: Candidates) -> dict[str, Findings]:
         rate = mass @ spread / exposure
         background = np.bincount(block, outside / total) / BACKGROUND_SECONDS
     caused = mass.sum(axis=1)
-    gain = np.bincount(found.pair, -np.log1p(-np.minimum(share, 1 - 1e-9)), minlength=zones * zones) - caused
+    gain = (
+        np.bincount(found.pair, -np.log1p(-np.minimum(share, 1 - 1e-9)), minlength=zones * zones)
+        - caused
+    )
     leaving = np.maximum(np.bincount(seen.left_zone, minlength=zones), 1)[:, None]
     reached = np.cumsum(mass, axis=1)
     middle = (reached >= reached[:, -1:] / 2).argmax(axis=1)

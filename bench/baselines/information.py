@@ -1,11 +1,13 @@
-"""Mutual information of departure and arrival times, correspondence unknown (Tieu, Dalley, Grimson, ICCV 2005).
+"""Mutual information of departure and arrival times, correspondence unknown (Tieu, Dalley, Grimson,
+ICCV 2005).
 
 Departure X and arrival Y of one object depend on each other through the transit time T = Y - X, and
-``I(X; Y) = h(Y) - h(T)``: how much better than at chance the departure tells the arrival. Who belongs to whom is not
-known; the paper samples correspondences by Markov chain Monte Carlo, one pair of zones at a time, with a nonparametric
-density of T. Here their expectation is taken by EM, the same model at a price that dense traffic can pay: an
-arrival has at most one departure, a departure at most one arrival, both may be unmatched. Being pairwise, it cannot
-tell an indirect link from a direct one.
+``I(X; Y) = h(Y) - h(T)``: how much better than at chance the departure tells the arrival. Who
+belongs to whom is not known; the paper samples correspondences by Markov chain Monte Carlo, one
+pair of zones at a time, with a nonparametric density of T. Here their expectation is taken by EM,
+the same model at a price that dense traffic can pay: an arrival has at most one departure, a
+departure at most one arrival, both may be unmatched. Being pairwise, it cannot tell an indirect
+link from a direct one.
 """
 
 from __future__ import annotations
@@ -40,9 +42,14 @@ def information(seen: Crossings, found: Candidates) -> dict[str, Findings]:
     spread = _smoother(bins)
     mass = np.zeros((zones * zones, bins))
     for _ in range(ITERATIONS):
-        left_over = np.maximum(coming - mass.sum(axis=1).reshape(zones, zones), 0.05 * coming) / seconds
+        left_over = (
+            np.maximum(coming - mass.sum(axis=1).reshape(zones, zones), 0.05 * coming) / seconds
+        )
         density = hazard.ravel()[key]
-        rivals = np.bincount(by_arrival, density)[by_arrival] + np.bincount(by_departure, density)[by_departure]
+        rivals = (
+            np.bincount(by_arrival, density)[by_arrival]
+            + np.bincount(by_departure, density)[by_departure]
+        )
         share = density / np.maximum(left_over.ravel()[found.pair] + rivals - density, 1e-12)
         mass = np.bincount(key, share, minlength=zones * zones * bins).reshape(-1, bins) @ spread
         hazard = mass / (np.repeat(leaving, zones)[:, None] * width)

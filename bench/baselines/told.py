@@ -1,9 +1,10 @@
-"""What somebody finds who is told who everybody is: predictions by a Markov chain or by the most frequent next camera,
-and how near the median of a link's transit times in the recording is to the true one.
+"""What somebody finds who is told who everybody is: predictions by a Markov chain or by the most
+frequent next camera, and how near the median of a link's transit times in the recording is to the
+true one.
 
-The predictors count, before the cut, which camera followed an exit at each state (a zone, or a camera) or that none
-did. They add a part of a count for every camera that ever followed anywhere and for leaving, so that nothing has
-probability zero; how much, is chosen on the truth.
+The predictors count, before the cut, which camera followed an exit at each state (a zone, or a
+camera) or that none did. They add a part of a count for every camera that ever followed anywhere
+and for leaving, so that nothing has probability zero; how much, is chosen on the truth.
 """
 
 from __future__ import annotations
@@ -15,25 +16,42 @@ import numpy as np
 from msgspec.structs import replace
 
 from camtopod.records import Event, NextCamera, Prediction
-from camtopod.sim.score import TRANSIT_FLOOR_SECONDS, PredictionScore, next_entries, score_predictions
+from camtopod.sim.score import (
+    TRANSIT_FLOOR_SECONDS,
+    PredictionScore,
+    next_entries,
+    score_predictions,
+)
 from camtopod.sim.truth import CLUTTER, Truth
 
 PSEUDO_COUNTS = (0.5, 0.2, 0.1, 0.05, 0.02)
-"""Half a count for each of a dozen cameras is much beside a state's few exits; little is much too sure of them."""
+"""Half a count for each of a dozen cameras is much beside a state's few exits; little is much too
+sure of them.
+"""
 LEAVES = ""
 
 
-def told_score(events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable]) -> PredictionScore:
-    """How good `told` is on the events from ``cut`` on, with those of `PSEUDO_COUNTS` that have the best log loss."""
-    tail = replace(truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:])
-    scores = [score_predictions(told(events, truth, cut, states, a), events[cut:], tail) for a in PSEUDO_COUNTS]
+def told_score(
+    events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable]
+) -> PredictionScore:
+    """How good `told` is on the events from ``cut`` on, with those of `PSEUDO_COUNTS` that have the
+    best log loss.
+    """
+    tail = replace(
+        truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
+    )
+    scores = [
+        score_predictions(told(events, truth, cut, states, a), events[cut:], tail)
+        for a in PSEUDO_COUNTS
+    ]
     return min(scores, key=lambda result: result.log_loss)
 
 
 def told(
     events: Sequence[Event], truth: Truth, cut: int, states: Sequence[Hashable], pseudo_count: float
 ) -> list[Prediction]:
-    """One prediction for each exit from event ``cut`` on, from what the exits before it with the same state led to.
+    """One prediction for each exit from event ``cut`` on, from what the exits before it with the
+    same state led to.
 
     ``states[i]`` is the state of event ``i``; an unknown state predicts as all exits together do.
     """
@@ -60,9 +78,13 @@ def told(
 
 
 def recorded_medians(events: Sequence[Event], truth: Truth) -> Truth:
-    """The truth with each walked link's median transit time as it is in the recording, by the cameras' clocks."""
+    """The truth with each walked link's median transit time as it is in the recording, by the
+    cameras' clocks.
+    """
     ends: dict[tuple[int, int], dict[str, tuple[float, int]]] = {}
-    for event, who, number, zone in zip(events, truth.identity, truth.passage, truth.zone, strict=True):
+    for event, who, number, zone in zip(
+        events, truth.identity, truth.passage, truth.zone, strict=True
+    ):
         if who != CLUTTER and zone >= 0:
             ends.setdefault((who, number), {})[event.kind] = event.t, zone
     seconds: dict[tuple[str, str], list[float]] = {}
@@ -81,12 +103,14 @@ def recorded_medians(events: Sequence[Event], truth: Truth) -> Truth:
 
 
 def transit_error(events: Sequence[Event], truth: Truth) -> float:
-    """Median over the walked links of the relative error of the median transit time of those who walked it.
+    """Median over the walked links of the relative error of the median transit time of those who
+    walked it.
 
     It is what so many walkers leave to chance; nan without links.
     """
     errors = [
-        abs(recorded.transit.q50 - link.transit.q50) / max(abs(link.transit.q50), TRANSIT_FLOOR_SECONDS)
+        abs(recorded.transit.q50 - link.transit.q50)
+        / max(abs(link.transit.q50), TRANSIT_FLOOR_SECONDS)
         for link, recorded in zip(truth.links, recorded_medians(events, truth).links, strict=True)
         if link.relation != "visible" and link.transitions
     ]

@@ -1,9 +1,10 @@
 """Transfer entropy at many delays (Ito et al., "Extending transfer entropy", PLoS ONE 6(11), 2011).
 
-Departures and arrivals as binary series; for each delay d the information that a departure d ago gives on an arrival
-now beyond what the arrival series itself does, ``I(y_t; x_{t-d} | y_{t-1})``. A link shows as a high peak over the
-delays, or as a high coincidence index: the share of all the delays' transfer that lies around the peak. Negative
-delays, for overlapping views, are not transfer at all, but without them it would miss those links.
+Departures and arrivals as binary series; for each delay d the information that a departure d ago
+gives on an arrival now beyond what the arrival series itself does, ``I(y_t; x_{t-d} | y_{t-1})``. A
+link shows as a high peak over the delays, or as a high coincidence index: the share of all the
+delays' transfer that lies around the peak. Negative delays, for overlapping views, are not transfer
+at all, but without them it would miss those links.
 """
 
 from __future__ import annotations
@@ -62,7 +63,9 @@ def by_delay(seen: Crossings, width: float, lags: Lags = NARROW) -> tuple[Floats
 
 def _series(t: Floats, zone: NDArray[np.int64], width: float, bins: int, zones: int) -> csr_matrix:
     """Whether anything happened, (bins, zones) of 0 and 1."""
-    series = csr_matrix((np.ones(len(t)), ((t / width).astype(np.int64), zone)), shape=(bins, zones))
+    series = csr_matrix(
+        (np.ones(len(t)), ((t / width).astype(np.int64), zone)), shape=(bins, zones)
+    )
     series.data[:] = 1.0
     return series
 

@@ -1,8 +1,9 @@
 """Zones of one camera by other clusterings: each gives the centres of what it finds.
 
-k-means with k by silhouette (Rousseeuw 1987), HDBSCAN (Campello, Moulavi, Sander 2013), mean shift (Comaniciu, Meer
-2002) and plain DaSpec with the bandwidth rule. What each leaves open (smallest cluster, bandwidth) is a variant, so
-that the best for a regime can be chosen on the truth. Needs scikit-learn (the ``bench`` extra).
+k-means with k by silhouette (Rousseeuw 1987), HDBSCAN (Campello, Moulavi, Sander 2013), mean shift
+(Comaniciu, Meer 2002) and plain DaSpec with the bandwidth rule. What each leaves open (smallest
+cluster, bandwidth) is a variant, so that the best for a regime can be chosen on the truth. Needs
+scikit-learn (the ``bench`` extra).
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ SMALLEST_SHARES = (0.01, 0.03, 0.06)
 MEAN_SHIFT_WIDTHS = (0.04, 0.07, 0.1)
 """Fractions of the image."""
 MEAN_SHIFT_SHARE_MIN = 0.03
-"""Mean shift calls every outlier a cluster; those with less than this share of the points are none."""
+"""Mean shift calls every outlier a cluster; those with less than this share of the points are
+none.
+"""
 DASPEC_FACTORS = (0.7, 1.0, 1.5)
 """Times the rule's bandwidth."""
 
@@ -44,7 +47,9 @@ def methods() -> dict[str, dict[str, Callable[[Floats], Floats]]]:
 
 
 def k_means(positions: Floats) -> Floats:
-    """k from 1 to `CLUSTERS_MAX`; one cluster when no split has a silhouette of `SILHOUETTE_MIN`."""
+    """k from 1 to `CLUSTERS_MAX`; one cluster when no split has a silhouette of
+    `SILHOUETTE_MIN`.
+    """
     from sklearn.cluster import KMeans
     from sklearn.metrics import silhouette_score
 
@@ -82,7 +87,9 @@ def mean_shift(positions: Floats, width: float) -> Floats:
 
 
 def daspec(positions: Floats, factor: float) -> Floats:
-    cells = np.minimum((positions * (GRID_COLUMNS, GRID_ROWS)).astype(np.int64), (GRID_COLUMNS - 1, GRID_ROWS - 1))
+    cells = np.minimum(
+        (positions * (GRID_COLUMNS, GRID_ROWS)).astype(np.int64), (GRID_COLUMNS - 1, GRID_ROWS - 1)
+    )
     counts = np.zeros((GRID_ROWS, GRID_COLUMNS))
     np.add.at(counts, (cells[:, 1], cells[:, 0]), 1.0)
     groups = data_spectroscopy(counts, factor * bandwidth(counts)).grid()
@@ -97,4 +104,8 @@ def _centres(positions: Floats, labels: NDArray[np.int64]) -> Floats:
 
 def _some(positions: Floats, most: int) -> Floats:
     rng = np.random.default_rng(0)
-    return positions[rng.choice(len(positions), most, replace=False)] if len(positions) > most else positions
+    return (
+        positions[rng.choice(len(positions), most, replace=False)]
+        if len(positions) > most
+        else positions
+    )

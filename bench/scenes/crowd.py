@@ -1,4 +1,5 @@
-"""An open square under strongly overlapping views: people stroll, stand about and pass, alone or in groups.
+"""An open square under strongly overlapping views: people stroll, stand about and pass, alone or in
+groups.
 
 The square's rim is open all round. Stays are long, and everybody is in several views at once.
 """
@@ -16,7 +17,9 @@ from camtopod.records import Event
 from camtopod.sim.truth import Truth
 
 PASSING, STROLLING = 0.4, 0.35
-"""Shares of the groups that walk straight across, and that stop now and then; the others stand for long."""
+"""Shares of the groups that walk straight across, and that stop now and then; the others stand for
+long.
+"""
 STROLL_FACTOR = 0.7
 STOP_SECONDS, STAND_SECONDS = (5.0, 40.0), (40.0, 200.0)
 GROUP_SIZES = (0.55, 0.3, 0.1, 0.05)
@@ -70,9 +73,13 @@ def simulate_crowd(settings: CrowdSettings) -> tuple[list[Event], Truth]:
 def _group_walk(
     begin: float, busy: Floats, spots: Floats, size: tuple[float, float], rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Knots of the walk that a group takes from rim to rim; some stretches of the rim are busier than others."""
+    """Knots of the walk that a group takes from rim to rim; some stretches of the rim are busier
+    than others.
+    """
     rim = 2 * (size[0] + size[1])
-    came, goes = ((rng.choice(len(busy), p=busy) + rng.random()) / len(busy) * rim for _ in range(2))
+    came, goes = (
+        (rng.choice(len(busy), p=busy) + rng.random()) / len(busy) * rim for _ in range(2)
+    )
     stops, waits = [on_rim(came, size)], [0.0]
     manner = rng.random()
     if manner >= PASSING:

@@ -1,7 +1,8 @@
 """People on an open floor (metres), and cameras that each see a piece of it in perspective.
 
-A piece is what lies inside the picture, near enough, and not behind something: a convex polygon of the floor.
-People walk from place to place along slightly curved lines; a passage is a stay of the foot point in the piece.
+A piece is what lies inside the picture, near enough, and not behind something: a convex polygon of
+the floor. People walk from place to place along slightly curved lines; a passage is a stay of the
+foot point in the piece.
 """
 
 from __future__ import annotations
@@ -32,14 +33,16 @@ PILLAR_SHARE = 0.4
 
 @dataclass(frozen=True)
 class Piece:
-    """A camera's piece of the floor: of the picture of ``view``, points with a x + b y <= c for all ``cuts``
-    (m, 3)."""
+    """A camera's piece of the floor: of the picture of ``view``, points with a x + b y <= c for all
+    ``cuts`` (m, 3)."""
 
     view: View
     cuts: Floats
 
     def look(self, floor: Floats) -> tuple[Floats, Bools]:
-        """Floor points (n, 2) in metres to picture fractions (n, 2), and which of them are in the piece."""
+        """Floor points (n, 2) in metres to picture fractions (n, 2), and which of them are in the
+        piece.
+        """
         seen = self.view.feet(floor)
         xy, depth = seen[:, :2], seen[:, 2]
         inside = (np.abs(xy - 0.5) <= 0.5).all(1) & (depth > 0.1)
@@ -48,8 +51,8 @@ class Piece:
 
 @dataclass(frozen=True)
 class Walks:
-    """Where everybody is on each frame, person after person: (n,) who, (n,) seconds, (n, 2) metres; seconds between
-    frames."""
+    """Where everybody is on each frame, person after person: (n,) who, (n,) seconds, (n, 2) metres;
+    seconds between frames."""
 
     who: Longs
     t: Floats
@@ -64,12 +67,14 @@ def make_pieces(
     common: tuple[float, float],
     rng: np.random.Generator,
 ) -> list[Piece]:
-    """Cameras on the walls or ceiling over a floor of ``size`` metres: each sees a share of the floor within
-    ``share``, of which a share within ``common`` is seen by others before it, too.
+    """Cameras on the walls or ceiling over a floor of ``size`` metres: each sees a share of the
+    floor within ``share``, of which a share within ``common`` is seen by others before it, too.
 
     Raises ValueError when such cameras are not found.
     """
-    cells = np.stack(np.meshgrid(*(np.arange(CELL_METRES / 2, side, CELL_METRES) for side in size)), -1).reshape(-1, 2)
+    cells = np.stack(
+        np.meshgrid(*(np.arange(CELL_METRES / 2, side, CELL_METRES) for side in size)), -1
+    ).reshape(-1, 2)
     covered = np.zeros(len(cells), dtype=bool)
     pieces: list[Piece] = []
     for _ in range(VIEW_TRIES_MAX):
@@ -94,7 +99,12 @@ def _piece(size: tuple[float, float], name: str, rng: np.random.Generator) -> Pi
     if (position < -1.0).any() or (position > np.array(size) + 1.0).any():
         return None
     view = View(
-        name, (float(target[0]), float(target[1])), heading, rng.uniform(3.5, 7.0), distance, rng.uniform(0.6, 1.0)
+        name,
+        (float(target[0]), float(target[1])),
+        heading,
+        rng.uniform(3.5, 7.0),
+        distance,
+        rng.uniform(0.6, 1.0),
     )
     ahead = np.array((math.cos(heading), math.sin(heading)))
     far = float(view.feet((position + (distance + rng.uniform(4.0, 14.0)) * ahead)[None])[0, 1])
@@ -108,7 +118,9 @@ def _piece(size: tuple[float, float], name: str, rng: np.random.Generator) -> Pi
 def walk(
     stops: list[Floats], waits: list[float], speed: float, begin: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Knots of a walk, (k,) seconds and (k, 2) metres, from stop to stop with a wait at each (0: walks on)."""
+    """Knots of a walk, (k,) seconds and (k, 2) metres, from stop to stop with a wait at each (0:
+    walks on).
+    """
     t, times, places = begin, [np.array([begin])], [stops[0][None]]
     for (a, b), wait in zip(pairwise(stops), waits[1:], strict=True):
         ahead = b - a
@@ -129,11 +141,18 @@ def walk(
     return np.concatenate(times), np.concatenate(places)
 
 
-def sampled(knots: list[tuple[Floats, Floats]], size: tuple[float, float], frame: float, seconds: float) -> Walks:
-    """Everybody's place on each frame (``frame`` seconds apart) of a recording of so many seconds."""
+def sampled(
+    knots: list[tuple[Floats, Floats]], size: tuple[float, float], frame: float, seconds: float
+) -> Walks:
+    """Everybody's place on each frame (``frame`` seconds apart) of a recording of so many
+    seconds.
+    """
     who, t, floor = [np.zeros(0, dtype=np.int64)], [np.zeros(0)], [np.zeros((0, 2))]
     for person, (times, places) in enumerate(knots):
-        first, last = max(0, math.ceil(times[0] / frame)), math.floor(min(times[-1], seconds) / frame)
+        first, last = (
+            max(0, math.ceil(times[0] / frame)),
+            math.floor(min(times[-1], seconds) / frame),
+        )
         frames = np.arange(first, last + 1) * frame
         if len(frames):
             who.append(np.full(len(frames), person))
@@ -143,8 +162,12 @@ def sampled(knots: list[tuple[Floats, Floats]], size: tuple[float, float], frame
     return Walks(np.concatenate(who), np.concatenate(t), everywhere, frame)
 
 
-def sightings(pieces: list[Piece], walks: Walks, broken_every: float, rng: np.random.Generator) -> Sightings:
-    """Stays of the foot points in the pieces; a tracker loses people once in ``broken_every`` seconds (inf: never)."""
+def sightings(
+    pieces: list[Piece], walks: Walks, broken_every: float, rng: np.random.Generator
+) -> Sightings:
+    """Stays of the foot points in the pieces; a tracker loses people once in ``broken_every``
+    seconds (inf: never).
+    """
     parts = []
     for camera, piece in enumerate(pieces):
         at, inside = piece.look(walks.floor)
@@ -157,7 +180,18 @@ def sightings(pieces: list[Piece], walks: Walks, broken_every: float, rng: np.ra
         first, last = np.flatnonzero(begins), np.flatnonzero(ends)
         none = np.full(len(first), -1)
         owner = np.full(len(first), camera)
-        parts.append(Sightings(walks.who[first], owner, walks.t[first], walks.t[last], at[first], at[last], none, none))
+        parts.append(
+            Sightings(
+                walks.who[first],
+                owner,
+                walks.t[first],
+                walks.t[last],
+                at[first],
+                at[last],
+                none,
+                none,
+            )
+        )
     return join(parts)
 
 

@@ -1,6 +1,8 @@
-"""A station hall under overlapping views: people come from doors and trains, some queue or shop, and go.
+"""A station hall under overlapping views: people come from doors and trains, some queue or shop,
+and go.
 
-Nobody has to pass a door to enter or leave a view: its border is open. People are in several views at once.
+Nobody has to pass a door to enter or leave a view: its border is open. People are in several views
+at once.
 """
 
 from __future__ import annotations
@@ -53,7 +55,9 @@ def simulate_hall(settings: HallSettings) -> tuple[list[Event], Truth]:
     names = [f"hall{number + 1}" for number in range(settings.cameras)]
     pieces = make_pieces(settings.size, names, (0.1, 0.35), (0.15, 0.75), structure)
     doors, widths = _rim(int(structure.integers(*DOORS, endpoint=True)), settings.size, structure)
-    counters = structure.uniform(np.array(settings.size) * 0.1, np.array(settings.size) * 0.9, (COUNTERS, 2))
+    counters = structure.uniform(
+        np.array(settings.size) * 0.1, np.array(settings.size) * 0.9, (COUNTERS, 2)
+    )
     flow = _flow(len(doors), structure)
     begin, origin = _arrivals(settings, flow, chance)
     knots = []
@@ -95,12 +99,16 @@ def on_rim(place: float, size: tuple[float, float]) -> Floats:
     return np.array((0.0, 2 * (width + depth) - place))
 
 
-def _through(doors: Floats, widths: Floats, door: int, size: tuple[float, float], rng: np.random.Generator) -> Floats:
+def _through(
+    doors: Floats, widths: Floats, door: int, size: tuple[float, float], rng: np.random.Generator
+) -> Floats:
     return on_rim(float(doors[door] + widths[door] * rng.uniform(-0.5, 0.5)), size)
 
 
 def _flow(doors: int, rng: np.random.Generator) -> Floats:
-    """How many go from door to door, (doors, doors): some doors and some ways are far busier than others."""
+    """How many go from door to door, (doors, doors): some doors and some ways are far busier than
+    others.
+    """
     busy = np.exp(0.8 * rng.standard_normal(doors))
     flow = np.outer(busy, busy) * np.exp(0.8 * rng.standard_normal((doors, doors)))
     np.fill_diagonal(flow, 0.02 * flow.mean())
@@ -108,12 +116,18 @@ def _flow(doors: int, rng: np.random.Generator) -> Floats:
     return result
 
 
-def _arrivals(settings: HallSettings, flow: Floats, rng: np.random.Generator) -> tuple[Floats, list[int]]:
-    """When and at which door people come: off trains in platoons at the first doors, or one by one."""
+def _arrivals(
+    settings: HallSettings, flow: Floats, rng: np.random.Generator
+) -> tuple[Floats, list[int]]:
+    """When and at which door people come: off trains in platoons at the first doors, or one by
+    one.
+    """
     walkers = rng.poisson(settings.walkers_per_hour * (settings.seconds + WARM_UP_SECONDS) / 3600.0)
     by_train = rng.random(walkers) < settings.train_share
     begin = rng.uniform(-WARM_UP_SECONDS, settings.seconds, walkers)
-    trains = rng.uniform(-WARM_UP_SECONDS, settings.seconds, max(1, round(settings.seconds / TRAIN_SECONDS)))
+    trains = rng.uniform(
+        -WARM_UP_SECONDS, settings.seconds, max(1, round(settings.seconds / TRAIN_SECONDS))
+    )
     size = rng.dirichlet(np.full(len(trains), 3.0))
     train = rng.choice(len(trains), walkers, p=size)
     platform = rng.integers(0, PLATFORM_DOORS, len(trains))

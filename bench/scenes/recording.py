@@ -1,7 +1,7 @@
 """From who was in which view when to what the cameras report of it: tracker faults, events, truth.
 
-Used by the networks in which people walk about on a plan (`hall`, `crowd`, `walkway`, `road`). Times in here are
-seconds since the recording's start; positions are fractions of the image.
+Used by the networks in which people walk about on a plan (`hall`, `crowd`, `walkway`, `road`).
+Times in here are seconds since the recording's start; positions are fractions of the image.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ class Faults(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Sightings(Struct):
-    """Passages as columns: (n,) people, cameras, zones (-1: not defined), times; (n, 2) positions or nan."""
+    """Passages as columns: (n,) people, cameras, zones (-1: not defined), times; (n, 2) positions
+    or nan.
+    """
 
     who: Longs
     camera: Longs
@@ -61,7 +63,9 @@ class Sightings(Struct):
 
 
 def check(settings: Struct, faults: Faults, positive: tuple[str, ...]) -> None:
-    """Raise ValueError for a setting that must be positive and is not, and for faults that make no sense."""
+    """Raise ValueError for a setting that must be positive and is not, and for faults that make no
+    sense.
+    """
     for name in positive:
         if not getattr(settings, name) > 0:
             raise ValueError(f"{name} is {getattr(settings, name)}; it must be positive")
@@ -74,7 +78,9 @@ def check(settings: Struct, faults: Faults, positive: tuple[str, ...]) -> None:
 
 def join(parts: list[Sightings]) -> Sightings:
     """One table of several (at least one)."""
-    return Sightings(*(np.concatenate([getattr(p, name) for p in parts]) for name in Sightings.__struct_fields__))
+    return Sightings(
+        *(np.concatenate([getattr(p, name) for p in parts]) for name in Sightings.__struct_fields__)
+    )
 
 
 def clipped(seen: Sightings, on_air: list[tuple[int, float, float]]) -> Sightings:
@@ -91,13 +97,17 @@ def broken(seen: Sightings, every: float, rng: np.random.Generator) -> Sightings
     stay = seen.t_out - seen.t_in
     split = rng.random(len(stay)) < 1 - np.exp(-stay / every)
     begin = seen.t_in + stay * rng.random(len(stay))
-    end = np.where(split, np.minimum(begin + rng.uniform(*GAP_SECONDS, len(stay)), seen.t_out), seen.t_out)
+    end = np.where(
+        split, np.minimum(begin + rng.uniform(*GAP_SECONDS, len(stay)), seen.t_out), seen.t_out
+    )
     first = _cut(seen, seen.t_in, np.where(split, begin, seen.t_out))
     return join([first, _cut(seen, end, seen.t_out).take(split)])
 
 
 def _cut(seen: Sightings, t_in: Floats, t_out: Floats) -> Sightings:
-    """The part of passages from ``t_in`` to ``t_out``, as if people walked straight through; in mid-view is no zone."""
+    """The part of passages from ``t_in`` to ``t_out``, as if people walked straight through; in
+    mid-view is no zone.
+    """
     stay = np.maximum(seen.t_out - seen.t_in, 1e-9)
     ahead = seen.at_out - seen.at_in
     at_in = seen.at_in + ((t_in - seen.t_in) / stay)[:, None] * ahead
@@ -108,13 +118,18 @@ def _cut(seen: Sightings, t_in: Floats, t_out: Floats) -> Sightings:
 
 
 def recorded(
-    cameras: list[str], walked: Sightings, seen: Sightings, faults: Faults, start: float, rng: np.random.Generator
+    cameras: list[str],
+    walked: Sightings,
+    seen: Sightings,
+    faults: Faults,
+    start: float,
+    rng: np.random.Generator,
 ) -> tuple[list[Event], Truth]:
     """Events sorted by time, and the truth.
 
-    ``walked`` is who truly was in which view when, ``seen`` what the trackers made of it. ``start`` is the event
-    time (seconds since the epoch) at which the recording begins. Missed and short passages and clutter are
-    put in here.
+    ``walked`` is who truly was in which view when, ``seen`` what the trackers made of it. ``start``
+    is the event time (seconds since the epoch) at which the recording begins. Missed and short
+    passages and clutter are put in here.
     """
     seen = seen.take(seen.t_out - seen.t_in >= faults.short).sorted()
     number = _numbers(walked, seen)
@@ -129,7 +144,9 @@ def recorded(
     t = np.concatenate([both.t_in, both.t_out])
     order = np.argsort(t, kind="stable")
     entry = np.arange(2 * n) < n
-    events = events_of(cameras, np.tile(both.camera, 2), entry, t + start, at, np.tile(np.arange(n), 2), order)
+    events = events_of(
+        cameras, np.tile(both.camera, 2), entry, t + start, at, np.tile(np.arange(n), 2), order
+    )
     zones = _zones(cameras, walked)
     truth = Truth(
         schema=TRUTH_SCHEMA,
@@ -145,7 +162,9 @@ def recorded(
 
 
 def _numbers(walked: Sightings, seen: Sightings) -> Longs:
-    """The number of each seen passage within its person's walk; what was walked and not seen counts, too."""
+    """The number of each seen passage within its person's walk; what was walked and not seen
+    counts, too.
+    """
     both = join([walked, seen])
     order = np.lexsort((both.camera, both.t_in, both.who))
     who, camera, t_in = both.who[order], both.camera[order], both.t_in[order]
@@ -180,18 +199,26 @@ def _pairs(cameras: list[str], walked: Sightings) -> list[Pair]:
     while (same := walked.who[shift:] == walked.who[:-shift]).any():
         other = same & (walked.camera[shift:] != walked.camera[:-shift])
         at_once = other & (walked.t_in[shift:] < walked.t_out[:-shift])
-        for table, mask in ((together, at_once), (after, other if shift == 1 else np.zeros_like(other))):
+        for table, mask in (
+            (together, at_once),
+            (after, other if shift == 1 else np.zeros_like(other)),
+        ):
             for a, b in zip(walked.camera[:-shift][mask], walked.camera[shift:][mask], strict=True):
                 low, high = sorted((cameras[a], cameras[b]))
                 table[low, high] = table.get((low, high), 0) + 1
         shift += 1
     overlapped = {pair for pair, n in together.items() if n >= PAIR_WALKS_MIN}
     joined = {pair for pair, n in after.items() if n >= PAIR_WALKS_MIN}
-    return [Pair(pair, "overlapped" if pair in overlapped else "unseen_path") for pair in sorted(overlapped | joined)]
+    return [
+        Pair(pair, "overlapped" if pair in overlapped else "unseen_path")
+        for pair in sorted(overlapped | joined)
+    ]
 
 
 def _zones(cameras: list[str], walked: Sightings) -> list[TrueZone]:
-    """One zone for each zone number in use, where people came and went through it; none if not defined."""
+    """One zone for each zone number in use, where people came and went through it; none if not
+    defined.
+    """
     zone = np.concatenate([walked.zone_in, walked.zone_out])
     camera, at = np.tile(walked.camera, 2), np.concatenate([walked.at_in, walked.at_out])
     result = []
@@ -206,11 +233,21 @@ def _zones(cameras: list[str], walked: Sightings) -> list[TrueZone]:
             result.append(TrueZone(id=name, camera=cameras[owner]))
             continue
         cov = np.cov(at[mine].T) if len(mine) > 1 else np.zeros((2, 2))
-        result.append(TrueZone(name, cameras[owner], round(float(x), 4), round(float(y), 4), np.round(cov, 7).tolist()))
+        result.append(
+            TrueZone(
+                name,
+                cameras[owner],
+                round(float(x), 4),
+                round(float(y), 4),
+                np.round(cov, 7).tolist(),
+            )
+        )
     return result
 
 
-def _links(zones: list[TrueZone], walked: Sightings, seen: Sightings, number: Longs) -> list[TrueLink]:
+def _links(
+    zones: list[TrueZone], walked: Sightings, seen: Sightings, number: Longs
+) -> list[TrueLink]:
     """Ways from zone to zone, as walked; ``transitions`` counts those with both ends recorded."""
     if not zones:
         return []
@@ -220,7 +257,11 @@ def _links(zones: list[TrueZone], walked: Sightings, seen: Sightings, number: Lo
     whole &= (seen.zone_out[:-1] >= 0) & (seen.zone_in[1:] >= 0)
     exits = np.bincount(walked.zone_out, minlength=len(zones))
     lags: dict[tuple[int, int], list[float]] = {}
-    columns = walked.zone_out[:-1][next_], walked.zone_in[1:][next_], (walked.t_in[1:] - walked.t_out[:-1])[next_]
+    columns = (
+        walked.zone_out[:-1][next_],
+        walked.zone_in[1:][next_],
+        (walked.t_in[1:] - walked.t_out[:-1])[next_],
+    )
     for u, v, lag in zip(*columns, strict=True):
         lags.setdefault((int(u), int(v)), []).append(float(lag))
     count: dict[tuple[int, int], int] = {}

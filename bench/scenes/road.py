@@ -1,7 +1,7 @@
 """Cameras along the streets of a town: vehicles without positions, in platoons from traffic lights.
 
-Vehicles mostly go straight on and never turn round, so where they came from says where they go. A camera sees all
-directions of its street or crossing and cannot tell them apart.
+Vehicles mostly go straight on and never turn round, so where they came from says where they go. A
+camera sees all directions of its street or crossing and cannot tell them apart.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ CAR_SPEED, BUS_SPEED, SPEED_SD = 11.0, 7.0, 0.12
 """Metres a second; the spread (log scale) is between vehicles."""
 BUS_SHARE, BUS_STOP_SECONDS = 0.12, 25.0
 VIEW_METRES, CLEAR_METRES = (15.0, 40.0), 90.0
-"""How much of the street cameras see (twice that at crossings), and how far off a crossing others hang."""
+"""How much of the street cameras see (twice that at crossings), and how far off a crossing others
+hang.
+"""
 WARM_UP_SECONDS = 600.0
 CROSSINGS_MAX = 60
 
@@ -59,8 +61,9 @@ class RoadSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Town:
-    """``metres`` of each directed street (from, to) between crossings or to the rim; the cameras on them as
-    (camera, metres from where it begins) and those at crossings; each crossing's lights: cycle, offset in seconds."""
+    """``metres`` of each directed street (from, to) between crossings or to the rim; the cameras on
+    them as (camera, metres from where it begins) and those at crossings; each crossing's lights:
+    cycle, offset in seconds."""
 
     metres: dict[tuple[Node, Node], float]
     cameras: dict[tuple[Node, Node], tuple[int, float]]
@@ -89,7 +92,9 @@ def simulate_road(settings: RoadSettings) -> tuple[list[Event], Truth]:
 
 
 def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
-    """Arterials as a grid that goes on to the rim; some one way; cameras on streets drawn without repetition."""
+    """Arterials as a grid that goes on to the rim; some one way; cameras on streets drawn without
+    repetition.
+    """
     columns, rows = settings.grid
     metres: dict[tuple[Node, Node], float] = {}
     lines = [[(x, y) for y in range(-1, rows + 1)] for x in range(columns)]
@@ -100,23 +105,41 @@ def _town(settings: RoadSettings, rng: np.random.Generator) -> Town:
         one_way = rng.random() < ONE_WAY_SHARE
         ahead = line[::-1] if rng.random() < 0.5 else line
         for a, b in pairwise(ahead):
-            length = float(east[1 + min(a[0], b[0])] if a[1] == b[1] else south[1 + min(a[1], b[1])])
+            length = float(
+                east[1 + min(a[0], b[0])] if a[1] == b[1] else south[1 + min(a[1], b[1])]
+            )
             metres[a, b] = length
             if not one_way:
                 metres[b, a] = length
     crossings = sorted({node for way in metres for node in way if _inside(node, settings.grid)})
-    streets = sorted({(min(way), max(way)) for way in metres if all(_inside(node, settings.grid) for node in way)})
+    streets = sorted(
+        {
+            (min(way), max(way))
+            for way in metres
+            if all(_inside(node, settings.grid) for node in way)
+        }
+    )
     at_crossings = round(CROSSING_SHARE * settings.cameras)
     if at_crossings > len(crossings) or settings.cameras - at_crossings > len(streets):
-        raise ValueError(f"{settings.cameras} cameras are too many for {columns} x {rows} arterials")
-    watched = {crossings[k]: camera for camera, k in enumerate(rng.permutation(len(crossings))[:at_crossings])}
+        raise ValueError(
+            f"{settings.cameras} cameras are too many for {columns} x {rows} arterials"
+        )
+    watched = {
+        crossings[k]: camera
+        for camera, k in enumerate(rng.permutation(len(crossings))[:at_crossings])
+    }
     cameras: dict[tuple[Node, Node], tuple[int, float]] = {}
-    for camera, k in enumerate(rng.permutation(len(streets))[: settings.cameras - at_crossings], at_crossings):
+    for camera, k in enumerate(
+        rng.permutation(len(streets))[: settings.cameras - at_crossings], at_crossings
+    ):
         a, b = streets[k]
         length = metres.get((a, b), metres.get((b, a), 0.0))
         place = rng.uniform(CLEAR_METRES, length - CLEAR_METRES)
         cameras[a, b], cameras[b, a] = (camera, place), (camera, length - place)
-    lights = {node: (float(rng.uniform(*LIGHT_SECONDS)), float(rng.uniform(0.0, 90.0))) for node in crossings}
+    lights = {
+        node: (float(rng.uniform(*LIGHT_SECONDS)), float(rng.uniform(0.0, 90.0)))
+        for node in crossings
+    }
     return Town(metres, cameras, watched, lights, rng.uniform(*VIEW_METRES, settings.cameras))
 
 
@@ -127,17 +150,25 @@ def _inside(node: Node, grid: tuple[int, int]) -> bool:
 def _drive(
     town: Town, settings: RoadSettings, structure: np.random.Generator, rng: np.random.Generator
 ) -> list[tuple[int, int, float, float]]:
-    """Everybody's passages (who, camera, seconds in, seconds out); vehicles meet at the lights in order of time."""
+    """Everybody's passages (who, camera, seconds in, seconds out); vehicles meet at the lights in
+    order of time.
+    """
     ways = sorted(town.metres)
     busy = np.array([(1.0 if not _inside(a, settings.grid) else PARKS) for a, _ in ways])
-    arterial = {line: np.exp(BUSY_SD * structure.standard_normal()) for line in range(2 * sum(settings.grid))}
+    arterial = {
+        line: np.exp(BUSY_SD * structure.standard_normal())
+        for line in range(2 * sum(settings.grid))
+    }
     busy *= [arterial[a[0] if a[0] == b[0] else settings.grid[0] + a[1]] for a, b in ways]
     n = rng.poisson(settings.per_second * (settings.seconds + WARM_UP_SECONDS))
     bus = rng.random(n) < BUS_SHARE
     speed = np.where(bus, BUS_SPEED, CAR_SPEED) * np.exp(SPEED_SD * rng.standard_normal(n))
     turns = {way: _turns(town, way, structure) for way in ways}
     begin = rng.uniform(-WARM_UP_SECONDS, settings.seconds, n)
-    heap = [(float(begin[k]), k, ways[way], 0) for k, way in enumerate(rng.choice(len(ways), n, p=busy / busy.sum()))]
+    heap = [
+        (float(begin[k]), k, ways[way], 0)
+        for k, way in enumerate(rng.choice(len(ways), n, p=busy / busy.sum()))
+    ]
     heapq.heapify(heap)
     free: dict[tuple[Node, Node], float] = {}
     passages = []
@@ -147,22 +178,32 @@ def _drive(
         stop = rng.exponential(BUS_STOP_SECONDS) if bus[who] and rng.random() < 0.5 else 0.0
         if way in town.cameras:
             camera, place = town.cameras[way]
-            passages.append((who, camera, t + place / pace, t + (place + town.view_metres[camera]) / pace))
+            passages.append(
+                (who, camera, t + place / pace, t + (place + town.view_metres[camera]) / pace)
+            )
         targets, share = turns[way]
         if not targets or crossings >= CROSSINGS_MAX or rng.random() < PARKS:
             continue
         arrives = t + town.metres[way] / pace + stop
-        free[way] = _green(town.lights[way[1]], way, max(arrives, free.get(way, -math.inf) + HEADWAY_SECONDS))
+        free[way] = _green(
+            town.lights[way[1]], way, max(arrives, free.get(way, -math.inf) + HEADWAY_SECONDS)
+        )
         if way[1] in town.crossings:
             camera = town.crossings[way[1]]
-            passages.append((who, camera, free[way], free[way] + 2 * town.view_metres[camera] / pace))
+            passages.append(
+                (who, camera, free[way], free[way] + 2 * town.view_metres[camera] / pace)
+            )
         onward = way[1], targets[int(rng.choice(len(targets), p=share))]
         heapq.heappush(heap, (free[way], who, onward, crossings + 1))
     return passages
 
 
-def _turns(town: Town, way: tuple[Node, Node], rng: np.random.Generator) -> tuple[list[Node], Floats]:
-    """Where vehicles go at the end of a street, and their shares: mostly straight on, never back."""
+def _turns(
+    town: Town, way: tuple[Node, Node], rng: np.random.Generator
+) -> tuple[list[Node], Floats]:
+    """Where vehicles go at the end of a street, and their shares: mostly straight on, never
+    back.
+    """
     a, b = way
     straight = (2 * b[0] - a[0], 2 * b[1] - a[1])
     targets = sorted(v for u, v in town.metres if u == b and v != a)
@@ -174,7 +215,9 @@ def _turns(town: Town, way: tuple[Node, Node], rng: np.random.Generator) -> tupl
 
 
 def _green(light: tuple[float, float], way: tuple[Node, Node], t: float) -> float:
-    """The first moment from ``t`` on at which a street's light is green; the two crossing streets take turns."""
+    """The first moment from ``t`` on at which a street's light is green; the two crossing streets
+    take turns.
+    """
     cycle, offset = light
     offset += 0.0 if way[0][0] == way[1][0] else GREEN_SHARE * cycle
     phase = (t - offset) % cycle

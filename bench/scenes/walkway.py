@@ -1,7 +1,8 @@
-"""Cameras along the walkways of a campus: few people, views far apart, recordings that begin and end when they like.
+"""Cameras along the walkways of a campus: few people, views far apart, recordings that begin and
+end when they like.
 
-The ways join the views by a tree with a few branches; most are walked through, on some people sit down or talk, so
-that the times spread widely.
+The ways join the views by a tree with a few branches; most are walked through, on some people sit
+down or talk, so that the times spread widely.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ SIDES = (
     ((0.5, 0.97), (0.12, 0.012)),
     ((0.45, 0.42), (0.05, 0.02)),
 )
-"""Where ways cut a picture (left, right, bottom, far away): centre and standard deviations (x, y)."""
+"""Where ways cut a picture (left, right, bottom, far away): centre and standard deviations (x,
+y).
+"""
 WAY_SECONDS, BROAD_SECONDS = (10.0, 90.0), 9.0
 BROAD_SHARE, BROAD_STOP_SECONDS = 0.35, 63.0
 """Share of the ways that are broad, and how long people stop there at most."""
@@ -56,8 +59,8 @@ class WalkwaySettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Campus:
-    """``ways[camera]`` lists the ways at a camera's sides: (camera at the other end or `STREET`, its side, seconds,
-    broad); ``weight`` how many take each."""
+    """``ways[camera]`` lists the ways at a camera's sides: (camera at the other end or `STREET`,
+    its side, seconds, broad); ``weight`` how many take each."""
 
     ways: list[list[tuple[int, int, float, bool]]]
     weight: list[Floats]
@@ -79,7 +82,9 @@ def simulate_walkway(settings: WalkwaySettings) -> tuple[list[Event], Truth]:
 
 
 def _campus(cameras: int, rng: np.random.Generator) -> Campus:
-    """A random tree of cameras, one way that closes a circle, and ways to the outside where a side is left."""
+    """A random tree of cameras, one way that closes a circle, and ways to the outside where a side
+    is left.
+    """
     ways: list[list[tuple[int, int, float, bool]]] = [[] for _ in range(cameras)]
 
     def join(a: int, b: int) -> None:
@@ -102,8 +107,15 @@ def _campus(cameras: int, rng: np.random.Generator) -> Campus:
 
 
 def _walk(campus: Campus, settings: WalkwaySettings, rng: np.random.Generator) -> Sightings:
-    """Everybody's passages; zone ``4 * camera + side``, sides of a camera in an order of its own."""
-    streets = [(c, s) for c, mine in enumerate(campus.ways) for s, way in enumerate(mine) if way[0] == STREET]
+    """Everybody's passages; zone ``4 * camera + side``, sides of a camera in an order of its
+    own.
+    """
+    streets = [
+        (c, s)
+        for c, mine in enumerate(campus.ways)
+        for s, way in enumerate(mine)
+        if way[0] == STREET
+    ]
     sides = [rng.permutation(len(SIDES)) for _ in campus.ways]
     busy = rng.dirichlet(np.full(len(streets), 2.0))
     classes = rng.uniform(0.0, settings.seconds, max(1, round(settings.seconds / 900.0)))
@@ -169,7 +181,9 @@ def _one(
 
 
 def _on_air(settings: WalkwaySettings, rng: np.random.Generator) -> list[tuple[int, float, float]]:
-    """When the cameras record, (camera, from, to): all begin at differing times, some end early or pause long."""
+    """When the cameras record, (camera, from, to): all begin at differing times, some end early or
+    pause long.
+    """
     end = settings.seconds
     if not settings.gaps:
         return [(camera, 0.0, end) for camera in range(settings.cameras)]

@@ -1,9 +1,10 @@
-"""The other processes of `bench.ingest` and `bench.latency`: who puts, who hears, and the bare zenoh to compare with.
+"""The other processes of `bench.ingest` and `bench.latency`: who puts, who hears, and the bare
+zenoh to compare with.
 
     python -m bench.support.clients ROLE '{"endpoint": ...}'
 
-Each prints one line of JSON at its end. The bare ones use the product's sessions, so that links and settings are the
-same, and nothing else of it.
+Each prints one line of JSON at its end. The bare ones use the product's sessions, so that links and
+settings are the same, and nothing else of it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ ENDED = b"ended"
 
 
 def put_paced(endpoint: str, events: str, bare: bool) -> dict[str, Any]:
-    """Put events when they are due, stamped with the time of the put; if ``bare`` as many bytes with the time first."""
+    """Put events when they are due, stamped with the time of the put; if ``bare`` as many bytes
+    with the time first.
+    """
     bus = _dialled(endpoint)
     batch = _read(events)
     puts = _publishers(bus, batch)
@@ -109,7 +112,9 @@ def put_flood(endpoint: str, events: str, window: int = WINDOW_EVENTS) -> dict[s
 
 
 def sink(endpoint: str, ready: str, dials: bool = False) -> dict[str, Any]:
-    """zenoh + msgspec doing nothing: decodes every event, counts, says how many from time to time."""
+    """zenoh + msgspec doing nothing: decodes every event, counts, says how many from time to
+    time.
+    """
     bus = _dialled(endpoint) if dials else meet(_config(listen=endpoint))
     decoder, count, done = msgspec.msgpack.Decoder(Event), [0], threading.Event()
 
@@ -147,7 +152,10 @@ def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
     def on_event(sample: zenoh.Sample) -> None:
         payload = sample.payload.to_bytes()
         if payload[8]:
-            session.put(f"{PREFIX}/prediction/{str(sample.key_expr).rpartition('/')[2]}", payload[:8] + filling)
+            session.put(
+                f"{PREFIX}/prediction/{str(sample.key_expr).rpartition('/')[2]}",
+                payload[:8] + filling,
+            )
 
     session.declare_subscriber(f"{PREFIX}/event/*", on_event)
     _end_with_input(done)
@@ -158,18 +166,24 @@ def echo(endpoint: str, ready: str, size: int) -> dict[str, Any]:
 
 
 def hear(endpoint: str, ready: str, bare: bool) -> dict[str, Any]:
-    """How long after its exit each prediction came, milliseconds in order; until the putting has ended."""
+    """How long after its exit each prediction came, milliseconds in order; until the putting has
+    ended.
+    """
     bus = _dialled(endpoint)
     decoder, done = msgspec.msgpack.Decoder(Prediction), threading.Event()
     heard: list[tuple[float, bytes]] = []
     bus._session.declare_subscriber(
-        f"{PREFIX}/prediction/*", lambda sample: heard.append((time.time(), sample.payload.to_bytes()))
+        f"{PREFIX}/prediction/*",
+        lambda sample: heard.append((time.time(), sample.payload.to_bytes())),
     )
     bus._session.declare_subscriber(f"{PREFIX}/bench/ended", lambda _: done.set())
     _say_ready(bus, ready)
     done.wait()
     sizes = [len(payload) for _, payload in heard]
-    then = [struct.unpack("<d", payload[:8])[0] if bare else decoder.decode(payload).t for _, payload in heard]
+    then = [
+        struct.unpack("<d", payload[:8])[0] if bare else decoder.decode(payload).t
+        for _, payload in heard
+    ]
     bus.close()
     return {
         "ms": [round(1000 * (now - t), 4) for (now, _), t in zip(heard, then, strict=True)],
@@ -276,8 +290,13 @@ def _end_with_input(done: threading.Event) -> None:
 
 
 ROLES: dict[str, Any] = {
-    "put_paced": put_paced, "put_flood": put_flood, "sink": sink, "echo": echo, "hear": hear, "router": router,
-}  # fmt: skip
+    "put_paced": put_paced,
+    "put_flood": put_flood,
+    "sink": sink,
+    "echo": echo,
+    "hear": hear,
+    "router": router,
+}
 
 if __name__ == "__main__":
     print(json.dumps(ROLES[sys.argv[1]](**json.loads(sys.argv[2]))))

@@ -1,4 +1,5 @@
-"""Made-up films of a fixed camera, H.264 as such cameras send it: people on a textured floor, noise of the sensor.
+"""Made-up films of a fixed camera, H.264 as such cameras send it: people on a textured floor, noise
+of the sensor.
 
 Needs the ``ffmpeg`` program with libx264.
 """
@@ -23,7 +24,9 @@ NOISE_PICTURES = 16
 CROSSING_SECONDS = 9.0
 STRIDE_HEIGHTS = 0.45
 CRF = 20
-"""x264's quality; with it a busy film has about the bit rate that cameras are set to (1080p: 2 to 4 Mbit/s)."""
+"""x264's quality; with it a busy film has about the bit rate that cameras are set to (1080p: 2 to 4
+Mbit/s).
+"""
 ENCODER = ("-c:v", "libx264", "-preset", "veryfast", "-profile:v", "main", "-bf", "0")
 _SUBPIXEL = 4
 """Fractional bits of drawing coordinates."""
@@ -61,25 +64,66 @@ def floor(width: int, height: int, seed: int) -> Picture:
     """An empty scene (H, W, 3): slabs with seams under patches of all sizes."""
     rng = np.random.default_rng(seed)
     picture = np.full((height, width, 3), (128, 138, 144), dtype=np.float32)
-    for cell, contrast in ((height // 3, 22.0), (height // 12, 12.0), (height // 60, 7.0), (2, 5.0)):
+    for cell, contrast in (
+        (height // 3, 22.0),
+        (height // 12, 12.0),
+        (height // 60, 7.0),
+        (2, 5.0),
+    ):
         coarse = rng.normal(0, contrast, (height // cell + 2, width // cell + 2)).astype(np.float32)
         picture += cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)[..., None]
     for row in range(0, height, height // 9):
-        cv2.line(picture, (0, row), (width, row + height // 40), (95, 100, 104), max(1, height // 360), cv2.LINE_AA)
+        cv2.line(
+            picture,
+            (0, row),
+            (width, row + height // 40),
+            (95, 100, 104),
+            max(1, height // 360),
+            cv2.LINE_AA,
+        )
     result: Picture = np.clip(picture, 20, 235).astype(np.uint8)
     return result
 
 
 def film(
-    path: Path, size: tuple[int, int], walkers: list[Walker], seconds: float, crf: int = CRF, seed: int = 1
+    path: Path,
+    size: tuple[int, int],
+    walkers: list[Walker],
+    seconds: float,
+    crf: int = CRF,
+    seed: int = 1,
 ) -> Path:
-    """Write an H.264 film of ``size`` (width, height) at `FPS`; returns ``path``. Raises OSError without ffmpeg."""
+    """Write an H.264 film of ``size`` (width, height) at `FPS`; returns ``path``. Raises OSError
+    without ffmpeg.
+    """
     width, height = size
     empty = floor(width, height, seed)
     rng = np.random.default_rng(seed)
-    noise = [rng.normal(0, NOISE_SD, empty.shape).round().astype(np.int8) for _ in range(NOISE_PICTURES)]
-    raw = ["-f", "rawvideo", "-pix_fmt", "bgr24", "-s", f"{width}x{height}", "-r", str(FPS), "-i", "pipe:0"]
-    encode = [*ENCODER, "-crf", str(crf), "-g", str(KEY_FRAME_EVERY), "-pix_fmt", "yuv420p", str(path)]
+    noise = [
+        rng.normal(0, NOISE_SD, empty.shape).round().astype(np.int8) for _ in range(NOISE_PICTURES)
+    ]
+    raw = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "bgr24",
+        "-s",
+        f"{width}x{height}",
+        "-r",
+        str(FPS),
+        "-i",
+        "pipe:0",
+    ]
+    encode = [
+        *ENCODER,
+        "-crf",
+        str(crf),
+        "-g",
+        str(KEY_FRAME_EVERY),
+        "-pix_fmt",
+        "yuv420p",
+        str(path),
+    ]
     command = ["ffmpeg", "-loglevel", "error", "-y", *raw, *encode]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
         assert encoder.stdin is not None
@@ -108,10 +152,16 @@ def draw(picture: NDArray[Any], walker: Walker, t: float) -> None:
     coat, trousers = walker.clothes[:3], walker.clothes[3:]
 
     def at(across: float, up: float) -> tuple[int, int]:
-        return round((x + across * tall) * (1 << _SUBPIXEL)), round((y - up * tall) * (1 << _SUBPIXEL))
+        return round((x + across * tall) * (1 << _SUBPIXEL)), round(
+            (y - up * tall) * (1 << _SUBPIXEL)
+        )
 
-    def limb(a: tuple[float, float], b: tuple[float, float], wide: float, colour: tuple[int, ...]) -> None:
-        cv2.line(picture, at(*a), at(*b), colour, max(1, round(wide * tall)), cv2.LINE_AA, _SUBPIXEL)
+    def limb(
+        a: tuple[float, float], b: tuple[float, float], wide: float, colour: tuple[int, ...]
+    ) -> None:
+        cv2.line(
+            picture, at(*a), at(*b), colour, max(1, round(wide * tall)), cv2.LINE_AA, _SUBPIXEL
+        )
 
     for side in (-1, 1):
         limb((0.04 * side, 0.48), (0.04 * side + side * swing, 0.03), 0.1, trousers)
@@ -119,5 +169,11 @@ def draw(picture: NDArray[Any], walker: Walker, t: float) -> None:
     limb((0.0, 0.5), (0.0, 0.74), 0.22, coat)
     limb((0.0, 0.62), (0.0, 0.65), 0.1, trousers)  # a bag
     cv2.circle(
-        picture, at(0.0, 0.92), round(0.075 * tall * (1 << _SUBPIXEL)), (120, 150, 190), -1, cv2.LINE_AA, _SUBPIXEL
+        picture,
+        at(0.0, 0.92),
+        round(0.075 * tall * (1 << _SUBPIXEL)),
+        (120, 150, 190),
+        -1,
+        cv2.LINE_AA,
+        _SUBPIXEL,
     )

@@ -12,8 +12,8 @@ _Result = TypeVar("_Result")
 
 
 def done(work: Callable[[_Task], _Result], tasks: Sequence[_Task], jobs: int) -> list[_Result]:
-    """What ``work`` makes of each task, in their order, by so many processes. They are started anew: one that is forked
-    from a process with threads may wait for ever.
+    """What ``work`` makes of each task, in their order, by so many processes. They are started
+    anew: one that is forked from a process with threads may wait for ever.
     """
     if jobs <= 1:
         return list(map(work, tasks))

@@ -1,5 +1,5 @@
-"""One network measured: ours as it learns online, in one fit and as it serves, and every baseline; for
-`bench.quality`."""
+"""One network measured: ours as it learns online, in one fit and as it serves, and every baseline;
+for `bench.quality`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,9 @@ TAKE_LAGS = (transfer, anonymous)
 
 
 class Record(Struct, omit_defaults=True):
-    """What one method came to on one network. ``ranked``: per variant, what choosing its threshold needs."""
+    """What one method came to on one network. ``ranked``: per variant, what choosing its threshold
+    needs.
+    """
 
     regime: str
     seed: int
@@ -77,7 +79,12 @@ class Record(Struct, omit_defaults=True):
 
 
 def measure(
-    group: str, regime: str, seed: int, events: Sequence[Event], truth: Truth, settings: Settings | None = None
+    group: str,
+    regime: str,
+    seed: int,
+    events: Sequence[Event],
+    truth: Truth,
+    settings: Settings | None = None,
 ) -> list[Record]:
     """All records of one of `GROUPS`, learned with ``settings`` (default: those by default)."""
     if group == "baselines":
@@ -90,13 +97,17 @@ def measure(
         predicted = predict(head, events)
     figures = network_figures(topology, truth, events)
     figures |= prediction_figures(predicted, events, truth)
-    figures |= {"events": len(events), "events_per_second": len(events) / seconds, "versions": topology.version}
+    figures |= {
+        "events": len(events),
+        "events_per_second": len(events) / seconds,
+        "versions": topology.version,
+    }
     return [Record(regime, seed, group, seconds, _plain(figures))]
 
 
 def learn(events: Sequence[Event], learner: Learner) -> tuple[Topology, Topology, float]:
-    """The last version, what the last version would have been at `TRAIN_SHARE` of the events, and the seconds for the
-    former. Events are fed as `camtopod learn` feeds them."""
+    """The last version, what the last version would have been at `TRAIN_SHARE` of the events, and
+    the seconds for the former. Events are fed as `camtopod learn` feeds them."""
     head = None
     cut = int(TRAIN_SHARE * len(events))
     aside, started = 0.0, time.process_time()
@@ -139,26 +150,44 @@ def network_figures(topology: Topology, truth: Truth, events: Sequence[Event]) -
         if all(zone.x is not None for zone in truth.zones):
             figures["zones_right"] = result.cameras_right / result.cameras
     if result.links_true:
-        figures |= {"precision": result.link_precision, "recall": result.link_recall, "f1": result.link_f1}
-        figures |= {"median_error": result.median_error, "median_error_mean": result.median_error_mean}
-        figures |= {"transit_covered": result.median_covered, "transit_mean_covered": result.mean_covered}
-        figures["recorded_median_error"] = score(topology, recorded_medians(events, truth)).median_error
+        figures |= {
+            "precision": result.link_precision,
+            "recall": result.link_recall,
+            "f1": result.link_f1,
+        }
+        figures |= {
+            "median_error": result.median_error,
+            "median_error_mean": result.median_error_mean,
+        }
+        figures |= {
+            "transit_covered": result.median_covered,
+            "transit_mean_covered": result.mean_covered,
+        }
+        figures["recorded_median_error"] = score(
+            topology, recorded_medians(events, truth)
+        ).median_error
     return figures
 
 
 def by_their_clocks(truth: Truth) -> Truth:
-    """The truth with the transit times as two cameras' own clocks have them, which is how they are learned."""
+    """The truth with the transit times as two cameras' own clocks have them, which is how they are
+    learned.
+    """
     offset = {zone.id: truth.clock_offsets.get(zone.camera, 0.0) for zone in truth.zones}
     links = []
     for link in truth.links:
         late, was = offset[link.to] - offset[link.from_], link.transit
-        shifted = {name: getattr(was, name) + late for name in ("mode", "mean", "q10", "q50", "q90")}
+        shifted = {
+            name: getattr(was, name) + late for name in ("mode", "mean", "q10", "q50", "q90")
+        }
         links.append(msgspec.structs.replace(link, transit=msgspec.structs.replace(was, **shifted)))
     return msgspec.structs.replace(truth, links=links)
 
 
 class Predicted(NamedTuple):
-    """One prediction for each exit after the cut, processor seconds for all, and the version known at the cut."""
+    """One prediction for each exit after the cut, processor seconds for all, and the version known
+    at the cut.
+    """
 
     made: list[Prediction]
     seconds: float
@@ -179,8 +208,9 @@ def predict(head: Topology, events: Sequence[Event]) -> Predicted:
 
 
 def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predicted, float]:
-    """As it is in service: each exit after the cut is predicted by the newest version published by then, and nothing is
-    learned but what falls due by itself. The newest version in the end, the predictions, and seconds to learn."""
+    """As it is in service: each exit after the cut is predicted by the newest version published by
+    then, and nothing is learned but what falls due by itself. The newest version in the end, the
+    predictions, and seconds to learn."""
     cut = int(TRAIN_SHARE * len(events))
     learner, predictor, head = Learner(settings), None, None
     made: list[Prediction] = []
@@ -207,8 +237,12 @@ def serve(events: Sequence[Event], settings: Settings) -> tuple[Topology, Predic
     return learner.topology, Predicted(made, predicting, head), seconds
 
 
-def prediction_figures(predicted: Predicted, events: Sequence[Event], truth: Truth) -> dict[str, float]:
-    """Predictions after the cut, beside a chain told identities up to the cut, on the zones that were known there."""
+def prediction_figures(
+    predicted: Predicted, events: Sequence[Event], truth: Truth
+) -> dict[str, float]:
+    """Predictions after the cut, beside a chain told identities up to the cut, on the zones that
+    were known there.
+    """
     cut = int(TRAIN_SHARE * len(events))
     tail = msgspec.structs.replace(
         truth, identity=truth.identity[cut:], passage=truth.passage[cut:], zone=truth.zone[cut:]
@@ -237,7 +271,9 @@ def prediction_figures(predicted: Predicted, events: Sequence[Event], truth: Tru
 
 
 def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list[Record]:
-    """Links, or pairs of cameras, and zones where the truth knows them; predictions by who is told identities."""
+    """Links, or pairs of cameras, and zones where the truth knows them; predictions by who is told
+    identities.
+    """
     cut = int(TRAIN_SHARE * len(events))
     cameras = [event.camera for event in events]
     chains: dict[str, Sequence[Hashable]] = {"most frequent next camera": cameras}
@@ -248,7 +284,9 @@ def baselines(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> 
         started = time.process_time()
         result = told_score(events, truth, cut, states)
         seconds = time.process_time() - started
-        records.append(Record(regime, seed, f"next: {name}", seconds, _plain(_of_predictions(result, ""))))
+        records.append(
+            Record(regime, seed, f"next: {name}", seconds, _plain(_of_predictions(result, "")))
+        )
     if truth.zones:
         told_error = _plain({"median_error": transit_error(events, truth)})
         records.append(Record(regime, seed, "transit: told identities", 0.0, told_error))
@@ -272,19 +310,28 @@ def links(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
         figures: dict[str, float | None] = {}
         if LITERAL in findings:
             printed = at([rank(findings[LITERAL], seen, truth, everything=True)], LITERAL_SCORE_MIN)
-            figures = {name: float(getattr(printed, name)[0]) for name in ("f1", "precision", "recall")}
+            figures = {
+                name: float(getattr(printed, name)[0]) for name in ("f1", "precision", "recall")
+            }
         records.append(Record(regime, seed, f"links: {name}", seconds, figures, ranked))
     return records
 
 
-def by_range(method: Callable[..., Any], seen: Crossings, found: Sequence[Candidates]) -> dict[str, Findings]:
-    """What a method finds among the candidates of each range of lags; by variant and range, if it looks at any."""
+def by_range(
+    method: Callable[..., Any], seen: Crossings, found: Sequence[Candidates]
+) -> dict[str, Findings]:
+    """What a method finds among the candidates of each range of lags; by variant and range, if it
+    looks at any.
+    """
     if method not in (*TAKE_CANDIDATES, *TAKE_LAGS):
         return dict(method(seen))
     result: dict[str, Findings] = {}
     for one in found:
         findings = method(seen, one if method in TAKE_CANDIDATES else one.lags)
-        result |= {f"{name}, {one.lags.low:g}..{one.lags.high:g} s": each for name, each in findings.items()}
+        result |= {
+            f"{name}, {one.lags.low:g}..{one.lags.high:g} s": each
+            for name, each in findings.items()
+        }
     return result
 
 
@@ -299,15 +346,22 @@ def zones(regime: str, seed: int, events: Sequence[Event], truth: Truth) -> list
         started = time.process_time()
         figures: dict[str, float | None] = {}
         for variant, cluster in variants.items():
-            right = [_zones_right(cluster(np.array(at)), camera, truth) for camera, at in positions.items()]
+            right = [
+                _zones_right(cluster(np.array(at)), camera, truth)
+                for camera, at in positions.items()
+            ]
             figures[variant] = float(np.mean(right))
-        records.append(Record(regime, seed, f"zones: {name}", time.process_time() - started, figures))
+        records.append(
+            Record(regime, seed, f"zones: {name}", time.process_time() - started, figures)
+        )
     return records
 
 
 def _zones_right(centres: np.ndarray[Any, Any], camera: str, truth: Truth) -> bool:
     true = [zone for zone in truth.zones if zone.camera == camera]
-    made = [Zone(f"{camera}/{k}", camera, 1, 1, float(x), float(y)) for k, (x, y) in enumerate(centres)]
+    made = [
+        Zone(f"{camera}/{k}", camera, 1, 1, float(x), float(y)) for k, (x, y) in enumerate(centres)
+    ]
     return len(true) == len(made) == len(match_zones(made, true, ZONE_TOLERANCE))
 
 

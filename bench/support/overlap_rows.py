@@ -1,8 +1,9 @@
 """The thesis's test for overlapped views (table 4.4) over a matrix of transit times.
 
-Zones A and B lie in one camera, C in another. When going from A to B takes as long as going from A to C and
-on to B, an object passes C while it is in the first camera's view: the views overlap. Linked cameras without
-such a triple have an unseen path between them, and cameras without any link are not related.
+Zones A and B lie in one camera, C in another. When going from A to B takes as long as going from A
+to C and on to B, an object passes C while it is in the first camera's view: the views overlap.
+Linked cameras without such a triple have an unseen path between them, and cameras without any link
+are not related.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ from camtopod.topology.camera_pairs import sum_rule
 
 
 class OverlapRow(NamedTuple):
-    """A row of tables 5.3 and 5.4: zone C of camera ``camera_c`` lies between A and B of ``camera_ab``.
+    """A row of tables 5.3 and 5.4: zone C of camera ``camera_c`` lies between A and B of
+    ``camera_ab``.
 
-    Zones are indices into the matrix, transit times are seconds. ``error`` is |t(A,B) - (t(A,C) + t(C,B))|.
+    Zones are indices into the matrix, transit times are seconds. ``error`` is |t(A,B) - (t(A,C) +
+    t(C,B))|.
     """
 
     camera_ab: int
@@ -33,17 +36,20 @@ class OverlapRow(NamedTuple):
     error: float
 
 
-def overlap_rows(transit: ArrayLike, camera_of_zone: ArrayLike, tolerance: float) -> list[OverlapRow]:
+def overlap_rows(
+    transit: ArrayLike, camera_of_zone: ArrayLike, tolerance: float
+) -> list[OverlapRow]:
     """Every triple that shows an overlap, ordered by (A, B, C).
 
-    ``transit`` (n, n): seconds from a zone to another, 0 where there is no link; ``camera_of_zone`` (n,).
+    ``transit`` (n, n): seconds from a zone to another, 0 where there is no link; ``camera_of_zone``
+    (n,).
 
-    Which of the symmetric candidates are listed: tables 5.3 and 5.4 have each pair {A, B} once, with A < B
-    (the thesis's graph is undirected), and each camera in both roles, so cameras 3 and 4 have two rows in
-    table 5.3, and five of table 5.4's pairs appear in one role only because the other fails the test. All
-    three links must exist. The sum is taken along the way A -> C -> B, as table 4.4 has it; where that fails,
-    B -> C -> A is tried, for a matrix of measured times need not be symmetric. With table 5.2 and T = 0.200
-    this gives exactly table 5.3.
+    Which of the symmetric candidates are listed: tables 5.3 and 5.4 have each pair {A, B} once,
+    with A < B (the thesis's graph is undirected), and each camera in both roles, so cameras 3 and 4
+    have two rows in table 5.3, and five of table 5.4's pairs appear in one role only because the
+    other fails the test. All three links must exist. The sum is taken along the way A -> C -> B, as
+    table 4.4 has it; where that fails, B -> C -> A is tried, for a matrix of measured times need
+    not be symmetric. With table 5.2 and T = 0.200 this gives exactly table 5.3.
     """
     times = np.asarray(transit, dtype=np.float64)
     cameras = np.asarray(camera_of_zone, dtype=np.intp)
@@ -61,8 +67,12 @@ def overlap_rows(transit: ArrayLike, camera_of_zone: ArrayLike, tolerance: float
     return rows
 
 
-def _row(times: Floats, cameras: NDArray[np.intp], a: int, b: int, c: int, tolerance: float) -> OverlapRow | None:
+def _row(
+    times: Floats, cameras: NDArray[np.intp], a: int, b: int, c: int, tolerance: float
+) -> OverlapRow | None:
     direct, there, on = float(times[a, b]), float(times[a, c]), float(times[c, b])
     if 0.0 in (direct, there, on) or not sum_rule(direct, there, on, tolerance):
         return None
-    return OverlapRow(int(cameras[a]), int(cameras[c]), a, b, c, there, on, direct, abs(direct - (there + on)))
+    return OverlapRow(
+        int(cameras[a]), int(cameras[c]), a, b, c, there, on, direct, abs(direct - (there + on))
+    )

@@ -1,7 +1,8 @@
 """Contestants measured in turns in one run, and what each cost as a ratio to a named one of them.
 
-The machine is shared, so absolute times mean little: every round measures each contestant once, in an order that
-rotates, and a ratio is taken within its round. Reported are medians and quartiles over the rounds.
+The machine is shared, so absolute times mean little: every round measures each contestant once, in
+an order that rotates, and a ratio is taken within its round. Reported are medians and quartiles
+over the rounds.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ class Spread(Struct):
 
 
 class Row(Struct):
-    """One contestant. ``cost`` in the table's unit; ``ratio`` to the baseline's, paired by round."""
+    """One contestant. ``cost`` in the table's unit; ``ratio`` to the baseline's, paired by
+    round.
+    """
 
     name: str
     cost: Spread
@@ -60,7 +63,9 @@ class Table(Struct):
 
 
 def cpu_seconds() -> float:
-    """Of this process with all its threads, and of its children that have ended and were waited for."""
+    """Of this process with all its threads, and of its children that have ended and were waited
+    for.
+    """
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
@@ -72,7 +77,9 @@ def cpu_seconds_of(run: Callable[[], object]) -> float:
     return cpu_seconds() - began
 
 
-def take_turns(contestants: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, list[float]]:
+def take_turns(
+    contestants: Mapping[str, Callable[[], float]], rounds: int
+) -> dict[str, list[float]]:
     """What each contestant says it cost, a value for each of ``rounds``; the warm-up is extra."""
     names = list(contestants)
     costs: dict[str, list[float]] = {name: [] for name in names}
@@ -101,11 +108,21 @@ def compare(
     at_most: Mapping[str, float] | None = None,
     at_least: Mapping[str, float] | None = None,
 ) -> Table:
-    """``costs`` as of `take_turns`, already in ``unit``; ``at_most``, ``at_least``: ratios to reach by contestant."""
+    """``costs`` as of `take_turns`, already in ``unit``; ``at_most``, ``at_least``: ratios to reach
+    by contestant.
+    """
     rows = []
     for name, own in costs.items():
         ratios = [cost / base for cost, base in zip(own, costs[baseline], strict=True)]
-        rows.append(Row(name, spread(own), spread(ratios), (at_most or {}).get(name), (at_least or {}).get(name)))
+        rows.append(
+            Row(
+                name,
+                spread(own),
+                spread(ratios),
+                (at_most or {}).get(name),
+                (at_least or {}).get(name),
+            )
+        )
     return Table(title, unit, baseline, rows)
 
 
@@ -116,7 +133,9 @@ def lines(table: Table) -> list[str]:
     for row in table.rows:
         limit = f"<= {row.at_most:.2f}" if row.at_most is not None else f">= {row.at_least or 0:g}"
         wanted = "" if row.reached is None else f"{limit} {'yes' if row.reached else 'NO'}"
-        result.append(f"  {row.name:50}{_cell(row.cost, 3):>30}{_cell(row.ratio, 2):>30}{wanted:>14}")
+        result.append(
+            f"  {row.name:50}{_cell(row.cost, 3):>30}{_cell(row.ratio, 2):>30}{wanted:>14}"
+        )
     return result
 
 
@@ -126,36 +145,62 @@ def _cell(values: Spread, digits: int) -> str:
 
 def add_arguments(parser: argparse.ArgumentParser, rounds: int) -> None:
     """``--rounds`` and ``--json``."""
-    parser.add_argument("--rounds", type=int, default=rounds, help=f"measured rounds (default {rounds})")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures, and a plot beside them")
+    parser.add_argument(
+        "--rounds", type=int, default=rounds, help=f"measured rounds (default {rounds})"
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures, and a plot beside them"
+    )
 
 
 def write(path: Path, part: str, tables: Sequence[Table], **facts: Any) -> None:
-    """The figures as JSON with what they were measured on, and a plot of the ratios as ``path`` with ``.png``."""
-    machine = {"cores": os.cpu_count(), "processor": platform.machine(), "python": platform.python_version()}
+    """The figures as JSON with what they were measured on, and a plot of the ratios as ``path``
+    with ``.png``.
+    """
+    machine = {
+        "cores": os.cpu_count(),
+        "processor": platform.machine(),
+        "python": platform.python_version(),
+    }
     content = {"part": part, "machine": machine, **facts, "tables": to_builtins(list(tables))}
     path.write_text(json.dumps(content, indent=1) + "\n")
     plot(path.with_suffix(".png"), tables)
 
 
 def plot(path: Path, tables: Sequence[Table]) -> None:
-    """Bars of the ratios with their quartiles, a panel for each table; a note instead where matplotlib is missing."""
+    """Bars of the ratios with their quartiles, a panel for each table; a note instead where
+    matplotlib is missing.
+    """
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
         print("no plot: matplotlib is not installed (it comes with [bench])", file=sys.stderr)
         return
-    figure = Figure(figsize=(9, 0.8 + sum(0.7 + 0.35 * len(table.rows) for table in tables)), layout="constrained")
-    panels = figure.subplots(len(tables), squeeze=False, height_ratios=[1 + len(table.rows) for table in tables])
+    figure = Figure(
+        figsize=(9, 0.8 + sum(0.7 + 0.35 * len(table.rows) for table in tables)),
+        layout="constrained",
+    )
+    panels = figure.subplots(
+        len(tables), squeeze=False, height_ratios=[1 + len(table.rows) for table in tables]
+    )
     for axes, table in zip(panels[:, 0], tables, strict=True):
         for place, row in enumerate(table.rows):
             below, above = row.ratio.median - row.ratio.low, row.ratio.high - row.ratio.median
-            axes.barh(place, row.ratio.median, xerr=[[below], [above]], height=0.6, color="#3b6ea5", capsize=3)
+            axes.barh(
+                place,
+                row.ratio.median,
+                xerr=[[below], [above]],
+                height=0.6,
+                color="#3b6ea5",
+                capsize=3,
+            )
             limit = row.at_least if row.at_most is None else row.at_most
             if limit is not None:
                 axes.plot([limit] * 2, [place - 0.4, place + 0.4], color="#c03030", linewidth=2)
         axes.set_yticks(range(len(table.rows)), [row.name for row in table.rows])
         axes.invert_yaxis()
-        axes.set_title(f"{table.title}: ratio to {table.baseline} (red: to reach)", fontsize=9, loc="left")
+        axes.set_title(
+            f"{table.title}: ratio to {table.baseline} (red: to reach)", fontsize=9, loc="left"
+        )
         axes.tick_params(labelsize=8)
     figure.savefig(path, dpi=110)

@@ -1,7 +1,7 @@
 """How well a real recording was learned and foretold, beside a chain that is told identities.
 
-The chain counts where identities go next from each zone before the cut, backed by its camera's counts and those by all,
-and takes its transit times from their lags. It has the same zones.
+The chain counts where identities go next from each zone before the cut, backed by its camera's
+counts and those by all, and takes its transit times from their lags. It has the same zones.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ BACKING = 2.0
 LAGS_MIN = 9
 """A zone's transit times are its own when it has so many, else its camera's, else everybody's."""
 WHO_DEPARTURES_MIN = 5
-"""A zone's shares are its own when so many have left there, else its camera's, where it is asked who is who."""
+"""A zone's shares are its own when so many have left there, else its camera's, where it is asked
+who is who.
+"""
 LOSS_FLOOR = 1e-3
 """Added to every outcome's probability before its logarithm is taken."""
 CALIBRATION_BINS = 10
@@ -53,7 +55,9 @@ class LinkFigures(Struct):
     relations: int
     """Pairs of cameras whose relation is published and clear in truth."""
     transit_error: float
-    """Median over the right links of the error of their median, in seconds; nan if there is none."""
+    """Median over the right links of the error of their median, in seconds; nan if there is
+    none.
+    """
 
 
 class PredictionFigures(Struct):
@@ -73,7 +77,9 @@ class PredictionFigures(Struct):
     coverage: float
     """Share of those seen again within q10 to q90; nan if none is."""
     saved: dict[float, float]
-    """By recall, how many times fewer camera-seconds are searched; empty if nobody is to be found."""
+    """By recall, how many times fewer camera-seconds are searched; empty if nobody is to be
+    found.
+    """
 
     @property
     def calibration_error(self) -> float:
@@ -81,17 +87,26 @@ class PredictionFigures(Struct):
         return calibration_error(self.confidence, self.right)
 
 
-def link_figures(topology: Topology, recording: Recording, nats: Mapping[tuple[str, str], float]) -> LinkFigures:
+def link_figures(
+    topology: Topology, recording: Recording, nats: Mapping[tuple[str, str], float]
+) -> LinkFigures:
     """``nats``: what the events can tell of each true link (`tellable`)."""
     true = recording.links()
-    some = {pair for pair, lags in recording.transitions().items() if len(lags) > SPURIOUS_TRANSITIONS_MAX}
+    some = {
+        pair
+        for pair, lags in recording.transitions().items()
+        if len(lags) > SPURIOUS_TRANSITIONS_MAX
+    }
     camera_of = {zone.id: zone.camera for zone in topology.zones}
     medians: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     for link in topology.links:
         pair = camera_of[link.from_], camera_of[link.to]
         if pair[0] != pair[1]:
             medians[pair].append((link.transitions + 1e-9, link.transit.q50))
-    published, told = set(medians), {least: {p for p, n in nats.items() if n >= least} for least in TELLABLE_NATS}
+    published, told = (
+        set(medians),
+        {least: {p for p, n in nats.items() if n >= least} for least in TELLABLE_NATS},
+    )
     errors = []
     for pair in published & true.keys():
         weight, median = zip(*medians[pair], strict=True)
@@ -100,19 +115,32 @@ def link_figures(topology: Topology, recording: Recording, nats: Mapping[tuple[s
     ahead: dict[frozenset[str], list[bool]] = defaultdict(list)
     for pair, lags in true.items():
         ahead[frozenset(pair)] += [lag < 0 for lag in lags]
-    clear = {pair: np.mean(each) >= 0.5 for pair, each in ahead.items() if not 0.25 < np.mean(each) < 0.75}
+    clear = {
+        pair: np.mean(each) >= 0.5
+        for pair, each in ahead.items()
+        if not 0.25 < np.mean(each) < 0.75
+    }
     relation = {frozenset(pair.cameras): pair.relation == "overlapped" for pair in topology.pairs}
-    both = [bool(relation[pair] == clear[pair]) for pair in relation.keys() & clear.keys() & pairs_of([*true])]
+    both = [
+        bool(relation[pair] == clear[pair])
+        for pair in relation.keys() & clear.keys() & pairs_of([*true])
+    ]
     return LinkFigures(
-        len(published), len(published & true.keys()), len(published - some), len(true),
-        {least: len(published & one) for least, one in told.items()}, {least: len(one) for least, one in told.items()},
-        sum(both), len(both), float(np.median(errors)) if errors else float("nan"),
-    )  # fmt: skip
+        len(published),
+        len(published & true.keys()),
+        len(published - some),
+        len(true),
+        {least: len(published & one) for least, one in told.items()},
+        {least: len(one) for least, one in told.items()},
+        sum(both),
+        len(both),
+        float(np.median(errors)) if errors else float("nan"),
+    )
 
 
 class Guess(Struct):
-    """What is said of one exit: the probability of each outcome, and of each way its camera, probability and quantiles
-    of the lag.
+    """What is said of one exit: the probability of each outcome, and of each way its camera,
+    probability and quantiles of the lag.
     """
 
     outcomes: dict[str, float]
@@ -141,21 +169,34 @@ class ToldChain:
         shares = {name: 1.0 / len(self._outcomes) for name in self._outcomes}
         for place in ("", f"{camera}/", zone):
             counts, total = self._counts[place], self._counts[place].total()
-            shares = {name: (counts[name] + BACKING * share) / (total + BACKING) for name, share in shares.items()}
-        ways = [(name, share, self._quantiles(zone, camera, name)) for name, share in shares.items() if name != LEAVE]
+            shares = {
+                name: (counts[name] + BACKING * share) / (total + BACKING)
+                for name, share in shares.items()
+            }
+        ways = [
+            (name, share, self._quantiles(zone, camera, name))
+            for name, share in shares.items()
+            if name != LEAVE
+        ]
         return Guess(shares, ways)
 
     def _quantiles(self, zone: str, camera: str, outcome: str) -> tuple[float, float, float]:
         known = ((zone, outcome), (f"{camera}/", outcome), ("", outcome))
-        lags = next((self._lags[key] for key in known if len(self._lags.get(key, ())) >= LAGS_MIN), None)
-        q10, q50, q90 = np.quantile(lags or self._lags.get(("", "")) or [0.0, 60.0], (0.1, 0.5, 0.9), method="weibull")
+        lags = next(
+            (self._lags[key] for key in known if len(self._lags.get(key, ())) >= LAGS_MIN), None
+        )
+        q10, q50, q90 = np.quantile(
+            lags or self._lags.get(("", "")) or [0.0, 60.0], (0.1, 0.5, 0.9), method="weibull"
+        )
         return float(q10), float(q50), float(q90)
 
 
 def prediction_figures(
     predictions: Sequence[Prediction], recording: Recording
 ) -> tuple[PredictionFigures, PredictionFigures] | None:
-    """Ours and the told chain's; None if no exit is left to judge. ``predictions``: of every exit, in order."""
+    """Ours and the told chain's; None if no exit is left to judge. ``predictions``: of every exit,
+    in order.
+    """
     outcomes = [*recording.cameras, LEAVE]
     chain, ours, told, happened = ToldChain(outcomes), list[Guess](), list[Guess](), list[Passage]()
     for one in predictions:
@@ -163,7 +204,9 @@ def prediction_figures(
         if one.t <= recording.cut - recording.window:
             following = passage.next_
             known = following is not None and following.came < recording.cut
-            chain.learn(zone, one.camera, following.camera if known and following else LEAVE, passage.lag)
+            chain.learn(
+                zone, one.camera, following.camera if known and following else LEAVE, passage.lag
+            )
         elif recording.cut <= one.t <= recording.end - recording.window:
             happened.append(passage)
             ways = [(way.camera, way.probability) for way in one.next_]
@@ -179,8 +222,18 @@ def prediction_figures(
     return _judged(ours, happened, outcomes), _judged(told, happened, outcomes)
 
 
-def _judged(guesses: Sequence[Guess], happened: Sequence[Passage], outcomes: Sequence[str]) -> PredictionFigures:
-    losses, leave_losses, confidence, right, third, covered, cost = [], [], [], list[bool](), [], [], []
+def _judged(
+    guesses: Sequence[Guess], happened: Sequence[Passage], outcomes: Sequence[str]
+) -> PredictionFigures:
+    losses, leave_losses, confidence, right, third, covered, cost = (
+        [],
+        [],
+        [],
+        list[bool](),
+        [],
+        [],
+        [],
+    )
     floor = 1.0 + LOSS_FLOOR * len(outcomes)
     for guess, passage in zip(guesses, happened, strict=True):
         outcome = LEAVE if passage.next_ is None else passage.next_.camera
@@ -197,38 +250,59 @@ def _judged(guesses: Sequence[Guess], happened: Sequence[Passage], outcomes: Seq
         mine = [(share, quantiles) for camera, share, quantiles in guess.ways if camera == outcome]
         total = sum(share for share, _ in mine)
         if total > 0:
-            reached = sum(share * float(_reached(np.array(passage.lag), *q)) for share, q in mine) / total
+            reached = (
+                sum(share * float(_reached(np.array(passage.lag), *q)) for share, q in mine) / total
+            )
             covered.append(0.1 - 1e-9 <= reached <= 0.9 + 1e-9)
         if outcome != passage.camera and passage.lag <= REACH_SECONDS - 1:
             cost.append(_searched(guess, passage.camera, outcome, passage.lag, outcomes))
     everything = (len(outcomes) - 2) * REACH_SECONDS
-    saved = {recall: everything / max(1.0, float(np.quantile(cost, recall))) for recall in SEARCH_RECALLS if cost}
+    saved = {
+        recall: everything / max(1.0, float(np.quantile(cost, recall)))
+        for recall in SEARCH_RECALLS
+        if cost
+    }
     return PredictionFigures(
-        len(happened), float(np.mean(losses)), float(np.mean(leave_losses)), float(np.mean(right)),
-        float(np.mean(third)), confidence, right, float(np.mean(covered)) if covered else float("nan"), saved,
-    )  # fmt: skip
+        len(happened),
+        float(np.mean(losses)),
+        float(np.mean(leave_losses)),
+        float(np.mean(right)),
+        float(np.mean(third)),
+        confidence,
+        right,
+        float(np.mean(covered)) if covered else float("nan"),
+        saved,
+    )
 
 
 def _reached(x: Floats, q10: float, q50: float, q90: float) -> Floats:
-    """Probability that the lag is at most ``x``: linear between the quantiles, exponential beyond them."""
+    """Probability that the lag is at most ``x``: linear between the quantiles, exponential beyond
+    them.
+    """
     q50 = max(q50, q10 + 0.05)
     q90 = max(q90, q50 + 0.05)
     before, after = max((q50 - q10) / 2, 0.1), max((q90 - q50) / 2, 0.1)
     early = 0.1 * np.exp(np.minimum(x - q10, 0.0) / before)
     late = 1.0 - 0.1 * np.exp(-np.maximum(x - q90, 0.0) / after)
-    return np.where(x < q10, early, np.where(x > q90, late, np.interp(x, (q10, q50, q90), (0.1, 0.5, 0.9))))
+    return np.where(
+        x < q10, early, np.where(x > q90, late, np.interp(x, (q10, q50, q90), (0.1, 0.5, 0.9)))
+    )
 
 
 def _searched(guess: Guess, left: str, found: str, lag: float, outcomes: Sequence[str]) -> float:
     """Camera-seconds that are searched in order of their density until the object is found."""
     seconds = np.arange(REACH_SECONDS + 1.0)
-    density = {camera: np.zeros(REACH_SECONDS) for camera in outcomes if camera not in (left, LEAVE)}
+    density = {
+        camera: np.zeros(REACH_SECONDS) for camera in outcomes if camera not in (left, LEAVE)
+    }
     for camera, share, quantiles in guess.ways:
         if camera in density:
             reached = _reached(seconds, *quantiles)
             each = np.diff(reached)
             each[0] += reached[0]
-            density[camera] += share * ((1.0 - UNIFORM_SHARE) * each + UNIFORM_SHARE / REACH_SECONDS)
+            density[camera] += share * (
+                (1.0 - UNIFORM_SHARE) * each + UNIFORM_SHARE / REACH_SECONDS
+            )
     here = density[found][int(max(0.0, lag))]
     every = np.concatenate([*density.values()])
     return float(np.sum(every > here) + 0.5 * (np.sum(every == here) - 1) + 1)
@@ -245,8 +319,8 @@ def calibration_error(confidence: Sequence[float], right: Sequence[bool]) -> flo
 
 
 def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tuple[float, float]:
-    """Share of the exits after the cut where the camera to look at first is right: ours, and the most frequent one of
-    the zone, told identities before the cut.
+    """Share of the exits after the cut where the camera to look at first is right: ours, and the
+    most frequent one of the zone, told identities before the cut.
     """
     seen = recording.in_view()
     of_zone: dict[str, Counter[str]] = defaultdict(Counter)
@@ -261,7 +335,9 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
                 of_zone[f"{one.camera}/"][camera] += 1
             continue
         looks = one.next_ if one.look is None else one.look
-        shares = added_up((way.camera, way.probability) for way in looks if way.camera != one.camera)
+        shares = added_up(
+            (way.camera, way.probability) for way in looks if way.camera != one.camera
+        )
         frequent = of_zone.get(one.zone or "") or of_zone[f"{one.camera}/"]
         ours.append(bool(shares) and max(shares, key=lambda camera: shares[camera]) in right)
         told.append(bool(frequent) and frequent.most_common(1)[0][0] in right)
@@ -269,8 +345,8 @@ def look_figures(predictions: Sequence[Prediction], recording: Recording) -> tup
 
 
 def hand_over_figure(predictions: Sequence[Prediction], recording: Recording) -> float:
-    """Of the exits after the cut at which another camera sees the object, the share where the passage named first is
-    the object's; nan if there are none.
+    """Of the exits after the cut at which another camera sees the object, the share where the
+    passage named first is the object's; nan if there are none.
     """
     same = recording.under_way()
     late = [one for one in predictions if one.t >= recording.cut and same[str(one.track)]]
@@ -278,9 +354,11 @@ def hand_over_figure(predictions: Sequence[Prediction], recording: Recording) ->
     return sum(right) / len(late) if late else float("nan")
 
 
-def who_figures(topology: Topology, predictions: Sequence[Prediction], recording: Recording) -> tuple[float, float]:
-    """F1 of who is who after the cut: the edges of an assignment by `Gate.affinity` against true transitions, and the
-    same by the odds of a chain that is told identities before the cut.
+def who_figures(
+    topology: Topology, predictions: Sequence[Prediction], recording: Recording
+) -> tuple[float, float]:
+    """F1 of who is who after the cut: the edges of an assignment by `Gate.affinity` against true
+    transitions, and the same by the odds of a chain that is told identities before the cut.
     """
     late = [event for event in recording.events if event.t >= recording.cut]
     exits = [event for event in late if event.kind == "exit"]
@@ -293,17 +371,24 @@ def who_figures(topology: Topology, predictions: Sequence[Prediction], recording
         if passage.track in row and passage.next_.track in column
     }
     zones = {str(one.track): one.zone or "" for one in predictions}
-    ours, told = np.asarray(Gate(topology).affinity(exits, entries)), told_odds(recording, exits, entries, zones)
+    ours, told = (
+        np.asarray(Gate(topology).affinity(exits, entries)),
+        told_odds(recording, exits, entries, zones),
+    )
     return _edges_f1(ours, true), _edges_f1(told, true)
 
 
 def told_odds(
     recording: Recording, exits: Sequence[Event], entries: Sequence[Event], zones: Mapping[str, str]
 ) -> Floats:
-    """Log odds (exits, entries) as `Gate.affinity` has them, of who is told identities before the cut: shares by the
-    ``zones`` (by track) that objects leave, lags as kernels around the true ones, and true rates from outside.
+    """Log odds (exits, entries) as `Gate.affinity` has them, of who is told identities before the
+    cut: shares by the ``zones`` (by track) that objects leave, lags as kernels around the true
+    ones, and true rates from outside.
     """
-    counts, lags = defaultdict[str, Counter[str]](Counter), defaultdict[tuple[str, str], list[float]](list)
+    counts, lags = (
+        defaultdict[str, Counter[str]](Counter),
+        defaultdict[tuple[str, str], list[float]](list),
+    )
     came, linked = Counter[str](), Counter[str]()
     for track, passage in recording.passages.items():
         following = passage.next_
@@ -314,14 +399,21 @@ def told_odds(
             linked[following.camera] += 1
         if passage.left >= recording.cut:
             continue
-        outcome = following.camera if following is not None and elsewhere and following.came < recording.cut else LEAVE
+        outcome = (
+            following.camera
+            if following is not None and elsewhere and following.came < recording.cut
+            else LEAVE
+        )
         for place in (zones.get(track, ""), f"{passage.camera}/"):
             counts[place][outcome] += 1
         if outcome != LEAVE:
             lags[passage.camera, outcome].append(passage.lag)
 
     span = recording.cut - min(passage.came for passage in recording.passages.values())
-    t, camera = np.array([entry.t for entry in entries]), np.array([entry.camera for entry in entries])
+    t, camera = (
+        np.array([entry.t for entry in entries]),
+        np.array([entry.camera for entry in entries]),
+    )
     odds = np.full((len(exits), len(entries)), -np.inf)
     for row, event in enumerate(exits):
         known = counts[zones.get(str(event.track), "")]
@@ -345,7 +437,11 @@ def told_odds(
 def _edges_f1(odds: Floats, true: set[tuple[int, int]]) -> float:
     """Of the likeliest matching as a whole."""
     positive = np.maximum(odds, 0.0)
-    edges = {(i, j) for i, j in zip(*linear_sum_assignment(positive, maximize=True), strict=True) if odds[i, j] > 0}
+    edges = {
+        (i, j)
+        for i, j in zip(*linear_sum_assignment(positive, maximize=True), strict=True)
+        if odds[i, j] > 0
+    }
     return 2.0 * len(edges & true) / max(1, len(edges) + len(true))
 
 

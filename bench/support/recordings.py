@@ -1,8 +1,8 @@
 """Real recordings with identities: who was where when, and what a learner could have been told.
 
-A recording is a folder with ``events.jsonl`` and ``identities.csv`` (track, identity). Identities judge; the learner
-never sees them. An identity's passages are taken in order of entry, exit and camera; where the one after a passage is,
-there the identity appears next.
+A recording is a folder with ``events.jsonl`` and ``identities.csv`` (track, identity). Identities
+judge; the learner never sees them. An identity's passages are taken in order of entry, exit and
+camera; where the one after a passage is, there the identity appears next.
 """
 
 from __future__ import annotations
@@ -30,11 +30,15 @@ WINDOW_SECONDS_MAX = 180.0
 TRANSITIONS_MIN, TRANSITIONS_SHARE_MIN = 5, 0.03
 """A true link has at least so many transitions, and this share of those from its camera."""
 SPURIOUS_TRANSITIONS_MAX = 2
-"""A published link between cameras with at most so many is false; with more, neither true nor false."""
+"""A published link between cameras with at most so many is false; with more, neither true nor
+false.
+"""
 
 
 class Passage(Struct, eq=False):
-    """One identity in one view: its track, when it came and left (seconds), and its next passage if it has one."""
+    """One identity in one view: its track, when it came and left (seconds), and its next passage if
+    it has one.
+    """
 
     track: str
     camera: str
@@ -74,7 +78,11 @@ class Recording(Struct):
         lags: dict[CameraPair, list[float]] = defaultdict(list)
         for passage in self.passages.values():
             following = passage.next_
-            if following is not None and following.camera != passage.camera and following.came < self.cut:
+            if (
+                following is not None
+                and following.camera != passage.camera
+                and following.came < self.cut
+            ):
                 lags[passage.camera, following.camera].append(passage.lag)
         return dict(lags)
 
@@ -88,14 +96,18 @@ class Recording(Struct):
         return {pair: each for pair, each in lags.items() if len(each) >= least[pair]}
 
     def in_view(self) -> dict[str, set[str]]:
-        """By track, the other cameras that see the identity as the passage ends, or if none does the next one."""
+        """By track, the other cameras that see the identity as the passage ends, or if none does
+        the next one.
+        """
         seen: dict[str, set[str]] = {}
         for passages in self.by_identity:
             for one in passages:
                 others = [other for other in passages if other.camera != one.camera]
                 now = {other.camera for other in others if other.came <= one.left < other.left}
                 later = [other for other in others if other.came >= one.left]
-                first = min(later, key=lambda other: (other.came, other.left, other.camera), default=None)
+                first = min(
+                    later, key=lambda other: (other.came, other.left, other.camera), default=None
+                )
                 seen[one.track] = now or ({first.camera} if first else set())
         return seen
 
@@ -103,7 +115,9 @@ class Recording(Struct):
         """By track, the tracks of the identity that other cameras see as the passage ends."""
         return {
             one.track: {
-                other.track for other in passages if other.camera != one.camera and other.came <= one.left < other.left
+                other.track
+                for other in passages
+                if other.camera != one.camera and other.came <= one.left < other.left
             }
             for passages in self.by_identity
             for one in passages
@@ -126,9 +140,14 @@ def load(folder: Path) -> Recording:
         else:
             passage.left = event.t
     return Recording(
-        folder.name, events, passages, _in_order(passages, identity), cut, end,
+        folder.name,
+        events,
+        passages,
+        _in_order(passages, identity),
+        cut,
+        end,
         min(WINDOW_SECONDS_MAX, (end - events[0].t) / 10),
-    )  # fmt: skip
+    )
 
 
 def _in_order(passages: dict[str, Passage], identity: dict[str, str]) -> list[list[Passage]]:
@@ -143,13 +162,15 @@ def _in_order(passages: dict[str, Passage], identity: dict[str, str]) -> list[li
     return list(groups.values())
 
 
-def tellable(recording: Recording, low: float = -60.0, high: float = 600.0) -> dict[CameraPair, float]:
-    """What the events can tell of each true link at all, in nats: the log likelihood ratio of its arrivals with and
-    without it, where every kernel is made of the true lags.
+def tellable(
+    recording: Recording, low: float = -60.0, high: float = 600.0
+) -> dict[CameraPair, float]:
+    """What the events can tell of each true link at all, in nats: the log likelihood ratio of its
+    arrivals with and without it, where every kernel is made of the true lags.
 
-    A kernel is Gaussian around each lag, ``low`` to ``high`` seconds; arrivals from outside come at the local rate
-    times their true share; who came from where is shared by a few sweeps of a one-to-one assignment. In sample, so
-    generous.
+    A kernel is Gaussian around each lag, ``low`` to ``high`` seconds; arrivals from outside come at
+    the local rate times their true share; who came from where is shared by a few sweeps of a
+    one-to-one assignment. In sample, so generous.
     """
     lags, true = recording.transitions(), recording.links()
     seen = [one for one in recording.passages.values() if one.left < recording.cut]
@@ -168,7 +189,9 @@ def tellable(recording: Recording, low: float = -60.0, high: float = 600.0) -> d
     expected = Counter[str]()
     for (_, target), each in lags.items():
         expected[target] += len(each)
-    outside = np.array([max(0.02, 1.0 - expected[name] / max(1, passages[k])) for name, k in number.items()])
+    outside = np.array(
+        [max(0.02, 1.0 - expected[name] / max(1, passages[k])) for name, k in number.items()]
+    )
     background = outside[arrived] * np.maximum(rate, 1e-6)
 
     # Candidates of every pair of cameras, and their hazards.
@@ -182,14 +205,21 @@ def tellable(recording: Recording, low: float = -60.0, high: float = 600.0) -> d
         share = len(each) / passages[number[source]]
         appears[number[source]] += share
         mine, there = np.flatnonzero(camera == number[source]), arrivals_of[number[target]]
-        columns.append(_candidates(share * _kernel(np.array(each), grid), grid, came[mine], left[mine], at[there]))
+        columns.append(
+            _candidates(
+                share * _kernel(np.array(each), grid), grid, came[mine], left[mine], at[there]
+            )
+        )
         columns[-1] = (mine[columns[-1][0]], there[columns[-1][1]], columns[-1][2])
         pairs.append((source, target))
     first = np.cumsum([0, *(len(one[0]) for one in columns)])
-    departure, arrival, hazard = (np.concatenate([np.asarray(one[k]) for one in columns]) for k in range(3))
+    departure, arrival, hazard = (
+        np.concatenate([np.asarray(one[k]) for one in columns]) for k in range(3)
+    )
     gone = np.maximum(1.0 - appears, 0.02)[camera]
 
-    # One-to-one: each departure goes to one arrival or leaves, each arrival comes from one departure or from outside.
+    # One-to-one: each departure goes to one arrival or leaves, each arrival comes from one
+    # departure or from outside.
     message, share_of = np.ones(len(hazard)), np.zeros(len(hazard))
     for _ in range(SWEEPS):
         taken = np.bincount(departure, hazard * message, minlength=len(seen))
@@ -215,13 +245,17 @@ def _kernel(lags: Floats, grid: Floats) -> Floats:
     width = max(0.75, 0.9 * min(np.std(lags), quartiles or 1.0) * len(lags) ** -0.2)
     counts = np.histogram(lags, bins=np.append(grid, grid[-1] + GRID_SECONDS) - GRID_SECONDS / 2)[0]
     bump = np.arange(-4 * width, 4 * width + GRID_SECONDS, GRID_SECONDS)
-    return _spread(counts, np.exp(-0.5 * (bump / width) ** 2) / (width * np.sqrt(2 * np.pi))) / len(lags)
+    return _spread(counts, np.exp(-0.5 * (bump / width) ** 2) / (width * np.sqrt(2 * np.pi))) / len(
+        lags
+    )
 
 
 def _candidates(
     density: Floats, grid: Floats, came: Floats, left: Floats, arrivals: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
-    """Departures and arrivals whose lag is possible, and its density; none arrives before the passage has begun."""
+    """Departures and arrivals whose lag is possible, and its density; none arrives before the
+    passage has begun.
+    """
     live = np.flatnonzero(density > HAZARD_MIN)
     shortest, longest = (grid[live[0]], grid[live[-1]]) if len(live) else (grid[0], grid[0])
     low = np.searchsorted(arrivals, np.maximum(left + shortest, came))

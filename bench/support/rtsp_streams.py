@@ -1,4 +1,6 @@
-"""Real streams for tests: an RTSP server, a proxy in front of it that can stall, cut and refuse, and bad hosts."""
+"""Real streams for tests: an RTSP server, a proxy in front of it that can stall, cut and refuse,
+and bad hosts.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from functools import cache
 from pathlib import Path
 
 SYSTEM_PYTHON = "/usr/bin/python3"
-_PROBE = "import gi; gi.require_version('GstRtspServer', '1.0'); from gi.repository import GstRtspServer"
+_PROBE = (
+    "import gi; gi.require_version('GstRtspServer', '1.0'); from gi.repository import GstRtspServer"
+)
 
 
 @cache
@@ -23,13 +27,28 @@ def missing() -> str | None:
     if not Path(SYSTEM_PYTHON).exists():
         return f"no {SYSTEM_PYTHON}"
     probe = subprocess.run([SYSTEM_PYTHON, "-c", _PROBE], capture_output=True, check=False)
-    return None if probe.returncode == 0 else "no GStreamer RTSP server (gir1.2-gst-rtsp-server-1.0)"
+    return (
+        None if probe.returncode == 0 else "no GStreamer RTSP server (gir1.2-gst-rtsp-server-1.0)"
+    )
 
 
 def transcode(source: Path, target: Path, fps: float, seconds: float | None = None) -> None:
-    """``source`` as H.264 at ``fps`` frames a second (the same frames), at most ``seconds`` of it."""
+    """``source`` as H.264 at ``fps`` frames a second (the same frames), at most ``seconds`` of
+    it.
+    """
     limit = [] if seconds is None else ["-t", str(seconds)]
-    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-y", "-r", str(fps), "-i", str(source), *limit]
+    command = [
+        "ffmpeg",
+        "-nostdin",
+        "-loglevel",
+        "error",
+        "-y",
+        "-r",
+        str(fps),
+        "-i",
+        str(source),
+        *limit,
+    ]
     command += [
         "-an",
         "-c:v",
@@ -50,7 +69,9 @@ def transcode(source: Path, target: Path, fps: float, seconds: float | None = No
 def served(path: Path) -> Iterator[int]:
     """Serve an H.264 file at rtsp://127.0.0.1:PORT/camera; gives the port."""
     script = Path(__file__).parents[2] / "tests" / "support" / "rtsp_server.py"
-    with subprocess.Popen([SYSTEM_PYTHON, str(script), str(path)], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [SYSTEM_PYTHON, str(script), str(path)], stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         try:
             yield int(process.stdout.readline())
@@ -170,7 +191,11 @@ def rtsp_answer(status: str) -> Callable[[socket.socket], None]:
         while request := client.recv(65536).decode():
             said = "200 OK" if request.startswith("OPTIONS") else status
             number = next(line for line in request.split("\r\n") if line.startswith("CSeq"))
-            more = "Public: OPTIONS, DESCRIBE" if said == "200 OK" else 'WWW-Authenticate: Digest realm="x", nonce="y"'
+            more = (
+                "Public: OPTIONS, DESCRIBE"
+                if said == "200 OK"
+                else 'WWW-Authenticate: Digest realm="x", nonce="y"'
+            )
             client.sendall(f"RTSP/1.0 {said}\r\n{number}\r\n{more}\r\n\r\n".encode())
 
     return treat

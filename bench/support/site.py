@@ -1,4 +1,6 @@
-"""A site that has learned, and the real `camtopod run` on it, for the parts that measure the daemon."""
+"""A site that has learned, and the real `camtopod run` on it, for the parts that measure the
+daemon.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from camtopod.sim.settings import SimSettings
 from camtopod.sim.simulation import simulate
 
 EVENTS_PER_OBJECT = 12.0
-"""About so many events an object makes on its way through a made-up network of a hundred cameras."""
+"""About so many events an object makes on its way through a made-up network of a hundred
+cameras.
+"""
 WARM_SECONDS = 300.0
 """Of a simulation, until about as many leave the network as enter it."""
 ONCE = Settings(refit_share=1e9, refit_hours=1e9)
@@ -68,12 +72,16 @@ class Status(Struct):
 
 
 def traffic(cameras: int, events_per_second: float, count: int) -> list[Event]:
-    """So many events of a network in full swing, by time from 0; it is the same network at every rate."""
+    """So many events of a network in full swing, by time from 0; it is the same network at every
+    rate.
+    """
     seconds = WARM_SECONDS + 1.3 * count / events_per_second + 60.0
     while True:
         rate = events_per_second / EVENTS_PER_OBJECT
         made, _ = simulate(
-            SimSettings(seed=1, cameras=cameras, hours=seconds / 3600.0, objects_per_second=rate, start=0.0)
+            SimSettings(
+                seed=1, cameras=cameras, hours=seconds / 3600.0, objects_per_second=rate, start=0.0
+            )
         )
         swinging = [event for event in made if event.t >= WARM_SECONDS][:count]
         if len(swinging) == count:
@@ -98,7 +106,9 @@ def lay_out(state: Path, events: Sequence[Event]) -> None:
     journal.set_meta("epoch", epoch)
     journal.commit(entries)
     made = learner.updates()
-    journal.commit([], [StoredVersion(one.epoch, one.version, one.digest, to_json(one)) for one in made])
+    journal.commit(
+        [], [StoredVersion(one.epoch, one.version, one.digest, to_json(one)) for one in made]
+    )
     journal.commit([], snapshot=Snapshot(len(entries), epoch, pack(learner.save())))
     journal.close()
 
@@ -115,14 +125,18 @@ def learned_site(folder: Path, cameras: int, count: int) -> Path:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``--cameras``, ``--learned`` and ``--site``."""
     parser.add_argument("--cameras", type=int, default=100)
-    parser.add_argument("--learned", type=int, default=LEARNED_EVENTS, help="events the site has learned before")
-    parser.add_argument("--site", type=Path, help="folder to keep the site in that has learned, for the next time")
+    parser.add_argument(
+        "--learned", type=int, default=LEARNED_EVENTS, help="events the site has learned before"
+    )
+    parser.add_argument(
+        "--site", type=Path, help="folder to keep the site in that has learned, for the next time"
+    )
 
 
 @contextlib.contextmanager
 def running(folder: Path, learn: str = "", limits: str = "") -> Iterator[tuple[str, int]]:
-    """`camtopod run` on ``folder``/state in a process of its own: its endpoint and process id. ``learn`` and ``limits``
-    are lines of these tables.
+    """`camtopod run` on ``folder``/state in a process of its own: its endpoint and process id.
+    ``learn`` and ``limits`` are lines of these tables.
     """
     config = folder / "camtopod.toml"
     config.write_text(
@@ -156,16 +170,19 @@ def resident(pid: int, most: bool = False) -> int:
     for process in (pid, *_children(pid)):
         with contextlib.suppress(OSError):
             lines = Path(f"/proc/{process}/status").read_text().splitlines()
-            [kilobytes] = [line.split()[1] for line in lines if line.startswith("VmHWM:" if most else "VmRSS:")]
+            [kilobytes] = [
+                line.split()[1] for line in lines if line.startswith("VmHWM:" if most else "VmRSS:")
+            ]
             total += 1024 * int(kilobytes)
     return total
 
 
 @contextlib.contextmanager
 def most_at_once(pid: int) -> Iterator[list[int]]:
-    """While the block runs it is looked how much a process and its children have in memory at one moment: the most so
-    far is the only element of the list, in bytes. Pages of files that several of them have are counted once, as the
-    system has them once; how many these are is looked up at the end.
+    """While the block runs it is looked how much a process and its children have in memory at one
+    moment: the most so far is the only element of the list, in bytes. Pages of files that several
+    of them have are counted once, as the system has them once; how many these are is looked up at
+    the end.
     """
     most, ended = [0], threading.Event()
 

@@ -1,4 +1,6 @@
-"""The table of `bench.quality`: means over networks with standard errors, and what the issue wants beside them."""
+"""The table of `bench.quality`: means over networks with standard errors, and what the issue wants
+beside them.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +95,10 @@ def _values(records: Sequence[Record], method: str, name: str) -> list[float]:
 
 def _ours(regime: str, records: Sequence[Record]) -> list[str]:
     seeds = len({record.seed for record in records})
-    lines = [f"== {regime}: {seeds} network{'s' if seeds > 1 else ''}", f"{'':38}" + "".join(f"{m:>20}" for m in OURS)]
+    lines = [
+        f"== {regime}: {seeds} network{'s' if seeds > 1 else ''}",
+        f"{'':38}" + "".join(f"{m:>20}" for m in OURS),
+    ]
     for name, title in ROWS.items():
         cells = [mean_and_error(_values(records, method, name)) for method in OURS]
         if any(cell != "-" for cell in cells):
@@ -122,12 +127,14 @@ def _best(variants: dict[str, list[Ranked]]) -> tuple[str, Tuned]:
 
 
 def _common_thresholds(records: Sequence[Record]) -> dict[str, _Choice]:
-    """Method -> the variant and threshold with the best mean F1 over the networks of `LINKED` regimes, if any, else
-    over all that have links."""
+    """Method -> the variant and threshold with the best mean F1 over the networks of `LINKED`
+    regimes, if any, else over all that have links."""
     result = {}
     usual = [record for record in records if record.regime in LINKED]
     for method, variants in _ranked(usual or records).items():
-        linked = {variant: [n for n in networks if n.walked] for variant, networks in variants.items()}
+        linked = {
+            variant: [n for n in networks if n.walked] for variant, networks in variants.items()
+        }
         if any(linked.values()):
             variant, tuned = _best(linked)
             result[method] = _Choice(variant, tuned.threshold)
@@ -149,18 +156,26 @@ def _links(records: Sequence[Record], common: dict[str, _Choice]) -> list[str]:
         networks = variants[variant]
         cells = ["-"] * 5
         if any(network.walked for network in networks):
-            cells = [mean_and_error(values) for values in (tuned.f1, tuned.precision, tuned.recall, tuned.error)]
+            cells = [
+                mean_and_error(values)
+                for values in (tuned.f1, tuned.precision, tuned.recall, tuned.error)
+            ]
             cells.append("-")
         if method in common:
             choice = common[method]
             networks = variants[choice.variant]
             if cells[0] != "-":
                 cells[4] = mean_and_error(at(networks, choice.threshold).f1)
-            cells.append(f"{np.mean([max(n.score, default=-np.inf) < choice.threshold for n in networks]):.2f}")
+            cells.append(
+                f"{np.mean([max(n.score, default=-np.inf) < choice.threshold for n in networks]):.2f}"
+            )
         named = f", {variant}" if cells[0] != "-" else ""
         lines.append(_row(f"  {method.removeprefix('links: ')}{named}", cells))
         if LITERAL in variants and cells[0] != "-":
-            cells = [mean_and_error(_values(records, method, name)) for name in ("f1", "precision", "recall")]
+            cells = [
+                mean_and_error(_values(records, method, name))
+                for name in ("f1", "precision", "recall")
+            ]
             lines.append(_row("  the same as printed, Var(d) <= 1", cells))
     told = mean_and_error(_values(records, "transit: told identities", "median_error"))
     return [*lines, _row("  told identities, median of the recorded times", ["", "", "", told])]
@@ -180,22 +195,40 @@ def _zones(records: Sequence[Record]) -> list[str]:
 
 def _next(records: Sequence[Record]) -> list[str]:
     methods = sorted({record.method for record in records if record.method.startswith("next: ")})
-    lines = [f"{'next camera, told identities':58}{'top-1':>16}{'top-3':>16}{'log loss':>16}"] if methods else []
+    lines = (
+        [f"{'next camera, told identities':58}{'top-1':>16}{'top-3':>16}{'log loss':>16}"]
+        if methods
+        else []
+    )
     for method in methods:
-        cells = [mean_and_error(_values(records, method, name)) for name in ("top1", "top3", "log_loss")]
+        cells = [
+            mean_and_error(_values(records, method, name)) for name in ("top1", "top3", "log_loss")
+        ]
         title = f"  {method.removeprefix('next: ')}"
         lines.append(f"{title:58}" + "".join(f"{cell:>16}" for cell in cells))
     return lines
 
 
 def _overview(records: Sequence[Record], regimes: Sequence[str]) -> list[str]:
-    """F1 of links by method and regime, ours first; of pairs of cameras where the truth knows no zones."""
+    """F1 of links by method and regime, ours first; of pairs of cameras where the truth knows no
+    zones.
+    """
     methods = [*OURS, *_ranked(records)]
-    lines = [_row("links, F1", [method.removeprefix("links: ").split(" (")[0][: CELL - 1] for method in methods])]
+    lines = [
+        _row(
+            "links, F1",
+            [method.removeprefix("links: ").split(" (")[0][: CELL - 1] for method in methods],
+        )
+    ]
     for regime in regimes:
         here = [record for record in records if record.regime == regime]
-        of_pairs = not np.isfinite([record.get("f1") for record in here if record.method in OURS]).any()
-        cells = [mean_and_error(_values(here, method, "pair_f1" if of_pairs else "f1")) for method in OURS]
+        of_pairs = not np.isfinite(
+            [record.get("f1") for record in here if record.method in OURS]
+        ).any()
+        cells = [
+            mean_and_error(_values(here, method, "pair_f1" if of_pairs else "f1"))
+            for method in OURS
+        ]
         ranked = _ranked(here)
         for method in methods[len(OURS) :]:
             networks = [network for some in ranked.get(method, {}).values() for network in some]

@@ -1,5 +1,5 @@
-"""What the thesis printed: its tables, and a simulation after its figure 4.4. Shared by the tests and the
-bench."""
+"""What the thesis printed: its tables, and a simulation after its figure 4.4. Shared by the tests
+and the bench."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ TABLE_5_4 = [
     (5, 3, 12, 13, 6, 3.55, 1.15, 4.7),
     (5, 4, 12, 13, 9, 3.7, 7.55, 10.65),
 ]
-"""The same with T = 0.450. The figures of the last row contradict it: |10.65 - (3.7 + 7.55)| = 0.60. Its A-B
-also differs from that of the row before (4.7), which is the same pair of zones."""
+"""The same with T = 0.450. The figures of the last row contradict it: |10.65 - (3.7 + 7.55)| =
+0.60. Its A-B also differs from that of the row before (4.7), which is the same pair of zones."""
 
 FIGURE_4_4_ZONES = (3, 2, 3, 3, 2)
 """Zones of each of its five cameras, thirteen in all."""
@@ -55,8 +55,8 @@ FIGURE_4_4_AGENTS = 3000
 
 
 def table_5_4_transit(row: tuple[int, int, int, int, int, float, float, float]) -> Floats:
-    """The transit times that one row of table 5.4 states, 0 elsewhere, shape (13, 13). One row at a time, for
-    the last two contradict each other: from 12 to 13 takes 4.7 and 10.65."""
+    """The transit times that one row of table 5.4 states, 0 elsewhere, shape (13, 13). One row at a
+    time, for the last two contradict each other: from 12 to 13 takes 4.7 and 10.65."""
     transit = np.zeros((13, 13))
     _, _, a, b, c, ca, cb, ab = row
     for i, j, seconds in ((c, a, ca), (c, b, cb), (a, b, ab)):
@@ -65,12 +65,12 @@ def table_5_4_transit(row: tuple[int, int, int, int, int, float, float, float]) 
 
 
 def figure_4_4(seed: int, clutter: float = 0.0) -> tuple[list[Floats], list[NDArray[np.intp]]]:
-    """Events of 3,000 agents in five cameras with thirteen zones: positions (n, 2) of each camera, and the
-    zone of each event (-1 for clutter).
+    """Events of 3,000 agents in five cameras with thirteen zones: positions (n, 2) of each camera,
+    and the zone of each event (-1 for clutter).
 
-    Every agent has a speed of its own and walks through three cameras, in at one zone and out at another. Who
-    is faster is further inside the view at the first and last sighting, so zones are long rather than round.
-    Doors may be close together, as down a corridor: 0.12 of the image.
+    Every agent has a speed of its own and walks through three cameras, in at one zone and out at
+    another. Who is faster is further inside the view at the first and last sighting, so zones are
+    long rather than round. Doors may be close together, as down a corridor: 0.12 of the image.
     """
     rng = np.random.default_rng(seed)
     doors = [_doors(rng, zones) for zones in FIGURE_4_4_ZONES]
@@ -82,7 +82,9 @@ def figure_4_4(seed: int, clutter: float = 0.0) -> tuple[list[Floats], list[NDAr
             where, inwards, spread = doors[camera]
             for zone in rng.choice(len(where), 2, replace=False):
                 along = speed[agent] * rng.random()
-                places[camera].append(where[zone] + along * inwards[zone] + spread[zone] * rng.standard_normal(2))
+                places[camera].append(
+                    where[zone] + along * inwards[zone] + spread[zone] * rng.standard_normal(2)
+                )
                 zones[camera].append(int(zone))
     positions, labels = [], []
     for place, zone_of in zip(places, zones, strict=True):
@@ -100,4 +102,8 @@ def _doors(rng: np.random.Generator, zones: int) -> tuple[Floats, Floats, Floats
         if all(np.hypot(*(place - other)) >= 0.12 for other in where):
             where.append(place)
     angle = rng.uniform(0, 2 * np.pi, zones)
-    return np.array(where), np.stack([np.cos(angle), np.sin(angle)], axis=1), rng.uniform(0.008, 0.015, zones)
+    return (
+        np.array(where),
+        np.stack([np.cos(angle), np.sin(angle)], axis=1),
+        rng.uniform(0.008, 0.015, zones),
+    )

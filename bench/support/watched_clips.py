@@ -37,7 +37,9 @@ class Match:
 
     @property
     def f1(self) -> float:
-        """Harmonic mean of precision and recall; 1.0 if there was nothing to see and nothing was seen."""
+        """Harmonic mean of precision and recall; 1.0 if there was nothing to see and nothing was
+        seen.
+        """
         total = 2 * len(self.pairs) + len(self.missed) + len(self.spurious)
         return 2 * len(self.pairs) / total if total else 1.0
 
@@ -46,7 +48,13 @@ def watched(name: str, fps: float) -> list[Event]:
     """The passages of ``truth_{name}.json`` as events, played at ``fps`` frames a second."""
     passages = json.loads((HERE / f"truth_{name}.json").read_text())["passages"]
     return [
-        Event(camera=name, kind=kind, t=passage[kind]["frame"] / fps, x=passage[kind]["x"], y=passage[kind]["y"])
+        Event(
+            camera=name,
+            kind=kind,
+            t=passage[kind]["frame"] / fps,
+            x=passage[kind]["x"],
+            y=passage[kind]["y"],
+        )
         for passage in passages
         for kind in ("entry", "exit")
         if kind in passage
@@ -64,7 +72,11 @@ def match(truth: list[Event], seen: list[Event], aspect: float) -> Match:
             distance = float(np.hypot(aspect * (a.x - b.x), a.y - b.y)) / diagonal
             if a.kind == b.kind and abs(a.t - b.t) <= SECONDS and distance <= DIAGONALS:
                 cost[i, j] = abs(a.t - b.t) / SECONDS + distance / DIAGONALS
-    pairs = [(int(i), int(j)) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < far]
+    pairs = [
+        (int(i), int(j))
+        for i, j in zip(*linear_sum_assignment(cost), strict=True)
+        if cost[i, j] < far
+    ]
     return Match(
         pairs,
         sorted(set(range(len(truth))) - {i for i, _ in pairs}),
@@ -73,12 +85,15 @@ def match(truth: list[Event], seen: list[Event], aspect: float) -> Match:
 
 
 def best_offset(reference: list[Event], seen: list[Event], aspect: float) -> float:
-    """Seconds to subtract from the times of ``seen`` for the most matches: the difference of the clocks.
+    """Seconds to subtract from the times of ``seen`` for the most matches: the difference of the
+    clocks.
 
     The differences of single events are the candidates; the median of the matches' own refines it.
     """
     candidates = {round(b.t - a.t, 1) for a in reference for b in seen if a.kind == b.kind}
-    best = max(candidates, key=lambda c: len(match(reference, shifted(seen, c), aspect).pairs), default=0.0)
+    best = max(
+        candidates, key=lambda c: len(match(reference, shifted(seen, c), aspect).pairs), default=0.0
+    )
     pairs = match(reference, shifted(seen, best), aspect).pairs
     return float(np.median([seen[j].t - reference[i].t for i, j in pairs])) if pairs else best
 

@@ -1,7 +1,8 @@
-"""What a camera's zones cost in CPU time: with ever more events in the window, and against methods over points.
+"""What a camera's zones cost in CPU time: with ever more events in the window, and against methods
+over points.
 
-One thread for everybody. A turn is the same for all: the zones of every camera, `REPEATS` times over where that takes
-milliseconds only.
+One thread for everybody. A turn is the same for all: the zones of every camera, `REPEATS` times
+over where that takes milliseconds only.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ Camera = Callable[[int], tuple[Floats, int]]
 
 REFRESHED, ANEW = "zones refreshed", "zones from nothing"
 GROUPS, EVERYWHERE = "DaSpec over the dense cells", "DaSpec over all occupied cells"
-"""The second, clutter and all, is not what the learner does: the cells are the fewer the fewer events there are."""
+"""The second, clutter and all, is not what the learner does: the cells are the fewer the fewer
+events there are.
+"""
 EVENTS = (1_000, 10_000, 100_000, 1_000_000, 10_000_000)
 FLAT_MAX = 1.5
 HDBSCAN_POINTS, HDBSCAN_RATIO_MIN = 10_000, 100.0
@@ -38,7 +41,9 @@ NEW_SHARE = 0.05
 """Of the events in the window, those that have come since the zones were last learned."""
 
 
-def tables(cameras: Sequence[Camera], rounds: int, events: Sequence[int] = EVENTS) -> list[ratios.Table]:
+def tables(
+    cameras: Sequence[Camera], rounds: int, events: Sequence[int] = EVENTS
+) -> list[ratios.Table]:
     """Every comparison. Raises ModuleNotFoundError without scikit-learn."""
     import sklearn.cluster  # noqa: F401  # before the limit, which holds for the libraries that are loaded
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
@@ -57,19 +62,26 @@ def flatness(cameras: Sequence[Camera], rounds: int, events: Sequence[int]) -> l
     dense = {n: [_dense(sums) for sums, _ in those] for n, those in windows.items()}
     counts = {n: [sums.count for sums, _ in those] for n, those in windows.items()}
     jobs: dict[str, dict[int, list[Callable[[], object]]]] = {
-        REFRESHED: {n: [partial(refresh_zones, *one) for one in those] for n, those in windows.items()},
+        REFRESHED: {
+            n: [partial(refresh_zones, *one) for one in those] for n, those in windows.items()
+        },
         ANEW: {n: [partial(find_zones, sums) for sums, _ in those] for n, those in windows.items()},
         GROUPS: {n: [partial(groups_of, one) for one in dense[n]] for n in events},
         EVERYWHERE: {n: [partial(_plain, one) for one in counts[n]] for n in events},
     }
     return [
         ratios.compare(
-            title, "CPU ms a camera",
-            ratios.take_turns({_named(n): _timed(own[n], 1 if title == EVERYWHERE else None) for n in events}, rounds),
-            _named(events[0]), {_named(n): FLAT_MAX for n in events[1:]},
+            title,
+            "CPU ms a camera",
+            ratios.take_turns(
+                {_named(n): _timed(own[n], 1 if title == EVERYWHERE else None) for n in events},
+                rounds,
+            ),
+            _named(events[0]),
+            {_named(n): FLAT_MAX for n in events[1:]},
         )
         for title, own in jobs.items()
-    ]  # fmt: skip
+    ]
 
 
 def against_points(cameras: Sequence[Camera], rounds: int) -> list[ratios.Table]:
@@ -78,15 +90,18 @@ def against_points(cameras: Sequence[Camera], rounds: int) -> list[ratios.Table]
 
     result = []
     for name, n, wanted in (
-        ("HDBSCAN", HDBSCAN_POINTS, HDBSCAN_RATIO_MIN), ("SpectralClustering", SPECTRAL_POINTS, SPECTRAL_RATIO_MIN)
-    ):  # fmt: skip
+        ("HDBSCAN", HDBSCAN_POINTS, HDBSCAN_RATIO_MIN),
+        ("SpectralClustering", SPECTRAL_POINTS, SPECTRAL_RATIO_MIN),
+    ):
         made = [camera(n) for camera in cameras]
         windows = [window(positions) for positions, _ in made]
         theirs = []
         for (positions, zones), (sums, _) in zip(made, windows, strict=True):
             method = HDBSCAN(min_cluster_size=n // 40, copy=True)
             if name == "SpectralClustering":
-                method = SpectralClustering(zones, gamma=0.5 / _bandwidth(sums) ** 2, random_state=0)
+                method = SpectralClustering(
+                    zones, gamma=0.5 / _bandwidth(sums) ** 2, random_state=0
+                )
             theirs.append(partial(method.fit_predict, positions))
         costs = ratios.take_turns(
             {
@@ -99,7 +114,9 @@ def against_points(cameras: Sequence[Camera], rounds: int) -> list[ratios.Table]
         for ours in (REFRESHED, GROUPS):
             both = {one: costs[one] for one in (ours, name)}
             title = f"{name} of {n:,} points"
-            result.append(ratios.compare(title, "CPU ms a camera", both, ours, at_least={name: wanted}))
+            result.append(
+                ratios.compare(title, "CPU ms a camera", both, ours, at_least={name: wanted})
+            )
     return result
 
 

@@ -1,4 +1,5 @@
-"""Other programs' output -> entry and exit events. One module a format; no I/O, no clock, no threads.
+"""Other programs' output -> entry and exit events. One module a format; no I/O, no clock, no
+threads.
 
 `tracks.TrackEvents` is what they share: tracks, frame by frame, in; events out.
 """

@@ -1,4 +1,6 @@
-"""What the formats share: how an adapter is spoken to, sizes of pictures, what may be quoted of a line."""
+"""What the formats share: how an adapter is spoken to, sizes of pictures, what may be quoted of a
+line.
+"""
 
 from __future__ import annotations
 
@@ -39,12 +41,16 @@ def size_of(camera: str, sizes: Sizes) -> Size:
     """The size of the pictures of ``camera``. Raises `Rejected`."""
     size = sizes.get(camera) or sizes.get(ANY_CAMERA)
     if size is None:
-        raise Rejected("no-size", f"the size of the pictures is not known: give --size {camera}=WIDTHxHEIGHT")
+        raise Rejected(
+            "no-size", f"the size of the pictures is not known: give --size {camera}=WIDTHxHEIGHT"
+        )
     return size
 
 
 def payload(line: bytes, topic: str) -> bytes:
-    """The message in a line of `mosquitto_sub`, with ``-v`` or without. Raises `Rejected` for another topic's."""
+    """The message in a line of `mosquitto_sub`, with ``-v`` or without. Raises `Rejected` for
+    another topic's.
+    """
     if line.startswith(b"{"):
         return line
     name, blank, message = line.partition(b" ")
@@ -53,13 +59,17 @@ def payload(line: bytes, topic: str) -> bytes:
     levels = name.decode("utf-8", "replace").split("/")
     wanted = topic.split("/")
     tail = levels[-len(wanted) :]
-    if len(tail) < len(wanted) or any(want not in ("+", got) for want, got in zip(wanted, tail, strict=True)):
+    if len(tail) < len(wanted) or any(
+        want not in ("+", got) for want, got in zip(wanted, tail, strict=True)
+    ):
         raise Rejected("other-topic", f"is not of .../{topic}")
     return message
 
 
 def checked(events: Iterable[Event]) -> list[Event]:
-    """The events as if they had come by themselves: what is in them is the other program's. Raises `Rejected`."""
+    """The events as if they had come by themselves: what is in them is the other program's. Raises
+    `Rejected`.
+    """
     return [codec.event_from_json(codec.to_json(event)) for event in events]
 
 

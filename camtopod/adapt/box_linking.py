@@ -1,4 +1,6 @@
-"""Boxes without identity -> tracks: a box continues the track that was going to be nearest, if it is near enough."""
+"""Boxes without identity -> tracks: a box continues the track that was going to be nearest, if it
+is near enough.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ from msgspec import Struct
 from camtopod.adapt.tracks import LOST_SECONDS, TRACKS_MAX
 
 REACH = 0.75
-"""How far the middle of a box may be from where it was going to be, in larger sides of the smaller box."""
+"""How far the middle of a box may be from where it was going to be, in larger sides of the smaller
+box.
+"""
 COAST_SECONDS = 0.5
 """A track not seen is taken to go on as before for this long, and then to wait."""
 _NEW_SHARE = 0.5
@@ -43,10 +47,12 @@ class _Track(Struct):
 
 
 class Joiner:
-    """Follows boxes of one kind in one camera. The nearest pair is joined first; tracks are numbered from 1.
+    """Follows boxes of one kind in one camera. The nearest pair is joined first; tracks are
+    numbered from 1.
 
-    Two who meet and turn back may take each other's number: the entries and exits are the same, only which belong
-    together is not. Deterministic; at most ``TRACKS_MAX`` tracks, those not seen for `LOST_SECONDS` are forgotten.
+    Two who meet and turn back may take each other's number: the entries and exits are the same,
+    only which belong together is not. Deterministic; at most ``TRACKS_MAX`` tracks, those not seen
+    for `LOST_SECONDS` are forgotten.
     """
 
     def __init__(self) -> None:
@@ -55,7 +61,9 @@ class Joiner:
 
     def ids(self, boxes: Sequence[Box], t: float) -> list[int | None]:
         """For each box of the frame at ``t`` its track's number; None where there are too many."""
-        self._tracks = {n: track for n, track in self._tracks.items() if abs(t - track.t) <= LOST_SECONDS}
+        self._tracks = {
+            n: track for n, track in self._tracks.items() if abs(t - track.t) <= LOST_SECONDS
+        }
         found: dict[int, int] = {}
         taken: set[int] = set()
         for _, number, index in sorted(self._pairs(boxes, t)):

@@ -1,10 +1,12 @@
 """Frigate's ``frigate/events`` -> events: one message for each change of a tracked object.
 
-Only what is named in `_Seen` is read: labels of recognised faces, plates and the like are never in memory.
+Only what is named in `_Seen` is read: labels of recognised faces, plates and the like are never in
+memory.
 
-An object is told of as ``new`` when Frigate is sure of it; ``before`` then holds its first sighting. Objects that stand
-where they are found again and again (a parked car) have not come in, and one that is lost while it stands has not left.
-What was there before we listened has not come in either.
+An object is told of as ``new`` when Frigate is sure of it; ``before`` then holds its first
+sighting. Objects that stand where they are found again and again (a parked car) have not come in,
+and one that is lost while it stands has not left. What was there before we listened has not come in
+either.
 """
 
 from __future__ import annotations
@@ -31,8 +33,8 @@ Point = tuple[tuple[float, float], float]
 
 
 class _Seen(Struct, frozen=True):
-    """State of an object. ``frame_time``: when it was seen last. ``stationary``: it has not moved for ten seconds;
-    ``position_changes``: how often it began to move.
+    """State of an object. ``frame_time``: when it was seen last. ``stationary``: it has not moved
+    for ten seconds; ``position_changes``: how often it began to move.
     """
 
     id: Annotated[str, Meta(min_length=1, max_length=codec.TRACK_CHARACTERS_MAX)]
@@ -60,10 +62,12 @@ class _Object(Struct):
 
 
 class Frigate:
-    """Reads messages of ``frigate/events``, one JSON object a line, with the topic in front or without.
+    """Reads messages of ``frigate/events``, one JSON object a line, with the topic in front or
+    without.
 
-    ``sizes``: of the pictures that Frigate detects in (``detect: width, height``); a Frigate that sends ``path_data``
-    can do without, less exactly. ``labels``: the kinds of objects that count; empty: all.
+    ``sizes``: of the pictures that Frigate detects in (``detect: width, height``); a Frigate that
+    sends ``path_data`` can do without, less exactly. ``labels``: the kinds of objects that count;
+    empty: all.
     """
 
     topic = "events"
@@ -113,7 +117,11 @@ class Frigate:
         now = message.after
         moved = now.position_changes is None or now.position_changes > 0
         events = []
-        if known.entry is not None and now.frame_time - known.entry.t > ENTRY_SECONDS_MAX and message.type != "new":
+        if (
+            known.entry is not None
+            and now.frame_time - known.entry.t > ENTRY_SECONDS_MAX
+            and message.type != "new"
+        ):
             known.entry = None
         if known.entry is not None and moved and not now.stationary:
             events.append(known.entry)
@@ -128,12 +136,16 @@ class Frigate:
         return camera in self._sizes or ANY_CAMERA in self._sizes
 
     def _event(self, kind: Kind, seen: _Seen) -> Event:
-        """At the foot of the box, or without the picture's size at the end of the path. Raises `Rejected`."""
+        """At the foot of the box, or without the picture's size at the end of the path. Raises
+        `Rejected`.
+        """
         if seen.path_data and not self._knows_size(seen.camera):
             return _at_point(kind, seen, (seen.path_data[-1][0], seen.frame_time))
         width, height = size_of(seen.camera, self._sizes)
         left, _, right, bottom = seen.box
-        return _at_point(kind, seen, (((left + right) / 2 / width, bottom / height), seen.frame_time))
+        return _at_point(
+            kind, seen, (((left + right) / 2 / width, bottom / height), seen.frame_time)
+        )
 
 
 def _at_point(kind: Kind, seen: _Seen, point: Point) -> Event:

@@ -1,4 +1,6 @@
-"""MOTChallenge text files -> events: a line for each box, ``frame,id,left,top,width,height,confidence,...``."""
+"""MOTChallenge text files -> events: a line for each box,
+``frame,id,left,top,width,height,confidence,...``.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,11 @@ _CONFIDENCE = 6
 
 
 class Mot:
-    """Reads one camera's file; the events come with `close`, by time: ground truth is sorted by track, not by frame.
+    """Reads one camera's file; the events come with `close`, by time: ground truth is sorted by
+    track, not by frame.
 
-    Frame 1 is at ``start``, Unix seconds. A confidence of exactly 0 marks what does not count in ground truth; boxes
-    with a negative id belong to no track. Neither is an error, nor an event.
+    Frame 1 is at ``start``, Unix seconds. A confidence of exactly 0 marks what does not count in
+    ground truth; boxes with a negative id belong to no track. Neither is an error, nor an event.
     """
 
     topic = ""
@@ -42,14 +45,20 @@ class Mot:
         """Keep a box. Raises `Rejected`."""
         fields = line.replace(b",", b" ").split()
         if len(fields) < _FIELDS_MIN:
-            raise Rejected("malformed", f"{len(fields)} fields; frame,id,left,top,width,height,... are needed")
+            raise Rejected(
+                "malformed", f"{len(fields)} fields; frame,id,left,top,width,height,... are needed"
+            )
         try:
             numbers = [float(field) for field in fields[: _CONFIDENCE + 1]]
         except ValueError:
-            raise Rejected("malformed", "not a number among frame,id,left,top,width,height,confidence") from None
+            raise Rejected(
+                "malformed", "not a number among frame,id,left,top,width,height,confidence"
+            ) from None
         frame, track, left, top, width, height = numbers[:_FIELDS_MIN]
         if not all(map(math.isfinite, numbers)) or frame < 0 or width < 0 or height < 0:
-            raise Rejected("bad-value", "a frame, a width or a height below 0, or not a finite number")
+            raise Rejected(
+                "bad-value", "a frame, a width or a height below 0, or not a finite number"
+            )
         if not codec.T_MIN <= self._time(frame) < codec.T_MAX:
             raise Rejected("bad-value", f"frame {frame:g} is at no time between 1970 and 3000")
         if len(self._rows) >= ROWS_MAX * _FIELDS_MIN:
@@ -65,7 +74,9 @@ class Mot:
         frames, starts = np.unique(rows[:, 0], return_index=True)
         events = self._tracks.update([], [], self._time(frames.min(initial=1.0)))
         for frame, first, end in zip(frames, starts, [*starts[1:], len(rows)], strict=False):
-            events += self._tracks.update(rows[first:end, 1], rows[first:end, 2:], self._time(frame))
+            events += self._tracks.update(
+                rows[first:end, 1], rows[first:end, 2:], self._time(frame)
+            )
         return sorted(checked(events + self._tracks.close()), key=lambda event: event.t)
 
     def _time(self, frame: float) -> float:

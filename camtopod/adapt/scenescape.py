@@ -1,9 +1,10 @@
-"""SceneScape's ``scenescape/data/camera/{id}`` -> events: one message a frame, with what was detected in it.
+"""SceneScape's ``scenescape/data/camera/{id}`` -> events: one message a frame, with what was
+detected in it.
 
-By its schema a detection's ``id`` need not be the same in the next frame, and often it only counts; boxes are therefore
-joined here (`joining`) unless it is said that the pipeline tracks (DL Streamer's gvatrack). Only boxes in pixels can be
-placed: ``bounding_box`` is in units of the lens, whose data is not in the message. Attributes (age, plates, embeddings)
-are not read.
+By its schema a detection's ``id`` need not be the same in the next frame, and often it only counts;
+boxes are therefore joined here (`joining`) unless it is said that the pipeline tracks (DL
+Streamer's gvatrack). Only boxes in pixels can be placed: ``bounding_box`` is in units of the lens,
+whose data is not in the message. Attributes (age, plates, embeddings) are not read.
 """
 
 from __future__ import annotations
@@ -67,8 +68,8 @@ class _Camera:
 class SceneScape:
     """Reads detections of cameras, one JSON object a line, with the topic in front or without.
 
-    ``sizes``: of the cameras' pictures. ``labels``: the kinds of objects (``person``) that count; empty: all.
-    ``tracked``: the ids are a tracker's, the same object has the same in each frame.
+    ``sizes``: of the cameras' pictures. ``labels``: the kinds of objects (``person``) that count;
+    empty: all. ``tracked``: the ids are a tracker's, the same object has the same in each frame.
     """
 
     topic = "data/camera/+"
@@ -94,17 +95,25 @@ class SceneScape:
 
     def close(self) -> list[Event]:
         """Those out of sight have left; who was in a camera's last frame is still in view."""
-        return checked(event for camera in self._cameras.values() for event in camera.tracks.close())
+        return checked(
+            event for camera in self._cameras.values() for event in camera.tracks.close()
+        )
 
-    def _followed(self, camera: _Camera, message: _Message, t: float) -> tuple[list[str | None], list[Box]]:
-        """The objects of a frame that count: a name for each one's track, and its box. Raises `Rejected`."""
+    def _followed(
+        self, camera: _Camera, message: _Message, t: float
+    ) -> tuple[list[str | None], list[Box]]:
+        """The objects of a frame that count: a name for each one's track, and its box. Raises
+        `Rejected`.
+        """
         names: list[str | None] = []
         boxes: list[Box] = []
         unplaced = 0
         for kind, detections in message.objects.items():
             if self._labels and kind not in self._labels:
                 continue
-            placed = [(x.id, _box(x.bounding_box_px)) for x in detections if x.bounding_box_px is not None]
+            placed = [
+                (x.id, _box(x.bounding_box_px)) for x in detections if x.bounding_box_px is not None
+            ]
             unplaced += len(detections) - len(placed)
             here = [box for _, box in placed]
             boxes += here

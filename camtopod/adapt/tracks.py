@@ -16,11 +16,13 @@ from camtopod.records import CAMERA_PATTERN, Event, Kind
 LIFE_SECONDS = 0.5
 """A track that did not live for this long was none."""
 LOST_SECONDS = 2.0
-"""A track that was not seen for longer than this has ended. With the first it has to stay below the lateness
-(`learn.lateness_seconds`, 5 s): events are reported by so much after their time.
+"""A track that was not seen for longer than this has ended. With the first it has to stay below the
+lateness (`learn.lateness_seconds`, 5 s): events are reported by so much after their time.
 """
 START_SECONDS = 1.0
-"""Who begins within this of the first frame was there before: trackers need a moment to be sure of anybody."""
+"""Who begins within this of the first frame was there before: trackers need a moment to be sure of
+anybody.
+"""
 BOOT_CHARACTERS_MAX = 64
 """As in `camtopod.records.Event`."""
 TRACKS_MAX = 1000
@@ -45,15 +47,17 @@ class _Track(Struct):
 class TrackEvents:
     """Turns what a tracker says about the frames of one camera into entry and exit events.
 
-    `update` takes each frame's tracks, in the order of time; frames without any may be left out, but for the first. A
-    track's entry is at its first position, reported once it has lived for ``life_seconds``; its exit is at its last
-    one, reported when it has not been seen for more than ``lost_seconds``, both by the time that is given, so the same
-    frames give the same events. Who is in view at the start (`START_SECONDS`) was there before: no entry.
+    `update` takes each frame's tracks, in the order of time; frames without any may be left out,
+    but for the first. A track's entry is at its first position, reported once it has lived for
+    ``life_seconds``; its exit is at its last one, reported when it has not been seen for more than
+    ``lost_seconds``, both by the time that is given, so the same frames give the same events. Who
+    is in view at the start (`START_SECONDS`) was there before: no entry.
 
-    ``camera``: its id, ``[A-Za-z0-9_.-]{1,64}``. ``size``: width and height of the picture that the boxes are of, in
-    pixels; (1, 1) for boxes that are fractions. ``boot``: a name for this run that no other run of this camera had;
-    with it the events are numbered (``seq`` from 0), and one that is delivered twice counts once. At most
-    ``tracks_max`` tracks are followed at a time. Raises `ValueError` where one of these makes no sense.
+    ``camera``: its id, ``[A-Za-z0-9_.-]{1,64}``. ``size``: width and height of the picture that the
+    boxes are of, in pixels; (1, 1) for boxes that are fractions. ``boot``: a name for this run that
+    no other run of this camera had; with it the events are numbered (``seq`` from 0), and one that
+    is delivered twice counts once. At most ``tracks_max`` tracks are followed at a time. Raises
+    `ValueError` where one of these makes no sense.
 
     >>> tracks = TrackEvents("lobby", (640, 480), boot="monday")
     >>> tracks.update([], [], 0.0)  # nobody there, at 0 s
@@ -102,13 +106,16 @@ class TrackEvents:
         self.late = 0
         """Frames left out because a later one came before them."""
 
-    def update(self, ids: Sequence[Any] | Any | None, boxes: Sequence[Any] | Any, t: float) -> list[Event]:
+    def update(
+        self, ids: Sequence[Any] | Any | None, boxes: Sequence[Any] | Any, t: float
+    ) -> list[Event]:
         """One frame's tracks; returns the events that are sure now.
 
-        ``ids``: n numbers or strings; None where a box has no track, or for all (supervision's ``tracker_id`` while
-        nothing is tracked). ``boxes``: n times left, top, right, bottom in pixels, shape (n, 4) or (n, 2, 2); a list or
-        an array. ``t``: the frame's time of capture, seconds. A frame up to ``lost_seconds`` earlier than one before is
-        counted (``late``) and left out; one further back means that the clock was set: everything begins anew. Raises
+        ``ids``: n numbers or strings; None where a box has no track, or for all (supervision's
+        ``tracker_id`` while nothing is tracked). ``boxes``: n times left, top, right, bottom in
+        pixels, shape (n, 4) or (n, 2, 2); a list or an array. ``t``: the frame's time of capture,
+        seconds. A frame up to ``lost_seconds`` earlier than one before is counted (``late``) and
+        left out; one further back means that the clock was set: everything begins anew. Raises
         `ValueError` if ids and boxes do not match or ``t`` is no time.
         """
         labels = _labels(ids)
@@ -116,7 +123,9 @@ class TrackEvents:
         if ids is None:
             labels = [None] * (corners.size // 4)
         if corners.size != 4 * len(labels) or (labels and len(corners) != len(labels)):
-            raise ValueError(f"{len(labels)} ids, but boxes of shape {corners.shape}: n ids need boxes (n, 4)")
+            raise ValueError(
+                f"{len(labels)} ids, but boxes of shape {corners.shape}: n ids need boxes (n, 4)"
+            )
         t = round(float(t), 6)
         if not math.isfinite(t):
             raise ValueError("t is not a finite number of seconds")
@@ -138,8 +147,14 @@ class TrackEvents:
         return 0 < self._t - t <= self._lost
 
     def close(self) -> list[Event]:
-        """The recording ends: tracks out of sight in its last frame have left, the others are still in view."""
-        left = [label for label, track in self._tracks.items() if track.lived and track.last.t != self._t]
+        """The recording ends: tracks out of sight in its last frame have left, the others are still
+        in view.
+        """
+        left = [
+            label
+            for label, track in self._tracks.items()
+            if track.lived and track.last.t != self._t
+        ]
         events = [self._event("exit", label, self._tracks[label].last) for label in left]
         self._begin_anew()
         return events

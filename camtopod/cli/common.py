@@ -1,4 +1,6 @@
-"""What several commands share: configuration with the common options, logging, ending on a signal."""
+"""What several commands share: configuration with the common options, logging, ending on a
+signal.
+"""
 
 from __future__ import annotations
 
@@ -43,8 +45,8 @@ def accepted(args: argparse.Namespace) -> tuple[settings.Config, bytes]:
 def configuration(args: argparse.Namespace, raw: bytes | None = None) -> settings.Config:
     """The configuration with ``--site``, ``--connect``, ``--state`` on top. Raises `CommandError`.
 
-    ``raw``: the file's content as it was read before, which a process that was started with ``--config-fd`` gets
-    from the one above it.
+    ``raw``: the file's content as it was read before, which a process that was started with
+    ``--config-fd`` gets from the one above it.
     """
     above = getattr(args, "config_fd", None)
     if raw is None and above is not None:
@@ -65,22 +67,32 @@ def configuration(args: argparse.Namespace, raw: bytes | None = None) -> setting
         try:
             loaded = loaded.for_camera(args.camera)
         except OSError as error:
-            raise InputError(f"the source of camera {args.camera}: {error.filename}: {error.strerror}") from None
+            raise InputError(
+                f"the source of camera {args.camera}: {error.filename}: {error.strerror}"
+            ) from None
     return loaded
 
 
 def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.Config:
-    """``--site``, ``--connect`` and ``--state`` on top of what a file says. Raises `CommandError`."""
+    """``--site``, ``--connect`` and ``--state`` on top of what a file says. Raises
+    `CommandError`.
+    """
     if args.site is not None:
         if not re.match(CAMERA_PATTERN, args.site):
-            raise CommandError(f"--site {args.site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
+            raise CommandError(
+                f"--site {args.site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
+            )
         loaded = msgspec.structs.replace(loaded, site=settings.SiteSettings(args.site))
     if args.connect:
         for endpoint in args.connect:
             if not is_endpoint(endpoint):
-                raise CommandError(f"--connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}", exits.USAGE)
+                raise CommandError(
+                    f"--connect {endpoint!r}: write it like {DEFAULT_ENDPOINT}", exits.USAGE
+                )
             if loaded.bus.tls.ca and not endpoint.startswith("tls/"):
-                raise CommandError(f"--connect {endpoint!r}: write tls/..., as [bus.tls] is set", exits.USAGE)
+                raise CommandError(
+                    f"--connect {endpoint!r}: write tls/..., as [bus.tls] is set", exits.USAGE
+                )
         bus = msgspec.structs.replace(loaded.bus, connect=tuple(args.connect), listen=())
         loaded = msgspec.structs.replace(loaded, bus=bus)
     if getattr(args, "state", None):
@@ -89,7 +101,9 @@ def with_options(args: argparse.Namespace, loaded: settings.Config) -> settings.
 
 
 class _Formatter(logging.Formatter):
-    """One line a record, secrets taken out; a traceback takes more, which are indented. Times are UTC."""
+    """One line a record, secrets taken out; a traceback takes more, which are indented. Times are
+    UTC.
+    """
 
     converter = staticmethod(time.gmtime)
 
@@ -132,10 +146,12 @@ class Told(NamedTuple):
 
 @contextlib.contextmanager
 def signals(reloads: bool = True) -> Iterator[Told]:
-    """What SIGTERM, SIGINT and, for a program that ``reloads``, SIGHUP ask for while the block runs.
+    """What SIGTERM, SIGINT and, for a program that ``reloads``, SIGHUP ask for while the block
+    runs.
 
-    A thread of its own sets the events, told by the C side of the interpreter: setting an event in a handler can
-    deadlock with the wait it interrupts, and no handler runs while the main thread is inside a library.
+    A thread of its own sets the events, told by the C side of the interpreter: setting an event in
+    a handler can deadlock with the wait it interrupts, and no handler runs while the main thread is
+    inside a library.
     """
     told = Told(threading.Event(), threading.Event())
     numbers = [signal.SIGTERM, signal.SIGINT] + ([signal.SIGHUP] if reloads else [])
@@ -156,7 +172,9 @@ def signals(reloads: bool = True) -> Iterator[Told]:
         thread.start()
         stack.callback(thread.join)
         stack.callback(os.close, written)
-        stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(written, warn_on_full_buffer=False))
+        stack.callback(
+            signal.set_wakeup_fd, signal.set_wakeup_fd(written, warn_on_full_buffer=False)
+        )
         for number in numbers:
             stack.callback(signal.signal, number, signal.signal(number, lambda *_: None))
         yield told
@@ -178,8 +196,9 @@ class Leaving:
 
 @contextlib.contextmanager
 def leaving(stop: threading.Event, seconds: float, parent: int | None = None) -> Iterator[Leaving]:
-    """Once told to stop the block has ``seconds`` to end, or the process ends as it stands: what must not be lost is
-    on disk by then. It is told to stop, too, when the process ``parent`` is no longer the one above.
+    """Once told to stop the block has ``seconds`` to end, or the process ends as it stands: what
+    must not be lost is on disk by then. It is told to stop, too, when the process ``parent`` is no
+    longer the one above.
     """
     done, given = threading.Event(), Leaving()
 
@@ -202,7 +221,9 @@ def leaving(stop: threading.Event, seconds: float, parent: int | None = None) ->
 
 @contextlib.contextmanager
 def watched(progress: Progress, status: str) -> Iterator[None]:
-    """Tell systemd that it runs, in the words of ``status``, and feed its watchdog while the block gets on."""
+    """Tell systemd that it runs, in the words of ``status``, and feed its watchdog while the block
+    gets on.
+    """
     with systemd.watchdog(progress.stuck, lambda: False):
         systemd.notify("READY=1", systemd.status(status))
         try:

@@ -1,4 +1,6 @@
-"""What a bug report has to say of the machine: versions, memory, clock. Nothing here names a person or a place."""
+"""What a bug report has to say of the machine: versions, memory, clock. Nothing here names a person
+or a place.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,18 @@ from pathlib import Path
 from camtopod import __version__
 
 PACKAGES = (
-    "eclipse-zenoh", "opencv-python-headless", "numpy", "scipy", "msgspec", "cryptography", "paho-mqtt", "rich",
-    "starlette", "uvicorn", "prometheus-client",
-)  # fmt: skip
+    "eclipse-zenoh",
+    "opencv-python-headless",
+    "numpy",
+    "scipy",
+    "msgspec",
+    "cryptography",
+    "paho-mqtt",
+    "rich",
+    "starlette",
+    "uvicorn",
+    "prometheus-client",
+)
 """Those that running needs, and those of the extras."""
 CLOCK_COMMANDS = (
     ("chronyc", "-n", "tracking"),
@@ -24,12 +35,21 @@ CLOCK_COMMANDS = (
 """Programs that know whether the clock is set from elsewhere."""
 _ASK_SECONDS = 5.0
 _ABOUT_THE_PROGRAM = ("CAMTOPOD_", "OPENCV_", "OMP_", "OPENBLAS_", "MKL_", "RUST_", "ZENOH_")
-_DIRECTORIES = ("STATE_DIRECTORY", "XDG_STATE_HOME", "CREDENTIALS_DIRECTORY", "NOTIFY_SOCKET", "WATCHDOG_USEC")
+_DIRECTORIES = (
+    "STATE_DIRECTORY",
+    "XDG_STATE_HOME",
+    "CREDENTIALS_DIRECTORY",
+    "NOTIFY_SOCKET",
+    "WATCHDOG_USEC",
+)
 
 
 def versions() -> list[str]:
     """camtopod, Python and the packages, a line each."""
-    lines = [f"camtopod {__version__}", f"Python {sys.version.split()[0]} ({platform.python_implementation()})"]
+    lines = [
+        f"camtopod {__version__}",
+        f"Python {sys.version.split()[0]} ({platform.python_implementation()})",
+    ]
     for package in PACKAGES:
         try:
             lines.append(f"{package} {importlib.metadata.version(package)}")
@@ -41,9 +61,13 @@ def versions() -> list[str]:
 def machine() -> list[str]:
     """Operating system, cores and memory; of the environment the names only."""
     memory = dict(line.split(":", 1) for line in _text(Path("/proc/meminfo")).splitlines())
-    release = dict(line.split("=", 1) for line in _text(Path("/etc/os-release")).splitlines() if "=" in line)
+    release = dict(
+        line.split("=", 1) for line in _text(Path("/etc/os-release")).splitlines() if "=" in line
+    )
     load = " ".join(f"{one:.1f}" for one in os.getloadavg())
-    named = sorted(name for name in os.environ if name.startswith(_ABOUT_THE_PROGRAM) or name in _DIRECTORIES)
+    named = sorted(
+        name for name in os.environ if name.startswith(_ABOUT_THE_PROGRAM) or name in _DIRECTORIES
+    )
     return [
         f"{release.get('PRETTY_NAME', 'unknown').strip(chr(34))}, {platform.system()} {platform.release()}",
         f"{platform.machine()}, {os.cpu_count()} cores, {len(os.sched_getaffinity(0))} for this program, load {load}",
@@ -54,18 +78,26 @@ def machine() -> list[str]:
 
 
 def clock(wall: float) -> list[str]:
-    """Whether this machine's clock is set from elsewhere, as far as a program here knows it; ``wall``: now."""
+    """Whether this machine's clock is set from elsewhere, as far as a program here knows it;
+    ``wall``: now.
+    """
     lines = [f"now: {wall:.3f}"]
     for command in CLOCK_COMMANDS:
         if shutil.which(command[0]) is None:
             continue
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=_ASK_SECONDS, check=False)
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=_ASK_SECONDS, check=False
+            )
         except (OSError, subprocess.TimeoutExpired):
             continue
         if done.returncode == 0:
             lines += [f"{command[0]}: {line}" for line in done.stdout.splitlines()]
-    return lines if len(lines) > 1 else [*lines, "synchronisation unknown: neither chronyc nor timedatectl answers"]
+    return (
+        lines
+        if len(lines) > 1
+        else [*lines, "synchronisation unknown: neither chronyc nor timedatectl answers"]
+    )
 
 
 def _text(path: Path) -> str:

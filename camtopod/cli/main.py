@@ -1,11 +1,12 @@
-"""The console script: finds the command, imports only its module, turns expected errors into exit statuses.
+"""The console script: finds the command, imports only its module, turns expected errors into exit
+statuses.
 
 A command is a module ``camtopod.cli.NAME`` with two functions: ``add_parser(subparsers)`` calls
-``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments (and returns the parsers of its
-own commands, if it has any); ``run(args) -> int`` does the work and returns the exit status. The common options
-are added here, before and after the command's name, and arrive as ``args.config`` (path or None), ``args.site``
-(str or None), ``args.connect`` (list of endpoints, maybe empty) and ``args.log_format``. `camtopod.cli.common`
-has what several commands share.
+``subparsers.add_parser(NAME, ...)`` once and adds the command's own arguments (and returns the
+parsers of its own commands, if it has any); ``run(args) -> int`` does the work and returns the exit
+status. The common options are added here, before and after the command's name, and arrive as
+``args.config`` (path or None), ``args.site`` (str or None), ``args.connect`` (list of endpoints,
+maybe empty) and ``args.log_format``. `camtopod.cli.common` has what several commands share.
 """
 
 from __future__ import annotations
@@ -33,29 +34,55 @@ from camtopod.redact import redact
 from camtopod.visible import visible, visible_lines
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("camtopod.cli.commands.demo", "the whole system on made-up cameras, nothing to configure"),
+    "demo": (
+        "camtopod.cli.commands.demo",
+        "the whole system on made-up cameras, nothing to configure",
+    ),
     "init": ("camtopod.cli.commands.init", "looks at cameras and writes a configuration with them"),
-    "grab": ("camtopod.cli.commands.grab", "one camera (or a configuration's cameras) to entry and exit events"),
-    "run": ("camtopod.cli.commands.run", "the daemon: learns the topology from events on the bus and predicts"),
+    "grab": (
+        "camtopod.cli.commands.grab",
+        "one camera (or a configuration's cameras) to entry and exit events",
+    ),
+    "run": (
+        "camtopod.cli.commands.run",
+        "the daemon: learns the topology from events on the bus and predicts",
+    ),
     "learn": ("camtopod.cli.commands.learn", "the same learner over recorded event lines"),
-    "predict": ("camtopod.cli.commands.predict", "for each exit of recorded events, where the object appears next"),
+    "predict": (
+        "camtopod.cli.commands.predict",
+        "for each exit of recorded events, where the object appears next",
+    ),
     "simulate": ("camtopod.cli.commands.simulate", "a made-up camera network with known truth"),
-    "watch": ("camtopod.cli.commands.watch", "live view of cameras, topology and predictions in the terminal"),
-    "web": ("camtopod.cli.commands.web", "the page: map, cameras, links, versions and health in a browser"),
+    "watch": (
+        "camtopod.cli.commands.watch",
+        "live view of cameras, topology and predictions in the terminal",
+    ),
+    "web": (
+        "camtopod.cli.commands.web",
+        "the page: map, cameras, links, versions and health in a browser",
+    ),
     "export": ("camtopod.cli.commands.export", "a topology as a picture or in an exchange format"),
     "report": ("camtopod.cli.commands.report", "the page of one topology as a file"),
     "ingest": ("camtopod.cli.commands.ingest", "other programs' events onto the bus"),
-    "bridge": ("camtopod.cli.commands.bridge", "cameras, alarms and predictions in Home Assistant, by MQTT"),
+    "bridge": (
+        "camtopod.cli.commands.bridge",
+        "cameras, alarms and predictions in Home Assistant, by MQTT",
+    ),
     "keys": ("camtopod.cli.commands.keys", "a private authority and certificates for the bus"),
     "check": ("camtopod.cli.commands.check", "every mistake in a configuration, in one pass"),
     "doctor": ("camtopod.cli.commands.doctor", "what a bug report needs, without secrets"),
-    "completion": ("camtopod.cli.commands.completion", "makes the shell complete commands and options"),
+    "completion": (
+        "camtopod.cli.commands.completion",
+        "makes the shell complete commands and options",
+    ),
 }
 """Command -> (module, one line for --help)."""
 
 LOG_FORMATS = ("text", "logfmt", "json")
 _LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Set to 1 before numpy is loaded: with another number of threads the same events give other last bits."""
+"""Set to 1 before numpy is loaded: with another number of threads the same events give other last
+bits.
+"""
 _KEEP_ON = ("run", "grab")
 """They read their configuration anew when told so by SIGHUP, and never end by it."""
 _UNTIL_TOLD = (*_KEEP_ON, "web", "bridge", "watch", "ingest")
@@ -70,8 +97,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")
     form = "text"
     if _command_in(arguments) in _KEEP_ON:
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)  # until they listen to it: there is nothing yet to read anew
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGHUP])  # it is blocked in a camera's process till here
+        signal.signal(
+            signal.SIGHUP, signal.SIG_IGN
+        )  # until they listen to it: there is nothing yet to read anew
+        signal.pthread_sigmask(
+            signal.SIG_UNBLOCK, [signal.SIGHUP]
+        )  # it is blocked in a camera's process till here
     try:
         try:
             args, run = _parse(arguments)
@@ -79,7 +110,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             status = run(args)
         finally:
             sys.stdout.flush()
-    except BrokenPipeError:  # the reader (say, head) has gone: say nothing more to it, not even at exit
+    except (
+        BrokenPipeError
+    ):  # the reader (say, head) has gone: say nothing more to it, not even at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return exits.FAILED
     except KeyboardInterrupt:
@@ -96,8 +129,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def console() -> NoReturn:
     """The process: `main`, and then its end, at once.
 
-    The interpreter's own end waits for threads, and aborts the process (status -6, "exception not rethrown") when one
-    of zenoh's or OpenCV's comes back to it meanwhile. Whatever matters is closed by then, or safe on disk.
+    The interpreter's own end waits for threads, and aborts the process (status -6, "exception not
+    rethrown") when one of zenoh's or OpenCV's comes back to it meanwhile. Whatever matters is
+    closed by then, or safe on disk.
     """
     standard_streams.open_missing()
     if _command_in(sys.argv[1:]) in _UNTIL_TOLD:
@@ -120,7 +154,9 @@ def _end(status: int) -> NoReturn:
     os._exit(status)
 
 
-def _crash(_: type[BaseException], error: BaseException, __: types.TracebackType | None) -> NoReturn:
+def _crash(
+    _: type[BaseException], error: BaseException, __: types.TracebackType | None
+) -> NoReturn:
     """What nobody expected ends the process with its traceback."""
     _tell(error)
     _end(exits.FAILED)
@@ -134,7 +170,10 @@ def _crash_of_a_thread(crash: threading.ExceptHookArgs) -> None:
 
 def _tell(error: BaseException) -> None:
     """The traceback, which may hold a source and its password, to standard error."""
-    print(visible_lines(redact("".join(traceback.format_exception(error))).rstrip("\n")), file=sys.stderr)
+    print(
+        visible_lines(redact("".join(traceback.format_exception(error))).rstrip("\n")),
+        file=sys.stderr,
+    )
 
 
 class _Parser(argparse.ArgumentParser):
@@ -155,13 +194,15 @@ def _parse(arguments: list[str]) -> tuple[argparse.Namespace, Any]:
 
 
 def parser_of(whole: Collection[str]) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
-    """The parser, which knows the options of the commands in ``whole`` and of the others the names; the modules of
-    those in ``whole``.
+    """The parser, which knows the options of the commands in ``whole`` and of the others the names;
+    the modules of those in ``whole``.
     """
     parser = _Parser(prog="camtopod", description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"camtopod {__version__}")
     _add_common(parser, top=True)
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", required=True)
+    subparsers = parser.add_subparsers(
+        dest="command", metavar="COMMAND", title="commands", required=True
+    )
     modules = {}
     for command, (path, summary) in COMMANDS.items():
         if command in whole:
@@ -202,8 +243,12 @@ def _add_common(parser: argparse.ArgumentParser, top: bool) -> None:
     """The common options; after the command's name they default to what stood before it."""
     group = parser.add_argument_group("common options")
     default: Any = None if top else argparse.SUPPRESS
-    group.add_argument("--config", type=Path, metavar="FILE", default=default, help="configuration, a TOML file")
-    group.add_argument("--site", metavar="NAME", default=default, help="name of the site, second part of every key")
+    group.add_argument(
+        "--config", type=Path, metavar="FILE", default=default, help="configuration, a TOML file"
+    )
+    group.add_argument(
+        "--site", metavar="NAME", default=default, help="name of the site, second part of every key"
+    )
     group.add_argument(
         "--connect",
         metavar="ENDPOINT",

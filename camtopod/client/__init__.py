@@ -6,7 +6,8 @@
         print(site.current.pairs)
         print(site.predict("lobby", t=1_700_003_601.2, x=0.9, y=0.5).next_)
 
-`camtopod.client.aio` is the same for asyncio. Nothing here needs more than the packages that camtopod itself needs.
+`camtopod.client.aio` is the same for asyncio. Nothing here needs more than the packages that
+camtopod itself needs.
 """
 
 from camtopod.adapt import TrackEvents
@@ -15,4 +16,12 @@ from camtopod.client.gate import Gate
 from camtopod.client.site import Predictions, Topology
 from camtopod.serve.bus import BusError
 
-__all__ = ["BusError", "Gate", "NothingLearned", "Predictions", "Topology", "TrackEvents", "UnknownPlace"]
+__all__ = [
+    "BusError",
+    "Gate",
+    "NothingLearned",
+    "Predictions",
+    "Topology",
+    "TrackEvents",
+    "UnknownPlace",
+]

@@ -1,4 +1,5 @@
-"""`camtopod.client` for asyncio: the same, and what waits is awaited. No thread is held while nothing comes.
+"""`camtopod.client` for asyncio: the same, and what waits is awaited. No thread is held while
+nothing comes.
 
 async with aio.Topology.connect("hq") as site:
     async for prediction in site.predictions():
@@ -25,7 +26,9 @@ T = TypeVar("T")
 
 
 class Topology(View):
-    """As `camtopod.client.Topology`. `predict`, `gate` and the others that need not wait are plain methods."""
+    """As `camtopod.client.Topology`. `predict`, `gate` and the others that need not wait are plain
+    methods.
+    """
 
     @classmethod
     @contextlib.asynccontextmanager
@@ -57,8 +60,8 @@ class Topology(View):
             await asyncio.to_thread(opened.close)
 
     async def wait_for(self, version: int, seconds: float) -> Version:
-        """The newest version as soon as it is at least ``version``. Raises TimeoutError after ``seconds``, or when it
-        is closed meanwhile.
+        """The newest version as soon as it is at least ``version``. Raises TimeoutError after
+        ``seconds``, or when it is closed meanwhile.
         """
         found = await _awaited(self._news, lambda: self._at_least(version), seconds)
         if found is None:
@@ -66,13 +69,18 @@ class Topology(View):
         return found
 
     async def versions(self, seconds: float | None = None) -> AsyncIterator[Version]:
-        """The current version, if there is one, and each that comes after: as `camtopod.client.Topology.versions`."""
+        """The current version, if there is one, and each that comes after: as
+        `camtopod.client.Topology.versions`.
+        """
         last = None
         while (last := await _awaited(self._news, partial(self._newer, last), seconds)) is not None:
             yield last
 
     def predictions(
-        self, camera: str | None = None, seconds: float | None = None, waiting_max: int = WAITING_MAX
+        self,
+        camera: str | None = None,
+        seconds: float | None = None,
+        waiting_max: int = WAITING_MAX,
     ) -> Predictions:
         """The daemon's own predictions from now on: as `camtopod.client.Topology.predictions`."""
         return self._opened(lambda bus: Predictions(bus, camera, seconds, waiting_max))

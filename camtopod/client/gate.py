@@ -1,16 +1,19 @@
-"""What the learned topology says about who is who across cameras: the prior of a tracker's association.
+"""What the learned topology says about who is who across cameras: the prior of a tracker's
+association.
 
-An object that leaves a zone appears next somewhere, some time, or is not seen again: one of these, with the odds and
-transit times that prediction uses (`camtopod.predict.predictor`; the thesis has the times in 4.5, and a Markov chain over
-cameras for the odds in 4.6). An object that appears has left some zone before, or comes from outside, which happens at
-a steady rate. All as logarithms, so that they add up with those of other evidence:
+An object that leaves a zone appears next somewhere, some time, or is not seen again: one of these,
+with the odds and transit times that prediction uses (`camtopod.predict.predictor`; the thesis has
+the times in 4.5, and a Markov chain over cameras for the odds in 4.6). An object that appears has
+left some zone before, or comes from outside, which happens at a steady rate. All as logarithms, so
+that they add up with those of other evidence:
 
     gate(...)      ln of 1/s   who left here then appears next there then
     gate_new(...)  ln of 1/s   somebody from outside appears there then
     gate_gone(...) ln of 1     who left here then is not to be seen (yet)
 
-``gate - gate_new - gate_gone`` is the log odds of an exit and an entry being one object's against their being two
-objects'; `Gate.affinity` has them for many. The matching with the largest sum is the likeliest of all matchings.
+``gate - gate_new - gate_gone`` is the log odds of an exit and an entry being one object's against
+their being two objects'; `Gate.affinity` has them for many. The matching with the largest sum is
+the likeliest of all matchings.
 """
 
 from __future__ import annotations
@@ -45,7 +48,9 @@ class _Onward(NamedTuple):
     began: _Began | None = None
     """How the passage that ended began, where it is known, ..."""
     early: NDArray[np.float64] | None = None
-    """... and (targets,) by how much what the entry foretells of before the exit counts beside the rest."""
+    """... and (targets,) by how much what the entry foretells of before the exit counts beside the
+    rest.
+    """
 
 
 class _Began(NamedTuple):
@@ -58,9 +63,10 @@ class _Began(NamedTuple):
 class Gate:
     """The log-priors of one version of the topology. Does not change; any thread may ask.
 
-    Times are seconds since the epoch by the clock of the camera where they were taken, as in events; what the version
-    knows of the clocks is taken into account. While little has been learned the odds are too sure, as predictions are.
-    Without a daemon: ``Gate(topology)`` of a topology read from a file.
+    Times are seconds since the epoch by the clock of the camera where they were taken, as in
+    events; what the version knows of the clocks is taken into account. While little has been
+    learned the odds are too sure, as predictions are. Without a daemon: ``Gate(topology)`` of a
+    topology read from a file.
     """
 
     def __init__(self, topology: Topology, predictor: Predictor | None = None) -> None:
@@ -72,60 +78,79 @@ class Gate:
         self._ahead = {camera.id: camera.clock_offset for camera in topology.cameras}
         self._new = self._rates_from_outside()
 
-    def gate(self, from_zone: str, t_exit: float, to_camera: str, t_entry: float, to_zone: str | None = None) -> float:
-        """ln of the density, in 1/s of ``t_entry``, with which an object that left ``from_zone`` at ``t_exit`` appears
-        next at ``to_camera`` at ``t_entry``; at ``to_zone`` of it, if given.
+    def gate(
+        self,
+        from_zone: str,
+        t_exit: float,
+        to_camera: str,
+        t_entry: float,
+        to_zone: str | None = None,
+    ) -> float:
+        """ln of the density, in 1/s of ``t_entry``, with which an object that left ``from_zone`` at
+        ``t_exit`` appears next at ``to_camera`` at ``t_entry``; at ``to_zone`` of it, if given.
 
-        Over all times the density sums to the probability of appearing there next; over all cameras, too, to 1 less
-        that of not being seen again. It is a step function: constant within a bin of some percent of the lag. Where
-        views overlap, ``t_entry`` may be before ``t_exit``. -inf where no way has been learned that takes this
-        long: for the topology, not for ever. Raises ValueError for times that are not finite numbers.
+        Over all times the density sums to the probability of appearing there next; over all
+        cameras, too, to 1 less that of not being seen again. It is a step function: constant within
+        a bin of some percent of the lag. Where views overlap, ``t_entry`` may be before ``t_exit``.
+        -inf where no way has been learned that takes this long: for the topology, not for ever.
+        Raises ValueError for times that are not finite numbers.
 
-        ``from_zone`` is a zone's id (``lobby/1``). Raises `UnknownPlace`, a KeyError, for a zone or camera that this
-        version does not have: zones come and go with versions, so of events better take `affinity`, which finds them by
-        their positions.
+        ``from_zone`` is a zone's id (``lobby/1``). Raises `UnknownPlace`, a KeyError, for a zone or
+        camera that this version does not have: zones come and go with versions, so of events better
+        take `affinity`, which finds them by their positions.
         """
         source = zone_at(self.topology, from_zone)
         to = self._zones(to_camera, to_zone)
         onward = self._onward(source)
-        lag = (t_entry - self._ahead[to_camera]) - (t_exit - self._ahead[self.topology.zones[source].camera])
+        lag = (t_entry - self._ahead[to_camera]) - (
+            t_exit - self._ahead[self.topology.zones[source].camera]
+        )
         if not math.isfinite(lag):
             raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
         zones = np.array(to, np.intp)
-        return float(np.logaddexp.reduce(self._log_density(onward, zones, np.full(len(zones), lag))))
+        return float(
+            np.logaddexp.reduce(self._log_density(onward, zones, np.full(len(zones), lag)))
+        )
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
-        """ln of the rate, in 1/s, at which objects from outside appear at a camera, or at a zone of it: those that have
-        not left another zone before, false ones among them. Raises `UnknownPlace`, a KeyError.
+        """ln of the rate, in 1/s, at which objects from outside appear at a camera, or at a zone of
+        it: those that have not left another zone before, false ones among them. Raises
+        `UnknownPlace`, a KeyError.
 
         One figure for all times: the mean over the window that was learned from.
         """
         return math.log(self._new[self._zones(to_camera, to_zone)].sum())
 
     def gate_gone(self, from_zone: str, seconds: float = math.inf) -> float:
-        """ln of the probability that who left ``from_zone`` has not appeared anywhere ``seconds`` later; without
-        ``seconds``, that they are not seen again. Raises `UnknownPlace`, a KeyError; ValueError for what is no number.
+        """ln of the probability that who left ``from_zone`` has not appeared anywhere ``seconds``
+        later; without ``seconds``, that they are not seen again. Raises `UnknownPlace`, a KeyError;
+        ValueError for what is no number.
         """
         if math.isnan(seconds):
             raise ValueError("seconds is not a number")
         return math.log(self._gone(self._onward(zone_at(self.topology, from_zone)), seconds))
 
-    def affinity(self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None) -> Floats:
-        """Log odds (exits, entries), in nats, of each exit and entry being one object's against their being two
-        objects'. Add the log likelihood ratios of your other evidence, appearance say, and match by
+    def affinity(
+        self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None
+    ) -> Floats:
+        """Log odds (exits, entries), in nats, of each exit and entry being one object's against
+        their being two objects'. Add the log likelihood ratios of your other evidence, appearance
+        say, and match by
 
             rows, columns = scipy.optimize.linear_sum_assignment(np.maximum(odds, 0), maximize=True)
 
         of which those with odds above 0 are pairs: that is the likeliest matching as a whole.
 
-        ``exits`` and ``entries`` are events as `TrackEvents` makes them, of all cameras in any order; zones are found
-        by their positions. Where the entry of the passage that an exit ends is among the entries (the same camera and
-        track), more is known: where it came from, and, where views overlap, how long after that entry it appears in
-        other views. So give the entries of open tracks, too. ``now``: the time, seconds, up to which entries are known,
-        so that who may still be under way is not taken for gone; the newest of the given times where it is not said.
-        -inf: no way has been learned that takes this long; take ``np.maximum(odds, -20)`` where other evidence shall be
-        able to overrule that. 0, so neither for nor against, where this version does not know a camera. Raises
-        ValueError for an entry among the exits or an exit among the entries, or a time that is not a number.
+        ``exits`` and ``entries`` are events as `TrackEvents` makes them, of all cameras in any
+        order; zones are found by their positions. Where the entry of the passage that an exit ends
+        is among the entries (the same camera and track), more is known: where it came from, and,
+        where views overlap, how long after that entry it appears in other views. So give the
+        entries of open tracks, too. ``now``: the time, seconds, up to which entries are known, so
+        that who may still be under way is not taken for gone; the newest of the given times where
+        it is not said. -inf: no way has been learned that takes this long; take ``np.maximum(odds,
+        -20)`` where other evidence shall be able to overrule that. 0, so neither for nor against,
+        where this version does not know a camera. Raises ValueError for an entry among the exits or
+        an exit among the entries, or a time that is not a number.
         """
         if now is not None and math.isnan(now):
             raise ValueError("now is not a number")
@@ -151,24 +176,33 @@ class Gate:
         return odds
 
     def _passages(self, exits: Sequence[Event], entries: Sequence[Event]) -> list[_Began | None]:
-        """How the passage began that each of the ``exits`` ends, where its entry is among the ``entries``."""
+        """How the passage began that each of the ``exits`` ends, where its entry is among the
+        ``entries``.
+        """
         by_track: dict[tuple[str, str], list[Event]] = {}
         for entry in entries:
             if entry.track is not None:
                 by_track.setdefault((entry.camera, str(entry.track)), []).append(entry)
         began: list[_Began | None] = []
         for event in exits:
-            own = [entry for entry in by_track.get((event.camera, str(event.track)), []) if entry.t <= event.t]
+            own = [
+                entry
+                for entry in by_track.get((event.camera, str(event.track)), [])
+                if entry.t <= event.t
+            ]
             newest = max(own, key=lambda entry: entry.t, default=None)
             zone = None if newest is None else self._predictor.zone_of(newest)
-            began.append(None if newest is None or zone is None else _Began(zone, event.t - newest.t))
+            began.append(
+                None if newest is None or zone is None else _Began(zone, event.t - newest.t)
+            )
         return began
 
     def _rates_from_outside(self) -> Floats:
         """(zones,) per second, such that as many are expected to have come as to have left before.
 
-        The version has the rate of arrivals that no exit explains at all. Those that may as well have come by chance
-        (`Outcome.doubt`) are gone, for their exits; so for their entries they are from outside.
+        The version has the rate of arrivals that no exit explains at all. Those that may as well
+        have come by chance (`Outcome.doubt`) are gone, for their exits; so for their entries they
+        are from outside.
         """
         rate = np.array(self._hazards.arrival_rate)
         entries = np.array([float(zone.entries) for zone in self.topology.zones])
@@ -180,20 +214,26 @@ class Gate:
         some = entries - explained > OUTSIDE_SHARE_MIN * entries
         if not some.any():
             return rate
-        span = np.median((entries - explained)[some] / rate[some])  # seconds, of what was learned from
+        span = np.median(
+            (entries - explained)[some] / rate[some]
+        )  # seconds, of what was learned from
         balanced: Floats = np.maximum(rate, (entries - surely) / span)
         return balanced
 
     def _zones(self, camera: str, zone: str | None) -> list[int]:
-        return zones_of(self.topology, camera) if zone is None else [zone_at(self.topology, zone, camera)]
+        return (
+            zones_of(self.topology, camera)
+            if zone is None
+            else [zone_at(self.topology, zone, camera)]
+        )
 
     def _right(self, event: Event) -> float:
         """The event's time by right clocks."""
         return event.t - self._ahead[event.camera]
 
     def _onward(self, zone: int, block: int | None = None, began: _Began | None = None) -> _Onward:
-        """As the predictor has it for an exit of which only the place and the passage are known, before anything has
-        been seen since.
+        """As the predictor has it for an exit of which only the place and the passage are known,
+        before anything has been seen since.
         """
         outcomes, bins = self._hazards.outcomes.get(zone), self._hazards.bins
         if outcomes is None:
@@ -201,8 +241,14 @@ class Gate:
         entry = None if began is None else began.zone
         likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, None, 0.0)
         exposure = outcomes.exposure if began is None else self._hazards.exposed(began.stay)
-        odds = outcomes.hazard * bins.widths * outcomes.exposed(exposure) * np.array(likelier)[:, None]
-        early = np.zeros(len(odds)) if began is None else self._expected_early(outcomes.targets, began) * likelier
+        odds = (
+            outcomes.hazard * bins.widths * outcomes.exposed(exposure) * np.array(likelier)[:, None]
+        )
+        early = (
+            np.zeros(len(odds))
+            if began is None
+            else self._expected_early(outcomes.targets, began) * likelier
+        )
         sure = 1.0 - outcomes.doubt
         every = odds.sum(axis=1) + early
         leave += float(outcomes.doubt @ every)
@@ -219,7 +265,9 @@ class Gate:
         seconds = np.clip(began.stay - bins.edges[:-1], 0.0, bins.widths) * (bins.centres > 0)
         some = np.flatnonzero(seconds)
         expected = [
-            self._hazards.rates_entered(began.zone, np.full(len(some), target, np.int32), bins.centres[some])
+            self._hazards.rates_entered(
+                began.zone, np.full(len(some), target, np.int32), bins.centres[some]
+            )
             @ seconds[some]
             for target in targets
         ]
@@ -253,6 +301,10 @@ class Gate:
 def _check(events: Sequence[Event], kind: Kind) -> None:
     for event in events:
         if event.kind != kind:
-            raise ValueError(f"an {event.kind} of {event.camera} at {event.t} among what should be {kind} events")
+            raise ValueError(
+                f"an {event.kind} of {event.camera} at {event.t} among what should be {kind} events"
+            )
         if not math.isfinite(event.t):
-            raise ValueError(f"an {event.kind} of {event.camera} at {event.t}: not a finite number of seconds")
+            raise ValueError(
+                f"an {event.kind} of {event.camera} at {event.t}: not a finite number of seconds"
+            )

@@ -17,7 +17,9 @@ WAITING_MAX = 1000
 class Inbox:
     """Subscribed until closed: what `Predictions` and its asyncio twin have in common."""
 
-    def __init__(self, bus: Bus, camera: str | None, seconds: float | None, waiting_max: int) -> None:
+    def __init__(
+        self, bus: Bus, camera: str | None, seconds: float | None, waiting_max: int
+    ) -> None:
         if camera is not None and not re.match(CAMERA_PATTERN, camera):
             raise ValueError(f"camera {camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
         if waiting_max < 1:

@@ -1,4 +1,6 @@
-"""How whoever waits hears that something has come: threads by a condition, an event loop by a call."""
+"""How whoever waits hears that something has come: threads by a condition, an event loop by a
+call.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ class News:
         self.tell()
 
     def wait_for(self, found: Callable[[], T | None], seconds: float | None = None) -> T | None:
-        """What ``found()`` returns as soon as that is something; None when it is closed or after ``seconds``."""
+        """What ``found()`` returns as soon as that is something; None when it is closed or after
+        ``seconds``.
+        """
         value: T | None = None
 
         def over() -> bool:
@@ -49,7 +53,9 @@ class News:
 
     @contextlib.contextmanager
     def heard_by(self, listener: Callable[[], None]) -> Iterator[None]:
-        """Call ``listener``, which must not block, at each change while the block runs; from any thread."""
+        """Call ``listener``, which must not block, at each change while the block runs; from any
+        thread.
+        """
         with self._condition:
             self._listeners.append(listener)
         try:

@@ -13,13 +13,21 @@ BYTES_MAX = 4096
 
 
 def read(path: Path) -> str:
-    """The first line of a file that holds one secret. Raises `OSError`, also if it is empty or not text."""
+    """The first line of a file that holds one secret. Raises `OSError`, also if it is empty or not
+    text.
+    """
     try:
         with path.open("rb") as file:
             line = file.read(BYTES_MAX).split(b"\n", 1)[0].strip()
     except FileNotFoundError as error:
-        unset = re.search(r"\$\{?\w+\}?", str(path))  # as $CREDENTIALS_DIRECTORY outside of a service
-        raise error if unset is None else OSError(error.errno, f"{unset[0]} is not set here", str(path)) from None
+        unset = re.search(
+            r"\$\{?\w+\}?", str(path)
+        )  # as $CREDENTIALS_DIRECTORY outside of a service
+        raise (
+            error
+            if unset is None
+            else OSError(error.errno, f"{unset[0]} is not set here", str(path))
+        ) from None
     try:
         text = line.decode("utf-8")
     except UnicodeDecodeError:
@@ -32,7 +40,8 @@ def read(path: Path) -> str:
 def write(path: Path, content: bytes, mode: int = 0o600) -> None:
     """Whole or not at all, for its owner alone (0600) from its first byte on. Raises `OSError`.
 
-    With another ``mode`` it is shared, and belongs to whom its folder belongs, if this user may give it away.
+    With another ``mode`` it is shared, and belongs to whom its folder belongs, if this user may
+    give it away.
     """
     new = path.with_name(f".{path.name}.new")
     new.unlink(missing_ok=True)
@@ -54,7 +63,8 @@ def write(path: Path, content: bytes, mode: int = 0o600) -> None:
 
 
 def exposed(paths: Iterable[Path]) -> list[str]:
-    """A sentence for each file that everybody on this machine can read or write, or whose group can write it.
+    """A sentence for each file that everybody on this machine can read or write, or whose group can
+    write it.
 
     That its group can read a file is how services share it; what is not there is not exposed.
     """
@@ -66,5 +76,7 @@ def exposed(paths: Iterable[Path]) -> list[str]:
             continue
         if mode & (stat.S_IROTH | stat.S_IWOTH | stat.S_IWGRP):
             can = "read" if mode & stat.S_IROTH else "written"
-            found.append(f"{path} holds a secret and can be {can} by others of this machine: chmod 600 or 640")
+            found.append(
+                f"{path} holds a secret and can be {can} by others of this machine: chmod 600 or 640"
+            )
     return found

@@ -22,7 +22,8 @@ _SCALAR = re.compile(r"[^,\]}\n#]*")
 def key_lines(text: str) -> dict[Path, int]:
     """Line (from 1) of every key, table and array element of a *valid* TOML document, by path.
 
-    A table's line is its first mention's. For invalid documents the answer is unspecified, but it ends.
+    A table's line is its first mention's. For invalid documents the answer is unspecified, but it
+    ends.
     """
     return _Scanner(text).document()
 

@@ -30,7 +30,9 @@ class Problem(NamedTuple):
 
 
 def syntax(text: str) -> tuple[dict[str, Any], str, list[Problem]]:
-    """Parse; after a mistake in a ``key = value`` line go on without that line, to find the others too."""
+    """Parse; after a mistake in a ``key = value`` line go on without that line, to find the others
+    too.
+    """
     problems: list[Problem] = []
     while len(problems) < _SYNTAX_ERRORS_MAX:
         try:
@@ -54,7 +56,10 @@ class TableReader:
     """Builds structs from the tables that tomllib read. ``tables``: dotted name -> struct."""
 
     def __init__(
-        self, tables: dict[str, type[Struct]], lines: dict[toml_lines.Path, int], missing_matters: bool
+        self,
+        tables: dict[str, type[Struct]],
+        lines: dict[toml_lines.Path, int],
+        missing_matters: bool,
     ) -> None:
         self.problems: list[Problem] = []
         self._tables = tables
@@ -62,7 +67,9 @@ class TableReader:
         self._missing_matters = missing_matters
 
     def table(self, kind: type[_T], parent: dict[str, Any], path: tuple[str, ...]) -> _T | None:
-        """The struct at ``path``, with the default for each mistake; None if a required key is missing."""
+        """The struct at ``path``, with the default for each mistake; None if a required key is
+        missing.
+        """
         title = ".".join(path)
         data = parent.get(path[-1], {})
         if not isinstance(data, dict):
@@ -72,7 +79,10 @@ class TableReader:
         values: dict[str, Any] = {}
         for key, value in data.items():
             if key not in fields:
-                self.say((*path, key), f"{title}.{key}: no such key{self._hint(key, list(fields), path[0])}")
+                self.say(
+                    (*path, key),
+                    f"{title}.{key}: no such key{self._hint(key, list(fields), path[0])}",
+                )
             elif (nested := self._tables.get(f"{title}.{key}")) is not None:
                 values[key] = self.table(nested, data, (*path, key))
             elif (converted := self._value(fields[key], value, (*path, key))) is not None:
@@ -85,7 +95,9 @@ class TableReader:
         return kind(**values)
 
     def _value(self, field: msgspec.structs.FieldInfo, value: Any, path: toml_lines.Path) -> Any:
-        """``value`` as the field's type, or None after saying why not; each element of an array by itself."""
+        """``value`` as the field's type, or None after saying why not; each element of an array by
+        itself.
+        """
         title = ".".join(str(part) for part in path[:3])
         if field.type == tuple[Endpoint, ...] and isinstance(value, list):
             for index, endpoint in enumerate(value):
@@ -97,7 +109,10 @@ class TableReader:
             converted = msgspec.convert(value, field.type)
             _check_number(converted, field.default)
         except ValueError as error:
-            self.say(path, f"{title}: {_in_words(field) if 'matching regex' in str(error) else _sentence(str(error))}")
+            self.say(
+                path,
+                f"{title}: {_in_words(field) if 'matching regex' in str(error) else _sentence(str(error))}",
+            )
             return None
         return converted
 
@@ -108,7 +123,11 @@ class TableReader:
         self.problems.append(Problem(self._lines.get(path, 1), what))
 
     def _hint(self, key: str, known: list[str], table: str) -> str:
-        homes = [name for name, kind in self._tables.items() if name != table and key in kind.__struct_fields__]
+        homes = [
+            name
+            for name, kind in self._tables.items()
+            if name != table and key in kind.__struct_fields__
+        ]
         return f"; it belongs in [{homes[0]}]" if homes else did_you_mean(key, known)
 
 
@@ -143,7 +162,12 @@ def did_you_mean(key: str, known: list[str]) -> str:
 def _sentence(message: str) -> str:
     """A message of msgspec or tomllib as the second half of a sentence, in TOML's words."""
     message = re.sub(r" - at `\$.*", "", message)
-    words = {"`float`": "a number", "`int`": "a whole number", "`str`": "a string", "`bool`": "true or false"}
+    words = {
+        "`float`": "a number",
+        "`int`": "a whole number",
+        "`str`": "a string",
+        "`bool`": "true or false",
+    }
     words |= {"`array`": "an array", "`object`": "a table"}
     for theirs, ours in words.items():
         message = message.replace(theirs, ours)

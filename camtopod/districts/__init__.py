@@ -1,4 +1,5 @@
-"""Large sites: learned in districts by several programs, and put together again. As pure as `camtopod.learn`.
+"""Large sites: learned in districts by several programs, and put together again. As pure as
+`camtopod.learn`.
 
 In the order in which data flows:
 

@@ -8,7 +8,9 @@ from camtopod.visible import visible
 
 
 def to_dot(topology: Topology) -> str:
-    """A directed graph of cameras: black edges overlap, grey are unseen paths, labels are transit times."""
+    """A directed graph of cameras: black edges overlap, grey are unseen paths, labels are transit
+    times.
+    """
     lines = [
         "digraph camtopod {",
         f"  label={_quoted(f'{topology.site}, version {topology.version}')};",

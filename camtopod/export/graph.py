@@ -11,9 +11,11 @@ BLACK, GREY = "black", "gray60"
 
 
 class Edge(Struct, frozen=True):
-    """From one camera to the next. The times are those of the most walked link, of an overlapped one if any.
+    """From one camera to the next. The times are those of the most walked link, of an overlapped
+    one if any.
 
-    ``probability``: of all objects that leave ``from_``'s view, the share that appears next in ``to``'s.
+    ``probability``: of all objects that leave ``from_``'s view, the share that appears next in
+    ``to``'s.
     """
 
     from_: str

@@ -11,9 +11,17 @@ from camtopod.visible import visible
 NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
 _NODE = {"zones": "int", "clock_offset": "double"}
 _EDGE = {
-    "relation": "string", "colour": "string", "weight": "double", "mean": "double", "sd": "double",
-    "q10": "double", "q50": "double", "q90": "double", "probability": "double", "transitions": "double",
-}  # fmt: skip
+    "relation": "string",
+    "colour": "string",
+    "weight": "double",
+    "mean": "double",
+    "sd": "double",
+    "q10": "double",
+    "q50": "double",
+    "q90": "double",
+    "probability": "double",
+    "transitions": "double",
+}
 
 
 def to_graphml(topology: Topology) -> str:
@@ -28,7 +36,9 @@ def to_graphml(topology: Topology) -> str:
         node = ElementTree.SubElement(graph, "node", id=visible(camera.id))
         _data(node, "node", {"zones": len(camera.zones), "clock_offset": camera.clock_offset})
     for edge in edges(topology):
-        element = ElementTree.SubElement(graph, "edge", source=visible(edge.from_), target=visible(edge.to))
+        element = ElementTree.SubElement(
+            graph, "edge", source=visible(edge.from_), target=visible(edge.to)
+        )
         values = {
             "relation": "overlapped" if edge.overlapped else "unseen_path",
             "colour": edge.colour,
@@ -39,7 +49,11 @@ def to_graphml(topology: Topology) -> str:
         }
         _data(element, "edge", values)
     ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        + ElementTree.tostring(root, encoding="unicode")
+        + "\n"
+    )
 
 
 def _data(element: ElementTree.Element, target: str, values: dict[str, object]) -> None:

@@ -1,6 +1,8 @@
-"""A site as Home Assistant knows it by MQTT discovery: a device for the daemon and one for each camera.
+"""A site as Home Assistant knows it by MQTT discovery: a device for the daemon and one for each
+camera.
 
-Pure: what is known of the site in, retained messages (topic -> text) out. `camtopod bridge` publishes them.
+Pure: what is known of the site in, retained messages (topic -> text) out. `camtopod bridge`
+publishes them.
 """
 
 from __future__ import annotations
@@ -65,7 +67,11 @@ SITE_ENTITIES = (
     Entity("problem", "Problem", component="binary_sensor", more={"device_class": "problem"}),
     Entity("version", "Topology version", more=_DIAGNOSTIC),
     Entity("links", "Links", more=_DIAGNOSTIC),
-    Entity("score", "Predictions right", more={"unit_of_measurement": "%", "state_class": "measurement"}),
+    Entity(
+        "score",
+        "Predictions right",
+        more={"unit_of_measurement": "%", "state_class": "measurement"},
+    ),
     Entity("alarm", "Alarm", topic="alarm"),
 )
 CAMERA_ENTITIES = (
@@ -128,7 +134,9 @@ def site_state(topics: Topics, alive: bool, said: SiteSaid, topology: Topology |
     }
 
 
-def camera_state(topics: Topics, camera: str, counted: Counted, said: Said | None, zones: int) -> Messages:
+def camera_state(
+    topics: Topics, camera: str, counted: Counted, said: Said | None, zones: int
+) -> Messages:
     """``said``: by the camera's own process; those of another program's events do not speak."""
     online = counted.alive and (said is None or said.state == "running")
     told = said or Said()
@@ -143,7 +151,9 @@ def camera_state(topics: Topics, camera: str, counted: Counted, said: Said | Non
 
 
 def prediction_state(topics: Topics, prediction: Prediction) -> Messages:
-    """The likeliest next camera of the last exit; ``from`` and ``until``: ten and ninety per cent are there by then."""
+    """The likeliest next camera of the last exit; ``from`` and ``until``: ten and ninety per cent
+    are there by then.
+    """
     shares = {NOBODY: prediction.leave}
     for one in prediction.next_:
         shares[one.camera] = shares.get(one.camera, 0.0) + one.probability
@@ -188,7 +198,12 @@ def _device(site: str, camera: str) -> dict[str, Any]:
             "manufacturer": "camtopod",
             "sw_version": __version__,
         }
-    return {"identifiers": [f"{whole}/{camera}"], "name": camera, "manufacturer": "camtopod", "via_device": whole}
+    return {
+        "identifiers": [f"{whole}/{camera}"],
+        "name": camera,
+        "manufacturer": "camtopod",
+        "via_device": whole,
+    }
 
 
 def _alarm(alarm: Alarm) -> dict[str, Any]:

@@ -11,14 +11,23 @@ from camtopod.records import Topology
 
 
 def to_nodelink(topology: Topology) -> str:
-    """A directed graph of cameras with their zones; weights are the most popular transit times, seconds."""
+    """A directed graph of cameras with their zones; weights are the most popular transit times,
+    seconds.
+    """
     zones = {zone.id: zone for zone in topology.zones}
     graph: dict[str, Any] = {
         "directed": True,
         "multigraph": False,
-        "graph": {name: getattr(topology, name) for name in ("site", "epoch", "version", "as_of", "digest")},
+        "graph": {
+            name: getattr(topology, name)
+            for name in ("site", "epoch", "version", "as_of", "digest")
+        },
         "nodes": [
-            {"id": camera.id, "clock_offset": camera.clock_offset, "zones": [zones[z] for z in camera.zones]}
+            {
+                "id": camera.id,
+                "clock_offset": camera.clock_offset,
+                "zones": [zones[z] for z in camera.zones],
+            }
             for camera in topology.cameras
         ],
         "links": [

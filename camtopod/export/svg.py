@@ -20,7 +20,9 @@ STROKE = {True: "#111111", False: "#9a9a9a"}
 
 
 def to_svg(topology: Topology) -> str:
-    """Cameras as boxes, black edges overlap, grey are unseen paths; labels are transit times each way."""
+    """Cameras as boxes, black edges overlap, grey are unseen paths; labels are transit times each
+    way.
+    """
     names = [camera.id for camera in topology.cameras]
     found = edges(topology)
     both: dict[tuple[str, str], list[Edge]] = {}
@@ -38,7 +40,10 @@ def to_svg(topology: Topology) -> str:
         f'<text x="16" y="24" font-size="14" fill="#333333">{_shown(title)}</text>',
         _legend(height),
     ]
-    parts += [_edge(place[a], place[b], ways) for (a, b), ways in sorted(both.items(), key=lambda item: item[0])]
+    parts += [
+        _edge(place[a], place[b], ways)
+        for (a, b), ways in sorted(both.items(), key=lambda item: item[0])
+    ]
     parts += [_node(camera.id, len(camera.zones), place[camera.id]) for camera in topology.cameras]
     return "\n".join([*parts, "</svg>", ""])
 
@@ -48,11 +53,17 @@ def _shown(text: str) -> str:
     return escape(visible(text))
 
 
-def spring_layout(names: list[str], joined: list[tuple[str, str]], rounds: int = 200) -> NDArray[np.float64]:
+def spring_layout(
+    names: list[str], joined: list[tuple[str, str]], rounds: int = 200
+) -> NDArray[np.float64]:
     """Places in the unit square, (n, 2): edges pull, all push (Fruchterman & Reingold 1991)."""
     n = len(names)
     angle = 2 * np.pi * np.arange(n) / max(n, 1)
-    at = 0.5 + 0.5 * np.column_stack([np.cos(angle), np.sin(angle)]) + 0.01 * np.sin(7.0 * angle + 1)[:, None]
+    at = (
+        0.5
+        + 0.5 * np.column_stack([np.cos(angle), np.sin(angle)])
+        + 0.01 * np.sin(7.0 * angle + 1)[:, None]
+    )
     index = {name: k for k, name in enumerate(names)}
     ends = np.array([(index[a], index[b]) for a, b in joined], np.intp).reshape(-1, 2)
     one, other = np.concatenate([ends, ends[:, ::-1]]).T
@@ -63,7 +74,9 @@ def spring_layout(names: list[str], joined: list[tuple[str, str]], rounds: int =
         np.subtract.at(move, one, apart * np.linalg.norm(apart, axis=1, keepdims=True) / ideal)
         at += move * np.minimum(1.0, step / np.maximum(np.linalg.norm(move, axis=1), 1e-9))[:, None]
     span = np.ptp(at, axis=0) if n else np.ones(2)
-    result: NDArray[np.float64] = (at - at.min(0, initial=np.inf)) / np.maximum(span, 1e-9) if n > 1 else at
+    result: NDArray[np.float64] = (
+        (at - at.min(0, initial=np.inf)) / np.maximum(span, 1e-9) if n > 1 else at
+    )
     return result
 
 

@@ -1,4 +1,6 @@
-"""Who may do what on the bus of a site: the rules, and the private authority that gives out the names."""
+"""Who may do what on the bus of a site: the rules, and the private authority that gives out the
+names.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
-"""The private authority of a site: one key signs the certificates of its daemon, cameras and readers.
+"""The private authority of a site: one key signs the certificates of its daemon, cameras and
+readers.
 
-A folder holds everything: ``authority/`` (whose key never leaves it), and for each certificate a folder that is
-copied to where it is used. Who was given what stands in ``authority/issued.json``. zenoh knows no revocation
-lists, so a name is never given out twice: a replaced certificate has a new name, and the old one no rights.
+A folder holds everything: ``authority/`` (whose key never leaves it), and for each certificate a
+folder that is copied to where it is used. Who was given what stands in ``authority/issued.json``.
+zenoh knows no revocation lists, so a name is never given out twice: a replaced certificate has a
+new name, and the old one no rights.
 """
 
 from __future__ import annotations
@@ -66,18 +68,26 @@ class Authority:
         try:
             raw = (folder / "authority" / "issued.json").read_bytes()
         except FileNotFoundError:
-            raise KeysError(f"there is no authority in {folder}: `camtopod keys init` makes one") from None
+            raise KeysError(
+                f"there is no authority in {folder}: `camtopod keys init` makes one"
+            ) from None
         try:
             self._ledger = msgspec.json.decode(raw, type=Ledger)
         except ValueError as error:
-            raise KeysError(f"{folder / 'authority' / 'issued.json'} cannot be read: {error}") from None
+            raise KeysError(
+                f"{folder / 'authority' / 'issued.json'} cannot be read: {error}"
+            ) from None
 
     @classmethod
     def make(cls, folder: Path, site: str, now: float, days: int, replace: bool) -> Authority:
-        """A new authority. One that is there already stays unless ``replace``, and is then worth nothing."""
+        """A new authority. One that is there already stays unless ``replace``, and is then worth
+        nothing.
+        """
         secret = folder / "authority"
         if not secret.exists() and any(path.is_file() for path in folder.rglob("*")):
-            raise KeysError(f"{folder} holds other files; name an empty folder, or none yet, with --keys")
+            raise KeysError(
+                f"{folder} holds other files; name an empty folder, or none yet, with --keys"
+            )
         if (secret / "ca.key").exists() and not replace:
             raise KeysError(
                 f"{secret} holds an authority already; --replace makes a new one, and then every certificate "
@@ -96,11 +106,17 @@ class Authority:
             ]
         )
         builder = _builder(name, name, key.public_key(), now, days)
-        builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        builder = builder.add_extension(
+            x509.BasicConstraints(ca=True, path_length=0), critical=True
+        )
         builder = builder.add_extension(_usage(signs=True), critical=True)
-        builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        builder = builder.add_extension(
+            x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False
+        )
         secret_files.write(secret / "ca.key", _pem(key))
-        secret_files.write(secret / CA, builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+        secret_files.write(
+            secret / CA, builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+        )
         secret_files.write(secret / "issued.json", msgspec.json.encode(Ledger(site, [])))
         return cls(folder, now)
 
@@ -117,7 +133,9 @@ class Authority:
     @property
     def access(self) -> Access:
         """The certificates that count."""
-        return Access(self.site, [issued.certificate for issued in self._ledger.issued if issued.valid])
+        return Access(
+            self.site, [issued.certificate for issued in self._ledger.issued if issued.valid]
+        )
 
     @property
     def hosts(self) -> list[str]:
@@ -127,7 +145,10 @@ class Authority:
         except FileNotFoundError:
             return []
         extensions = x509.load_pem_x509_certificate(raw).extensions
-        return [str(name.value) for name in extensions.get_extension_for_class(x509.SubjectAlternativeName).value]
+        return [
+            str(name.value)
+            for name in extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        ]
 
     def issue(
         self,
@@ -138,17 +159,22 @@ class Authority:
         hosts: Sequence[str] = (),
         cameras: Sequence[str] = (),
     ) -> Path:
-        """A key and a certificate; returns their folder. ``replace`` withdraws the one that is there.
+        """A key and a certificate; returns their folder. ``replace`` withdraws the one that is
+        there.
 
-        ``hosts``: of the daemon; ``cameras``: for whom a program called ``name`` speaks, not being a camera itself.
-        None given: those of the certificate that is replaced.
+        ``hosts``: of the daemon; ``cameras``: for whom a program called ``name`` speaks, not being
+        a camera itself. None given: those of the certificate that is replaced.
         """
         common_name = self.next_name(role, name, days, replace)
         check_hosts(hosts)
         check_cameras(cameras)
         folder = self._folder(role, name)
-        expires = self._sign(folder, common_name, days, (hosts or self.hosts) if role == "daemon" else None)
-        before = [one.certificate for one in self.issued if (one.certificate.role, one.of) == (role, name)]
+        expires = self._sign(
+            folder, common_name, days, (hosts or self.hosts) if role == "daemon" else None
+        )
+        before = [
+            one.certificate for one in self.issued if (one.certificate.role, one.of) == (role, name)
+        ]
         several = list(cameras) or (before[-1].cameras if before else [])
         self._withdraw(role, name)
         camera = name if role == "camera" and not several else ""
@@ -159,7 +185,9 @@ class Authority:
     def next_name(self, role: Role, name: str, days: int, replace: bool) -> str:
         """What would stand in the certificate that `issue` makes; raises what it would raise."""
         check_name(role, name)
-        old = [issued for issued in self.issued if (issued.certificate.role, issued.of) == (role, name)]
+        old = [
+            issued for issued in self.issued if (issued.certificate.role, issued.of) == (role, name)
+        ]
         if any(issued.valid for issued in old) and not replace:
             until = day(next(issued.certificate.expires for issued in old if issued.valid))
             raise KeysError(
@@ -178,20 +206,27 @@ class Authority:
         return common_name
 
     def revoke(self, role: Role, name: str) -> None:
-        """What ``name`` was given counts no longer, as soon as the daemon has the new access list."""
+        """What ``name`` was given counts no longer, as soon as the daemon has the new access
+        list.
+        """
         self.must_have(role, name)
         self._withdraw(role, name)
 
     def must_have(self, role: Role, name: str) -> None:
         """Raises `KeysError` if there is nothing to `revoke`."""
-        if not any(issued.valid and (issued.certificate.role, issued.of) == (role, name) for issued in self.issued):
+        if not any(
+            issued.valid and (issued.certificate.role, issued.of) == (role, name)
+            for issued in self.issued
+        ):
             raise KeysError(f"{role} {name} has no certificate; `camtopod keys list` shows who has")
 
     def _withdraw(self, role: Role, name: str) -> None:
         theirs = (role, name)
         self._keep(
             [
-                msgspec.structs.replace(one, valid=one.valid and (one.certificate.role, one.of) != theirs)
+                msgspec.structs.replace(
+                    one, valid=one.valid and (one.certificate.role, one.of) != theirs
+                )
                 for one in self.issued
             ]
         )
@@ -199,8 +234,12 @@ class Authority:
     def _certificate(self) -> x509.Certificate:
         return x509.load_pem_x509_certificate((self.folder / "authority" / CA).read_bytes())
 
-    def _sign(self, folder: Path, common_name: str, days: int, server_hosts: Sequence[str] | None) -> float:
-        """Write key, certificate and the authority's certificate into ``folder``; returns when it expires."""
+    def _sign(
+        self, folder: Path, common_name: str, days: int, server_hosts: Sequence[str] | None
+    ) -> float:
+        """Write key, certificate and the authority's certificate into ``folder``; returns when it
+        expires.
+        """
         secret = (self.folder / "authority" / "ca.key").read_bytes()
         loaded = serialization.load_pem_private_key(secret, password=None)
         ca = self._certificate()
@@ -211,9 +250,13 @@ class Authority:
         if server_hosts is not None:
             uses.append(ExtendedKeyUsageOID.SERVER_AUTH)
             hosts = dict.fromkeys([*server_hosts, *LOCAL_HOSTS])
-            names = [x509.DNSName(h) if (a := _address(h)) is None else x509.IPAddress(a) for h in hosts]
+            names = [
+                x509.DNSName(h) if (a := _address(h)) is None else x509.IPAddress(a) for h in hosts
+            ]
             builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
-        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        builder = builder.add_extension(
+            x509.BasicConstraints(ca=False, path_length=None), critical=True
+        )
         builder = builder.add_extension(_usage(signs=False), critical=True)
         signer = x509.AuthorityKeyIdentifier.from_issuer_public_key(loaded.public_key())
         builder = builder.add_extension(signer, critical=False)
@@ -237,7 +280,9 @@ class Authority:
 def check_name(role: Role, name: str) -> None:
     """Raises `KeysError` for a name that the bus cannot have."""
     if not re.match(CAMERA_PATTERN, name):
-        raise KeysError(f"{name!r} cannot be a {role}'s name: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
+        raise KeysError(
+            f"{name!r} cannot be a {role}'s name: 1 to 64 of the characters A-Z a-z 0-9 _ . -"
+        )
     if (role == "camera" and name == DAEMON) or name in (".", ".."):
         raise KeysError(f"{name!r} is taken; call the {role} otherwise")
 
@@ -284,9 +329,16 @@ def _builder(
 
 def _usage(signs: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
-        digital_signature=not signs, key_cert_sign=signs, crl_sign=signs, content_commitment=False,
-        key_encipherment=False, data_encipherment=False, key_agreement=False, encipher_only=False, decipher_only=False,
-    )  # fmt: skip
+        digital_signature=not signs,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
 
 
 def _common_name(name: str) -> x509.Name:

@@ -1,4 +1,5 @@
-"""Events -> topology -> prediction. Deterministic: no I/O, no clock, no threads, no hidden randomness.
+"""Events -> topology -> prediction. Deterministic: no I/O, no clock, no threads, no hidden
+randomness.
 
 In the order in which data flows:
 
@@ -34,7 +35,14 @@ if TYPE_CHECKING:
     from camtopod.learn.prediction_model import OUTCOMES_PER_ZONE_MAX
     from camtopod.learn.rewinding import rewound
     from camtopod.learn.settings import Settings
-    from camtopod.learn.snapshot import BYTES_MAX, LearnerState, NewerSnapshot, SnapshotError, pack, unpack
+    from camtopod.learn.snapshot import (
+        BYTES_MAX,
+        LearnerState,
+        NewerSnapshot,
+        SnapshotError,
+        pack,
+        unpack,
+    )
 
 __all__ = [
     "BYTES_MAX",

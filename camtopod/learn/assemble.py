@@ -1,5 +1,5 @@
-"""Learned figures -> the nouns of the contract: zones, links, pairs, chain and what prediction needs. Figures are
-rounded (`rounding`).
+"""Learned figures -> the nouns of the contract: zones, links, pairs, chain and what prediction
+needs. Figures are rounded (`rounding`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,16 @@ from camtopod.records import (
     Transit,
     Zone,
 )
-from camtopod.topology import DIGITS, LagBins, camera_pairs, counted, link_key, markov_chain, relation_of, short
+from camtopod.topology import (
+    DIGITS,
+    LagBins,
+    camera_pairs,
+    counted,
+    link_key,
+    markov_chain,
+    relation_of,
+    short,
+)
 
 STAY_DECILES = np.linspace(0.0, 1.0, 11)
 
@@ -43,31 +52,46 @@ def zone_records(cameras: list[str], scene: Scene) -> list[Zone]:
             records.append(Zone(name, cameras[zone.camera], entries, exits))
         else:
             cov = [[short(float(value)) for value in row] for row in shape.cov]
-            records.append(Zone(name, cameras[zone.camera], entries, exits, short(shape.x), short(shape.y), cov))
+            records.append(
+                Zone(
+                    name, cameras[zone.camera], entries, exits, short(shape.x), short(shape.y), cov
+                )
+            )
     return sorted(records, key=lambda record: record.id)
 
 
 def link_records(
-    cameras: list[str], scene: Scene, table: LinkTable, bins: LagBins, relation: Relation | None = None,
-    histograms: bool = True, lacks: Lacking | None = None,
-) -> list[Link]:  # fmt: skip
-    """Rows of the table as links, by key; ``relation`` None: overlapped or unseen, from where the lags lie."""
+    cameras: list[str],
+    scene: Scene,
+    table: LinkTable,
+    bins: LagBins,
+    relation: Relation | None = None,
+    histograms: bool = True,
+    lacks: Lacking | None = None,
+) -> list[Link]:
+    """Rows of the table as links, by key; ``relation`` None: overlapped or unseen, from where the
+    lags lie.
+    """
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     t = table.transit
     records = [
         Link(
-            ids[table.source[k]], ids[table.target[k]], relation or relation_of(float(t.ahead[k])),
-            short(table.probability[k]), short(t.total[k]),
+            ids[table.source[k]],
+            ids[table.target[k]],
+            relation or relation_of(float(t.ahead[k])),
+            short(table.probability[k]),
+            short(t.total[k]),
             Transit(
                 *(short(value) for value in (t.mode[k], t.mean[k], t.sd[k], *t.quantiles[k])),
                 *(short(value) for value in (t.mean_error[k], t.median_error[k])),
             ),
-            short(table.q[k]), short(table.variance[k]),
+            short(table.q[k]),
+            short(table.variance[k]),
             counted(table.counts[k], bins, float(table.delay[k])) if histograms else None,
             lacks and _lacks(float(lacks.passages[k]), float(lacks.seconds[k])),
         )
         for k in range(len(table.source))
-    ]  # fmt: skip
+    ]
     return sorted(records, key=link_key)
 
 
@@ -76,39 +100,61 @@ def _lacks(passages: float, seconds: float) -> Lacks | None:
 
 
 def by_clocks(links: list[Link], zones: list[Zone], ahead: dict[str, float]) -> list[Link]:
-    """The links with transit times as clocks would show them that are ``ahead`` (seconds by camera); histograms stay as
-    right clocks would.
+    """The links with transit times as clocks would show them that are ``ahead`` (seconds by
+    camera); histograms stay as right clocks would.
     """
     of_zone = {zone.id: ahead[zone.camera] for zone in zones}
     result = []
     for link in links:
         later, t = of_zone[link.to] - of_zone[link.from_], link.transit
         if later:
-            mode, mean, q10, q50, q90 = (short(figure + later) for figure in (t.mode, t.mean, t.q10, t.q50, t.q90))
-            link = replace(link, transit=replace(t, mode=mode, mean=mean, q10=q10, q50=q50, q90=q90))
+            mode, mean, q10, q50, q90 = (
+                short(figure + later) for figure in (t.mode, t.mean, t.q10, t.q50, t.q90)
+            )
+            link = replace(
+                link, transit=replace(t, mode=mode, mean=mean, q10=q10, q50=q50, q90=q90)
+            )
         result.append(link)
     return result
 
 
 def assemble(
-    settings: Settings, window: Window, scene: Scene, model: Model, clocks: Clocks, links: list[Link],
+    settings: Settings,
+    window: Window,
+    scene: Scene,
+    model: Model,
+    clocks: Clocks,
+    links: list[Link],
     weak_links: list[Link],
-) -> Topology:  # fmt: skip
-    """The content of one version, without site, epoch, version, moment, number of events and digest."""
+) -> Topology:
+    """The content of one version, without site, epoch, version, moment, number of events and
+    digest.
+    """
     zones = zone_records(window.cameras, scene)
     of_camera: dict[str, list[str]] = {name: [] for name in sorted(window.cameras)}
     for zone in zones:
         of_camera[zone.camera].append(zone.id)
     links = sorted(links, key=link_key)
     ahead = {name: short(float(clocks.offset[k])) for k, name in enumerate(window.cameras)}
-    sd = {name: short(float(clocks.sd[k])) for k, name in enumerate(window.cameras) if np.isfinite(clocks.sd[k])}
+    sd = {
+        name: short(float(clocks.sd[k]))
+        for k, name in enumerate(window.cameras)
+        if np.isfinite(clocks.sd[k])
+    }
     shift = dict.fromkeys(ahead, 0.0) if settings.correct_clocks else ahead
     return Topology(
-        schema=TOPOLOGY_SCHEMA, site="", epoch="", version=0, as_of=0.0, events=0, digest="",
+        schema=TOPOLOGY_SCHEMA,
+        site="",
+        epoch="",
+        version=0,
+        as_of=0.0,
+        events=0,
+        digest="",
         cameras=[Camera(name, ids, ahead[name], sd.get(name)) for name, ids in of_camera.items()],
-        zones=zones, links=by_clocks(links, zones, shift),
+        zones=zones,
+        links=by_clocks(links, zones, shift),
         pairs=camera_pairs(zones, links, settings.overlap_tolerance_seconds),
         weak_links=by_clocks(weak_links, zones, shift),
         chain=markov_chain(zones, [*links, *weak_links], DIGITS),
         model=model,
-    )  # fmt: skip
+    )

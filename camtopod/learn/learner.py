@@ -1,16 +1,18 @@
-"""The learner: events and time go in, versions of the topology come out. Deterministic, whatever the order of
-arrival.
+"""The learner: events and time go in, versions of the topology come out. Deterministic, whatever
+the order of arrival.
 
-Theory of operation. `receive` puts an event into the reorder buffer. Event time is cut into ticks of
-``version_seconds``; when the watermark passes a tick, everything up to it moves into the window, what is too old is
-taken back out, and if enough has changed the zones, the joint fit and the links are refreshed and a version is made.
-What a version says therefore depends on the events up to its tick and on nothing else: not on how they were ordered
-within the lateness, nor on how fast or when the program ran.
+Theory of operation. `receive` puts an event into the reorder buffer. Event time is cut into ticks
+of ``version_seconds``; when the watermark passes a tick, everything up to it moves into the window,
+what is too old is taken back out, and if enough has changed the zones, the joint fit and the links
+are refreshed and a version is made. What a version says therefore depends on the events up to its
+tick and on nothing else: not on how they were ordered within the lateness, nor on how fast or when
+the program ran.
 
-Of a recording often the last version alone is wanted. With ``only_last`` the events are followed as usual, but the
-zones alone are learned again when a version is due; `flush` makes the one version. It is not the one that the versions
-on the way lead to: it has the number 1, looks at every zone of a large site at once instead of at a part in each fit,
-and says nothing of what would have been said between versions (its own marks, clocks that changed).
+Of a recording often the last version alone is wanted. With ``only_last`` the events are followed as
+usual, but the zones alone are learned again when a version is due; `flush` makes the one version.
+It is not the one that the versions on the way lead to: it has the number 1, looks at every zone of
+a large site at once instead of at a part in each fit, and says nothing of what would have been said
+between versions (its own marks, clocks that changed).
 """
 
 from __future__ import annotations
@@ -23,7 +25,16 @@ from msgspec.structs import replace
 from camtopod.event_time import MICROSECONDS, EventTimeState, microseconds
 from camtopod.learn.assemble import assemble, link_records, zone_id
 from camtopod.learn.association import Fit, Screen, fit_jointly, place, whole
-from camtopod.learn.changes import AlarmLog, Change, Move, Silences, find_changes, find_move, find_silences, present
+from camtopod.learn.changes import (
+    AlarmLog,
+    Change,
+    Move,
+    Silences,
+    find_changes,
+    find_move,
+    find_silences,
+    present,
+)
 from camtopod.learn.clocks import ClockKeeper
 from camtopod.learn.links import (
     TRANSITIONS_MIN,
@@ -70,12 +81,23 @@ from camtopod.topology import LagBins, offset_bins, stamp
 REFIT_EVENTS_MIN = 10
 """No new version for fewer new events, unless they have waited ``refit_hours``."""
 GONE_ZONES_MAX = 32
-"""Vanished zones of a camera whose places are remembered, so that one that returns has its number back."""
+"""Vanished zones of a camera whose places are remembered, so that one that returns has its number
+back.
+"""
 MOVE_EVENTS = 25
 """After so many events of a camera it is asked again whether it has been turned."""
 ZONES_REFRESH_SHARE = 0.1
 """A camera's zones are learned again when this share of its events is new."""
-STEPS = ("zones", "clocks", "candidates", "joint fit", "evidence", "changes", "prediction", "topology")
+STEPS = (
+    "zones",
+    "clocks",
+    "candidates",
+    "joint fit",
+    "evidence",
+    "changes",
+    "prediction",
+    "topology",
+)
 """What a version takes, in this order."""
 
 
@@ -83,7 +105,11 @@ class Learner:
     """The whole chain of the thesis, incremental over a sliding window of event time."""
 
     def __init__(
-        self, settings: Settings | None = None, site: str = "default", epoch: str = "0", only_last: bool = False
+        self,
+        settings: Settings | None = None,
+        site: str = "default",
+        epoch: str = "0",
+        only_last: bool = False,
     ) -> None:
         self.settings = settings or Settings()
         self.site, self.epoch = site, epoch
@@ -95,11 +121,15 @@ class Learner:
         self.bins = LagBins(-self.settings.overlap_max_seconds, self.settings.transit_max_seconds)
         self.stay_bins = LagBins(0.0, self.settings.transit_max_seconds)
         self._intake = Intake(
-            self.settings.lateness_seconds, self.settings.cameras_max, self.settings.ahead_seconds_max,
+            self.settings.lateness_seconds,
+            self.settings.cameras_max,
+            self.settings.ahead_seconds_max,
             self.settings.version_seconds,
-        )  # fmt: skip
+        )
         self._window = Window(
-            self.settings.window_events_max, self.settings.window_events, self.settings.window_camera_events
+            self.settings.window_events_max,
+            self.settings.window_events,
+            self.settings.window_camera_events,
         )
         self._screen = Screen()
         self._keeper = ClockKeeper()
@@ -107,10 +137,16 @@ class Learner:
         self._scorer = Scorer()
         self._maps: list[ZoneMap] = []
         self._zoned: list[int] = []  # events of the camera when its zones were last learned
-        self._gone: list[tuple[ZoneShape, ...]] = []  # zones that have vanished, latest first, for when they come back
-        self._looked: list[int] = []  # events of the camera when it was last asked whether it has been turned
+        self._gone: list[
+            tuple[ZoneShape, ...]
+        ] = []  # zones that have vanished, latest first, for when they come back
+        self._looked: list[
+            int
+        ] = []  # events of the camera when it was last asked whether it has been turned
         self._left: dict[str, LeftCamera] = {}  # the one that left last comes last
-        self._moved: list[tuple[int, float, Move]] = []  # cameras turned since the last version, and since when
+        self._moved: list[
+            tuple[int, float, Move]
+        ] = []  # cameras turned since the last version, and since when
         self._publishers: dict[str, Publisher] = {}
         self._doubled: list[str] = []  # cameras found to have two publishers since the last version
         self._tick_us = microseconds(self.settings.version_seconds)
@@ -122,7 +158,10 @@ class Learner:
 
     def receive(self, event: Event) -> str:
         """Take one event: ``accepted``, ``duplicate``, ``late`` or ``refused``."""
-        if not self._intake.has_place(event.camera) and (other := gives_way(self._intake, self._window)) is not None:
+        if (
+            not self._intake.has_place(event.camera)
+            and (other := gives_way(self._intake, self._window)) is not None
+        ):
             self._leave({other})
         verdict = self._intake.receive(event)
         self._work()
@@ -134,7 +173,9 @@ class Learner:
         self._work()
 
     def flush(self) -> None:
-        """The end of a recording: learn what is still held, whatever the watermark says, and make a last version."""
+        """The end of a recording: learn what is still held, whatever the watermark says, and make a
+        last version.
+        """
         newest = self._intake.newest_us
         if newest is None:
             return
@@ -149,18 +190,35 @@ class Learner:
         return made
 
     def save(self) -> LearnerState:
-        """Everything `load` needs to go on from here. Updates that have not been asked for are not in it."""
+        """Everything `load` needs to go on from here. Updates that have not been asked for are not
+        in it.
+        """
         places = zip(self._maps, self._zoned, self._gone, self._looked, strict=True)
         return LearnerState(
-            self.settings, self.site, self.epoch, self.topology, self._intake.save(), self._window.save(),
-            self._keeper.save(), self._alarms.save(), self._scorer.save(), [CameraState(*place) for place in places],
-            self._moved, self._done_us, self._fitted_us, self._learned, self._since_fit,
-            self._screen.followed, self._publishers, self._doubled, self._left,
-        )  # fmt: skip
+            self.settings,
+            self.site,
+            self.epoch,
+            self.topology,
+            self._intake.save(),
+            self._window.save(),
+            self._keeper.save(),
+            self._alarms.save(),
+            self._scorer.save(),
+            [CameraState(*place) for place in places],
+            self._moved,
+            self._done_us,
+            self._fitted_us,
+            self._learned,
+            self._since_fit,
+            self._screen.followed,
+            self._publishers,
+            self._doubled,
+            self._left,
+        )
 
     def load(self, state: LearnerState) -> None:
-        """Go on from there; this learner must be new. With the same settings, site and epoch the versions to come are
-        those that the saved one would have made.
+        """Go on from there; this learner must be new. With the same settings, site and epoch the
+        versions to come are those that the saved one would have made.
         """
         self.topology = state.topology
         self._intake.load(state.intake)
@@ -178,8 +236,8 @@ class Learner:
         self._screen.followed, self._left = state.followed, state.left
 
     def forget(self, names: Set[str]) -> None:
-        """Forget cameras as if they had never been heard, but for their events that wait for the watermark; what was
-        learned of others through them stays. The next version is without them.
+        """Forget cameras as if they had never been heard, but for their events that wait for the
+        watermark; what was learned of others through them stays. The next version is without them.
         """
         self._forget(names)
         self._alarms.forget(names)
@@ -197,7 +255,9 @@ class Learner:
             self._refit(self._done_us)
 
     def next_deadline(self) -> float | None:
-        """Event time (seconds) to which `advance` would have to go for something to happen; None: nothing waits."""
+        """Event time (seconds) to which `advance` would have to go for something to happen; None:
+        nothing waits.
+        """
         oldest = self._intake.oldest_held_us
         if oldest is None:
             return None
@@ -233,7 +293,9 @@ class Learner:
         watermark = self._intake.watermark_us
         if watermark is None:
             return
-        reached = (watermark - 1) // self._tick_us * self._tick_us  # an event at the watermark may still come
+        reached = (
+            (watermark - 1) // self._tick_us * self._tick_us
+        )  # an event at the watermark may still come
         if self._done_us is not None and reached <= self._done_us:
             return
         while (oldest := self._intake.oldest_held_us) is not None:
@@ -270,10 +332,14 @@ class Learner:
         return self._intake.take(until_us)
 
     def _leave(self, names: Set[str]) -> None:
-        """Forget cameras, but for what gives their zones their numbers back, and that they fell silent."""
+        """Forget cameras, but for what gives their zones their numbers back, and that they fell
+        silent.
+        """
         for name, zones, gone in zip(self._window.cameras, self._maps, self._gone, strict=False):
             if name in names:
-                self._left[name] = LeftCamera((zones.zones + gone)[:GONE_ZONES_MAX], zones.next_number)
+                self._left[name] = LeftCamera(
+                    (zones.zones + gone)[:GONE_ZONES_MAX], zones.next_number
+                )
         self._forget(names)
         while len(self._left) > LEFT_CAMERAS_MAX:
             first = next(iter(self._left))
@@ -289,8 +355,14 @@ class Learner:
         stay = np.flatnonzero(kept[: len(self._maps)])
         self._maps, self._zoned = [self._maps[k] for k in stay], [self._zoned[k] for k in stay]
         self._gone, self._looked = [self._gone[k] for k in stay], [self._looked[k] for k in stay]
-        self._moved = [(int(number[camera]), since, move) for camera, since, move in self._moved if kept[camera]]
-        self._publishers = {name: one for name, one in self._publishers.items() if name not in names}
+        self._moved = [
+            (int(number[camera]), since, move)
+            for camera, since, move in self._moved
+            if kept[camera]
+        ]
+        self._publishers = {
+            name: one for name, one in self._publishers.items() if name not in names
+        }
         self._doubled = [name for name in self._doubled if name not in names]
         self._screen.followed = renumbered(self._screen.followed, number)
 
@@ -317,20 +389,33 @@ class Learner:
         through = self._through_views(scene)
         scene = scene._replace(departures=with_usual_stays(scene.departures, through))
         silences = find_silences(
-            self._window.column("t") / MICROSECONDS, self._window.column("camera"), len(self._window.cameras)
+            self._window.column("t") / MICROSECONDS,
+            self._window.column("camera"),
+            len(self._window.cameras),
         )
         cameras = self._window.cameras
-        overlapping = find_overlapping(views_of(scene), len(cameras), offset_bins(self.bins.scale, self.bins.step))
+        overlapping = find_overlapping(
+            views_of(scene), len(cameras), offset_bins(self.bins.scale, self.bins.step)
+        )
         posterior, ever, likely, changes = self._between_views(scene, silences, overlapping)
         model = model_of(
-            cameras, scene, posterior, self.bins, self._window, changes, self.settings.correct_clocks, overlapping
+            cameras,
+            scene,
+            posterior,
+            self.bins,
+            self._window,
+            changes,
+            self.settings.correct_clocks,
+            overlapping,
         )
         del posterior  # it takes as much as the version will
         self.on_step("topology")
         zones, share_min = len(scene.zones), self.settings.publish_probability_min
         between, likely = (present(table, changes, zones, share_min) for table in (ever, likely))
         camera_of = np.array([zone.camera for zone in scene.zones], np.intp)
-        found = without_missed(between, through, significant(between, self.settings), camera_of, self.settings)
+        found = without_missed(
+            between, through, significant(between, self.settings), camera_of, self.settings
+        )
         published = refresh_monte_carlo(between.rows(np.flatnonzero(found)), self.bins)
         seen = np.flatnonzero(significant(through, self.settings))
         visible = refresh_monte_carlo(through.rows(seen), self.stay_bins)
@@ -338,19 +423,32 @@ class Learner:
         began = self._window.column("t")[0] / MICROSECONDS
         lacks = lacking(weak, between, int(found.sum()), zones, scene.last - began, self.settings)
         topology = assemble(
-            self.settings, self._window, scene, model, self._keeper.clocks,
+            self.settings,
+            self._window,
+            scene,
+            model,
+            self._keeper.clocks,
             links=link_records(cameras, scene, published, self.bins)
             + link_records(cameras, scene, visible, self.stay_bins, "visible"),
             weak_links=link_records(cameras, scene, weak, self.bins, histograms=False, lacks=lacks),
-        )  # fmt: skip
-        version, now = 1 if self.topology is None else self.topology.version + 1, tick_us / MICROSECONDS
+        )
+        version, now = (
+            1 if self.topology is None else self.topology.version + 1,
+            tick_us / MICROSECONDS,
+        )
         ids = [zone_id(cameras, zone) for zone in scene.zones]
         if self.only_last:  # there is no earlier version that published the links which have closed
-            self._alarms.join(ids, joined_by(ever.rows(np.flatnonzero(significant(ever, self.settings)))))
-        self._alarms.report(version, now, scene, ids, cameras, silences, changes, joined_by(published), share_min)
+            self._alarms.join(
+                ids, joined_by(ever.rows(np.flatnonzero(significant(ever, self.settings))))
+            )
+        self._alarms.report(
+            version, now, scene, ids, cameras, silences, changes, joined_by(published), share_min
+        )
         self._alarms.clocks(version, now, topology.cameras)
         for camera, since, move in self._moved:
-            detail = f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
+            detail = (
+                f"{move.outside:.2f} of {move.events} events outside its zones since {since:.0f}"
+            )
             self._alarms.add(version, now, "camera_moved", cameras[camera], detail)
         for name in self._doubled:
             publisher = self._publishers[name]
@@ -359,10 +457,16 @@ class Learner:
         self._moved, self._doubled = [], []
         self.topology = stamp(
             replace(
-                topology, site=self.site, epoch=self.epoch, version=version, as_of=now, events=self._learned,
-                alarms=self._alarms.newest or None, score=self._scorer.score(),
+                topology,
+                site=self.site,
+                epoch=self.epoch,
+                version=version,
+                as_of=now,
+                events=self._learned,
+                alarms=self._alarms.newest or None,
+                score=self._scorer.score(),
             )
-        )  # fmt: skip
+        )
         self._scorer.use(self.topology, self._enough())
         self._updates.append(self.topology)
         self._fitted_us, self._since_fit = tick_us, 0
@@ -370,7 +474,11 @@ class Learner:
     def _look_for_moves(self) -> None:
         """What a camera saw before it was turned is forgotten, and its zones get new numbers."""
         window = self._window
-        due = [camera for camera in range(len(self._maps)) if window.seen[camera] - self._looked[camera] >= MOVE_EVENTS]
+        due = [
+            camera
+            for camera in range(len(self._maps))
+            if window.seen[camera] - self._looked[camera] >= MOVE_EVENTS
+        ]
         rows_of_camera = window.rows_of_cameras() if due else []
         for camera in due:
             seen = self._looked[camera] = window.seen[camera]
@@ -381,7 +489,9 @@ class Learner:
             if move:
                 since = float(window.column("t")[rows[move.first]] / MICROSECONDS)
                 window.forget_camera(camera, window.base + int(rows[move.first]))
-                self._maps[camera] = find_zones(window.cell_sums(camera), (), self._maps[camera].next_number)
+                self._maps[camera] = find_zones(
+                    window.cell_sums(camera), (), self._maps[camera].next_number
+                )
                 self._zoned[camera], self._gone[camera] = seen, ()
                 self._moved.append((camera, since, move))
                 rows_of_camera = window.rows_of_cameras()
@@ -401,7 +511,9 @@ class Learner:
             seen = self._window.seen[camera]
             if camera == len(self._maps):
                 left = self._left.pop(self._window.cameras[camera], LeftCamera())
-                self._maps.append(find_zones(self._window.cell_sums(camera), left.zones, left.next_number))
+                self._maps.append(
+                    find_zones(self._window.cell_sums(camera), left.zones, left.next_number)
+                )
                 self._zoned.append(seen)
                 self._looked.append(seen)
                 self._gone.append(_vanished(left.zones, self._maps[camera]))
@@ -409,28 +521,38 @@ class Learner:
                 old = self._maps[camera]
                 known = old.zones + self._gone[camera]
                 new = refresh_zones(self._window.cell_sums(camera), old, self._gone[camera])
-                self._maps[camera], self._zoned[camera], self._gone[camera] = new, seen, _vanished(known, new)
+                self._maps[camera], self._zoned[camera], self._gone[camera] = (
+                    new,
+                    seen,
+                    _vanished(known, new),
+                )
 
     def _in_right_time(self, scene: Scene) -> Scene:
-        """The scene by the cameras' own clocks as right ones would have shown it, as far as is known."""
+        """The scene by the cameras' own clocks as right ones would have shown it, as far as is
+        known.
+        """
         self._keeper.look(scene, len(self._window.cameras), self._learned)
         ahead = self._keeper.clocks.offset
         return see(self._window, self._maps, ahead) if ahead.any() else scene
 
     def _to_fit(self, scene: Scene) -> Scene:
-        """The part of the scene that the joint fit is made with: all of it. A `District` leaves cameras out."""
+        """The part of the scene that the joint fit is made with: all of it. A `District` leaves
+        cameras out.
+        """
         return scene
 
     def _through_views(self, scene: Scene) -> LinkTable:
         """Visible links: passages through one view."""
         transitions = visible_transitions(scene, self.stay_bins, self.settings.candidates_max)
-        return tabulate(transitions, scene.entries.astype(float)[:, None], self.stay_bins, len(scene.zones))
+        return tabulate(
+            transitions, scene.entries.astype(float)[:, None], self.stay_bins, len(scene.zones)
+        )
 
     def _between_views(
         self, scene: Scene, silences: list[Silences], overlapping: list[Overlapping]
     ) -> tuple[Posterior | None, LinkTable, LinkTable, list[Change]]:
-        """Links that leave a view, over the whole window: the joint fit of departures and arrivals; and what in it has
-        changed.
+        """Links that leave a view, over the whole window: the joint fit of departures and arrivals;
+        and what in it has changed.
         """
         arrivals = scene.arrivals
         if len(scene.departures.t) == 0 or len(arrivals.t) == 0:
@@ -440,28 +562,52 @@ class Learner:
         self.on_step("candidates")
         camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
         late = with_long_ways(
-            scene.departures, arrivals, camera_of, len(self._window.cameras), self.bins, self.settings.candidates_max
+            scene.departures,
+            arrivals,
+            camera_of,
+            len(self._window.cameras),
+            self.bins,
+            self.settings.candidates_max,
         )
         departures, zones = late.departures, len(late.zone)
-        places = np.array([place(camera, scene.zones[zone].number) for camera, zone in late.places()])
+        places = np.array(
+            [place(camera, scene.zones[zone].number) for camera, zone in late.places()]
+        )
         candidates = self._screen.find(
-            departures, arrivals, self.bins, places, scene.last, self._learned, self.settings.candidates_max,
+            departures,
+            arrivals,
+            self.bins,
+            places,
+            scene.last,
+            self._learned,
+            self.settings.candidates_max,
             everywhere=self.only_last,
-        )  # fmt: skip
+        )
         candidates = late.among(candidates, arrivals)
         self.on_step("joint fit")
         problem = (departures, arrivals, candidates, self.bins, zones, scene.last)
         fit = fit_jointly(*problem)
         self.on_step("evidence")
         ratio = cross_evidence(
-            departures, arrivals, self._all_of(fit, departures, arrivals, zones), self.bins, zones, first, scene.last
+            departures,
+            arrivals,
+            self._all_of(fit, departures, arrivals, zones),
+            self.bins,
+            zones,
+            first,
+            scene.last,
         )
-        left, pace = leaving(departures, self.bins, zones, scene.last), pace_of(fit, departures, arrivals, zones)
+        left, pace = (
+            leaving(departures, self.bins, zones, scene.last),
+            pace_of(fit, departures, arrivals, zones),
+        )
         between = tabulate(transitions_of(fit), left, self.bins, zones, pace, late.seconds)
         between = late.links_back(between.with_evidence(ratio, len(scene.zones) ** 2))
         over = scene.last - self.bins.lag_max
         self.on_step("changes")
-        changes = find_changes(fit, departures, arrivals, over, [silence.intervals for silence in silences])
+        changes = find_changes(
+            fit, departures, arrivals, over, [silence.intervals for silence in silences]
+        )
         changes = late.changes_back(changes)
         del fit  # what follows takes the most memory, ...
         self.on_step("prediction")
@@ -469,21 +615,34 @@ class Learner:
         followed = followed_of(*problem, overlap)
         del candidates, problem  # ... and then these would take as much as the rest
         screened = bool(self._screen.followed)
-        posterior = fit_followed(departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened)
+        posterior = fit_followed(
+            departures, arrivals, followed, self.bins, zones, scene.last, ratio, screened
+        )
         some = transitions_of(posterior.fit, WEAK_TRANSITIONS_MIN)
         likely = tabulate(some, left, self.bins, zones, delay=late.seconds).without_counts()
         likely = late.links_back(likely.with_evidence(likely.ratio, len(posterior.share)))
         posterior = late.posterior_back(posterior, len(scene.zones))
         over -= float(late.seconds.max())
-        self._scorer.mark(posterior, scene.departures, arrivals, self._window.cameras, over, self._keeper.clocks.offset)
+        self._scorer.mark(
+            posterior,
+            scene.departures,
+            arrivals,
+            self._window.cameras,
+            over,
+            self._keeper.clocks.offset,
+        )
         return posterior, between, likely, changes
 
     def _all_of(self, fit: Fit, departures: Departures, arrivals: Arrivals, zones: int) -> Fit:
-        """The fit with all candidates of what might be a link, where unlikely ones had been left out."""
+        """The fit with all candidates of what might be a link, where unlikely ones had been left
+        out.
+        """
         if not self._screen.followed:
             return fit
         pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
-        return fit._replace(candidates=whole(fit.candidates, pairs, departures, arrivals, self.bins, zones))
+        return fit._replace(
+            candidates=whole(fit.candidates, pairs, departures, arrivals, self.bins, zones)
+        )
 
 
 def _vanished(known: tuple[ZoneShape, ...], now: ZoneMap) -> tuple[ZoneShape, ...]:

@@ -1,12 +1,15 @@
-"""What one fit may take, in counts: the same events give the same version on any machine, however fast it is.
+"""What one fit may take, in counts: the same events give the same version on any machine, however
+fast it is.
 
-Theory of operation. Nearly all memory and time of a fit go into pairs of a departure and an arrival within the range of
-lags, and into tables with a row for each pair of zones. The events of a window are limited, but their pairs grow with
-the square of the traffic: 30,000 departures and as many arrivals within five minutes are 900 million pairs. So each
-stage counts its pairs first, which is cheap as times are sorted, and takes at most so many. Beyond that it leaves out
-the arrivals with the most departures in reach (`clearest`): they tell the least, as each of them may have come from
-anywhere, and they are those of the moments and places where a camera floods. What came at other times is untouched, and
-so is everything on a site that stays below the limits: a hundred cameras of ordinary traffic need a tenth of each.
+Theory of operation. Nearly all memory and time of a fit go into pairs of a departure and an arrival
+within the range of lags, and into tables with a row for each pair of zones. The events of a window
+are limited, but their pairs grow with the square of the traffic: 30,000 departures and as many
+arrivals within five minutes are 900 million pairs. So each stage counts its pairs first, which is
+cheap as times are sorted, and takes at most so many. Beyond that it leaves out the arrivals with
+the most departures in reach (`clearest`): they tell the least, as each of them may have come from
+anywhere, and they are those of the moments and places where a camera floods. What came at other
+times is untouched, and so is everything on a site that stays below the limits: a hundred cameras of
+ordinary traffic need a tenth of each.
 """
 
 from __future__ import annotations
@@ -32,13 +35,13 @@ ZONE_PAIRS_MAX, ZONE_PAIRS_PER_CAMERA_MAX = 20_000, 250
 ENTRY_PAIRS_MAX, ENTRY_PAIRS_PER_CAMERA_MAX = 20_000, 600
 """Pairs of a zone of entry and one of the next appearance (`entering`), likewise."""
 CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX = 8_000_000, 40_000
-"""Cells of a table with a row for each context of a departure (`contexts`), at least, and for each camera if that is
-more."""
+"""Cells of a table with a row for each context of a departure (`contexts`), at least, and for each
+camera if that is more."""
 
 
 def clearest(reach: Counts, most: int) -> NDArray[np.bool_]:
-    """Which arrivals (n,) count if their pairs may be at most ``most``: those with the fewest departures in ``reach``
-    (n,), the newest first of those with equally many.
+    """Which arrivals (n,) count if their pairs may be at most ``most``: those with the fewest
+    departures in ``reach`` (n,), the newest first of those with equally many.
     """
     kept = np.ones(len(reach), np.bool_)
     if int(reach.sum()) > most:
@@ -48,7 +51,9 @@ def clearest(reach: Counts, most: int) -> NDArray[np.bool_]:
 
 
 def fair_share(wanted: Counts, most: int) -> int:
-    """What each of several (n,) may have at most for all together to have ``most``: who wants less leaves more."""
+    """What each of several (n,) may have at most for all together to have ``most``: who wants less
+    leaves more.
+    """
     order = np.sort(wanted)
     others = np.arange(len(order))[::-1]  # of those that want more
     too_much = np.flatnonzero(np.cumsum(order) + order * others > most)
@@ -69,5 +74,7 @@ def entry_pairs_max(cameras: int) -> int:
 
 
 def context_cells_max(cameras: int) -> int:
-    """Cells of a table with a row for each context of a departure, on a site with so many cameras."""
+    """Cells of a table with a row for each context of a departure, on a site with so many
+    cameras.
+    """
     return max(CONTEXT_CELLS_MAX, CONTEXT_CELLS_PER_CAMERA_MAX * cameras)

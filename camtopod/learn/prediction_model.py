@@ -14,7 +14,18 @@ from camtopod.learn.changes import Change
 from camtopod.learn.next_camera import LEVELS, Overlapping, Posterior
 from camtopod.learn.traffic import Persistence, Scene, usual_stays
 from camtopod.learn.window import Window
-from camtopod.records import CameraModel, Context, EntryKernel, Model, Onward, Outcome, Overlap, Pace, Way, ZoneModel
+from camtopod.records import (
+    CameraModel,
+    Context,
+    EntryKernel,
+    Model,
+    Onward,
+    Outcome,
+    Overlap,
+    Pace,
+    Way,
+    ZoneModel,
+)
 from camtopod.topology import LagBins, in_steps, offset_bins, short
 
 OUTCOMES_PER_ZONE_MAX = 24
@@ -22,30 +33,47 @@ OUTCOMES_PER_ZONE_MAX = 24
 ENTRY_KERNELS_PER_ZONE_MAX = 16
 SHARE_MIN = 1e-4
 CONTEXT_DEPARTURES_MIN = 0.5
-"""Contexts of fewer sure departures are left out; so are their transitions below `CONTEXT_TRANSITIONS_MIN`."""
+"""Contexts of fewer sure departures are left out; so are their transitions below
+`CONTEXT_TRANSITIONS_MIN`.
+"""
 CONTEXT_TRANSITIONS_MIN = 0.05
 SHARE_FLOOR = 1e-3
 """Of what is measured against a share that has changed since, at least this much counts."""
 
 
 def model_of(
-    cameras: list[str], scene: Scene, posterior: Posterior | None, bins: LagBins, window: Window,
-    changes: list[Change], clocks_corrected: bool, overlapping: Sequence[Overlapping] = (),
-) -> Model:  # fmt: skip
+    cameras: list[str],
+    scene: Scene,
+    posterior: Posterior | None,
+    bins: LagBins,
+    window: Window,
+    changes: list[Change],
+    clocks_corrected: bool,
+    overlapping: Sequence[Overlapping] = (),
+) -> Model:
     """Everything beside the links that prediction reads."""
     ids = [zone_id(cameras, zone) for zone in scene.zones]
     zones = sorted(_zone_models(ids, scene, posterior), key=lambda zone: zone.zone)
     model = Model(
-        bins.scale, bins.step, bins.lag_min, bins.lag_max, zones, _camera_models(cameras, window), clocks_corrected,
+        bins.scale,
+        bins.step,
+        bins.lag_min,
+        bins.lag_max,
+        zones,
+        _camera_models(cameras, window),
+        clocks_corrected,
         overlaps=_overlaps(cameras, overlapping, offset_bins(bins.scale, bins.step)),
-    )  # fmt: skip
+    )
     if posterior is None:
         return model
     now = _presently(posterior, changes)
     return replace(
-        model, onward=_onward(ids, posterior, now, bins), entered=_entered(ids, posterior, bins),
-        contexts=_contexts(ids, cameras, posterior, now), pace=_pace(ids, scene, posterior.fit.persistence),
-    )  # fmt: skip
+        model,
+        onward=_onward(ids, posterior, now, bins),
+        entered=_entered(ids, posterior, bins),
+        contexts=_contexts(ids, cameras, posterior, now),
+        pace=_pace(ids, scene, posterior.fit.persistence),
+    )
 
 
 def _pace(ids: list[str], scene: Scene, persistence: Persistence) -> Pace | None:
@@ -68,7 +96,9 @@ def _zone_models(ids: list[str], scene: Scene, posterior: Posterior | None) -> l
     stays = (d.t - d.since)[known]
     for index, (name, mine) in enumerate(zip(ids, rows_of(d.zone[known], len(ids)), strict=True)):
         stay = stays[mine]
-        deciles = [short(float(value)) for value in np.quantile(stay, STAY_DECILES)] if len(stay) else []
+        deciles = (
+            [short(float(value)) for value in np.quantile(stay, STAY_DECILES)] if len(stay) else []
+        )
         outside = 1.0 if posterior is None else float(posterior.fit.outside[index])
         rate = outside * float(scene.entries[index]) / span
         zones.append(ZoneModel(name, int(scene.exits[index]), short(rate), deciles))
@@ -81,7 +111,11 @@ def _camera_models(cameras: list[str], window: Window) -> list[CameraModel]:
     share = np.bincount(camera, minlength=len(cameras)) / max(len(camera), 1)
     last = np.zeros(len(cameras))
     np.maximum.at(last, camera, window.column("t") / MICROSECONDS)
-    models = [CameraModel(name, short(share[k]), float(last[k])) for k, name in enumerate(cameras) if share[k] > 0]
+    models = [
+        CameraModel(name, short(share[k]), float(last[k]))
+        for k, name in enumerate(cameras)
+        if share[k] > 0
+    ]
     return sorted(models, key=lambda model: model.camera)
 
 
@@ -127,27 +161,40 @@ def _entered(ids: list[str], posterior: Posterior, bins: LagBins) -> list[EntryK
     for zone, mine in enumerate(rows_of(p.entry_source[likely], len(ids))):
         pairs = likely[mine]
         pairs = pairs[np.argsort(-total[pairs], kind="stable")][:ENTRY_KERNELS_PER_ZONE_MAX]
-        rows += [EntryKernel(ids[zone], ids[p.entry_target[k]], in_steps(mass[k], bins)) for k in pairs.tolist()]
+        rows += [
+            EntryKernel(ids[zone], ids[p.entry_target[k]], in_steps(mass[k], bins))
+            for k in pairs.tolist()
+        ]
     return sorted(rows, key=lambda row: (row.zone, row.to))
 
 
-def _overlaps(cameras: list[str], overlapping: Sequence[Overlapping], bins: LagBins) -> list[Overlap]:
+def _overlaps(
+    cameras: list[str], overlapping: Sequence[Overlapping], bins: LagBins
+) -> list[Overlap]:
     rows = [
         Overlap(
-            cameras[one.source], cameras[one.target], short(min(float(one.same.sum()), 1.0)),
-            in_steps(one.same, bins), in_steps(one.others, bins),
+            cameras[one.source],
+            cameras[one.target],
+            short(min(float(one.same.sum()), 1.0)),
+            in_steps(one.same, bins),
+            in_steps(one.others, bins),
         )
         for one in overlapping
-    ]  # fmt: skip
+    ]
     return sorted(rows, key=lambda row: (row.camera, row.to))
 
 
-def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Floats) -> list[Context]:
+def _contexts(
+    ids: list[str], cameras: list[str], posterior: Posterior, now: Floats
+) -> list[Context]:
     c = posterior.fit.candidates
-    changed = {(int(c.source[k]), int(c.target[k])): float(now[k]) for k in np.flatnonzero(now != 1.0)}
+    changed = {
+        (int(c.source[k]), int(c.target[k])): float(now[k]) for k in np.flatnonzero(now != 1.0)
+    }
     result = []
     for name, level in zip(LEVELS, posterior.levels, strict=True):
-        # A context of delayed departures is the same as that of their originals: transitions of both count.
+        # A context of delayed departures is the same as that of their originals: transitions of
+        # both count.
         counted: dict[tuple[int, int, int], tuple[float, float, dict[str, float]]] = {}
         for k in np.flatnonzero(level.departures >= CONTEXT_DEPARTURES_MIN).tolist():
             first, block = (int(part) for part in level.parts[k])
@@ -165,10 +212,15 @@ def _contexts(ids: list[str], cameras: list[str], posterior: Posterior, now: Flo
             counted[zone, first, block] = original, departures, to
         result += [
             Context(
-                ids[zone], short(max(departures, 0.0)), dict(sorted(to.items())),
-                ids[first] if "entry" in name else None, block if "block" in name else None,
+                ids[zone],
+                short(max(departures, 0.0)),
+                dict(sorted(to.items())),
+                ids[first] if "entry" in name else None,
+                block if "block" in name else None,
                 cameras[first] if name == "previous" else None,
             )
             for (zone, first, block), (_, departures, to) in counted.items()
-        ]  # fmt: skip
-    return sorted(result, key=lambda row: (row.zone, row.entry or "", row.block or 0, row.previous or ""))
+        ]
+    return sorted(
+        result, key=lambda row: (row.zone, row.entry or "", row.block or 0, row.previous or "")
+    )

@@ -1,5 +1,5 @@
-"""A learner's state as if nothing had been learned that is later than some moment: for when a wrong clock had taken
-event time along. What was learned from earlier events stays.
+"""A learner's state as if nothing had been learned that is later than some moment: for when a wrong
+clock had taken event time along. What was learned from earlier events stays.
 """
 
 from __future__ import annotations
@@ -20,24 +20,34 @@ def rewound(state: LearnerState, to: float) -> LearnerState:
     reached = to_us // tick_us * tick_us
     return replace(
         state,
-        intake=_intake(state, to_us), window=_window(state.window, to_us), alarms=_alarms(state.alarms, to),
-        scorer=_scorer(state.scorer, to), moved=[move for move in state.moved if move[1] <= to],
+        intake=_intake(state, to_us),
+        window=_window(state.window, to_us),
+        alarms=_alarms(state.alarms, to),
+        scorer=_scorer(state.scorer, to),
+        moved=[move for move in state.moved if move[1] <= to],
         done_us=None if state.done_us is None else min(state.done_us, reached),
         fitted_us=None if state.fitted_us is None else min(state.fitted_us, reached),
-    )  # fmt: skip
+    )
 
 
 def _intake(state: LearnerState, to_us: int) -> IntakeState:
     intake = state.intake
     time = EventTime(state.settings.lateness_seconds, state.settings.ahead_seconds_max)
-    time.load(EventTimeState(intake.newest_us, intake.second_us, intake.leader, intake.watermark_us, intake.behind))
+    time.load(
+        EventTimeState(
+            intake.newest_us, intake.second_us, intake.leader, intake.watermark_us, intake.behind
+        )
+    )
     time.rewind(to_us)
     return replace(
         intake,
-        newest_us=time.newest_us, second_us=time.second_us, leader=time.leader, watermark_us=time.watermark_us,
+        newest_us=time.newest_us,
+        second_us=time.second_us,
+        leader=time.leader,
+        watermark_us=time.watermark_us,
         held=[event for event in intake.held if microseconds(event.t) <= to_us],
         newest={camera: min(t_us, to_us) for camera, t_us in intake.newest.items()},
-    )  # fmt: skip
+    )
 
 
 def _window(state: WindowState, to_us: int) -> WindowState:
@@ -47,7 +57,7 @@ def _window(state: WindowState, to_us: int) -> WindowState:
         state,
         columns={name: column[:rows].copy() for name, column in state.columns.items()},
         open=[passage for passage in state.open if passage[2] < state.base + rows],
-    )  # fmt: skip
+    )
 
 
 def _alarms(state: AlarmState, to: float) -> AlarmState:
@@ -55,9 +65,11 @@ def _alarms(state: AlarmState, to: float) -> AlarmState:
         state,
         newest=[alarm for alarm in state.newest if alarm.t <= to],
         said={subject: min(t, to) for subject, t in state.said.items()},
-    )  # fmt: skip
+    )
 
 
 def _scorer(state: ScorerState, to: float) -> ScorerState:
     """What its predictor has observed may be later; it begins anew with the next version."""
-    return replace(state, predictor=None, guesses=[guess for guess in state.guesses if guess.t <= to])
+    return replace(
+        state, predictor=None, guesses=[guess for guess in state.guesses if guess.t <= to]
+    )

@@ -1,9 +1,11 @@
-"""The learner marks its own predictions: each made with the version of its time, before the outcome.
+"""The learner marks its own predictions: each made with the version of its time, before the
+outcome.
 
-Nobody says who went where. But a departure's outcome is far plainer afterwards than before: once its whole lag window
-has been seen, the joint fit of a later version knows with what probability it was each of the arrivals that came, or
-none. The prediction is scored by what that fit expects it to earn: ``-sum r log p`` in place of ``-log p``. Events that
-belong to nobody count as objects that leave.
+Nobody says who went where. But a departure's outcome is far plainer afterwards than before: once
+its whole lag window has been seen, the joint fit of a later version knows with what probability it
+was each of the arrivals that came, or none. The prediction is scored by what that fit expects it to
+earn: ``-sum r log p`` in place of ``-log p``. Events that belong to nobody count as objects that
+leave.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ PROBABILITY_FLOOR = 1e-4
 
 
 class Guess(NamedTuple):
-    """Where an exit at ``t`` (seconds) from ``camera`` was said to lead: probability by camera, "" for leaving."""
+    """Where an exit at ``t`` (seconds) from ``camera`` was said to lead: probability by camera, ""
+    for leaving.
+    """
 
     t: float
     camera: str
@@ -67,7 +71,9 @@ class ScorerState(Struct):
 
 
 class Scorer:
-    """Predicts a sample of the exits as the events come and marks them when a later fit knows better."""
+    """Predicts a sample of the exits as the events come and marks them when a later fit knows
+    better.
+    """
 
     def __init__(self) -> None:
         self._predictor: Predictor | None = None
@@ -81,8 +87,13 @@ class Scorer:
         """Everything `load` needs, beside the topology, to go on from here."""
         predictor = None if self._predictor is None else self._predictor.save()
         return ScorerState(
-            predictor, self._baseline, self._stride, self._exits, list(self._guesses), list(self._marks)
-        )  # fmt: skip
+            predictor,
+            self._baseline,
+            self._stride,
+            self._exits,
+            list(self._guesses),
+            list(self._marks),
+        )
 
     def load(self, state: ScorerState, topology: Topology | None) -> None:
         """Go on from there; ``topology`` is the version it predicts with."""
@@ -95,7 +106,9 @@ class Scorer:
 
     def forget(self, names: Set[str]) -> None:
         """Forget what waits for its outcome at these cameras."""
-        self._guesses = deque((guess for guess in self._guesses if guess.camera not in names), PENDING_MAX)
+        self._guesses = deque(
+            (guess for guess in self._guesses if guess.camera not in names), PENDING_MAX
+        )
 
     def watch(self, batch: Iterable[tuple[int, Event]]) -> None:
         """Events by time, each with its time in microseconds: predict some of the exits."""
@@ -109,12 +122,18 @@ class Scorer:
                     said = _by_camera(predictor.predict(event))
                     baseline = self._baseline.get(event.camera, {"": 1.0})
                     version = predictor.version
-                    self._guesses.append(Guess(t_us / MICROSECONDS, event.camera, version, said, baseline))
+                    self._guesses.append(
+                        Guess(t_us / MICROSECONDS, event.camera, version, said, baseline)
+                    )
             predictor.observe(event)
 
     def use(self, topology: Topology, events_due: float) -> None:
-        """Predict with this version from here on; about ``events_due`` events will come before the next."""
-        self._predictor = Predictor(topology) if self._predictor is None else self._predictor.follow(topology)
+        """Predict with this version from here on; about ``events_due`` events will come before the
+        next.
+        """
+        self._predictor = (
+            Predictor(topology) if self._predictor is None else self._predictor.follow(topology)
+        )
         self._stride = max(1, math.ceil(events_due / 2 / EXITS_PER_VERSION))
         self._baseline = {}
         for edge in topology.chain or []:
@@ -123,12 +142,18 @@ class Scorer:
             shares[""] = max(1.0 - sum(shares.values()), 0.0)
 
     def mark(
-        self, posterior: Posterior, departures: Departures, arrivals: Arrivals, cameras: list[str], over: float,
+        self,
+        posterior: Posterior,
+        departures: Departures,
+        arrivals: Arrivals,
+        cameras: list[str],
+        over: float,
         ahead: Floats,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Mark what left until ``over`` (seconds), from when on a lag window may still be open.
 
-        ``ahead`` (cameras,): by how many seconds each camera's clock is; departures and arrivals are in right time.
+        ``ahead`` (cameras,): by how many seconds each camera's clock is; departures and arrivals
+        are in right time.
         """
         due = []
         while self._guesses and self._guesses[0].t <= over:
@@ -141,7 +166,9 @@ class Scorer:
             self.note(guess, happened)
 
     def note(self, guess: Guess, happened: dict[str, float]) -> None:
-        """Mark one guess; ``happened``: with what probability the object appeared at which camera."""
+        """Mark one guess; ``happened``: with what probability the object appeared at which
+        camera.
+        """
         self._marks.append(marks(guess, happened))
 
     def score(self) -> SelfScore | None:
@@ -151,12 +178,14 @@ class Scorer:
         m = Marks(*(np.array(column) for column in zip(*self._marks, strict=True)))  # type: ignore[arg-type]
         followed = max(float(np.sum(m.followed)), 1e-9)
         return SelfScore(
-            exits=len(self._marks), since_version=self._marks[0].version,
+            exits=len(self._marks),
+            since_version=self._marks[0].version,
             log_loss=_short(np.mean(m.loss)),
-            top1=_short(np.sum(m.top1) / followed), top3=_short(np.sum(m.top3) / followed),
+            top1=_short(np.sum(m.top1) / followed),
+            top3=_short(np.sum(m.top3) / followed),
             baseline_log_loss=_short(np.mean(m.baseline_loss)),
             baseline_top1=_short(np.sum(m.baseline_top1) / followed),
-        )  # fmt: skip
+        )
 
 
 def _by_camera(prediction: Prediction) -> dict[str, float]:
@@ -196,28 +225,37 @@ def _outcomes(posterior: Posterior, arrivals: Arrivals, rows: list[int], cameras
 
 
 def marks(guess: Guess, happened: dict[str, float]) -> Marks:
-    """What the guess earned when the object appeared at each camera with the probabilities ``happened``."""
+    """What the guess earned when the object appeared at each camera with the probabilities
+    ``happened``.
+    """
     followed = sum(happened.values())
     outcomes = {**happened, "": max(1.0 - followed, 0.0)}
     ranked, usual = (_ranked(shares) for shares in (guess.said, guess.baseline))
     return Marks(
-        guess.version, followed,
+        guess.version,
+        followed,
         sum(happened.get(camera, 0.0) for camera in ranked[:1]),
         sum(happened.get(camera, 0.0) for camera in ranked[:3]),
         _loss(guess.said, outcomes),
         sum(happened.get(camera, 0.0) for camera in usual[:1]),
         _loss(guess.baseline, outcomes),
-    )  # fmt: skip
+    )
 
 
 def _ranked(shares: dict[str, float]) -> list[str]:
     """Cameras, the likeliest first."""
-    return sorted((camera for camera in shares if camera), key=lambda camera: (-shares[camera], camera))
+    return sorted(
+        (camera for camera in shares if camera), key=lambda camera: (-shares[camera], camera)
+    )
 
 
 def _loss(said: dict[str, float], outcomes: dict[str, float]) -> float:
     """Expected -ln(probability of what happened), nats."""
-    return -sum(r * math.log(max(said.get(camera, 0.0), PROBABILITY_FLOOR)) for camera, r in outcomes.items() if r > 0)
+    return -sum(
+        r * math.log(max(said.get(camera, 0.0), PROBABILITY_FLOOR))
+        for camera, r in outcomes.items()
+        if r > 0
+    )
 
 
 def _short(value: float | np.floating) -> float:

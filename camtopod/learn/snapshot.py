@@ -1,9 +1,9 @@
-"""The whole state of a learner as bytes, and back: one that is restored makes the same versions as one that never
-stopped.
+"""The whole state of a learner as bytes, and back: one that is restored makes the same versions as
+one that never stopped.
 
-What follows from the rest is left out (the sums of the window, keys, indices); what decides anything later is in,
-events that wait for the watermark and predictions that wait for their outcome included. Floats and integers go
-through exactly.
+What follows from the rest is left out (the sums of the window, keys, indices); what decides
+anything later is in, events that wait for the watermark and predictions that wait for their outcome
+included. Floats and integers go through exactly.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from camtopod.publishers import Publisher
 from camtopod.records import Topology
 
 FORMAT = 1
-"""Of the snapshot: one with a higher number is refused. There is no lower one yet; whoever raises this migrates it."""
+"""Of the snapshot: one with a higher number is refused. There is no lower one yet; whoever raises
+this migrates it.
+"""
 BYTES_MAX = 1 << 30
 """A snapshot that unpacks to more is damaged."""
 _COMPRESSION = 1
@@ -101,7 +103,9 @@ def unpack(blob: bytes) -> LearnerState:
         outer = msgspec.msgpack.decode(plain, type=_Snapshot)
         if outer.format != FORMAT:
             newer = outer.format > FORMAT
-            raise (NewerSnapshot if newer else SnapshotError)(f"its format is {outer.format}, this program's {FORMAT}")
+            raise (NewerSnapshot if newer else SnapshotError)(
+                f"its format is {outer.format}, this program's {FORMAT}"
+            )
         state: LearnerState = _decoder.decode(outer.state)
     except (zlib.error, msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise error if isinstance(error, SnapshotError) else SnapshotError(str(error)) from None

@@ -1,4 +1,6 @@
-"""What the context of an exit says about where the object goes, read off a topology version (see `contexts`)."""
+"""What the context of an exit says about where the object goes, read off a topology version (see
+`contexts`).
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ class _Counts(NamedTuple):
 
 
 class _Uncounted:
-    """Contexts that nobody has asked about, by number: there are thousands, and as columns they take a tenth."""
+    """Contexts that nobody has asked about, by number: there are thousands, and as columns they
+    take a tenth.
+    """
 
     def __init__(self) -> None:
         self.departures, self.stays, self.ends = array("d"), array("d"), array("l", [0])
@@ -47,7 +51,9 @@ class _Uncounted:
 
 
 class Surroundings:
-    """Contexts by zone index (the order of ``topology.zones``), each by (zone of entry, block, camera before)."""
+    """Contexts by zone index (the order of ``topology.zones``), each by (zone of entry, block,
+    camera before).
+    """
 
     def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
@@ -55,15 +61,22 @@ class Surroundings:
         self._of_zone: dict[int, dict[Key, int | _Counts]] = {}
         for row in unhurried((topology.model and topology.model.contexts) or [], pause):
             entry = index[row.entry] if row.entry is not None else None
-            self._of_zone.setdefault(index[row.zone], {})[entry, row.block, row.previous] = self._uncounted.add(
-                row, index
+            self._of_zone.setdefault(index[row.zone], {})[entry, row.block, row.previous] = (
+                self._uncounted.add(row, index)
             )
 
     def multipliers(
-        self, zone: int, outcomes: Outcomes, block: int | None, entry: int | None, previous: str | None, sure: float
+        self,
+        zone: int,
+        outcomes: Outcomes,
+        block: int | None,
+        entry: int | None,
+        previous: str | None,
+        sure: float,
     ) -> tuple[list[float], float]:
-        """By how much each target (targets,) is likelier than for a departure of which nothing is known; and the
-        probability of not being seen again. ``sure``: probability that ``previous`` is right.
+        """By how much each target (targets,) is likelier than for a departure of which nothing is
+        known; and the probability of not being seen again. ``sure``: probability that ``previous``
+        is right.
         """
         known = self._of_zone.get(zone)
         if known is None:
@@ -85,7 +98,10 @@ class Surroundings:
             below, moved, stays = self._counted(known, (None, None, previous), outcomes.targets)
             told = min(sure, 1.0)
             rest = 1.0 - told
-            share = [told * (more + few * one) / below + rest * one for more, one in zip(moved, share, strict=True)]
+            share = [
+                told * (more + few * one) / below + rest * one
+                for more, one in zip(moved, share, strict=True)
+            ]
             leave = told * (stays + few * leave) / below + rest * leave
         most, least = MULTIPLIER_MAX, 1.0 / MULTIPLIER_MAX
         likelier = [  # as `contexts.multipliers`; `min` and `max` would take most of the time
@@ -95,7 +111,9 @@ class Surroundings:
         return likelier, max(leave, LEAVE_FLOOR)
 
     def _counted(self, known: dict[Key, int | _Counts], key: Key, targets: list[int]) -> _Counts:
-        """Of a context of a zone, on the zone's targets; worked out when it is first asked about."""
+        """Of a context of a zone, on the zone's targets; worked out when it is first asked
+        about.
+        """
         row = known.get(key)
         if row is None:
             return _Counts(BACK_OFF_DEPARTURES, [0.0] * len(targets), 0.0)

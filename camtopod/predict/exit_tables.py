@@ -1,4 +1,5 @@
-"""What a prediction needs of the zone that an object leaves, as far as it depends on the topology version alone.
+"""What a prediction needs of the zone that an object leaves, as far as it depends on the topology
+version alone.
 
 It is worked out when a zone is first asked about, not for all zones of a new version at once.
 """
@@ -31,7 +32,9 @@ _WINDOW = Layout("6d")
 
 
 class Before(NamedTuple):
-    """A zone at which whoever leaves may have appeared before the exit: of another camera, whose views overlap."""
+    """A zone at which whoever leaves may have appeared before the exit: of another camera, whose
+    views overlap.
+    """
 
     number: int
     """Of the outcome; -1: none, only those who leave the view elsewhere appear there."""
@@ -49,8 +52,8 @@ class Before(NamedTuple):
 
 
 class _Exposed(NamedTuple):
-    """Odds of an outcome that may have come about before the exit without being known: how likely, the length of the
-    passage says.
+    """Odds of an outcome that may have come about before the exit without being known: how likely,
+    the length of the passage says.
     """
 
     past: list[float]
@@ -66,15 +69,16 @@ class AtExit(NamedTuple):
     alive: list[float]
     """Probability (targets,) that each camera still reports."""
     came: dict[int, dict[int, float]]
-    """Of outcomes that arrivals may have been: bins of their lags, and the odds of each beside what is still to come.
+    """Of outcomes that arrivals may have been: bins of their lags, and the odds of each beside what
+    is still to come.
     """
     stay: float | None
     """Seconds of the passage, if known."""
 
 
 class Ready:
-    """One zone; its outcomes are numbered as in `Outcomes`. They are few, and an exit comes when nothing of this has
-    been used for a while: then lists are quicker than arrays.
+    """One zone; its outcomes are numbered as in `Outcomes`. They are few, and an exit comes when
+    nothing of this has been used for a while: then lists are quicker than arrays.
     """
 
     __slots__ = (
@@ -86,9 +90,13 @@ class Ready:
         here, bins = site.zones[zone].camera, site.hazards.bins
         self._site, self.outcomes = site, outcomes
         self.targets = [site.zones[k] for k in outcomes.targets]
-        clocks = np.array([site.ahead.get(target.camera, 0.0) - site.ahead[here] for target in self.targets])
+        clocks = np.array(
+            [site.ahead.get(target.camera, 0.0) - site.ahead[here] for target in self.targets]
+        )
         self.later = clocks + outcomes.delay
-        """Seconds to add to the lags of the bins, for clocks that are ahead and for long ways, (targets,)."""
+        """Seconds to add to the lags of the bins, for clocks that are ahead and for long ways,
+        (targets,).
+        """
         self.doubt: list[float] = outcomes.doubt.tolist()
         self.sure = [1.0 - doubt for doubt in self.doubt]
         self.cameras: list[int] = site.camera_of[outcomes.targets].tolist()
@@ -99,7 +107,9 @@ class Ready:
         mass = outcomes.hazard * self.coming
         past = len(site.past_edges) - 1
         early = np.flatnonzero(mass[:, :past].any(axis=1) & (outcomes.delay == 0.0)).tolist()
-        self._exposed = {k: _Exposed(mass[k, :past].tolist(), float(mass[k, past:].sum())) for k in early}
+        self._exposed = {
+            k: _Exposed(mass[k, :past].tolist(), float(mass[k, past:].sum())) for k in early
+        }
         mass[early] *= outcomes.exposure
         self.usual: list[float] = mass.sum(axis=1).tolist()
         """Odds where nothing is known of the exit."""
@@ -109,12 +119,14 @@ class Ready:
         self._shift: Floats = np.where(site.corrected, 0.0, clocks) + outcomes.delay
         self._windows: dict[float | None, bytes] = {}
         self._coming: dict[int, list[float]] = {}
-        """Of outcomes that were asked for: odds below each edge of what is still to come, after a usual passage."""
+        """Of outcomes that were asked for: odds below each edge of what is still to come, after a
+        usual passage.
+        """
 
     @property
     def coming(self) -> Floats:
-        """Widths of the bins of lags of which nothing would be known at the exit, 0 for the others: (bins,) or
-        (targets, bins).
+        """Widths of the bins of lags of which nothing would be known at the exit, 0 for the others:
+        (bins,) or (targets, bins).
         """
         widths: Floats = self._site.coming[self._began]
         return widths
@@ -125,13 +137,19 @@ class Ready:
             return self.usual
         odds, edges = self.usual.copy(), self._site.past_edges
         at = bisect_right(edges, -stay) - 1  # the bin in which the passage began
-        share = (edges[at + 1] + stay) / (edges[at + 1] - edges[at]) if 0 <= at < len(edges) - 1 else 0.0
+        share = (
+            (edges[at + 1] + stay) / (edges[at + 1] - edges[at])
+            if 0 <= at < len(edges) - 1
+            else 0.0
+        )
         for k, mass in self._exposed.items():
             odds[k] = mass.later + sum(mass.past[at + 1 :]) + (share and share * mass.past[at])
         return odds
 
     def exposure(self, at: int, stay: float | None) -> float:
-        """Share of one bin of lags that a passage of ``stay`` seconds, None if unknown, is exposed to."""
+        """Share of one bin of lags that a passage of ``stay`` seconds, None if unknown, is exposed
+        to.
+        """
         if stay is None:
             return self.outcomes.exposure.item(at)
         low, high = self._site.edges[at], self._site.edges[at + 1]
@@ -149,7 +167,13 @@ class Ready:
                 times.append(self.window(k, pace, self._lags(k, known)))
             else:
                 a, b, c, x, y, z = read(usual, k * _WINDOW.size)
-                times.append((floor(a * factor + x) / 1e3, floor(b * factor + y) / 1e3, floor(c * factor + z) / 1e3))
+                times.append(
+                    (
+                        floor(a * factor + x) / 1e3,
+                        floor(b * factor + y) / 1e3,
+                        floor(c * factor + z) / 1e3,
+                    )
+                )
         return times
 
     def window(self, number: int, pace: Pace, lags: list[float]) -> list[float]:
@@ -158,13 +182,15 @@ class Ready:
         return [round(lag + shift, 3) for lag in self._site.paces.at_pace(pace, transitions, *lags)]
 
     def _usual(self, wider: float | None) -> bytes:
-        """Windows of objects of usual pace, a `_WINDOW` for each target: three times what scales with the pace and
-        three times what does not and one half, in milliseconds.
+        """Windows of objects of usual pace, a `_WINDOW` for each target: three times what scales
+        with the pace and three times what does not and one half, in milliseconds.
         """
         mass = self.outcomes.hazard * self.coming
         some = np.flatnonzero(mass.sum(axis=1) > MASS_MIN)
         scaled, fixed = np.zeros((len(mass), 3)), np.repeat(self._shift[:, None], 3, axis=1)
-        for k, lags in zip(some.tolist(), quantiles(mass[some], self._site.hazards.bins.edges), strict=True):
+        for k, lags in zip(
+            some.tolist(), quantiles(mass[some], self._site.hazards.bins.edges), strict=True
+        ):
             if wider is None or lags[1] <= LAG_SECONDS_MIN:
                 fixed[k] += lags
             else:
@@ -173,7 +199,10 @@ class Ready:
 
     def _lags(self, number: int, known: AtExit) -> list[float]:
         """The `lag_odds.quantiles` of one outcome."""
-        came, stay = sorted(known.came.get(number, {}).items()), known.stay if number in self._exposed else None
+        came, stay = (
+            sorted(known.came.get(number, {}).items()),
+            known.stay if number in self._exposed else None,
+        )
         coming = self._coming.get(number)
         if coming is None or stay is not None:
             began = self._began if isinstance(self._began, int) else int(self._began[number])
@@ -194,11 +223,19 @@ class Site:
         self.hazards, self.paces = hazards, paces
         self.corrected = topology.model is not None and topology.model.clocks_corrected
         self.ahead = {camera.id: camera.clock_offset for camera in topology.cameras}
-        self.clocks_apart = max(self.ahead.values(), default=0.0) - min(self.ahead.values(), default=0.0)
-        self.cameras = {camera: k for k, camera in enumerate(dict.fromkeys(zone.camera for zone in topology.zones))}
+        self.clocks_apart = max(self.ahead.values(), default=0.0) - min(
+            self.ahead.values(), default=0.0
+        )
+        self.cameras = {
+            camera: k
+            for k, camera in enumerate(dict.fromkeys(zone.camera for zone in topology.zones))
+        }
         """Numbers of those that have zones."""
         self.camera_of = np.array([self.cameras[zone.camera] for zone in self.zones], np.intp)
-        share = {known.camera: known.share for known in (topology.model.cameras if topology.model else [])}
+        share = {
+            known.camera: known.share
+            for known in (topology.model.cameras if topology.model else [])
+        }
         self.share_of = np.array([share.get(zone.camera, 0.0) for zone in self.zones])
         bins = hazards.bins
         self.edges: list[float] = bins.edges.tolist()
@@ -211,10 +248,16 @@ class Site:
         """Where whoever leaves there may have appeared before."""
         hazards, here, found = self.hazards, self.zones[zone].camera, []
         outcomes = hazards.outcomes.get(zone)
-        number = {} if outcomes is None else {target: k for k, target in enumerate(outcomes.targets)}
+        number = (
+            {} if outcomes is None else {target: k for k, target in enumerate(outcomes.targets)}
+        )
         for target in hazards.seen_before(zone).tolist():
             there = self.zones[target].camera
-            later, k, hazard = self.ahead.get(there, 0.0) - self.ahead[here], number.get(target, -1), {}
+            later, k, hazard = (
+                self.ahead.get(there, 0.0) - self.ahead[here],
+                number.get(target, -1),
+                {},
+            )
             if outcomes is not None and k >= 0:
                 [some] = hazards.before(outcomes.hazard[k], later + outcomes.delay[k]).nonzero()
                 hazard = dict(zip(some.tolist(), outcomes.hazard[k, some].tolist(), strict=True))
@@ -225,8 +268,9 @@ class Site:
 
 
 class ReadyZones:
-    """All zones of a topology version from which anybody is known to go anywhere. None of them refers to this, so that
-    all are gone with the version: whoever predicts may have the collector look for circles next to never.
+    """All zones of a topology version from which anybody is known to go anywhere. None of them
+    refers to this, so that all are gone with the version: whoever predicts may have the collector
+    look for circles next to never.
     """
 
     def __init__(self, site: Site) -> None:

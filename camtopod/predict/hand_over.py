@@ -1,8 +1,9 @@
 """Hand-over: the open passages in other views that may be of the object that is leaving one.
 
-Of the open passages in an overlapping view at most one is of the same object. Each is weighed by its offset, the
-seconds by which it began later than the passage that ends: the rate of passages of the same object at that offset over
-the rate of others (`overlapping`), as the topology version has them.
+Of the open passages in an overlapping view at most one is of the same object. Each is weighed by
+its offset, the seconds by which it began later than the passage that ends: the rate of passages of
+the same object at that offset over the rate of others (`overlapping`), as the topology version has
+them.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from camtopod.records import InView, Look, NextCamera, Topology
 from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, STEPS, offset_bins, on_bins
 
 SHARE_MAX = 0.98
-"""Largest probability that another camera sees the object, before its open passages are looked at."""
+"""Largest probability that another camera sees the object, before its open passages are looked
+at.
+"""
 PROBABILITY_MIN = 1e-3
 """Passages and cameras with a smaller probability are left out."""
 SEEN_NOW_MIN = 0.3
@@ -45,17 +48,23 @@ class HandOver:
         self._from: dict[str, list[_Overlap]] = {}
         for row in (model.overlaps if model else None) or []:
             same, others = on_bins(row.same, self._bins), on_bins(row.others, self._bins)
-            resolution = max(float(others.max()) / STEPS, RATE_MIN)  # smaller rates are 0 in a version
+            resolution = max(
+                float(others.max()) / STEPS, RATE_MIN
+            )  # smaller rates are 0 in a version
             odds = np.append(same / np.maximum(others, resolution), 0.0)
-            self._from.setdefault(row.camera, []).append(_Overlap(row.to, min(row.share, SHARE_MAX), odds.tolist()))
+            self._from.setdefault(row.camera, []).append(
+                _Overlap(row.to, min(row.share, SHARE_MAX), odds.tolist())
+            )
 
     def overlaps(self, camera: str) -> bool:
         """Whether any view overlaps the camera's."""
         return camera in self._from
 
-    def in_view(self, passage: Passage, t: float, under_way: UnderWay, ahead: dict[str, float]) -> list[InView]:
-        """Open passages that may be of the object whose ``passage`` ends at ``t`` (seconds in right time), the most
-        probable first. ``ahead``: by how many seconds each camera's clock is fast.
+    def in_view(
+        self, passage: Passage, t: float, under_way: UnderWay, ahead: dict[str, float]
+    ) -> list[InView]:
+        """Open passages that may be of the object whose ``passage`` ends at ``t`` (seconds in right
+        time), the most probable first. ``ahead``: by how many seconds each camera's clock is fast.
         """
         found: list[InView] = []
         for camera, share, odds in self._from.get(passage.camera, ()):
@@ -70,8 +79,8 @@ class HandOver:
 
 
 def look(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Look]:
-    """Cameras by the probability that they see the object now or, if none does, are the next to see it. Views are
-    taken as independent of each other.
+    """Cameras by the probability that they see the object now or, if none does, are the next to see
+    it. Views are taken as independent of each other.
     """
     # Cameras that see the object now
     now = added_up((one.camera, one.probability) for one in in_view)
@@ -87,7 +96,9 @@ def look(in_view: Iterable[InView], following: Iterable[NextCamera]) -> list[Loo
 
 
 def seen_now(in_view: Iterable[InView]) -> list[Look]:
-    """The cameras that probably see the object now, by their open passages together, the most probable first."""
+    """The cameras that probably see the object now, by their open passages together, the most
+    probable first.
+    """
     now = added_up((one.camera, one.probability) for one in in_view)
     likely = [Look(camera, min(p, 1.0)) for camera, p in now.items() if p >= SEEN_NOW_MIN]
     return sorted(likely, key=lambda one: (-one.probability, one.camera))

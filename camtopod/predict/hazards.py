@@ -1,4 +1,5 @@
-"""The hazards of a topology version, ready for prediction: where objects that leave a zone appear, and when.
+"""The hazards of a topology version, ready for prediction: where objects that leave a zone appear,
+and when.
 
 Read off the posterior that the version carries; where it carries none, off its links.
 """
@@ -14,7 +15,15 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, Singles
 from camtopod.cooperative import Pause, no_pause, unhurried
 from camtopod.records import Link, Onward, Topology
-from camtopod.topology import LAG_SCALE_SECONDS, LAG_STEP, LEAVE_FLOOR, UNKNOWN_STAY_SECONDS, LagBins, on_bins, smooth
+from camtopod.topology import (
+    LAG_SCALE_SECONDS,
+    LAG_STEP,
+    LEAVE_FLOOR,
+    UNKNOWN_STAY_SECONDS,
+    LagBins,
+    on_bins,
+    smooth,
+)
 
 EXPOSURE_MIN = 0.02
 NORMAL_Q90 = 1.2816
@@ -40,14 +49,16 @@ class Outcomes(NamedTuple):
     """(targets,) seconds to add to the lags of the bins, for long ways."""
 
     def exposed(self, exposure: Floats) -> Floats:
-        """Share (targets, bins) exposed, where it is ``exposure`` (bins,) of lags that count from the exit: what takes
-        a long way always is.
+        """Share (targets, bins) exposed, where it is ``exposure`` (bins,) of lags that count from
+        the exit: what takes a long way always is.
         """
         return np.where(self.delay[:, None] > 0.0, 1.0, exposure)
 
 
 class Hazards:
-    """Hazards by zone index (the order of ``topology.zones``). ``pause`` is called often while they are made."""
+    """Hazards by zone index (the order of ``topology.zones``). ``pause`` is called often while they
+    are made.
+    """
 
     def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
         model = topology.model
@@ -60,7 +71,9 @@ class Hazards:
         self.arrival_rate = [1e-6] * len(index)
         """(zones,) arrivals per second from outside."""
         self.stay: list[list[float]] = [[] for _ in index]
-        """(zones,) deciles of the seconds that passages leaving there have lasted; empty where unknown."""
+        """(zones,) deciles of the seconds that passages leaving there have lasted; empty where
+        unknown.
+        """
         self.departures = [0] * len(index)
         """(zones,) exits in the window the hazards were learned from."""
         for known in model.zones if model else []:
@@ -95,15 +108,21 @@ class Hazards:
         pairs = [(zone, target) for zone, outcomes in every for target in outcomes.targets]
         for row, (zone, target) in enumerate(unhurried(pairs, pause), start=1):
             into.setdefault(target, []).append((zone, row))
-        self._into = {target: np.array(rows, np.int32).T for target, rows in unhurried(into.items(), pause)}
-        """By target, its sources and their rows (2, sources); row 0, all zeros, is of the others."""
+        self._into = {
+            target: np.array(rows, np.int32).T for target, rows in unhurried(into.items(), pause)
+        }
+        """By target, its sources and their rows (2, sources); row 0, all zeros, is of the
+        others.
+        """
         self._row = np.zeros(len(index), np.int32)  # all 0 between calls
         self._ahead = self._mean_rates_ahead(topology, pause)
         self._index_before(topology, pause)
 
-    def rates(self, sources: NDArray[np.int32], target: int, lag: Floats) -> tuple[NDArray[np.int32], Floats]:
-        """Hazards in 1/s from several zones (n,) to one at lags (n,) in seconds: those (m,) of the zones from which
-        there are any, and theirs (m,).
+    def rates(
+        self, sources: NDArray[np.int32], target: int, lag: Floats
+    ) -> tuple[NDArray[np.int32], Floats]:
+        """Hazards in 1/s from several zones (n,) to one at lags (n,) in seconds: those (m,) of the
+        zones from which there are any, and theirs (m,).
         """
         if target not in self._into:
             return sources[:0], lag[:0]
@@ -125,8 +144,9 @@ class Hazards:
         return self._at(row, lag)
 
     def _at(self, row: NDArray[np.int32], lag: Floats) -> Floats:
-        """Hazards (n,) of rows (n,) at lags (n,) in seconds. What is before the first bin is counted as -1, behind the
-        last as one more: both are in the last column, of this row or the one before.
+        """Hazards (n,) of rows (n,) at lags (n,) in seconds. What is before the first bin is
+        counted as -1, behind the last as one more: both are in the last column, of this row or the
+        one before.
         """
         at = self._limits.searchsorted(lag - self._delay.take(row), "right")
         at += row * np.intp(self._rows.shape[1])
@@ -150,8 +170,8 @@ class Hazards:
         return np.where(self.past, begun, 1.0)
 
     def before(self, hazard: Singles, later: float | Floats) -> NDArray[np.bool_]:
-        """In which bins (..., bins) objects of these hazards may have appeared by the time they leave, where the clock
-        is ``later`` seconds ahead of the one where they do.
+        """In which bins (..., bins) objects of these hazards may have appeared by the time they
+        leave, where the clock is ``later`` seconds ahead of the one where they do.
         """
         possible: NDArray[np.bool_] = (hazard > 0.0) & (self.bins.edges[:-1] < -later)
         return possible
@@ -165,8 +185,8 @@ class Hazards:
         return self._cameras_ahead.get(target, [])
 
     def rate_entered(self, entry: int | None, target: int, elapsed: float) -> float:
-        """Rate (1/s) at which an object that entered a view at zone ``entry`` (None: unknown) ``elapsed`` seconds ago
-        and is still in it appears at another zone.
+        """Rate (1/s) at which an object that entered a view at zone ``entry`` (None: unknown)
+        ``elapsed`` seconds ago and is still in it appears at another zone.
         """
         row = self._entered.get(entry, {}).get(target) if entry is not None else None
         return 0.0 if row is None or elapsed < 0.0 or (at := self.bin_of(elapsed)) < 0 else row[at]
@@ -176,7 +196,9 @@ class Hazards:
         return self._kernels_to.get(target, frozenset())
 
     def rate_ahead(self, camera: str, target: int) -> float:
-        """Rate (1/s) at which an object in the view of a camera appears at a zone before it leaves the view."""
+        """Rate (1/s) at which an object in the view of a camera appears at a zone before it leaves
+        the view.
+        """
         return self._ahead.get((camera, target), 0.0)
 
     def longest_stay(self, zones: list[int]) -> float | None:
@@ -194,7 +216,9 @@ class Hazards:
                 doubt = np.array([outcome.doubt for outcome in row.next_])
                 delay = np.array([outcome.hazard.delay for outcome in row.next_])
                 leave = max(row.leave, LEAVE_MIN)
-                outcomes[zone] = Outcomes(targets, share, leave, hazard, self._exposure(zone), doubt, delay)
+                outcomes[zone] = Outcomes(
+                    targets, share, leave, hazard, self._exposure(zone), doubt, delay
+                )
         return outcomes
 
     def _from_links(self, links: list[Link], index: dict[str, int]) -> dict[int, Outcomes]:
@@ -213,11 +237,15 @@ class Hazards:
             hazard = (probability * share / (self.bins.widths * exposed)).astype(np.float32)
             leave = max(1.0 - float(probability.sum()), LEAVE_FLOOR)
             targets = [index[link.to] for link in out]
-            outcomes[zone] = Outcomes(targets, probability[:, 0], leave, hazard, exposure, np.zeros(len(out)), delay)
+            outcomes[zone] = Outcomes(
+                targets, probability[:, 0], leave, hazard, exposure, np.zeros(len(out)), delay
+            )
         return outcomes
 
     def _exposure(self, zone: int) -> Floats:
-        """Share (bins,) of the passages leaving at the zone that had begun by the lag; 1 for lags after the exit."""
+        """Share (bins,) of the passages leaving at the zone that had begun by the lag; 1 for lags
+        after the exit.
+        """
         stay = self.stay[zone]
         if not stay:
             return np.ones(self.bins.size)
@@ -249,12 +277,20 @@ class Hazards:
                 out = self.outcomes[k]
                 later = clocks[out.targets] - clocks[k] + out.delay
                 possible = np.any(self.before(out.hazard, later[:, None]), axis=1)
-                found.update(target for target, some in zip(out.targets, possible.tolist(), strict=True) if some)
-            others = [target for target in sorted(found) if topology.zones[target].camera != zone.camera]
+                found.update(
+                    target
+                    for target, some in zip(out.targets, possible.tolist(), strict=True)
+                    if some
+                )
+            others = [
+                target for target in sorted(found) if topology.zones[target].camera != zone.camera
+            ]
             self._before.append(np.array(others, np.intp))
 
     def _mean_rates_ahead(self, topology: Topology, pause: Pause) -> dict[tuple[str, int], float]:
-        """Expected appearances before leaving over the time in view, weighed by where objects leave, by camera."""
+        """Expected appearances before leaving over the time in view, weighed by where objects
+        leave, by camera.
+        """
         exits: dict[str, int] = {}
         for zone in topology.zones:
             exits[zone.camera] = exits.get(zone.camera, 0) + zone.exits
@@ -263,7 +299,9 @@ class Hazards:
             zone = topology.zones[k]
             stay = self.stay[k][len(self.stay[k]) // 2] if self.stay[k] else UNKNOWN_STAY_SECONDS
             share = zone.exits / max(exits[zone.camera], 1) / max(stay, 1.0)
-            ahead = (outcomes.hazard * self.bins.widths * outcomes.exposure)[:, self.past].sum(axis=1)
+            ahead = (outcomes.hazard * self.bins.widths * outcomes.exposure)[:, self.past].sum(
+                axis=1
+            )
             ahead[outcomes.delay > 0.0] = 0.0
             for target, expected in zip(outcomes.targets, ahead.tolist(), strict=True):
                 key = zone.camera, target

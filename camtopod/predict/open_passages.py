@@ -1,4 +1,6 @@
-"""Passages under way, who came into a view and has not left it; and of the newest who have, the passages they ended."""
+"""Passages under way, who came into a view and has not left it; and of the newest who have, the
+passages they ended.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ class Passage(Struct):
 
 
 class UnderWay:
-    """Passages by camera and track, in the order they began. ``stay_max``: the longest known by camera, seconds."""
+    """Passages by camera and track, in the order they began. ``stay_max``: the longest known by
+    camera, seconds.
+    """
 
     def __init__(self, stay_max: dict[str, float]) -> None:
         self._stay_max = stay_max
@@ -39,7 +43,9 @@ class UnderWay:
         self._ended: dict[tuple[str, str], tuple[float, Passage | None]] = {}
         """When the newest left, by their cameras' clocks, and after which passage."""
         self._left_last: dict[str, tuple[float, list[tuple[str, Passage]]]] = {}
-        """By camera, the newest time of an exit by its clock, and the passages that ended then, with their tracks."""
+        """By camera, the newest time of an exit by its clock, and the passages that ended then,
+        with their tracks.
+        """
 
     def begin(self, camera: str, track: str, passage: Passage) -> None:
         """One whose track is under way already keeps its place."""
@@ -72,15 +78,22 @@ class UnderWay:
         return self._in_view.get(camera, {}).values()
 
     def was_in_view(self, camera: str, entry: int, began: float, t: float) -> bool:
-        """Whether a passage that ``began`` at the zone ``entry`` was not over before ``t`` by the camera's clock."""
+        """Whether a passage that ``began`` at the zone ``entry`` was not over before ``t`` by the
+        camera's clock.
+        """
         going_on = (passage for _, passage in self.in_view(camera))
-        over = (one for (of, _), (left, one) in self._ended.items() if of == camera and one is not None and left >= t)
+        over = (
+            one
+            for (of, _), (left, one) in self._ended.items()
+            if of == camera and one is not None and left >= t
+        )
         return any(passage.t == began and passage.entry == entry for passage in (*going_on, *over))
 
     def open_at(self, camera: str, t: float, by_clock: float) -> list[tuple[str, Passage]]:
-        """Passages at a camera, with their tracks, that are open at the newest time ``t`` (seconds in right time;
-        ``by_clock``: by the camera's clock). Those that end at that instant are among them, those that begin then are
-        not: so the order in which events of one instant come does not matter.
+        """Passages at a camera, with their tracks, that are open at the newest time ``t`` (seconds
+        in right time; ``by_clock``: by the camera's clock). Those that end at that instant are
+        among them, those that begin then are not: so the order in which events of one instant come
+        does not matter.
         """
         last, ended = self._left_last.get(camera, (None, []))
         now = [(track, passage) for track, (_, passage) in self._in_view.get(camera, {}).items()]
@@ -100,9 +113,13 @@ class UnderWay:
         return [(camera, track, passage) for (camera, track), passage in self._passages.items()]
 
     def take_over(self, older: UnderWay, moved: dict[int, int]) -> None:
-        """Remember what another has and nothing else; ``moved``: its zones' numbers here, without those gone."""
+        """Remember what another has and nothing else; ``moved``: its zones' numbers here, without
+        those gone.
+        """
         self._passages = {
-            key: _moved(passage, moved) for key, passage in older._passages.items() if passage.entry in moved
+            key: _moved(passage, moved)
+            for key, passage in older._passages.items()
+            if passage.entry in moved
         }
         self._begun, self._in_view = len(self._passages), {}
         for place, ((camera, track), passage) in enumerate(self._passages.items(), start=1):

@@ -1,7 +1,9 @@
-"""Where an object that has just left will appear next: competing outcomes, weighed by what has been seen since.
+"""Where an object that has just left will appear next: competing outcomes, weighed by what has been
+seen since.
 
-For an exit at zone u the outcomes are: appearing at each zone v with a lag, or not being seen again. Their prior odds
-are the learned hazards, all of them, weak evidence included. Five things are then known at the time of the exit:
+For an exit at zone u the outcomes are: appearing at each zone v with a lag, or not being seen
+again. Their prior odds are the learned hazards, all of them, weak evidence included. Five things
+are then known at the time of the exit:
 
 * *context*: where the object came in, where exactly it left, from which camera it probably came before;
 * *exposure*: a lag of -L is only possible if this passage has lasted L;
@@ -10,10 +12,12 @@ are the learned hazards, all of them, weak evidence included. Five things are th
 * *pace*: who was slow in this view takes longer to the next;
 * *alive*: a camera silent for far longer than its traffic allows is not where objects will be seen.
 
-Asked again later, what would have shown by then has lost its odds to the rest, and each arrival since the exit counts
-as those before it do; both by the object's pace. Windows are those of the odds that remain.
+Asked again later, what would have shown by then has lost its odds to the rest, and each arrival
+since the exit counts as those before it do; both by the object's pace. Windows are those of the
+odds that remain.
 
-Events come with their cameras' own clocks; inside, times are right ones, as far as the topology knows the clocks.
+Events come with their cameras' own clocks; inside, times are right ones, as far as the topology
+knows the clocks.
 """
 
 from __future__ import annotations
@@ -71,10 +75,12 @@ class PredictorState(Struct):
 
 
 class Predictor:
-    """Prediction over one topology version. `observe` keeps it abreast of events; `predict` answers for an exit.
+    """Prediction over one topology version. `observe` keeps it abreast of events; `predict` answers
+    for an exit.
 
-    An exit is to be predicted before it is observed, else it competes with itself; not so where `predict` is told when
-    it is asked. ``pause`` is called often while it is made. Of the topology it keeps the zones.
+    An exit is to be predicted before it is observed, else it competes with itself; not so where
+    `predict` is told when it is asked. ``pause`` is called often while it is made. Of the topology
+    it keeps the zones.
     """
 
     def __init__(self, topology: Topology, pause: Pause = no_pause) -> None:
@@ -88,7 +94,9 @@ class Predictor:
         self._places = Places(self.zones)
         self._of_camera = self._places.of_camera
         self._ahead, self._clocks_apart = site.ahead, site.clocks_apart
-        stay_max = {camera: self._hazards.longest_stay(zones) for camera, zones in self._of_camera.items()}
+        stay_max = {
+            camera: self._hazards.longest_stay(zones) for camera, zones in self._of_camera.items()
+        }
         self._stay_max = {camera: stay for camera, stay in stay_max.items() if stay}
         self._ahead_of = np.array([self._ahead.get(zone.camera, 0.0) for zone in self.zones])
         self._wanted = np.zeros(len(self.zones), np.bool_)  # all False between calls
@@ -106,7 +114,9 @@ class Predictor:
         """Of each camera, by the count of all events."""
 
     def make_ready(self, wanted: Callable[[str], bool], pause: Pause = no_pause) -> None:
-        """Work out for each zone of the cameras ``wanted`` what would else be worked out at its first exit."""
+        """Work out for each zone of the cameras ``wanted`` what would else be worked out at its
+        first exit.
+        """
         for k, zone in enumerate(unhurried(self.zones, pause)):
             if wanted(zone.camera):
                 self.predict_from(k, self.as_of)
@@ -131,7 +141,9 @@ class Predictor:
         """Everything `load` needs, beside the topology, to go on from here."""
         under_way, exits = self._under_way.passages(), self._exits.save()
         last_event = dict(zip(self._names, self._last_event, strict=True))
-        return PredictorState(self._arrivals.arrivals(), *exits, under_way, self._events, last_event)
+        return PredictorState(
+            self._arrivals.arrivals(), *exits, under_way, self._events, last_event
+        )
 
     def load(self, state: PredictorState) -> None:
         """Go on from there, over the same topology."""
@@ -163,7 +175,11 @@ class Predictor:
                 self._share_with_simultaneous(passage)
                 self._under_way.forget_stale(t)
             return
-        left = None if event.track is None else self._under_way.end(event.camera, str(event.track), event.t)
+        left = (
+            None
+            if event.track is None
+            else self._under_way.end(event.camera, str(event.track), event.t)
+        )
         self._exits.append(t, zone)
         self._share_causes(zone, t, left)
 
@@ -174,9 +190,9 @@ class Predictor:
     def predict(self, event: Event, now: float | None = None) -> Prediction:
         """Next appearance of the object of an exit, by what is known at the exit.
 
-        Or, asked again, by what is known at ``now``, seconds by the same camera's clock. The exit may have been
-        observed since. Where an arrival may have been the object's, the window may lie before ``now``. Raises
-        ValueError for a ``now`` before the exit.
+        Or, asked again, by what is known at ``now``, seconds by the same camera's clock. The exit
+        may have been observed since. Where an arrival may have been the object's, the window may
+        lie before ``now``. Raises ValueError for a ``now`` before the exit.
         """
         _check(event.t, now)
         zone = self.zone_of(event)
@@ -199,17 +215,26 @@ class Predictor:
         block: int | None = None,
         now: float | None = None,
     ) -> Prediction:
-        """The same for an object that left a zone (index) at ``t`` by the clock of the zone's camera, after a passage
-        and in a block of the image, if known.
+        """The same for an object that left a zone (index) at ``t`` by the clock of the zone's
+        camera, after a passage and in a block of the image, if known.
         """
         _check(t, now)
         here, ready = self.zones[zone], self._ready.of(zone)
         if ready is None:
             return self._prediction(here, t, track, 1.0, [], passage)
-        left, outcomes, edges = t - self._ahead[here.camera], ready.outcomes, self._hazards.bins.edges
+        left, outcomes, edges = (
+            t - self._ahead[here.camera],
+            ready.outcomes,
+            self._hazards.bins.edges,
+        )
         entry, previous, sure, stay = None, None, 0.0, None
         if passage is not None:
-            entry, previous, sure, stay = passage.entry, passage.previous, passage.sure, left - passage.t
+            entry, previous, sure, stay = (
+                passage.entry,
+                passage.previous,
+                passage.sure,
+                left - passage.t,
+            )
         pace = self._paces.of_passage(entry, zone, stay)
         observed = now is not None and self._has_left(zone, left)
         if observed:
@@ -218,17 +243,25 @@ class Predictor:
         else:
             known = self._at_exit(ready, left, passage)
             odds = known.odds
-        likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, previous, sure)
+        likelier, leave = self._surroundings.multipliers(
+            zone, outcomes, block, entry, previous, sure
+        )
         odds = list(map(mul, odds, likelier))
         leave += math.fsum(map(mul, ready.doubt, odds))
-        if now is not None and now > t:  # what may as well be chance was so at the exit: it is gone, seen or not
+        if (
+            now is not None and now > t
+        ):  # what may as well be chance was so at the exit: it is gone, seen or not
             slower, pace = 1.0 if pace is None else pace[0], None
             mass, known = self._odds(zone, ready, left, passage, observed, now - t, slower), None
             edges, leave = paced(edges, slower), max(leave, LEAVE_FLOOR)
             odds = list(map(mul, mass.sum(axis=1).tolist(), likelier))
         odds = list(map(mul, odds, ready.sure))
         least = NEXT_PROBABILITY_MIN * (leave + math.fsum(odds))
-        order = [k for k in sorted(range(len(odds)), key=odds.__getitem__, reverse=True) if odds[k] >= least]
+        order = [
+            k
+            for k in sorted(range(len(odds)), key=odds.__getitem__, reverse=True)
+            if odds[k] >= least
+        ]
         kept = leave + math.fsum(odds[k] for k in order)
         if known is None:
             lags = quantiles(mass[order], edges)
@@ -241,25 +274,41 @@ class Predictor:
             NextCamera(ready.targets[k].camera, ready.targets[k].id, odds[k] / kept, *times)
             for k, times in zip(order, windows, strict=True)
         ]
-        return self._prediction(here, t, track, leave / kept, following, passage if now is None else None)
+        return self._prediction(
+            here, t, track, leave / kept, following, passage if now is None else None
+        )
 
     def _prediction(
-        self, here: Zone, t: float, track: str | None, leave: float, following: list[NextCamera],
+        self,
+        here: Zone,
+        t: float,
+        track: str | None,
+        leave: float,
+        following: list[NextCamera],
         passage: Passage | None,
-    ) -> Prediction:  # fmt: skip
-        """With who sees the object at the exit, where its ``passage`` is known and other views overlap."""
+    ) -> Prediction:
+        """With who sees the object at the exit, where its ``passage`` is known and other views
+        overlap.
+        """
         if passage is None or not self._hand_over.overlaps(here.camera):
             return Prediction(here.camera, here.id, t, track, self.version, leave, following)
-        in_view = self._hand_over.in_view(passage, t - self._ahead[here.camera], self._under_way, self._ahead)
+        in_view = self._hand_over.in_view(
+            passage, t - self._ahead[here.camera], self._under_way, self._ahead
+        )
         seen = look(in_view, following)
-        return Prediction(here.camera, here.id, t, track, self.version, leave, following, seen, in_view)
+        return Prediction(
+            here.camera, here.id, t, track, self.version, leave, following, seen, in_view
+        )
 
     def _at_exit(self, ready: Ready, t: float, passage: Passage | None) -> AtExit:
         """`_odds` for an exit that has not been observed, by what is known then."""
         stay, alive = None if passage is None else t - passage.t, self._alive(ready)
         odds = list(map(mul, ready.odds(stay), alive))
         arrivals, hazards, came_there = self._arrivals, self._hazards, dict[int, dict[int, float]]()
-        counts, since = arrivals.dropped + arrivals.first, -math.inf if passage is None else passage.t
+        counts, since = (
+            arrivals.dropped + arrivals.first,
+            -math.inf if passage is None else passage.t,
+        )
         oldest = max(t + hazards.bins.lag_min, since)
         for k, target, later, earliest, ahead, kernels, hazard in ready.before:
             entered = passage is not None and passage.entry in kernels
@@ -275,9 +324,16 @@ class Predictor:
                 here = hazard.get(at, 0.0)
                 if at < 0 or not (here or entered):
                     continue
-                here, rate = here and here * ready.exposure(at, stay), arrivals.rate.item(number - arrivals.dropped)
+                here, rate = (
+                    here and here * ready.exposure(at, stay),
+                    arrivals.rate.item(number - arrivals.dropped),
+                )
                 if passage is not None:
-                    from_view = hazards.rate_entered(passage.entry, target, came - since) if entered else 0.0
+                    from_view = (
+                        hazards.rate_entered(passage.entry, target, came - since)
+                        if entered
+                        else 0.0
+                    )
                     here, rate = here + from_view, rate - (from_view + ahead)
                 if here:
                     more = here / max(rate, RATE_MIN)
@@ -298,10 +354,15 @@ class Predictor:
     ) -> Floats:
         """Odds of every (target, lag bin), (targets, bins), beside those of not being seen again.
 
-        ``observed``: the exit has been, so that arrivals have it among their causes. ``elapsed``: what is known so many
-        seconds after it, of an object that takes ``slower`` times as long as usual; bins are at its pace then.
+        ``observed``: the exit has been, so that arrivals have it among their causes. ``elapsed``:
+        what is known so many seconds after it, of an object that takes ``slower`` times as long as
+        usual; bins are at its pace then.
         """
-        bins, outcomes, since = self._hazards.bins, ready.outcomes, -math.inf if passage is None else passage.t
+        bins, outcomes, since = (
+            self._hazards.bins,
+            ready.outcomes,
+            -math.inf if passage is None else passage.t,
+        )
         camera = self.zones[zone].camera
         exposed = outcomes.exposure if passage is None else self._hazards.exposed(t - since)
         exposed = outcomes.exposed(exposed)
@@ -323,7 +384,13 @@ class Predictor:
         lag = came - t - np.where(k >= 0, outcomes.delay[k], 0.0)
         at = bins.index(paced(lag, 1.0 / slower) if elapsed else lag)
         some = np.flatnonzero((k >= 0) & (at >= 0))
-        k, at, there, came, rate = k[some], at[some], there[some], came[some], self._arrivals.rate[found[some]]
+        k, at, there, came, rate = (
+            k[some],
+            at[some],
+            there[some],
+            came[some],
+            self._arrivals.rate[found[some]],
+        )
         here = outcomes.hazard[k, at] * exposed[k, at]
         if elapsed:
             here *= (bins.widths / np.diff(edges))[at]
@@ -334,7 +401,9 @@ class Predictor:
             own = entered if observed else entered + self._hazards.rates_ahead(camera, there)
             if elapsed:  # those who came after the exit: not from within the view, though it was not known any better
                 in_view = some < before
-                own = own * (in_view if observed else self._camera_of[there] != self._camera_of[zone])
+                own = own * (
+                    in_view if observed else self._camera_of[there] != self._camera_of[zone]
+                )
                 entered = entered * in_view
             here = here + entered
             rate = rate - own
@@ -347,8 +416,8 @@ class Predictor:
         return bool(((times == t) & (zones == zone)).any())
 
     def _since(self, t: float, elapsed: float, camera: str) -> tuple[NDArray[np.intp], float]:
-        """Arrivals (indices) from an exit until ``elapsed`` seconds after it, clocks taken as they are; and from how
-        many seconds after it on they are remembered.
+        """Arrivals (indices) from an exit until ``elapsed`` seconds after it, clocks taken as they
+        are; and from how many seconds after it on they are remembered.
         """
         arrivals = self._arrivals
         first = arrivals.first
@@ -358,8 +427,8 @@ class Predictor:
         return np.flatnonzero((shown >= t) & (shown <= t + elapsed)) + first, remembered
 
     def _recent(self, t: float, since: float, zone: int) -> NDArray[np.intp]:
-        """Arrivals (indices, newest first) in other views from ``since`` on that were there by ``t``, clocks taken as
-        they are, and could be the object leaving at ``zone`` at ``t``.
+        """Arrivals (indices, newest first) in other views from ``since`` on that were there by
+        ``t``, clocks taken as they are, and could be the object leaving at ``zone`` at ``t``.
         """
         arrivals, targets = self._arrivals, self._hazards.seen_before(zone)
         first, oldest = arrivals.first, max(t + self._hazards.bins.lag_min, since)
@@ -376,9 +445,14 @@ class Predictor:
         return found
 
     def _share_causes(self, zone: int, t: float, passage: Passage | None) -> None:
-        """Whoever has left is among the causes of what has come since elsewhere, but no longer as one in the view."""
+        """Whoever has left is among the causes of what has come since elsewhere, but no longer as
+        one in the view.
+        """
         arrivals, bin_of = self._arrivals, self._hazards.bin_of
-        counts, since = arrivals.dropped + arrivals.first, -math.inf if passage is None else passage.t
+        counts, since = (
+            arrivals.dropped + arrivals.first,
+            -math.inf if passage is None else passage.t,
+        )
         oldest = max(t + self._hazards.bins.lag_min, since)
         for _, target, later, earliest, ahead, _, hazard in self._ready.before(zone):
             in_view = 0.0 if passage is None else ahead
@@ -387,15 +461,21 @@ class Predictor:
                 if came < reach:
                     break
                 if came >= since and came + later < t and number >= counts:
-                    arrivals.rate[number - arrivals.dropped] += hazard.get(bin_of(came - t), 0.0) - in_view
+                    arrivals.rate[number - arrivals.dropped] += (
+                        hazard.get(bin_of(came - t), 0.0) - in_view
+                    )
 
     def _in_view(self, zone: int, came: float, t: float) -> bool:
-        """Whether somebody who came to a zone at ``came`` was still in the view at ``t``, seconds in right time."""
+        """Whether somebody who came to a zone at ``came`` was still in the view at ``t``, seconds
+        in right time.
+        """
         camera = self.zones[zone].camera
         return self._under_way.was_in_view(camera, zone, came, t + self._ahead[camera])
 
     def _share_with_simultaneous(self, passage: Passage) -> None:
-        """A passage that has just begun is among the causes of what came at the same instant elsewhere."""
+        """A passage that has just begun is among the causes of what came at the same instant
+        elsewhere.
+        """
         arrivals, hazards = self._arrivals, self._hazards
         for row in range(arrivals.stop - 1, arrivals.first - 1, -1):
             if arrivals.t[row] != passage.t:
@@ -406,7 +486,8 @@ class Predictor:
                 arrivals.rate[row] += hazards.rate_ahead(passage.camera, target) + entered
 
     def _causes(self, zone: int, t: float) -> dict[str, float]:
-        """Rate (1/s) at which those who have left each camera and those still in its view could cause an arrival now.
+        """Rate (1/s) at which those who have left each camera and those still in its view could
+        cause an arrival now.
 
         What comes from outside is not among them.
         """
@@ -422,7 +503,11 @@ class Predictor:
                 continue
             if not (passages := self._under_way.in_view(camera)):
                 continue
-            ahead, rate, first = self._hazards.rate_ahead(camera, zone), causes.get(camera, 0.0), None
+            ahead, rate, first = (
+                self._hazards.rate_ahead(camera, zone),
+                causes.get(camera, 0.0),
+                None,
+            )
             for place, passage in passages:
                 one = ahead
                 if passage.entry in kernels:
@@ -432,18 +517,29 @@ class Predictor:
                     first = first or place
             if first is not None:
                 further.append((first, camera, rate))
-        causes.update((camera, rate) for _, camera, rate in sorted(further))  # as they came: sums depend on the order
+        causes.update(
+            (camera, rate) for _, camera, rate in sorted(further)
+        )  # as they came: sums depend on the order
         return causes
 
     def _alive(self, ready: Ready) -> list[float]:
-        """Probability (targets,) that each camera still reports, from how many events of others it has let pass."""
+        """Probability (targets,) that each camera still reports, from how many events of others it
+        has let pass.
+        """
         events, last_event, exp, most = self._events, self._last_event, math.exp, SILENCE_NATS_MAX
         return [
-            1.0 / (1.0 + DEAD_PRIOR * exp(nats if (nats := (events - last_event[k]) * share) < most else most))
+            1.0
+            / (
+                1.0
+                + DEAD_PRIOR
+                * exp(nats if (nats := (events - last_event[k]) * share) < most else most)
+            )
             for k, share in zip(ready.cameras, ready.share, strict=True)
         ]
 
 
 def _check(t: float, now: float | None) -> None:
     if now is not None and not t <= now < math.inf:
-        raise ValueError(f"now is {now}: give the time of the exit, {t}, or a later one, in seconds")
+        raise ValueError(
+            f"now is {now}: give the time of the exit, {t}, or a later one, in seconds"
+        )

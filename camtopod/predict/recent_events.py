@@ -46,7 +46,9 @@ class Recent:
         self.t[: self.stop], self.zone[: self.stop] = t, zone
 
     def append(self, t: float, zone: int, rate: float = 0.0) -> None:
-        """The next one; ``t`` in seconds, ``rate`` as of `Arrival`. Makes room by dropping what does not count."""
+        """The next one; ``t`` in seconds, ``rate`` as of `Arrival`. Makes room by dropping what
+        does not count.
+        """
         if self.stop == len(self.t):
             self.stop = RECENT_MAX
             for column in (self.t, self.zone, self.rate):
@@ -66,7 +68,9 @@ class Recent:
 
     def arrivals(self) -> list[Arrival]:
         """Those that count, oldest first."""
-        columns = (column[self.first : self.stop].tolist() for column in (self.t, self.zone, self.rate))
+        columns = (
+            column[self.first : self.stop].tolist() for column in (self.t, self.zone, self.rate)
+        )
         return [Arrival(*one) for one in zip(*columns, strict=True)]
 
 
@@ -78,8 +82,8 @@ class RecentArrivals(Recent):
         self.dropped = 0
         """So many are not in the columns any more."""
         self.of_zone: dict[int, list[tuple[float, int]]] = {}
-        """Of each at a zone, by time, when it came and its number: its place in the columns and behind those that were
-        dropped. Those before `first` do not count.
+        """Of each at a zone, by time, when it came and its number: its place in the columns and
+        behind those that were dropped. Those before `first` do not count.
         """
 
     def append(self, t: float, zone: int, rate: float = 0.0) -> None:
@@ -96,7 +100,10 @@ class RecentArrivals(Recent):
 
     def _drop(self, number: int) -> None:
         self.dropped += number
-        left = ((zone, [one for one in came if one[1] >= self.dropped]) for zone, came in self.of_zone.items())
+        left = (
+            (zone, [one for one in came if one[1] >= self.dropped])
+            for zone, came in self.of_zone.items()
+        )
         self.of_zone = {zone: came for zone, came in left if came}
 
 
@@ -106,7 +113,9 @@ def renumbered(before: list[Zone], now: list[Zone]) -> dict[int, int]:
     return {k: index[zone.id] for k, zone in enumerate(before) if zone.id in index}
 
 
-def take_over_arrivals(arrivals: RecentArrivals, before: RecentArrivals, moved: dict[int, int]) -> None:
+def take_over_arrivals(
+    arrivals: RecentArrivals, before: RecentArrivals, moved: dict[int, int]
+) -> None:
     """Those that count at zones that are left, into ``arrivals``, which has none yet."""
     those = slice(before.first, before.stop)
     zone = _moved(before.zone[those], moved)
@@ -117,7 +126,9 @@ def take_over_arrivals(arrivals: RecentArrivals, before: RecentArrivals, moved: 
     order = np.lexsort((t, zone))
     came = list(zip(t[order].tolist(), order.tolist(), strict=True))
     starts = np.flatnonzero(np.diff(zone[order], prepend=-1)).tolist()
-    for number, first, end in zip(zone[order[starts]].tolist(), starts, [*starts[1:], len(came)], strict=False):
+    for number, first, end in zip(
+        zone[order[starts]].tolist(), starts, [*starts[1:], len(came)], strict=False
+    ):
         arrivals.of_zone[number] = came[first:end]
 
 

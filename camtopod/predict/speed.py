@@ -1,16 +1,26 @@
-"""Time windows of a prediction for an object of known or unknown pace, read off a topology version (see `slowness`)."""
+"""Time windows of a prediction for an object of known or unknown pace, read off a topology version
+(see `slowness`).
+"""
 
 from __future__ import annotations
 
 import math
 
 from camtopod.records import Topology
-from camtopod.topology import LAG_SECONDS_MIN, LAG_STEP, SLOWNESS_MAX, SMOOTHING_SD_BINS, STAY_SECONDS_MIN
+from camtopod.topology import (
+    LAG_SECONDS_MIN,
+    LAG_STEP,
+    SLOWNESS_MAX,
+    SMOOTHING_SD_BINS,
+    STAY_SECONDS_MIN,
+)
 
 NORMAL_Q90 = 1.2816
 SHARP_MIN = 0.5
 """Smoothing is not taken to have widened a window by more than makes up this share of it."""
-_WIDENED = tuple((least, (NORMAL_Q90 * LAG_STEP * sd_bins) ** 2) for least, sd_bins in SMOOTHING_SD_BINS)
+_WIDENED = tuple(
+    (least, (NORMAL_Q90 * LAG_STEP * sd_bins) ** 2) for least, sd_bins in SMOOTHING_SD_BINS
+)
 
 
 class Paces:
@@ -20,23 +30,35 @@ class Paces:
         index = {zone.id: k for k, zone in enumerate(topology.zones)}
         pace = topology.model and topology.model.pace
         self._pace = pace or None
-        self._usual = {(index[way.entry], index[way.exit]): way.stay for way in (pace.ways if pace else [])}
+        self._usual = {
+            (index[way.entry], index[way.exit]): way.stay for way in (pace.ways if pace else [])
+        }
 
     def window(
-        self, entry: int | None, left: int, stay: float | None, transitions: float, q10: float, q50: float, q90: float
+        self,
+        entry: int | None,
+        left: int,
+        stay: float | None,
+        transitions: float,
+        q10: float,
+        q50: float,
+        q90: float,
     ) -> tuple[float, float, float]:
         """Quantiles in seconds after the exit, from those of an object of usual pace.
 
-        ``entry``, ``left``: zones (indices) of a passage that took ``stay`` seconds; None where unknown.
-        ``transitions``: how many the quantiles rest on, which says how much they were smoothed. Transit times
-        were learned by the mean slowness of the views before and after. The one before is known at best; the other is
-        expected to be a share of it, and the rest of what it may be widens the window.
+        ``entry``, ``left``: zones (indices) of a passage that took ``stay`` seconds; None where
+        unknown. ``transitions``: how many the quantiles rest on, which says how much they were
+        smoothed. Transit times were learned by the mean slowness of the views before and after. The
+        one before is known at best; the other is expected to be a share of it, and the rest of what
+        it may be widens the window.
         """
         return self.at_pace(self.of_passage(entry, left, stay), transitions, q10, q50, q90)
 
-    def of_passage(self, entry: int | None, left: int, stay: float | None) -> tuple[float, float] | None:
-        """What a passage says of every window after it: the factor of its times, and by how much (log scale) it is
-        wider; None where there is nothing to say.
+    def of_passage(
+        self, entry: int | None, left: int, stay: float | None
+    ) -> tuple[float, float] | None:
+        """What a passage says of every window after it: the factor of its times, and by how much
+        (log scale) it is wider; None where there is nothing to say.
         """
         if self._pace is None:
             return None
@@ -51,7 +73,12 @@ class Paces:
         return math.exp(self._pace.scaling * expected), NORMAL_Q90 * self._pace.scaling * doubt
 
     def at_pace(
-        self, pace: tuple[float, float] | None, transitions: float, q10: float, q50: float, q90: float
+        self,
+        pace: tuple[float, float] | None,
+        transitions: float,
+        q10: float,
+        q50: float,
+        q90: float,
     ) -> tuple[float, float, float]:
         """`window` for a pace as of `of_passage`."""
         if pace is None or q50 <= LAG_SECONDS_MIN:

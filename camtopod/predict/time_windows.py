@@ -1,4 +1,6 @@
-"""Odds over lag bins: what is left of them as time passes, at whose pace, and the windows they make."""
+"""Odds over lag bins: what is left of them as time passes, at whose pace, and the windows they
+make.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +16,17 @@ WINDOW = (0.1, 0.5, 0.9)
 
 
 def paced(lag: Floats, slower: float) -> Floats:
-    """Lags of somebody who takes ``slower`` times as long; those before the exit do not go by it."""
+    """Lags of somebody who takes ``slower`` times as long; those before the exit do not go by
+    it.
+    """
     return np.where(lag > 0, slower * lag, lag)
 
 
 def unknown(edges: Floats, elapsed: float, remembered: float, later: Floats) -> Floats:
-    """Share of each bin, (targets, bins), of lags at which an arrival would not be known ``elapsed`` seconds after an
-    exit: those still to come, and those after the exit of which what came is not ``remembered``, from so many seconds
-    after it on. ``later``: by how much the targets' clocks are ahead, (targets,).
+    """Share of each bin, (targets, bins), of lags at which an arrival would not be known
+    ``elapsed`` seconds after an exit: those still to come, and those after the exit of which what
+    came is not ``remembered``, from so many seconds after it on. ``later``: by how much the
+    targets' clocks are ahead, (targets,).
     """
     shift = later[:, None]
     low, high, until = np.maximum(edges[:-1], -shift), edges[1:], elapsed - shift
@@ -32,8 +37,8 @@ def unknown(edges: Floats, elapsed: float, remembered: float, later: Floats) -> 
 
 
 def quantiles(mass: Floats, edges: Floats) -> list[list[float]]:
-    """Lags (targets, 3) below which there are the shares `WINDOW` of the mass (targets, bins) between ``edges``; in
-    between as `np.interp` has it.
+    """Lags (targets, 3) below which there are the shares `WINDOW` of the mass (targets, bins)
+    between ``edges``; in between as `np.interp` has it.
     """
     rows = np.arange(len(mass))[:, None]
     reached = np.zeros((len(mass), len(edges)))
@@ -49,10 +54,15 @@ def quantiles(mass: Floats, edges: Floats) -> list[list[float]]:
 def quantiles_beside(
     coming: Sequence[float], share: float, came: Sequence[tuple[int, float]], edges: Sequence[float]
 ) -> list[float]:
-    """`quantiles` of one target, of whose mass there is ``coming`` (bins + 1,) below each edge, ``share`` times, and
-    what ``came`` beside that: (bin, mass), by bin.
+    """`quantiles` of one target, of whose mass there is ``coming`` (bins + 1,) below each edge,
+    ``share`` times, and what ``came`` beside that: (bin, mass), by bin.
     """
-    last, passed, low, beside = len(coming) - 2, 0, 0, 0.0  # what one quantile is behind, the later ones are, too
+    last, passed, low, beside = (
+        len(coming) - 2,
+        0,
+        0,
+        0.0,
+    )  # what one quantile is behind, the later ones are, too
     total = share * coming[last + 1] + sum(mass for _, mass in came)
     lags = []
     for part in WINDOW:
@@ -68,6 +78,8 @@ def quantiles_beside(
             first, low, beside, passed = at + 1, at + 1, beside + mass, passed + 1
         k = min(max(bisect_right(coming, (wanted - beside) / share) - 1, first), high)
         gap = share * (coming[k + 1] - coming[k]) + here
-        within = (wanted - (share * coming[k] + beside)) / gap if gap > 0.0 else 0.0  # nothing there: by rounding
+        within = (
+            (wanted - (share * coming[k] + beside)) / gap if gap > 0.0 else 0.0
+        )  # nothing there: by rounding
         lags.append(edges[k] + min(max(within, 0.0), 1.0) * (edges[k + 1] - edges[k]))
     return lags

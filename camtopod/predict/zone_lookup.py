@@ -31,7 +31,8 @@ class Places:
         for k, zone in enumerate(zones):
             self.of_camera.setdefault(zone.camera, []).append(k)
         self._busiest = {
-            camera: max(own, key=lambda k: zones[k].entries + zones[k].exits) for camera, own in self.of_camera.items()
+            camera: max(own, key=lambda k: zones[k].entries + zones[k].exits)
+            for camera, own in self.of_camera.items()
         }
         self._shapes = {
             camera: [shape for k in own if (shape := _shape(k, zones[k])) is not None]
@@ -39,8 +40,8 @@ class Places:
         }
 
     def zone_of(self, event: Event) -> int | None:
-        """The zone the event most likely belongs to; None for a camera without zones. One without a shape is the last
-        choice.
+        """The zone the event most likely belongs to; None for a camera without zones. One without a
+        shape is the last choice.
         """
         own = self.of_camera.get(event.camera)
         if not own:
@@ -57,7 +58,9 @@ class Places:
 
 
 def _shape(k: int, zone: Zone) -> _Shape | None:
-    """A zone may be as narrow as a line, so the spread of a cell is added, as where zones are learned."""
+    """A zone may be as narrow as a line, so the spread of a cell is added, as where zones are
+    learned.
+    """
     if zone.cov is None or zone.x is None or zone.y is None:
         return None
     (xx, xy), (_, yy) = zone.cov

@@ -1,11 +1,13 @@
-"""The daemon: events from the bus into the learner, topology, predictions, acks and status onto the bus.
+"""The daemon: events from the bus into the learner, topology, predictions, acks and status onto the
+bus.
 
-Theory of operation. Five threads besides the bus's own. *Listen* puts what it hears in order and answers exits over the
-newest version; *receive* does so with what is left over, pulled or due. *Store* owns the journal: it commits what is in
-order, acknowledges it, and stores each version before it is published. *Learn* teaches the learner, which is in a
-process of its own, what is committed, in the journal's order. *Pull* asks the publishers' spools for what is missing.
-Every hand-over is a bounded queue; when one is full, events stay in the spools. A sixth thread, *bus*, looks whether
-the bus lives, where this process is its meeting point.
+Theory of operation. Five threads besides the bus's own. *Listen* puts what it hears in order and
+answers exits over the newest version; *receive* does so with what is left over, pulled or due.
+*Store* owns the journal: it commits what is in order, acknowledges it, and stores each version
+before it is published. *Learn* teaches the learner, which is in a process of its own, what is
+committed, in the journal's order. *Pull* asks the publishers' spools for what is missing. Every
+hand-over is a bounded queue; when one is full, events stay in the spools. A sixth thread, *bus*,
+looks whether the bus lives, where this process is its meeting point.
 """
 
 from __future__ import annotations
@@ -27,7 +29,17 @@ from camtopod.config import Config
 from camtopod.event_time import EventTime, microseconds
 from camtopod.records import CAMERA_PATTERN, Prediction, Topology
 from camtopod.redact import redact
-from camtopod.serve.bus import HANGS_SECONDS, JSON, Bus, QueryError, Rivals, SelfCheck, boxes, dial, meet
+from camtopod.serve.bus import (
+    HANGS_SECONDS,
+    JSON,
+    Bus,
+    QueryError,
+    Rivals,
+    SelfCheck,
+    boxes,
+    dial,
+    meet,
+)
 from camtopod.serve.ingest import Puller, Receiver
 from camtopod.serve.learner_process import (
     LearnerProcess,
@@ -58,15 +70,18 @@ STATUS_ALARMS = 10
 class Daemon:
     """Everything `camtopod run` does, also usable inside another process.
 
-    With ``bus`` it works on that session and leaves it open; without, it opens (and closes) its own as the
-    configuration says. ``shard``: (i, n) of a site that several share; none has it to itself. ``start`` returns when it
-    is ready to receive. Raises `BusError` or `StateError`.
+    With ``bus`` it works on that session and leaves it open; without, it opens (and closes) its own
+    as the configuration says. ``shard``: (i, n) of a site that several share; none has it to
+    itself. ``start`` returns when it is ready to receive. Raises `BusError` or `StateError`.
     """
 
     def __init__(
-        self, config: Config, bus: Bus | None = None, clock: clocks.Clock = clocks.wall,
+        self,
+        config: Config,
+        bus: Bus | None = None,
+        clock: clocks.Clock = clocks.wall,
         shard: tuple[int, int] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._config, self._clock, self._steady = config, clock, clocks.steady_beside(clock)
         self._share = Whole() if shard is None else Share(config.shards, shard)
         self._sharing: Sharing | None = None
@@ -110,7 +125,9 @@ class Daemon:
         return self._learning.epoch
 
     def start(self, cancel: threading.Event | None = None) -> bool:
-        """Read the journal, join the bus and begin; False if ``cancel`` was set before that was done."""
+        """Read the journal, join the bus and begin; False if ``cancel`` was set before that was
+        done.
+        """
         cancelled = cancel or self._stopping
         self.progress.watch("start", self._config.health.learn_seconds)
         config, share = self._config, self._share
@@ -119,12 +136,22 @@ class Daemon:
         with contextlib.ExitStack() as undo:  # a start that fails leaves nothing open
             undo.callback(self._undo)
             try:
-                self._process = process = LearnerProcess()  # which loads its libraries while the bus is joined
+                self._process = process = (
+                    LearnerProcess()
+                )  # which loads its libraries while the bus is joined
                 if self._bus is None:
-                    self._bus = meet(config, isinstance(share, Share)) if share.first else dial(config)
+                    self._bus = (
+                        meet(config, isinstance(share, Share)) if share.first else dial(config)
+                    )
                 name = config.site.name
                 recovered = recover(
-                    self._journal, process, config.learn, name, self._new_epoch, share.portion, self._clock()
+                    self._journal,
+                    process,
+                    config.learn,
+                    name,
+                    self._new_epoch,
+                    share.portion,
+                    self._clock(),
                 )
                 if cancelled.is_set():
                     return False
@@ -133,27 +160,45 @@ class Daemon:
                 self._rivals.refuse(config.bus.connect_seconds, cancelled)
                 self._serve(self._bus)
             except sqlite3.Error as error:
-                raise StateError(f"cannot read the journal in {directory}: {error}; it is left as it is") from None
+                raise StateError(
+                    f"cannot read the journal in {directory}: {error}; it is left as it is"
+                ) from None
             undo.pop_all()
         if self.newest is not None and self._share.first:
             self._bus.put("topology", self.newest.raw, "topology")
         health, limits, stall = config.health, config.limits, config.health.stall_seconds
         self._run("receive", lambda mark: self._receiver.work(self._stopping, mark.beat), stall)
-        self._run("listen", lambda mark: self._receiver.listen(), float("inf"))  # where it hangs, "receive" does
+        self._run(
+            "listen", lambda mark: self._receiver.listen(), float("inf")
+        )  # where it hangs, "receive" does
         self._run("store", lambda mark: self._receiver.store(self._stopping, mark.beat), stall)
-        self._run("learn", lambda mark: self._learning.work(self._stopping, mark.beat), health.learn_seconds)
-        self._run("pull", lambda mark: self._puller.work(self._stopping, mark), limits.pull_seconds + stall)
+        self._run(
+            "learn",
+            lambda mark: self._learning.work(self._stopping, mark.beat),
+            health.learn_seconds,
+        )
+        self._run(
+            "pull",
+            lambda mark: self._puller.work(self._stopping, mark),
+            limits.pull_seconds + stall,
+        )
         self._run("status", self._tell_status, limits.status_seconds + stall)
         if self._given_bus is None and self._share.first and config.listens:
             self_check = SelfCheck(config, self._bus.endpoint, self._rivals.name)
-            self._run("bus", lambda mark: self_check.work(self._stopping, mark), self_check.look_seconds_max + stall)
+            self._run(
+                "bus",
+                lambda mark: self_check.work(self._stopping, mark),
+                self_check.look_seconds_max + stall,
+            )
         if (sharing := self._sharing) is not None:
             self._run("follow", lambda mark: sharing.follow(self._stopping, mark.beat), stall)
             self._run("tell", lambda mark: sharing.tell(self._stopping, mark.beat), stall)
             self._run("hear", lambda mark: sharing.hearing.work(self._stopping, mark.beat), stall)
         self.progress.forget("start")
         self.started = True
-        log.info("site %s, epoch %s: ready at %s", self._config.site.name, self.epoch, self._bus.endpoint)
+        log.info(
+            "site %s, epoch %s: ready at %s", self._config.site.name, self.epoch, self._bus.endpoint
+        )
         return True
 
     def wait(self, seconds: float | None = None) -> bool:
@@ -175,7 +220,9 @@ class Daemon:
             self._process.kill()
         if "store" not in running:
             if self.started and "learn" not in running:
-                self._receiver.storing.last_words(None if self._failed.is_set() else self._learning.snapshot())
+                self._receiver.storing.last_words(
+                    None if self._failed.is_set() else self._learning.snapshot()
+                )
             self._journal.close()
         if self._sharing is not None and "follow" not in running:
             self._sharing.close()
@@ -191,20 +238,26 @@ class Daemon:
         return reasons + self.progress.stuck()
 
     def unready(self) -> list[str]:
-        """Why nobody should rely on it at the moment, which starting again might not change; empty if ready."""
+        """Why nobody should rely on it at the moment, which starting again might not change; empty
+        if ready.
+        """
         if self._stopping.is_set():
             return ["the daemon is stopping"]
         if not self.started or self._bus is None:
             return ["the daemon is starting"]
         reasons = [reason] if (reason := self._reason) else []
         if self._learning.replaying:
-            reasons.append(f"{self._learning.replaying} entries of the journal are still to be learned")
+            reasons.append(
+                f"{self._learning.replaying} entries of the journal are still to be learned"
+            )
         if not self._config.listens and not self._bus.connected:
             reasons.append(f"the bus at {self._bus.endpoint} is not reached")
         return [redact(reason) for reason in reasons] + self.failing()
 
     def reconfigure(self, config: Config) -> list[str]:
-        """Obey what can be changed while it runs; returns the names of the changes that need a restart."""
+        """Obey what can be changed while it runs; returns the names of the changes that need a
+        restart.
+        """
         limits, waiting = changes(self._config, config)
         self._config = msgspec.structs.replace(self._config, limits=limits)
         stall = self._config.health.stall_seconds
@@ -260,7 +313,11 @@ class Daemon:
         receiver, watermark = self._receiver, self._learning.statistics["watermark"]
         seconds, key = self._bus.hanging if self._bus is not None else (0.0, "")
         hanging = f"publishing on {key} takes {seconds:.0f} s" if seconds > HANGS_SECONDS else ""
-        reason = receiver.storing.reason or ("" if self._sharing is None else self._sharing.reason) or hanging
+        reason = (
+            receiver.storing.reason
+            or ("" if self._sharing is None else self._sharing.reason)
+            or hanging
+        )
         reason = reason or receiver.cameras.reason(watermark, self._clock())
         return reason or receiver.crowded or self._learning.crowded
 
@@ -288,42 +345,82 @@ class Daemon:
         return epoch
 
     def _correct(self, to: float) -> tuple[str, str]:
-        """Event time is taken back to ``to`` (Unix seconds): the epoch that ends, and the one that begins."""
+        """Event time is taken back to ``to`` (Unix seconds): the epoch that ends, and the one that
+        begins.
+        """
         self._live.forget()
         return self._learning.epoch, self._new_epoch()
 
-    def _build(self, bus: Bus, recovered: Recovered, process: LearnerProcess, directory: Path) -> None:
+    def _build(
+        self, bus: Bus, recovered: Recovered, process: LearnerProcess, directory: Path
+    ) -> None:
         limits, share = self._config.limits, self._share
         self._live = Live(self._publish_prediction, share.owns, self._stopping.wait)
-        if isinstance(share, Whole) and (topology := newest_topology(self._journal, process)) is not None:
+        if (
+            isinstance(share, Whole)
+            and (topology := newest_topology(self._journal, process)) is not None
+        ):
             self.newest = Newest(head_of(topology), codec.to_pack(topology))
             self._live.use(topology)
         recent = recent_events(self._journal)
-        learned_time = EventTime(self._config.learn.lateness_seconds, self._config.learn.ahead_seconds_max)
+        learned_time = EventTime(
+            self._config.learn.lateness_seconds, self._config.learn.ahead_seconds_max
+        )
         learned_time.load(recovered.taught.event_time)
         for event in recent:  # they may be newer than the snapshot
             learned_time.note(microseconds(event.t), event.camera)
         self._receiver = Receiver(
-            self._journal, bus, limits, self._clock,
-            learn=lambda batch: self._learning.feed(batch), room=lambda: self._learning.room(),
-            publish=self._publish, see=self._live.see, owns=share.owns,
-            daemon=self._name(), learned_time=learned_time, boxes=boxes(self._config), corrected=self._correct,
-        )  # fmt: skip
+            self._journal,
+            bus,
+            limits,
+            self._clock,
+            learn=lambda batch: self._learning.feed(batch),
+            room=lambda: self._learning.room(),
+            publish=self._publish,
+            see=self._live.see,
+            owns=share.owns,
+            daemon=self._name(),
+            learned_time=learned_time,
+            boxes=boxes(self._config),
+            corrected=self._correct,
+        )
         storing = self._receiver.storing
         self._learning = Learning(
-            recovered, process, self._journal, limits.learn_events_max, self._config.keep.snapshot_events,
-            self._on_version, storing.on_snapshot, self._receiver.on_deadline, self._new_epoch,
-        )  # fmt: skip
+            recovered,
+            process,
+            self._journal,
+            limits.learn_events_max,
+            self._config.keep.snapshot_events,
+            self._on_version,
+            storing.on_snapshot,
+            self._receiver.on_deadline,
+            self._new_epoch,
+        )
         if isinstance(share, Share):
-            from camtopod.serve.shards import Sharing  # brings what learning needs, which is not small
+            from camtopod.serve.shards import (
+                Sharing,
+            )  # brings what learning needs, which is not small
 
             self._sharing = Sharing(
-                self._config, share, directory, bus, self._learning, told_by(process), self._clock, self._use
+                self._config,
+                share,
+                directory,
+                bus,
+                self._learning,
+                told_by(process),
+                self._clock,
+                self._use,
             )
         self._live.remember(recent)
         receiver = self._receiver
         self._puller = Puller(
-            bus, limits, receiver.streams.wanted, receiver.on_pulled, receiver.gap, receiver.rejects, self._name()
+            bus,
+            limits,
+            receiver.streams.wanted,
+            receiver.on_pulled,
+            receiver.gap,
+            receiver.rejects,
+            self._name(),
         )
 
     def _serve(self, bus: Bus) -> None:
@@ -357,7 +454,9 @@ class Daemon:
         self._puller.on_alive(camera, alive)
 
     def _version(self, parameters: dict[str, str]) -> Topology | msgspec.Raw:
-        """The newest version, or an older one of the epoch (``version``) as far as it is kept. Raises `QueryError`."""
+        """The newest version, or an older one of the epoch (``version``) as far as it is kept.
+        Raises `QueryError`.
+        """
         if (newest := self.newest) is None:
             raise QueryError("nothing has been learned yet")
         wanted = parameters.get("version", str(newest.head.version))
@@ -365,8 +464,14 @@ class Daemon:
         if (epoch, wanted) == (newest.head.epoch, str(newest.head.version)):
             return newest.topology if parameters.get("format") == JSON else newest.raw
         try:
-            kept = self._journal if self._sharing is None or self._sharing.merger is None else self._sharing.merger
-            content = kept.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
+            kept = (
+                self._journal
+                if self._sharing is None or self._sharing.merger is None
+                else self._sharing.merger
+            )
+            content = (
+                kept.version(epoch, int(wanted)) if re.fullmatch("[0-9]{1,18}", wanted) else None
+            )
             if content is not None:
                 return codec.read(Topology, content)
         except (sqlite3.Error, StateError, codec.Rejected) as error:
@@ -402,7 +507,13 @@ class Daemon:
         for alarm in said.alarms:
             if alarm.version == said.version:
                 log.warning("%s %s: %s", alarm.kind, alarm.subject, alarm.detail)
-        log.info("version %d: %d cameras, %d zones, %d links", said.version, said.cameras, said.zones, said.links)
+        log.info(
+            "version %d: %d cameras, %d zones, %d links",
+            said.version,
+            said.cameras,
+            said.zones,
+            said.links,
+        )
         self._live.forget_older()
 
     def _publish_prediction(self, prediction: Prediction) -> None:

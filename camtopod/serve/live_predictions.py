@@ -1,4 +1,6 @@
-"""Predictions as objects leave, before their events are stored: no fit and no disk holds them up."""
+"""Predictions as objects leave, before their events are stored: no fit and no disk holds them
+up.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,16 @@ from camtopod.serve.storage import for_prediction
 
 
 class Live:
-    """Show it events in the order they are stored. Asked from any thread. ``owns``: the cameras whose exits it is for
-    this daemon to answer. ``rest``: as of `Leisure`.
+    """Show it events in the order they are stored. Asked from any thread. ``owns``: the cameras
+    whose exits it is for this daemon to answer. ``rest``: as of `Leisure`.
     """
 
     def __init__(
-        self, publish: Callable[[Prediction], None], owns: Callable[[str], bool] = everything,
+        self,
+        publish: Callable[[Prediction], None],
+        owns: Callable[[str], bool] = everything,
         rest: Callable[[float], object] = time.sleep,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._publish, self._owns, self._rest = publish, owns, rest
         self._mutex = threading.Lock()
         self._predictor: Predictor | None = None
@@ -33,13 +37,22 @@ class Live:
         self.counts = {"predictions": 0, "predictions_skipped": 0, "questions_refused": 0}
 
     def see(self, batch: Sequence[Received], seconds_max: float) -> None:
-        """Events about to be stored. Those for which there is no time any more are skipped, exits counted."""
+        """Events about to be stored. Those for which there is no time any more are skipped, exits
+        counted.
+        """
         if self._predictor is None:
             return
-        until, events = time.monotonic() + seconds_max, [one.event for one in batch if one.event is not None]
+        until, events = (
+            time.monotonic() + seconds_max,
+            [one.event for one in batch if one.event is not None],
+        )
         for number, event in enumerate(events):
             if time.monotonic() >= until:
-                skipped = [late for late in events[number:] if late.kind == "exit" and self._owns(late.camera)]
+                skipped = [
+                    late
+                    for late in events[number:]
+                    if late.kind == "exit" and self._owns(late.camera)
+                ]
                 self.counts["predictions_skipped"] += len(skipped)
                 return
             self._step(event)
@@ -57,8 +70,9 @@ class Live:
                 self._predictor.forget()
 
     def prepare(self, version: Topology | bytes, hurried: bool = False) -> None:
-        """A version that is about to be used, as such or as MessagePack: what takes long is done, and predictions go on
-        meanwhile; none of them is held up unless it is ``hurried``. One thread.
+        """A version that is about to be used, as such or as MessagePack: what takes long is done,
+        and predictions go on meanwhile; none of them is held up unless it is ``hurried``. One
+        thread.
         """
         pause: Pause = no_pause if hurried or self._predictor is None else Leisure(self._rest)
         read = for_prediction(version, pause) if isinstance(version, bytes) else version
@@ -90,8 +104,8 @@ class Live:
         memory.give_back()
 
     def answer(self, key: str, parameters: dict[str, str]) -> Prediction | None:
-        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone, by what is known then or at ``now``;
-        None is no answer, as it is for another to give. Raises `QueryError`.
+        """To ``predict/{camera}``: for an exit at x, y at t, or from a zone, by what is known then
+        or at ``now``; None is no answer, as it is for another to give. Raises `QueryError`.
         """
         if not self._owns(key.removeprefix("predict/")):
             return None
@@ -111,7 +125,9 @@ class Live:
             try:
                 if "zone" not in parameters:
                     return predictor.predict(event, now)
-                if parameters["zone"] not in zones or not parameters["zone"].startswith(f"{camera}/"):
+                if parameters["zone"] not in zones or not parameters["zone"].startswith(
+                    f"{camera}/"
+                ):
                     raise QueryError(f"camera {camera!r} has no zone {parameters['zone']!r}")
                 return predictor.predict_from(zones.index(parameters["zone"]), event.t, now=now)
             except ValueError as error:
@@ -131,8 +147,8 @@ class Live:
 
 
 def asked_exit(camera: str, parameters: dict[str, str], as_of: float) -> tuple[Event, float | None]:
-    """The exit a question is about, at ``as_of`` if it does not say when, and the time it is asked for, None for that
-    of the exit. Raises `QueryError`.
+    """The exit a question is about, at ``as_of`` if it does not say when, and the time it is asked
+    for, None for that of the exit. Raises `QueryError`.
     """
     asked: dict[str, object] = {"camera": camera, "kind": "exit", "t": as_of}
     try:

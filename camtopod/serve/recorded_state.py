@@ -1,7 +1,9 @@
-"""A state directory made of a recording: a daemon that starts there goes on from what the recording taught.
+"""A state directory made of a recording: a daemon that starts there goes on from what the recording
+taught.
 
-Events become entries of the journal, as if they had been received, and the learner's state behind the last of them
-becomes its snapshot. If this ends half way, a daemon can use the directory all the same: it learns the entries itself.
+Events become entries of the journal, as if they had been received, and the learner's state behind
+the last of them becomes its snapshot. If this ends half way, a daemon can use the directory all the
+same: it learns the entries itself.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ ENTRIES_AT_ONCE = 10_000
 class RecordedState:
     """The journal of a new state directory, which is made if need be; a context manager.
 
-    ``now``: Unix seconds. Raises `StateError` if the directory has a state already, or cannot be written.
+    ``now``: Unix seconds. Raises `StateError` if the directory has a state already, or cannot be
+    written.
     """
 
     def __init__(self, directory: Path, keep: KeepSettings, now: float) -> None:
@@ -38,7 +41,9 @@ class RecordedState:
         with contextlib.ExitStack() as undo:
             undo.callback(self._journal.close)
             if len(self._journal) or self._journal.meta("epoch") is not None:
-                raise StateError(f"{directory} has a state already: name a new directory, or move that one away")
+                raise StateError(
+                    f"{directory} has a state already: name a new directory, or move that one away"
+                )
             with self._errors_named():
                 self._journal.set_meta("epoch", self.epoch)
             undo.pop_all()
@@ -46,12 +51,19 @@ class RecordedState:
     def __enter__(self) -> RecordedState:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self._journal.close()
 
     def add(self, event: Event) -> None:
         """Store an event that the learner has accepted."""
-        self._waiting.append(Entry("event", event.camera, event.boot, event.seq, codec.to_json(event)))
+        self._waiting.append(
+            Entry("event", event.camera, event.boot, event.seq, codec.to_json(event))
+        )
         if len(self._waiting) >= ENTRIES_AT_ONCE:
             self._commit()
 
@@ -60,7 +72,11 @@ class RecordedState:
         topology = learner.topology
         versions = []
         if topology is not None:
-            versions = [StoredVersion(topology.epoch, topology.version, topology.digest, codec.to_json(topology))]
+            versions = [
+                StoredVersion(
+                    topology.epoch, topology.version, topology.digest, codec.to_json(topology)
+                )
+            ]
         self._commit()
         snapshot = Snapshot(len(self._journal), self.epoch, pack(learner.save()))
         with self._errors_named():

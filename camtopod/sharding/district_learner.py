@@ -1,15 +1,17 @@
 """A district: a learner of the links into its own cameras.
 
-A district hears four kinds of cameras: its own; its *neighbours*, from which objects come to its own; the guests of the
-turn (`dealing`); and new cameras. While one of its own cameras is new, it hears every camera of the site.
+A district hears four kinds of cameras: its own; its *neighbours*, from which objects come to its
+own; the guests of the turn (`dealing`); and new cameras. While one of its own cameras is new, it
+hears every camera of the site.
 
-The joint fit is made with the district's own cameras, its neighbours, and the few others that a coarse look finds
-(`nearby`): their departures explain arrivals that would be credited to a neighbour otherwise. Only what belongs to the
-district's own cameras is published (`parts`).
+The joint fit is made with the district's own cameras, its neighbours, and the few others that a
+coarse look finds (`nearby`): their departures explain arrivals that would be credited to a
+neighbour otherwise. Only what belongs to the district's own cameras is published (`parts`).
 
-When a turn of event time ends, the newest version decides which cameras are neighbours in the next turn, and events of
-all other foreign cameras are dropped. In the long run the cost of a district therefore depends on its own cameras, its
-neighbours and the guests, and not on the size of the site.
+When a turn of event time ends, the newest version decides which cameras are neighbours in the next
+turn, and events of all other foreign cameras are dropped. In the long run the cost of a district
+therefore depends on its own cameras, its neighbours and the guests, and not on the size of the
+site.
 """
 
 from __future__ import annotations
@@ -38,18 +40,22 @@ NEIGHBOURS_PER_CAMERA_MAX = 12
 """Neighbours are at most so many for each camera here, those that send most."""
 
 REGULAR_EVENTS_MIN = 20
-"""A camera with fewer events stays new, but no longer than a round of guests takes; and if it is an own one, no others
-are heard because of it: names can be made up.
+"""A camera with fewer events stays new, but no longer than a round of guests takes; and if it is an
+own one, no others are heard because of it: names can be made up.
 """
 NEWCOMERS_MAX = 8
 """Foreign cameras with fewer events that are new at a time, after the first turn of a district."""
 
 MET_MAX = 10_000
-"""Foreign cameras that are remembered. The one that was met first is forgotten; it is new when it is heard again."""
+"""Foreign cameras that are remembered. The one that was met first is forgotten; it is new when it
+is heard again.
+"""
 
 
 class Newcomer(Struct):
-    """A camera that is new until the end of the turn that it is in a turn after its first event, or a later one."""
+    """A camera that is new until the end of the turn that it is in a turn after its first event, or
+    a later one.
+    """
 
     since_us: int
     """Its first event."""
@@ -82,7 +88,9 @@ class DistrictState(Struct):
 class District(Learner):
     """Learns as a `Learner` does, from what it hears, and gives a `Part` for each version."""
 
-    def __init__(self, settings: Settings, site: str, epoch: str, dealing: Dealing, number: int) -> None:
+    def __init__(
+        self, settings: Settings, site: str, epoch: str, dealing: Dealing, number: int
+    ) -> None:
         super().__init__(settings, site, epoch)
         self.number = number
         self.hearing = Hearing()
@@ -95,11 +103,13 @@ class District(Learner):
         return self._dealing.district(camera) == self.number
 
     def listens(self, camera: str, t: float) -> bool:
-        """Whether an event at ``t`` (seconds) of the camera may be of use. Until a turn has come those count that were
-        of use before: they may be neighbours then.
+        """Whether an event at ``t`` (seconds) of the camera may be of use. Until a turn has come
+        those count that were of use before: they may be neighbours then.
         """
         turn, decided = self._turn_of(microseconds(t)), self.hearing.turn
-        searching = any(self._is_new(one, turn) for name, one in self._new.items() if self.owns(name))
+        searching = any(
+            self._is_new(one, turn) for name, one in self._new.items() if self.owns(name)
+        )
         if self._hears(camera, turn, searching):
             return True
         return decided is not None and turn > decided and self._hears(camera, decided, searching)
@@ -124,20 +134,28 @@ class District(Learner):
 
     @property
     def held_since_us(self) -> int | None:
-        """Everything up to this has been learned and what is later is waiting, in microseconds; None: nothing waits."""
+        """Everything up to this has been learned and what is later is waiting, in microseconds;
+        None: nothing waits.
+        """
         oldest = self._intake.oldest_held_us
         return None if oldest is None else (oldest - 1) // self._tick_us * self._tick_us
 
     @property
     def phase(self) -> tuple[int | None, int, bool]:
         """Who is a stranger changes with this only."""
-        regular = any(one.events >= REGULAR_EVENTS_MIN and self.owns(name) for name, one in self._new.items())
+        regular = any(
+            one.events >= REGULAR_EVENTS_MIN and self.owns(name) for name, one in self._new.items()
+        )
         return self.hearing.turn, len(self._new), regular
 
     def strangers(self) -> set[str]:
         """The cameras met that are of use as guests only: none while all cameras are heard."""
         _, _, searching = self.phase
-        return set() if searching else self.hearing.met.keys() - self._new.keys() - {*self.hearing.neighbours}
+        return (
+            set()
+            if searching
+            else self.hearing.met.keys() - self._new.keys() - {*self.hearing.neighbours}
+        )
 
     def parts(self) -> list[Part]:
         """The part of each version made since the last call, oldest first."""
@@ -145,7 +163,9 @@ class District(Learner):
         return made
 
     def save_all(self) -> DistrictState:
-        """Everything `load_all` needs to go on from here. Parts that have not been asked for are not in it."""
+        """Everything `load_all` needs to go on from here. Parts that have not been asked for are
+        not in it.
+        """
         return DistrictState(self.save(), self.hearing)
 
     def load_all(self, state: DistrictState) -> None:
@@ -153,12 +173,18 @@ class District(Learner):
         self.load(state.learner)
         self.hearing = state.hearing
         turn = self.hearing.turn
-        self._new = {name: one for name, one in self.hearing.met.items() if turn is None or self._is_new(one, turn)}
+        self._new = {
+            name: one
+            for name, one in self.hearing.met.items()
+            if turn is None or self._is_new(one, turn)
+        }
 
     def change(self, change: Callable[[LearnerState], LearnerState]) -> None:
         """Go on with another state, in which event time may have been taken back."""
         state = change(self.save())
-        super().__init__(self.settings, self.site, self.epoch)  # only a new learner can be told what it knows
+        super().__init__(
+            self.settings, self.site, self.epoch
+        )  # only a new learner can be told what it knows
         self.load(state)
         if self._done_us is not None and self.hearing.turn is not None:
             self.hearing.turn = min(self.hearing.turn, self._turn_of(self._done_us))
@@ -187,15 +213,26 @@ class District(Learner):
             self._end_turn(self.hearing.turn, turn, until_us)
         self.hearing.turn = turn
         searching = self._searches(until_us, turn)
-        heard = [(t_us, event) for t_us, event in batch if self._admit(event.camera, t_us, turn, searching)]
+        heard = [
+            (t_us, event)
+            for t_us, event in batch
+            if self._admit(event.camera, t_us, turn, searching)
+        ]
         self.hearing.learned += sum(self.owns(event.camera) for _, event in heard)
-        return heard if self.hearing.learned else []  # without cameras of its own it has nothing to learn
+        return (
+            heard if self.hearing.learned else []
+        )  # without cameras of its own it has nothing to learn
 
     def _hears(self, camera: str, turn: int, searching: bool) -> bool:
-        """Whether events of the camera are of use in a turn: those of own cameras, neighbours, guests and new cameras,
-        and when ``searching`` all.
+        """Whether events of the camera are of use in a turn: those of own cameras, neighbours,
+        guests and new cameras, and when ``searching`` all.
         """
-        if searching or self.owns(camera) or camera in self.hearing.neighbours or self._dealing.guest(camera, turn):
+        if (
+            searching
+            or self.owns(camera)
+            or camera in self.hearing.neighbours
+            or self._dealing.guest(camera, turn)
+        ):
             return True
         met = self.hearing.met.get(camera)
         return met is None or self._is_new(met, turn)
@@ -206,8 +243,8 @@ class District(Learner):
     def _searches(self, tick_us: int, turn: int) -> bool:
         """Whether all cameras are heard in this tick, because an own camera is new.
 
-        Its first event must lie more than the lateness before the tick: whatever the order in which events arrive, none
-        of the tick was then refused before that camera was known.
+        Its first event must lie more than the lateness before the tick: whatever the order in which
+        events arrive, none of the tick was then refused before that camera was known.
         """
         before = tick_us - self._tick_us - 2 * self._intake.lateness_us
         return any(
@@ -221,9 +258,14 @@ class District(Learner):
         if not self._hears(camera, turn, searching):
             return False
         met = self.hearing.met
-        if camera not in met and not (searching or self.owns(camera) or self._dealing.guest(camera, turn)):
+        if camera not in met and not (
+            searching or self.owns(camera) or self._dealing.guest(camera, turn)
+        ):
             begun = next(iter(met.values())).since_us if met else t_us
-            few = sum(one.events < REGULAR_EVENTS_MIN and not self.owns(name) for name, one in self._new.items())
+            few = sum(
+                one.events < REGULAR_EVENTS_MIN and not self.owns(name)
+                for name, one in self._new.items()
+            )
             if few >= NEWCOMERS_MAX and t_us > begun + self._dealing.turn_us:
                 return False
         self._meet(camera, t_us).events += 1
@@ -242,8 +284,8 @@ class District(Learner):
         return met
 
     def _end_turn(self, ended: int, following: int, tick_us: int) -> None:
-        """Who is a neighbour from now on, and who is forgotten? By a version as of the tick where that is found out:
-        the others may have come to any moment before by then.
+        """Who is a neighbour from now on, and who is forgotten? By a version as of the tick where
+        that is found out: the others may have come to any moment before by then.
         """
         foreign = [camera for camera in self._window.cameras if not self.owns(camera)]
         if foreign and self._since_fit:
@@ -275,7 +317,9 @@ class District(Learner):
             if self.owns(source) or not self.owns(target):
                 continue
             arrivals = came[target] * heard.get(source, 0.0)
-            least = min(NEIGHBOUR_ARRIVALS_SHARE * arrivals, NEIGHBOUR_DEPARTURES_SHARE * left[source])
+            least = min(
+                NEIGHBOUR_ARRIVALS_SHARE * arrivals, NEIGHBOUR_DEPARTURES_SHARE * left[source]
+            )
             if (source, target) in linked or number >= max(least, NEIGHBOUR_TRANSITIONS_MIN):
                 most[source] = most.get(source, 0.0) + number / max(heard.get(source, 0.0), 1e-9)
         order = sorted(most, key=lambda camera: (-most[camera], camera))
@@ -298,12 +342,16 @@ class District(Learner):
         self._parts += [self._part(topology) for topology in self.updates()]
 
     def _to_fit(self, scene: Scene) -> Scene:
-        """Own cameras, neighbours, the cameras that sent objects by the newest version, and those nearby."""
+        """Own cameras, neighbours, the cameras that sent objects by the newest version, and those
+        nearby.
+        """
         cameras = self._window.cameras
         own = np.array([self.owns(camera) for camera in cameras], np.bool_)
         known = {*self.hearing.neighbours}
         if self.topology is not None:
-            known |= {source for source, target in linked_cameras(self.topology) if self.owns(target)}
+            known |= {
+                source for source, target in linked_cameras(self.topology) if self.owns(target)
+            }
         kept = own | np.array([camera in known for camera in cameras], np.bool_)
         if kept.all() or not own.any():
             return scene
@@ -312,8 +360,12 @@ class District(Learner):
     def _part(self, topology: Topology) -> Part:
         t = self._window.column("t")
         span = max(float(t[-1] - t[0]) / MICROSECONDS, 1.0)
-        count = np.bincount(self._window.column("camera"), minlength=len(self._window.cameras)) / span
-        rates = {name: float(count[k]) for k, name in enumerate(self._window.cameras) if self.owns(name)}
+        count = (
+            np.bincount(self._window.column("camera"), minlength=len(self._window.cameras)) / span
+        )
+        rates = {
+            name: float(count[k]) for k, name in enumerate(self._window.cameras) if self.owns(name)
+        }
         return part_of(topology, self.number, rates, self.hearing.learned)
 
 
@@ -332,5 +384,7 @@ def sent_to(topology: Topology) -> dict[tuple[str, str], float]:
     sent: dict[tuple[str, str], float] = {}
     for link in [*topology.links, *(topology.weak_links or [])]:
         key = camera_of[link.from_], camera_of[link.to]
-        sent[key] = sent.get(key, 0.0) + link.transitions * (1.0 - doubt.get((link.from_, link.to), 1.0))
+        sent[key] = sent.get(key, 0.0) + link.transitions * (
+            1.0 - doubt.get((link.from_, link.to), 1.0)
+        )
     return sent

@@ -1,7 +1,7 @@
 """Zones of one camera as two learners have them: which of the one's is which of the other's.
 
-Both saw the camera's events, not exactly the same ones, and number zones as they found them. So zones are matched by
-place. One that is two for the other learner stands for both.
+Both saw the camera's events, not exactly the same ones, and number zones as they found them. So
+zones are matched by place. One that is two for the other learner stands for both.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class Places:
             self._of_camera[zone.camera].append(zone)
 
     def names(self, others: Iterable[Zone]) -> dict[str, list[str]]:
-        """Owners' ids of what other learners call zones of theirs: the one at its place first, then those that have no
-        other zone nearer. Those without any are left out.
+        """Owners' ids of what other learners call zones of theirs: the one at its place first, then
+        those that have no other zone nearer. Those without any are left out.
         """
         theirs: dict[str, list[Zone]] = defaultdict(list)
         for zone in others:
@@ -42,7 +42,9 @@ class Places:
 
 
 def nearest(zone: Zone, among: Sequence[Zone]) -> Zone | None:
-    """The zone at the place of another; None if there is none. A zone without positions is its whole camera."""
+    """The zone at the place of another; None if there is none. A zone without positions is its
+    whole camera.
+    """
     if not among or zone.x is None or any(other.x is None for other in among):
         return max(among, key=lambda other: other.entries + other.exits, default=None)
     best = min(among, key=lambda other: squared_distance(zone, other))
@@ -50,7 +52,9 @@ def nearest(zone: Zone, among: Sequence[Zone]) -> Zone | None:
 
 
 def squared_distance(a: Zone, b: Zone) -> float:
-    """Squared Mahalanobis distance of two zones' centres, which have positions, under the mean of their covariances."""
+    """Squared Mahalanobis distance of two zones' centres, which have positions, under the mean of
+    their covariances.
+    """
     (ax, ay, axx, axy, ayy), (bx, by, bxx, bxy, byy) = _figures(a), _figures(b)
     xx, xy, yy = (axx + bxx) / 2, (axy + bxy) / 2, (ayy + byy) / 2
     dx, dy = ax - bx, ay - by

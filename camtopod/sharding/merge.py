@@ -1,8 +1,9 @@
 """Parts -> one topology, as if one learner had made it.
 
-Pure, and whatever the order of the parts: everything has one owner. A camera and its zones belong to its district, a
-link to that of the camera where it ends. What is shared are the departures: each district says which share of them it
-expects at its own cameras, the merged topology lists all, and whoever is expected nowhere leaves.
+Pure, and whatever the order of the parts: everything has one owner. A camera and its zones belong
+to its district, a link to that of the camera where it ends. What is shared are the departures: each
+district says which share of them it expects at its own cameras, the merged topology lists all, and
+whoever is expected nowhere leaves.
 """
 
 from __future__ import annotations
@@ -31,7 +32,16 @@ from camtopod.records import (
 from camtopod.sharding.match_zones import Places
 from camtopod.sharding.parts import Part
 from camtopod.sharding.rename_zones import Names, renamed
-from camtopod.topology import ALARMS_KEPT_MAX, DIGITS, LEAVE_FLOOR, camera_pairs, link_key, markov_chain, scaled, short
+from camtopod.topology import (
+    ALARMS_KEPT_MAX,
+    DIGITS,
+    LEAVE_FLOOR,
+    camera_pairs,
+    link_key,
+    markov_chain,
+    scaled,
+    short,
+)
 
 ContextKey = tuple[str, str | None, int | None, str | None]
 PACE_SHARE_MIN = 0.5
@@ -39,27 +49,44 @@ PACE_SHARE_MIN = 0.5
 
 
 def merge(parts: Iterable[Part], settings: Settings) -> Topology:
-    """The content of one version, without site, epoch, version and digest; alarms have the version 0."""
+    """The content of one version, without site, epoch, version and digest; alarms have the version
+    0.
+    """
     ordered = sorted(parts, key=lambda part: part.district)
     zones = sorted(
-        (zone for part in ordered for zone in part.topology.zones if zone.camera in part.rates), key=lambda z: z.id
+        (zone for part in ordered for zone in part.topology.zones if zone.camera in part.rates),
+        key=lambda z: z.id,
     )
     places = Places(zones)
     known = [renamed(part.topology, _names(part, places)) for part in ordered]
-    cameras = sorted((camera for one in known for camera in one.cameras), key=lambda camera: camera.id)
+    cameras = sorted(
+        (camera for one in known for camera in one.cameras), key=lambda camera: camera.id
+    )
     links, weak = _links(known)
     right = links
     if not settings.correct_clocks:
         right = by_clocks(links, zones, {camera.id: -camera.clock_offset for camera in cameras})
-    alarms = sorted((alarm for one in known for alarm in one.alarms or []), key=lambda alarm: alarm.t)
+    alarms = sorted(
+        (alarm for one in known for alarm in one.alarms or []), key=lambda alarm: alarm.t
+    )
     return Topology(
-        schema=TOPOLOGY_SCHEMA, site="", epoch="", version=0, digest="",
-        as_of=max((one.as_of for one in known), default=0.0), events=sum(one.events for one in known),
-        cameras=cameras, zones=zones, links=links,
-        pairs=camera_pairs(zones, right, settings.overlap_tolerance_seconds), weak_links=weak,
-        chain=markov_chain(zones, [*links, *weak], DIGITS), model=_model(ordered, known, zones),
-        alarms=[replace(alarm, version=0) for alarm in alarms[-ALARMS_KEPT_MAX:]] or None, score=_score(known),
-    )  # fmt: skip
+        schema=TOPOLOGY_SCHEMA,
+        site="",
+        epoch="",
+        version=0,
+        digest="",
+        as_of=max((one.as_of for one in known), default=0.0),
+        events=sum(one.events for one in known),
+        cameras=cameras,
+        zones=zones,
+        links=links,
+        pairs=camera_pairs(zones, right, settings.overlap_tolerance_seconds),
+        weak_links=weak,
+        chain=markov_chain(zones, [*links, *weak], DIGITS),
+        model=_model(ordered, known, zones),
+        alarms=[replace(alarm, version=0) for alarm in alarms[-ALARMS_KEPT_MAX:]] or None,
+        score=_score(known),
+    )
 
 
 def _names(part: Part, places: Places) -> Names:
@@ -69,19 +96,30 @@ def _names(part: Part, places: Places) -> Names:
 
 
 def _links(known: Sequence[Topology]) -> tuple[list[Link], list[Link]]:
-    """Links and weak links by key. Where several districts tell of one zone, no more than all leave it, and weak links
-    share what the others leave over.
+    """Links and weak links by key. Where several districts tell of one zone, no more than all leave
+    it, and weak links share what the others leave over.
     """
-    told = Counter(zone for one in known for zone in _leaving([*one.links, *(one.weak_links or [])]))
-    links, weak = ([link for one in known for link in getattr(one, name) or []] for name in ("links", "weak_links"))
+    told = Counter(
+        zone for one in known for zone in _leaving([*one.links, *(one.weak_links or [])])
+    )
+    links, weak = (
+        [link for one in known for link in getattr(one, name) or []]
+        for name in ("links", "weak_links")
+    )
     strong = _leaving(links)
     links = _within(links, {zone: 1.0 for zone, districts in told.items() if districts > 1})
-    left = {zone: max(1.0 - strong.get(zone, 0.0), 0.0) for zone, districts in told.items() if districts > 1}
+    left = {
+        zone: max(1.0 - strong.get(zone, 0.0), 0.0)
+        for zone, districts in told.items()
+        if districts > 1
+    }
     return sorted(links, key=link_key), sorted(_within(weak, left), key=link_key)
 
 
 def _within(links: Iterable[Link], room: dict[str, float]) -> list[Link]:
-    """The links between views with no more leaving a zone than there is ``room``, where that is said."""
+    """The links between views with no more leaving a zone than there is ``room``, where that is
+    said.
+    """
     links = list(links)
     taken = _leaving(links)
     return [
@@ -108,23 +146,29 @@ def _model(parts: Sequence[Part], known: Sequence[Topology], zones: Sequence[Zon
     total = max(sum(rate for part in parts for rate in part.rates.values()), 1e-300)
     rates = {camera: rate / total for part in parts for camera, rate in part.rates.items()}
     cameras = [
-        CameraModel(row.camera, short(rates[row.camera]), row.last_event) for model in models for row in model.cameras
+        CameraModel(row.camera, short(rates[row.camera]), row.last_event)
+        for model in models
+        for row in model.cameras
     ]
     fitted = [model for model in models if model.onward is not None]
     overlaps = [row for one in models for row in one.overlaps or []]
     model = replace(
-        models[0], overlaps=sorted(overlaps, key=lambda row: (row.camera, row.to)),
+        models[0],
+        overlaps=sorted(overlaps, key=lambda row: (row.camera, row.to)),
         zones=sorted((row for one in models for row in one.zones), key=lambda row: row.zone),
         cameras=sorted(cameras, key=lambda row: row.camera),
-    )  # fmt: skip
+    )
     if not fitted:
         return model
     ids = {zone.id for zone in zones}
     entered = [row for one in fitted for row in one.entered or [] if row.zone in ids]
     return replace(
-        model, onward=_onward(fitted), contexts=_contexts(known), pace=_pace(models),
+        model,
+        onward=_onward(fitted),
+        contexts=_contexts(known),
+        pace=_pace(models),
         entered=sorted(entered, key=lambda row: (row.zone, row.to)),
-    )  # fmt: skip
+    )
 
 
 def _onward(models: Iterable[Model]) -> list[Onward]:
@@ -138,7 +182,9 @@ def _onward(models: Iterable[Model]) -> list[Onward]:
 
 def _outcomes(zone: str, rows: Sequence[Onward]) -> Onward:
     appear = sum(1.0 - row.leave for row in rows)
-    outcomes = sorted((outcome for row in rows for outcome in row.next_), key=lambda outcome: -outcome.share)
+    outcomes = sorted(
+        (outcome for row in rows for outcome in row.next_), key=lambda outcome: -outcome.share
+    )
     outcomes = outcomes[:OUTCOMES_PER_ZONE_MAX]
     most = 1.0 - LEAVE_FLOOR
     if appear > most + 1e-9:
@@ -147,12 +193,16 @@ def _outcomes(zone: str, rows: Sequence[Onward]) -> Onward:
 
 
 def _scaled(outcome: Outcome, factor: float) -> Outcome:
-    return replace(outcome, share=short(outcome.share * factor), hazard=scaled(outcome.hazard, factor))
+    return replace(
+        outcome, share=short(outcome.share * factor), hazard=scaled(outcome.hazard, factor)
+    )
 
 
 def _contexts(known: Sequence[Topology]) -> list[Context]:
     """The contexts that the owners know, with where the other districts expect such departures."""
-    owners = {zone: k for k, one in enumerate(known) for camera in one.cameras for zone in camera.zones}
+    owners = {
+        zone: k for k, one in enumerate(known) for camera in one.cameras for zone in camera.zones
+    }
     shares: dict[str, dict[int, dict[str, float]]] = defaultdict(dict)
     rows: list[dict[ContextKey, Context]] = []
     for k, one in enumerate(known):
@@ -171,7 +221,13 @@ def _contexts(known: Sequence[Topology]) -> list[Context]:
                 result.append(_with(row, others))
     return sorted(
         result,
-        key=lambda row: (row.zone, row.entry or "", row.block or 0, row.previous or "", row.block is not None),
+        key=lambda row: (
+            row.zone,
+            row.entry or "",
+            row.block or 0,
+            row.previous or "",
+            row.block is not None,
+        ),
     )
 
 
@@ -180,12 +236,14 @@ def _context_key(row: Context) -> ContextKey:
 
 
 def _expected(own: Context, other: Context | None, share: dict[str, float]) -> dict[str, float]:
-    """Of the departures of a context, those that another district expects at its cameras: as of those it has seen
-    itself, or where it has seen none, as of all that leave the zone.
+    """Of the departures of a context, those that another district expects at its cameras: as of
+    those it has seen itself, or where it has seen none, as of all that leave the zone.
     """
     if other is None or other.departures <= 0.0:
         return {target: own.departures * part for target, part in share.items()}
-    return {target: number * own.departures / other.departures for target, number in other.to.items()}
+    return {
+        target: number * own.departures / other.departures for target, number in other.to.items()
+    }
 
 
 def _with(row: Context, others: Iterable[dict[str, float]]) -> Context:
@@ -195,12 +253,16 @@ def _with(row: Context, others: Iterable[dict[str, float]]) -> Context:
     if len(to) == len(row.to):
         return row
     factor = min(1.0, row.departures / max(sum(to.values()), 1e-300))
-    return replace(row, to={target: short(number * factor) for target, number in sorted(to.items())})
+    return replace(
+        row, to={target: short(number * factor) for target, number in sorted(to.items())}
+    )
 
 
 def _pace(models: Sequence[Model]) -> Pace | None:
     """The mean of the districts' paces, each by the departures behind it."""
-    weighed = [(model.pace, float(sum(zone.departures for zone in model.zones))) for model in models]
+    weighed = [
+        (model.pace, float(sum(zone.departures for zone in model.zones))) for model in models
+    ]
     some = [(pace, weight) for pace, weight in weighed if pace is not None and weight > 0.0]
     told = sum(weight for _, weight in some)
     if not some or told < PACE_SHARE_MIN * sum(weight for _, weight in weighed):
@@ -209,7 +271,9 @@ def _pace(models: Sequence[Model]) -> Pace | None:
         short(sum(getattr(pace, name) * weight for pace, weight in some) / told)
         for name in ("scaling", "correlation", "sd")
     )
-    ways = sorted((way for pace, _ in some for way in pace.ways), key=lambda way: (way.entry, way.exit))
+    ways = sorted(
+        (way for pace, _ in some for way in pace.ways), key=lambda way: (way.entry, way.exit)
+    )
     return Pace(scaling, correlation, sd, ways)
 
 
@@ -224,4 +288,6 @@ def _score(known: Iterable[Topology]) -> SelfScore | None:
         for name in msgspec.structs.asdict(scores[0])
         if name not in ("exits", "since_version")
     }
-    return SelfScore(exits=exits, since_version=min(score.since_version for score in scores), **figures)
+    return SelfScore(
+        exits=exits, since_version=min(score.since_version for score in scores), **figures
+    )

@@ -1,4 +1,6 @@
-"""A part of a site's topology: what one district knows of its own cameras and of the links into them."""
+"""A part of a site's topology: what one district knows of its own cameras and of the links into
+them.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,10 @@ from camtopod.topology import short, stamp
 class Part(Struct, frozen=True):
     """What a district publishes with each version.
 
-    ``topology`` has the district's own cameras, their zones, the links that end there; and the zones of other cameras
-    where these links begin, by the numbers the district gave them (`merging` finds out their owner's). Where objects
-    go that leave a zone is said as far as it is one of its own cameras; ``leave`` is all the rest.
+    ``topology`` has the district's own cameras, their zones, the links that end there; and the
+    zones of other cameras where these links begin, by the numbers the district gave them (`merging`
+    finds out their owner's). Where objects go that leave a zone is said as far as it is one of its
+    own cameras; ``leave`` is all the rest.
     """
 
     district: int
@@ -27,29 +30,39 @@ class Part(Struct, frozen=True):
 
 
 def part_of(topology: Topology, district: int, rates: dict[str, float], events: int) -> Part:
-    """The part of a district's topology that is its own. ``rates``: of its own cameras; ``events`` of theirs so far."""
+    """The part of a district's topology that is its own. ``rates``: of its own cameras; ``events``
+    of theirs so far.
+    """
     zones = {zone.id for zone in topology.zones if zone.camera in rates}
     links = [link for link in topology.links if link.to in zones]
     weak = [link for link in topology.weak_links or [] if link.to in zones]
     model = None if topology.model is None else _own_model(topology.model, zones, rates.keys())
-    named = {link.from_ for link in (*links, *weak)} | {row.zone for row in (model and model.onward) or []}
+    named = {link.from_ for link in (*links, *weak)} | {
+        row.zone for row in (model and model.onward) or []
+    }
     named |= {kernel.zone for kernel in (model and model.entered) or []}
     senders = {zone.camera for zone in topology.zones if zone.id in named}
     own = replace(
         topology,
         cameras=[camera for camera in topology.cameras if camera.id in rates],
         zones=[zone for zone in topology.zones if zone.camera in rates or zone.camera in senders],
-        links=links, weak_links=weak, pairs=[], chain=None, model=model,
+        links=links,
+        weak_links=weak,
+        pairs=[],
+        chain=None,
+        model=model,
         alarms=[alarm for alarm in topology.alarms or [] if _is_of(alarm, rates.keys())] or None,
         events=events,
-    )  # fmt: skip
+    )
     return Part(district, stamp(own), rates)
 
 
 def is_dealt(part: Part, dealing: Dealing) -> bool:
     """Whether its cameras are its district's when the site is dealt out like this."""
     here = range(dealing.sharding.districts)
-    return part.district in here and all(dealing.district(camera) == part.district for camera in part.rates)
+    return part.district in here and all(
+        dealing.district(camera) == part.district for camera in part.rates
+    )
 
 
 def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:
@@ -68,11 +81,15 @@ def _own_model(model: Model, zones: Set[str], cameras: Set[str]) -> Model:
         zones=[zone for zone in model.zones if zone.zone in zones],
         cameras=[camera for camera in model.cameras if camera.camera in cameras],
         onward=None if model.onward is None else onward,
-        entered=None if model.entered is None else [kernel for kernel in model.entered if kernel.to in zones],
+        entered=None
+        if model.entered is None
+        else [kernel for kernel in model.entered if kernel.to in zones],
         contexts=None if model.contexts is None else contexts,
-        overlaps=None if model.overlaps is None else [row for row in model.overlaps if row.to in cameras],
+        overlaps=None
+        if model.overlaps is None
+        else [row for row in model.overlaps if row.to in cameras],
         pace=None if model.pace is None else replace(model.pace, ways=ways),
-    )  # fmt: skip
+    )
 
 
 def _own_outcomes(row: Onward, zones: Set[str]) -> Onward:
@@ -81,7 +98,9 @@ def _own_outcomes(row: Onward, zones: Set[str]) -> Onward:
     if not elsewhere:
         return row
     return Onward(
-        row.zone, short(min(row.leave + elsewhere, 1.0)), [outcome for outcome in row.next_ if outcome.to in zones]
+        row.zone,
+        short(min(row.leave + elsewhere, 1.0)),
+        [outcome for outcome in row.next_ if outcome.to in zones],
     )
 
 

@@ -1,7 +1,7 @@
 """A part in the words of the others: zones of other cameras by the ids their owners gave them.
 
-Where several zones of the district are one of the owner's, they are taken together, each by how much happens there;
-where one is several of the owner's, what is expected of it is expected of each.
+Where several zones of the district are one of the owner's, they are taken together, each by how
+much happens there; where one is several of the owner's, what is expected of it is expected of each.
 """
 
 from __future__ import annotations
@@ -11,24 +11,45 @@ from collections.abc import Iterable
 
 from msgspec.structs import replace
 
-from camtopod.records import Alarm, Context, EntryKernel, Histogram, Link, Model, Onward, Outcome, Topology
+from camtopod.records import (
+    Alarm,
+    Context,
+    EntryKernel,
+    Histogram,
+    Link,
+    Model,
+    Onward,
+    Outcome,
+    Topology,
+)
 from camtopod.topology import LinkKey, counts_added, link_key, short, steps_added
 
 Names = dict[str, list[str]]
-"""Owners' ids of each zone, the one at its place first; of what is not in it nothing can be said."""
+"""Owners' ids of each zone, the one at its place first; of what is not in it nothing can be
+said.
+"""
 
 
 def renamed(part: Topology, names: Names) -> Topology:
-    """The topology of a part by the owners' ids; what begins at zones that owners do not know is left out."""
+    """The topology of a part by the owners' ids; what begins at zones that owners do not know is
+    left out.
+    """
     exits = {zone.id: float(zone.exits) for zone in part.zones}
     links = _links(part.links, names, exits)
     keys = {(link.from_, link.to) for link in links if link.relation != "visible"}
-    weak = [link for link in _links(part.weak_links or [], names, exits) if (link.from_, link.to) not in keys]
+    weak = [
+        link
+        for link in _links(part.weak_links or [], names, exits)
+        if (link.from_, link.to) not in keys
+    ]
     model = None if part.model is None else _model(part, part.model, names, exits)
     return replace(
-        part, links=links, weak_links=weak, model=model,
+        part,
+        links=links,
+        weak_links=weak,
+        model=model,
         alarms=[_alarm(alarm, names) for alarm in part.alarms or []],
-    )  # fmt: skip
+    )
 
 
 def _links(links: Iterable[Link], names: Names, exits: dict[str, float]) -> list[Link]:
@@ -43,17 +64,22 @@ def _links(links: Iterable[Link], names: Names, exits: dict[str, float]) -> list
 
 
 def _one_link(source: str, links: list[Link], exits: dict[str, float], leaving: float) -> Link:
-    """Links from several zones that are one of the owner's: transit times are those of the strongest."""
+    """Links from several zones that are one of the owner's: transit times are those of the
+    strongest.
+    """
     if len(links) == 1 and exits[links[0].from_] == leaving:
         return replace(links[0], from_=source)
     strongest = max(links, key=lambda link: (link.transitions, link.from_))
     shapes = [(1.0, link.histogram) for link in links if link.histogram is not None]
     return replace(
-        strongest, from_=source,
-        probability=short(sum(exits[link.from_] * link.probability for link in links) / max(leaving, 1.0)),
+        strongest,
+        from_=source,
+        probability=short(
+            sum(exits[link.from_] * link.probability for link in links) / max(leaving, 1.0)
+        ),
         transitions=short(sum(link.transitions for link in links)),
         histogram=counts_added(shapes) if shapes else None,
-    )  # fmt: skip
+    )
 
 
 def _model(part: Topology, model: Model, names: Names, exits: dict[str, float]) -> Model:
@@ -63,13 +89,16 @@ def _model(part: Topology, model: Model, names: Names, exits: dict[str, float]) 
             members[owner].append(zone)
     entries = {zone.id: float(zone.entries) for zone in part.zones}
     return replace(
-        model, onward=None if model.onward is None else _onward(model.onward, members, exits),
+        model,
+        onward=None if model.onward is None else _onward(model.onward, members, exits),
         entered=None if model.entered is None else _entered(model.entered, members, entries),
         contexts=None if model.contexts is None else _contexts(model.contexts, names),
-    )  # fmt: skip
+    )
 
 
-def _onward(rows: Iterable[Onward], members: dict[str, list[str]], exits: dict[str, float]) -> list[Onward]:
+def _onward(
+    rows: Iterable[Onward], members: dict[str, list[str]], exits: dict[str, float]
+) -> list[Onward]:
     row_of = {row.zone: row for row in rows}
     result = []
     for owner, zones in members.items():
@@ -87,12 +116,16 @@ def _one_row(owner: str, rows: list[tuple[float, Onward]], leaving: float) -> On
         for outcome in row.next_:
             to[outcome.to].append((number / leaving, outcome))
     appear = sum(number * (1.0 - row.leave) for number, row in rows) / leaving
-    return Onward(owner, short(1.0 - appear), [_one_outcome(target, same) for target, same in to.items()])
+    return Onward(
+        owner, short(1.0 - appear), [_one_outcome(target, same) for target, same in to.items()]
+    )
 
 
 def _one_outcome(target: str, outcomes: list[tuple[float, Outcome]]) -> Outcome:
     share = sum(weight * outcome.share for weight, outcome in outcomes)
-    doubt = sum(weight * outcome.share * outcome.doubt for weight, outcome in outcomes) / max(share, 1e-300)
+    doubt = sum(weight * outcome.share * outcome.doubt for weight, outcome in outcomes) / max(
+        share, 1e-300
+    )
     hazard = steps_added([(weight, outcome.hazard) for weight, outcome in outcomes])
     return Outcome(target, short(share), hazard, short(doubt))
 
@@ -107,9 +140,13 @@ def _entered(
     for owner, zones in members.items():
         total = max(sum(entries[zone] for zone in zones), 1.0)
         for target in sorted({target for zone in zones for target in of_zone.get(zone, {})}):
-            known = [(zone, of_zone[zone][target]) for zone in zones if target in of_zone.get(zone, {})]
+            known = [
+                (zone, of_zone[zone][target]) for zone in zones if target in of_zone.get(zone, {})
+            ]
             alone = known[0][1] if len(zones) == 1 else None
-            hazard = alone or steps_added([(entries[zone] / total, hazard) for zone, hazard in known])
+            hazard = alone or steps_added(
+                [(entries[zone] / total, hazard) for zone, hazard in known]
+            )
             result.append(EntryKernel(owner, target, hazard))
     return result
 
@@ -130,7 +167,9 @@ def _contexts(rows: Iterable[Context], names: Names) -> list[Context]:
             to = dict(before.to)
             for target, number in row.to.items():
                 to[target] = short(to.get(target, 0.0) + number)
-            result[key] = replace(before, departures=short(before.departures + row.departures), to=to)
+            result[key] = replace(
+                before, departures=short(before.departures + row.departures), to=to
+            )
     return list(result.values())
 
 

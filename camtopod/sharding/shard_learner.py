@@ -1,7 +1,8 @@
-"""One shard of a site: the districts it works and, of what they learn, a topology. In place of a `Learner`.
+"""One shard of a site: the districts it works and, of what they learn, a topology. In place of a
+`Learner`.
 
-What each district learns does not depend on which others are in the same shard, so the parts of all shards merge into
-the same topology however many there are.
+What each district learns does not depend on which others are in the same shard, so the parts of all
+shards merge into the same topology however many there are.
 """
 
 from __future__ import annotations
@@ -13,7 +14,15 @@ import msgspec
 from msgspec import Struct
 
 from camtopod.event_time import MICROSECONDS, EventTimeState
-from camtopod.learn import BYTES_MAX, LearnerState, NewerSnapshot, Settings, SnapshotError, pack, unpack
+from camtopod.learn import (
+    BYTES_MAX,
+    LearnerState,
+    NewerSnapshot,
+    Settings,
+    SnapshotError,
+    pack,
+    unpack,
+)
 from camtopod.records import Event, Topology
 from camtopod.sharding.assignment import Dealing, Sharding, districts_of
 from camtopod.sharding.district_learner import District, DistrictState, Hearing
@@ -36,15 +45,23 @@ class ShardState(Struct):
 
 
 class ShardLearner:
-    """Shard ``shard`` = (i, n) of a site: i of 0 .. n - 1. Its versions are of its own districts alone; what a site's
-    `Line` merges are the parts of all its shards.
+    """Shard ``shard`` = (i, n) of a site: i of 0 .. n - 1. Its versions are of its own districts
+    alone; what a site's `Line` merges are the parts of all its shards.
     """
 
     def __init__(
-        self, settings: Settings | None = None, sharding: Sharding | None = None, shard: tuple[int, int] = (0, 1),
-        site: str = "default", epoch: str = "0",
-    ) -> None:  # fmt: skip
-        self.settings, self.sharding, self.shard = settings or Settings(), sharding or Sharding(), shard
+        self,
+        settings: Settings | None = None,
+        sharding: Sharding | None = None,
+        shard: tuple[int, int] = (0, 1),
+        site: str = "default",
+        epoch: str = "0",
+    ) -> None:
+        self.settings, self.sharding, self.shard = (
+            settings or Settings(),
+            sharding or Sharding(),
+            shard,
+        )
         dealing = Dealing(self.sharding)
         self.districts = [
             District(self.settings, site, epoch, dealing, number)
@@ -53,7 +70,9 @@ class ShardLearner:
         self.counts = dict.fromkeys(VERDICTS, 0)
         self._line = Line(self.settings, site, epoch)
         self._parts: list[Part] = []
-        self._phases: list[tuple[int | None, int, bool]] = []  # those in which the strangers were found
+        self._phases: list[
+            tuple[int | None, int, bool]
+        ] = []  # those in which the strangers were found
         self._strangers: frozenset[str] = frozenset()
 
     @property
@@ -75,8 +94,8 @@ class ShardLearner:
         return any(district.owns(camera) for district in self.districts)
 
     def receive(self, event: Event) -> str:
-        """Take one event; the verdict is that of the camera's own district, of another one that heard it where it is in
-        another shard, or ``unheard``.
+        """Take one event; the verdict is that of the camera's own district, of another one that
+        heard it where it is in another shard, or ``unheard``.
         """
         verdict = "unheard"
         for district in self.districts:
@@ -115,7 +134,9 @@ class ShardLearner:
 
     @property
     def strangers(self) -> frozenset[str]:
-        """Cameras that none of its districts that have cameras of their own has use for, but as guests."""
+        """Cameras that none of its districts that have cameras of their own has use for, but as
+        guests.
+        """
         owners = [district for district in self.districts if district.hearing.owner]
         phases = [district.phase for district in owners]
         if phases != self._phases:
@@ -124,12 +145,14 @@ class ShardLearner:
         return self._strangers
 
     def reached(self) -> float | None:
-        """Event time (seconds) up to which all parts have been made; None before anything has come. A district that
-        only hears others has no parts to wait for.
+        """Event time (seconds) up to which all parts have been made; None before anything has come.
+        A district that only hears others has no parts to wait for.
         """
         owners = [district for district in self.districts if district.hearing.owner]
         if not owners:
-            heard = [mark for district in self.districts if (mark := district.watermark_us) is not None]
+            heard = [
+                mark for district in self.districts if (mark := district.watermark_us) is not None
+            ]
             return max(heard) / MICROSECONDS if heard else None
         marks = [mark for district in owners if (mark := district.watermark_us) is not None]
         if not marks:
@@ -138,9 +161,13 @@ class ShardLearner:
         return min([max(marks), *held]) / MICROSECONDS
 
     def save(self) -> ShardState:
-        """Everything `load` needs to go on from here. Updates and parts that have not been asked for are not in it."""
+        """Everything `load` needs to go on from here. Updates and parts that have not been asked
+        for are not in it.
+        """
         districts = [district.save_all() for district in self.districts]
-        return ShardState(self.sharding, self.shard, districts, self._line.save(), dict(self.counts))
+        return ShardState(
+            self.sharding, self.shard, districts, self._line.save(), dict(self.counts)
+        )
 
     def load(self, state: ShardState) -> None:
         """Go on from there; this one must be new, of the same shard, and dealt out alike."""
@@ -170,17 +197,23 @@ class ShardLearner:
         self._line.refresh()
 
     def next_deadline(self) -> float | None:
-        """Event time (seconds) to which `advance` would have to go for something to happen; None: nothing waits."""
-        waiting = [due for district in self.districts if (due := district.next_deadline()) is not None]
+        """Event time (seconds) to which `advance` would have to go for something to happen; None:
+        nothing waits.
+        """
+        waiting = [
+            due for district in self.districts if (due := district.next_deadline()) is not None
+        ]
         return min(waiting, default=None)
 
     def event_time(self) -> EventTimeState:
         """How far event time has come in the district that has come furthest."""
-        return max((one.event_time() for one in self.districts), key=lambda state: state.watermark_us or 0)
+        return max(
+            (one.event_time() for one in self.districts), key=lambda state: state.watermark_us or 0
+        )
 
     def statistics(self) -> dict[str, int | float]:
-        """Counts and sizes, for people and for health checks. Cameras are own ones; windows are those of all districts
-        together.
+        """Counts and sizes, for people and for health checks. Cameras are own ones; windows are
+        those of all districts together.
         """
         each = [district.statistics() for district in self.districts]
         return {
@@ -232,6 +265,8 @@ def unpack_shard(blob: bytes) -> ShardState:
         raise error if isinstance(error, SnapshotError) else SnapshotError(str(error)) from None
     if known.format != FORMAT:
         newer = known.format > FORMAT
-        raise (NewerSnapshot if newer else SnapshotError)(f"its format is {known.format}, this program's {FORMAT}")
+        raise (NewerSnapshot if newer else SnapshotError)(
+            f"its format is {known.format}, this program's {FORMAT}"
+        )
     districts = [DistrictState(unpack(learner), hearing) for learner, hearing in known.districts]
     return ShardState(known.sharding, known.shard, districts, known.line, known.counts)

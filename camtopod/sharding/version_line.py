@@ -1,8 +1,9 @@
-"""The version line of a site that is learned in districts: parts go in as they are made, merged versions come out.
+"""The version line of a site that is learned in districts: parts go in as they are made, merged
+versions come out.
 
-A version is made for each moment of event time as of which there are new parts, once all districts have come so far:
-so versions, too, follow from the events alone. A part that comes later than that, from a shard that was away, counts
-from the next version on.
+A version is made for each moment of event time as of which there are new parts, once all districts
+have come so far: so versions, too, follow from the events alone. A part that comes later than that,
+from a shard that was away, counts from the next version on.
 """
 
 from __future__ import annotations
@@ -49,10 +50,14 @@ class Line:
 
     def reach(self, until: float) -> None:
         """All districts have come to ``until`` (seconds): make the versions up to then."""
-        for moment in sorted({part.topology.as_of for part in self._waiting if part.topology.as_of <= until}):
+        for moment in sorted(
+            {part.topology.as_of for part in self._waiting if part.topology.as_of <= until}
+        ):
             for part in self._waiting:
                 known = self._parts.get(part.district)
-                if part.topology.as_of <= moment and (known is None or age_of(known) <= age_of(part)):
+                if part.topology.as_of <= moment and (
+                    known is None or age_of(known) <= age_of(part)
+                ):
                     self._parts[part.district] = part
             self._waiting = [part for part in self._waiting if part.topology.as_of > moment]
             self._make()
@@ -78,7 +83,9 @@ class Line:
 
     def begin_epoch(self, epoch: str) -> None:
         """What is known stays; versions count from 1 again."""
-        self._past = {key_of(alarm) for part in self._parts.values() for alarm in part.topology.alarms or []}
+        self._past = {
+            key_of(alarm) for part in self._parts.values() for alarm in part.topology.alarms or []
+        }
         self.epoch, self.topology = epoch, None
 
     def refresh(self) -> None:
@@ -87,7 +94,9 @@ class Line:
             self._make()
 
     def save(self) -> LineState:
-        """Everything `load` needs to go on from here. Updates that have not been asked for are not in it."""
+        """Everything `load` needs to go on from here. Updates that have not been asked for are not
+        in it.
+        """
         parts = [self._parts[district] for district in sorted(self._parts)]
         return LineState(self.epoch, self.topology, parts, list(self._waiting), sorted(self._past))
 
@@ -100,18 +109,26 @@ class Line:
     def _make(self) -> None:
         version = 1 if self.topology is None else self.topology.version + 1
         merged = merge(self._parts.values(), self.settings)
-        said = {key_of(alarm): alarm.version for alarm in (self.topology and self.topology.alarms) or []}
+        said = {
+            key_of(alarm): alarm.version for alarm in (self.topology and self.topology.alarms) or []
+        }
         alarms = [
             replace(alarm, version=said.get(key_of(alarm), version))
             for alarm in merged.alarms or []
             if key_of(alarm) not in self._past
         ]
-        self.topology = stamp(replace(merged, site=self.site, epoch=self.epoch, version=version, alarms=alarms or None))
+        self.topology = stamp(
+            replace(
+                merged, site=self.site, epoch=self.epoch, version=version, alarms=alarms or None
+            )
+        )
         self._updates.append(self.topology)
 
 
 def age_of(part: Part) -> tuple[float, int]:
-    """What tells a part from an older one of its district, which may make two versions as of one moment."""
+    """What tells a part from an older one of its district, which may make two versions as of one
+    moment.
+    """
     return part.topology.as_of, part.topology.version
 
 

@@ -1,4 +1,6 @@
-"""Is what is stated as a probability as often true? Expected calibration error, and what chance alone makes of it."""
+"""Is what is stated as a probability as often true? Expected calibration error, and what chance
+alone makes of it.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ CALIBRATION_BINS = 10
 
 
 def calibration_error(probability: Sequence[float], happened: Sequence[bool]) -> float:
-    """Expected calibration error: over equal bins of probability, the mean of |stated - happened|, weighted by how
-    many lie in each; nan without any."""
+    """Expected calibration error: over equal bins of probability, the mean of |stated - happened|,
+    weighted by how many lie in each; nan without any."""
     if not probability:
         return math.nan
     stated, came = np.array(probability), np.array(happened, dtype=float)
@@ -22,8 +24,8 @@ def calibration_error(probability: Sequence[float], happened: Sequence[bool]) ->
 
 
 def calibration_floor(probability: Sequence[float]) -> float:
-    """Expected calibration error if all happens as often as it is said to: as large as that is no error; nan without
-    any."""
+    """Expected calibration error if all happens as often as it is said to: as large as that is no
+    error; nan without any."""
     if not probability:
         return math.nan
     stated = np.array(probability)

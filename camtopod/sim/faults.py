@@ -1,4 +1,6 @@
-"""The made-up network of `SimSettings`: its layout and what is wrong with it, before anybody walks."""
+"""The made-up network of `SimSettings`: its layout and what is wrong with it, before anybody
+walks.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from camtopod.arrays import Floats
-from camtopod.sim.layout import Layout, make_layout, with_fire_doors, with_one_way, with_uneven_ways, without_ways
+from camtopod.sim.layout import (
+    Layout,
+    make_layout,
+    with_fire_doors,
+    with_one_way,
+    with_uneven_ways,
+    without_ways,
+)
 from camtopod.sim.settings import SimSettings
 
 TURNED_RADIANS = (0.7, 2.4)
@@ -20,8 +29,9 @@ Ways = set[tuple[int, int]]
 
 @dataclass(frozen=True)
 class Setup:
-    """The layout; the ways (from, to) that close and that open; each camera's clock offset, (cameras,) seconds;
-    the cameras that are turned: from when (seconds after the start) and by which matrix."""
+    """The layout; the ways (from, to) that close and that open; each camera's clock offset,
+    (cameras,) seconds; the cameras that are turned: from when (seconds after the start) and by
+    which matrix."""
 
     layout: Layout
     closing: Ways
@@ -33,14 +43,18 @@ class Setup:
 def make_setup(settings: SimSettings, rng: np.random.Generator) -> Setup:
     """Raises ValueError for cameras that there are not."""
     s = settings
-    layout = make_layout(s.cameras, rng, s.overlap_share, s.u_turn, s.zone_separation, s.zone_stretch)
+    layout = make_layout(
+        s.cameras, rng, s.overlap_share, s.u_turn, s.zone_separation, s.zone_stretch
+    )
     for camera in {camera for camera, _, _ in s.lost} | {camera for camera, _ in s.moved}:
         if camera not in layout.cameras:
             known = f"{layout.cameras[0]} to {layout.cameras[-1]}"
             raise ValueError(f"no camera {camera!r} to lose or move; there are {known}")
     closing, opening = _doors(layout, s, rng)
     offsets = s.clock_sd * rng.standard_normal(s.cameras)
-    later = np.random.default_rng((s.seed, 4))  # a stream of its own: older settings keep their networks
+    later = np.random.default_rng(
+        (s.seed, 4)
+    )  # a stream of its own: older settings keep their networks
     off = later.permutation(s.cameras) < round(s.clock_share * s.cameras)
     offsets = offsets + np.where(off, later.uniform(-s.clock_max, s.clock_max, s.cameras), 0.0)
     turned = {layout.cameras.index(camera): (since, _turn(later)) for camera, since in s.moved}
@@ -57,9 +71,13 @@ def _doors(layout: Layout, settings: SimSettings, rng: np.random.Generator) -> t
     """The (from, to) that close and those that open: both directions of some unseen paths."""
     ways = layout.onward
     open_ = np.argwhere((ways.probability > 0) & (ways.metres > 0))
-    paths = sorted({(int(min(u, v)), int(max(u, v))) for u, v in ((u, ways.target[u, k]) for u, k in open_)})
+    paths = sorted(
+        {(int(min(u, v)), int(max(u, v))) for u, v in ((u, ways.target[u, k]) for u, k in open_)}
+    )
     chosen = rng.permutation(len(paths))
-    closing, opening = np.split(chosen[: settings.doors_closed + settings.doors_opened], [settings.doors_closed])
+    closing, opening = np.split(
+        chosen[: settings.doors_closed + settings.doors_opened], [settings.doors_closed]
+    )
     return _both(paths, closing.tolist()), _both(paths, opening.tolist())
 
 
@@ -69,7 +87,9 @@ def _both(paths: list[tuple[int, int]], chosen: list[int]) -> Ways:
 
 def _turn(rng: np.random.Generator) -> Floats:
     angle = rng.choice((-1.0, 1.0)) * rng.uniform(*TURNED_RADIANS)
-    return TURNED_SCALE * np.array(((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))))
+    return TURNED_SCALE * np.array(
+        ((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle)))
+    )
 
 
 def turned(at: Floats, turn: Floats) -> Floats:

@@ -1,7 +1,9 @@
-"""A small site for the demo: a floor plan, cameras that look at it, people who walk about, and the truth.
+"""A small site for the demo: a floor plan, cameras that look at it, people who walk about, and the
+truth.
 
-The plan's coordinates are metres, x to the east and y to the north. What is true (zones, links, transit
-times) is read off the recorded walks: who was in which camera's view when, and which way they came and went.
+The plan's coordinates are metres, x to the east and y to the north. What is true (zones, links,
+transit times) is read off the recorded walks: who was in which camera's view when, and which way
+they came and went.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ WARM_UP_SECONDS = 60.0
 
 @dataclass(frozen=True)
 class View:
-    """A camera on a pole: looks at ``target`` (x, y) from ``distance`` metres away, towards ``heading``."""
+    """A camera on a pole: looks at ``target`` (x, y) from ``distance`` metres away, towards
+    ``heading``.
+    """
 
     camera: str
     target: tuple[float, float]
@@ -45,9 +49,13 @@ class View:
     """Focal length in widths of the picture."""
 
     def project(self, points: Floats) -> Floats:
-        """World points (n, 3) to (n, 3): x, y as fractions of the picture, metres along the line of sight."""
+        """World points (n, 3) to (n, 3): x, y as fractions of the picture, metres along the line of
+        sight.
+        """
         ahead = np.array((math.cos(self.heading), math.sin(self.heading), 0.0))
-        position = np.array((*self.target, 0.0)) - self.distance * ahead + np.array((0, 0, self.height))
+        position = (
+            np.array((*self.target, 0.0)) - self.distance * ahead + np.array((0, 0, self.height))
+        )
         forward = np.array((*self.target, 0.0)) - position
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, (0.0, 0.0, 1.0))
@@ -64,9 +72,13 @@ class View:
         return self.project(np.column_stack([floor, np.zeros(len(floor))]))
 
     def sees(self, floor: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Of people at floor points (n, 2), which are in the picture, at least with a part of the body."""
+        """Of people at floor points (n, 2), which are in the picture, at least with a part of the
+        body.
+        """
         x, y, depth = self.feet(floor).T
-        head_x, head_y, _ = self.project(np.column_stack([floor, np.full(len(floor), PERSON_METRES)])).T
+        head_x, head_y, _ = self.project(
+            np.column_stack([floor, np.full(len(floor), PERSON_METRES)])
+        ).T
         half = self.focal * SHOULDER_METRES / np.maximum(depth, 1e-3)
         left, right = np.minimum(x, head_x) - half, np.maximum(x, head_x) + half
         seen: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
@@ -78,10 +90,16 @@ class View:
         """The floor that is in the picture: its four corners in metres, (4, 2)."""
         here = np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], dtype=float) + self.target
         seen = self.feet(here)[:, :2]
-        rows = [(x, y, 1, 0, 0, 0, -u * x, -u * y) for (x, y), (u, _) in zip(here, seen, strict=True)]
-        rows += [(0, 0, 0, x, y, 1, -v * x, -v * y) for (x, y), (_, v) in zip(here, seen, strict=True)]
+        rows = [
+            (x, y, 1, 0, 0, 0, -u * x, -u * y) for (x, y), (u, _) in zip(here, seen, strict=True)
+        ]
+        rows += [
+            (0, 0, 0, x, y, 1, -v * x, -v * y) for (x, y), (_, v) in zip(here, seen, strict=True)
+        ]
         homography = np.append(np.linalg.solve(np.array(rows), seen.T.ravel()), 1.0).reshape(3, 3)
-        corners = np.array([(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]) @ np.linalg.inv(homography).T
+        corners = (
+            np.array([(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]) @ np.linalg.inv(homography).T
+        )
         floor: Floats = corners[:, :2] / corners[:, 2:]
         return floor
 
@@ -99,7 +117,9 @@ class Area:
 
 @dataclass(frozen=True)
 class Plan:
-    """Places (metres; corners too), ways between them (pairs of names), the floor and the cameras."""
+    """Places (metres; corners too), ways between them (pairs of names), the floor and the
+    cameras.
+    """
 
     places: dict[str, tuple[float, float]]
     ways: list[tuple[str, str]]
@@ -117,7 +137,9 @@ class Plan:
 
 @dataclass(frozen=True)
 class Walk:
-    """One person's walk: ``t`` (n,) seconds since the start, ``floor`` (n, 2) metres, ``way`` (n,)."""
+    """One person's walk: ``t`` (n,) seconds since the start, ``floor`` (n, 2) metres, ``way``
+    (n,).
+    """
 
     t: Floats
     floor: Floats
@@ -126,7 +148,9 @@ class Walk:
 
 @dataclass(frozen=True)
 class Passage:
-    """One person in one camera's view: times (seconds since the start), foot points, ways in and out."""
+    """One person in one camera's view: times (seconds since the start), foot points, ways in and
+    out.
+    """
 
     camera: str
     walker: int
@@ -139,7 +163,9 @@ class Passage:
 
 
 def site() -> Plan:
-    """Five cameras around a building: two pairs overlap, four are joined by ways that nobody sees."""
+    """Five cameras around a building: two pairs overlap, four are joined by ways that nobody
+    sees.
+    """
     places = {
         "street west": (-6.0, 12.0),
         "entrance": (5.0, 12.0),
@@ -176,12 +202,16 @@ def site() -> Plan:
     ]
     south, north = -math.pi / 2, math.pi / 2
     views = {"entrance": south, "hall": north, "corridor": north, "cafe": south, "garden": south}
-    return Plan(places, ways, areas, [View(name, places[name], heading) for name, heading in views.items()])
+    return Plan(
+        places, ways, areas, [View(name, places[name], heading) for name, heading in views.items()]
+    )
 
 
 def stroll(plan: Plan, seconds: float, rate: float, rng: np.random.Generator) -> list[Walk]:
     """People who come from the streets, ``rate`` a second, from a minute before the start on."""
-    starts = np.sort(rng.uniform(-WARM_UP_SECONDS, seconds, rng.poisson(rate * (seconds + WARM_UP_SECONDS))))
+    starts = np.sort(
+        rng.uniform(-WARM_UP_SECONDS, seconds, rng.poisson(rate * (seconds + WARM_UP_SECONDS)))
+    )
     return [_walk(plan, float(start), seconds, rng) for start in starts]
 
 
@@ -190,14 +220,19 @@ def _walk(plan: Plan, start: float, end: float, rng: np.random.Generator) -> Wal
     speed = WALKING_SPEED * math.exp(SPEED_SD * rng.standard_normal())
     width = max(1, round(CORNER_METRES / STEP_METRES))
     padded = np.pad(line, ((width, width), (0, 0)), mode="edge")
-    smooth = np.column_stack([np.convolve(column, np.full(width, 1 / width), "same") for column in padded.T])
+    smooth = np.column_stack(
+        [np.convolve(column, np.full(width, 1 / width), "same") for column in padded.T]
+    )
     smooth = smooth[width:-width]
     ahead = np.gradient(smooth, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     lane = KEEP_RIGHT_METRES + LANE_SD_METRES * rng.standard_normal()
     smooth = smooth + lane * np.column_stack([ahead[:, 1], -ahead[:, 0]])
     metres = STEP_METRES * np.arange(len(line))
-    first, last = math.ceil(max(start, 0.0) * FPS), math.floor(min(start + metres[-1] / speed, end) * FPS)
+    first, last = (
+        math.ceil(max(start, 0.0) * FPS),
+        math.floor(min(start + metres[-1] / speed, end) * FPS),
+    )
     t = np.arange(first, max(first, last + 1)) / FPS
     walked = (t - start) * speed
     floor = np.column_stack([np.interp(walked, metres, column) for column in smooth.T])
@@ -209,9 +244,18 @@ def _route(plan: Plan, rng: np.random.Generator) -> tuple[Floats, Longs]:
     streets = set(plan.streets())
     stops = [str(rng.choice(sorted(streets)))]
     while len(stops) < 2 or stops[-1] not in streets:
-        onward = [name for name in plan.around(stops[-1]) if name != (stops[-2] if len(stops) > 1 else None)]
+        onward = [
+            name
+            for name in plan.around(stops[-1])
+            if name != (stops[-2] if len(stops) > 1 else None)
+        ]
         tired = len(stops) > CROSSINGS_MAX
-        weight = np.array([10.0 if tired and n in streets else STREET_WEIGHT if n in streets else 1.0 for n in onward])
+        weight = np.array(
+            [
+                10.0 if tired and n in streets else STREET_WEIGHT if n in streets else 1.0
+                for n in onward
+            ]
+        )
         stops.append(onward[int(rng.choice(len(onward), p=weight / weight.sum()))])
     points, ways = [], []
     for a, b in pairwise(stops):
@@ -228,10 +272,14 @@ def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
     for walker, walk in enumerate(walks):
         for view in plan.views:
             seen = np.concatenate([[False], view.sees(walk.floor), [False]]).astype(np.int8)
-            for begin, end in zip(np.flatnonzero(np.diff(seen) > 0), np.flatnonzero(np.diff(seen) < 0), strict=True):
+            for begin, end in zip(
+                np.flatnonzero(np.diff(seen) > 0), np.flatnonzero(np.diff(seen) < 0), strict=True
+            ):
                 if begin == 0 or end == len(walk.t):
                     continue  # in view when the recording began or ended
-                (xa, ya, _), (xb, yb, _) = np.clip(view.feet(walk.floor[[begin, end - 1]]), 0.0, 1.0)
+                (xa, ya, _), (xb, yb, _) = np.clip(
+                    view.feet(walk.floor[[begin, end - 1]]), 0.0, 1.0
+                )
                 result.append(
                     Passage(
                         camera=view.camera,
@@ -248,7 +296,9 @@ def passages(plan: Plan, walks: list[Walk]) -> list[Passage]:
 
 
 def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
-    """Zones where a camera's picture cuts a way, links where people went from one to another, as walked."""
+    """Zones where a camera's picture cuts a way, links where people went from one to another, as
+    walked.
+    """
     points: dict[tuple[str, int], list[tuple[float, float]]] = {}
     exits: dict[tuple[str, int], int] = {}
     lags: dict[tuple[tuple[str, int], tuple[str, int]], list[float]] = {}
@@ -265,7 +315,9 @@ def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
     keys = sorted(points, key=lambda key: (order[key[0]], key[1]))
     ids: dict[tuple[str, int], str] = {}
     for camera, way in keys:
-        ids[camera, way] = f"{camera}/{1 + sum(zone.startswith(camera + '/') for zone in ids.values())}"
+        ids[camera, way] = (
+            f"{camera}/{1 + sum(zone.startswith(camera + '/') for zone in ids.values())}"
+        )
     zones = [_zone(ids[key], key[0], np.array(points[key])) for key in keys]
     links = [
         TrueLink(
@@ -276,7 +328,9 @@ def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
             transitions=len(seconds),
             transit=transit_of(np.array(seconds)),
         )
-        for (u, v), seconds in sorted(lags.items(), key=lambda item: (ids[item[0][0]], ids[item[0][1]]))
+        for (u, v), seconds in sorted(
+            lags.items(), key=lambda item: (ids[item[0][0]], ids[item[0][1]])
+        )
     ]
     pairs = pairs_of(links, {zone.id: zone.camera for zone in zones})
     return Truth(schema=TRUTH_SCHEMA, cameras=list(order), zones=zones, links=links, pairs=pairs)
@@ -285,4 +339,10 @@ def truth_of(plan: Plan, seen: list[Passage]) -> Truth:
 def _zone(name: str, camera: str, at: Floats) -> TrueZone:
     cov = np.cov(at.T) if len(at) > 1 else np.zeros((2, 2))
     x, y = at.mean(0)
-    return TrueZone(id=name, camera=camera, x=round(float(x), 4), y=round(float(y), 4), cov=np.round(cov, 7).tolist())
+    return TrueZone(
+        id=name,
+        camera=camera,
+        x=round(float(x), 4),
+        y=round(float(y), 4),
+        cov=np.round(cov, 7).tolist(),
+    )

@@ -1,4 +1,6 @@
-"""A made-up camera network: where the zones lie, which paths join them, who goes where how often."""
+"""A made-up camera network: where the zones lie, which paths join them, who goes where how
+often.
+"""
 
 from __future__ import annotations
 
@@ -36,10 +38,11 @@ RARE_SHARE = 0.01
 
 @dataclass(frozen=True)
 class Choices:
-    """For each zone what may come next: ``target``, ``probability`` and ``metres``, each (zones, options).
+    """For each zone what may come next: ``target``, ``probability`` and ``metres``, each (zones,
+    options).
 
-    Unused options have probability 0. Metres are negative for an overlap: how far before leaving the one
-    view an object appears in the other.
+    Unused options have probability 0. Metres are negative for an overlap: how far before leaving
+    the one view an object appears in the other.
     """
 
     target: Longs
@@ -47,9 +50,12 @@ class Choices:
     metres: Floats
 
     def without(self, closed: set[tuple[int, int]]) -> Choices:
-        """The same with some (from, to) gone; who would have taken them takes another way, or leaves."""
+        """The same with some (from, to) gone; who would have taken them takes another way, or
+        leaves.
+        """
         open_ = np.array(
-            [[(u, int(v)) not in closed for v in row] for u, row in enumerate(self.target)], dtype=bool
+            [[(u, int(v)) not in closed for v in row] for u, row in enumerate(self.target)],
+            dtype=bool,
         ).reshape(self.target.shape)
         kept = np.where(open_, self.probability, 0.0)
         total, left = self.probability.sum(1, keepdims=True), kept.sum(1, keepdims=True)
@@ -59,7 +65,9 @@ class Choices:
 
 @dataclass(frozen=True)
 class Layout:
-    """Zones (camera index, centre, covariance), ways through and between views, where walkers come from."""
+    """Zones (camera index, centre, covariance), ways through and between views, where walkers come
+    from.
+    """
 
     cameras: list[str]
     camera: Longs
@@ -78,7 +86,8 @@ def make_layout(
     separation: float = ZONE_SEPARATION,
     stretch: float = 1.0,
 ) -> Layout:
-    """A connected network of ``cameras`` (> 0) views with ``overlap_share * cameras`` overlapping pairs.
+    """A connected network of ``cameras`` (> 0) views with ``overlap_share * cameras`` overlapping
+    pairs.
 
     Zones of one camera are at least ``separation`` apart and ``stretch`` times as long as usual.
     """
@@ -90,7 +99,9 @@ def make_layout(
     paths.overlaps(round(overlap_share * cameras), max(1, math.ceil(2 * overlap_share)))
     paths.connect()
     paths.branch()
-    leave = np.where(street, rng.uniform(0.4, 0.8, len(camera)), rng.uniform(0.02, 0.1, len(camera)))
+    leave = np.where(
+        street, rng.uniform(0.4, 0.8, len(camera)), rng.uniform(0.02, 0.1, len(camera))
+    )
     arrivals = np.where(street, rng.uniform(0.5, 1.5, len(camera)), 0.05)
     width = max(2, len(str(cameras)))
     return Layout(
@@ -107,14 +118,20 @@ def make_layout(
 def without_ways(layout: Layout) -> Layout:
     """The same views with no way from one to another: whoever leaves one is gone."""
     onward = replace(layout.onward, probability=np.zeros_like(layout.onward.probability))
-    return replace(layout, onward=onward, arrivals=np.full(len(layout.camera), 1 / len(layout.camera)))
+    return replace(
+        layout, onward=onward, arrivals=np.full(len(layout.camera), 1 / len(layout.camera))
+    )
 
 
 def with_fire_doors(layout: Layout, count: int, rng: np.random.Generator) -> Layout:
-    """The same, where in ``count`` cameras (or as many as can) hardly anybody uses a certain way out of the network."""
+    """The same, where in ``count`` cameras (or as many as can) hardly anybody uses a certain way
+    out of the network.
+    """
     outside = layout.onward.probability.sum(1) == 0
     zones = np.bincount(layout.camera)
-    able = rng.permutation([c for c in range(len(zones)) if zones[c] >= 3 and outside[layout.camera == c].any()])
+    able = rng.permutation(
+        [c for c in range(len(zones)) if zones[c] >= 3 and outside[layout.camera == c].any()]
+    )
     through, arrivals = layout.through.probability.copy(), layout.arrivals.copy()
     for c in able[:count]:
         door = int(rng.choice(np.flatnonzero((layout.camera == c) & outside)))
@@ -123,17 +140,25 @@ def with_fire_doors(layout: Layout, count: int, rng: np.random.Generator) -> Lay
             there = (layout.through.target[u] == door) & (through[u] > 0)
             through[u][~there] *= (1 - RARE_SHARE) / through[u][~there].sum()
             through[u][there] = RARE_SHARE
-    return replace(layout, through=replace(layout.through, probability=through), arrivals=arrivals / arrivals.sum())
+    return replace(
+        layout,
+        through=replace(layout.through, probability=through),
+        arrivals=arrivals / arrivals.sum(),
+    )
 
 
 def with_uneven_ways(layout: Layout, spread: float, rng: np.random.Generator) -> Layout:
-    """The same, where each direction of a way between cameras is longer or shorter by a factor of its own."""
+    """The same, where each direction of a way between cameras is longer or shorter by a factor of
+    its own.
+    """
     metres = layout.onward.metres * np.exp(spread * rng.standard_normal(layout.onward.metres.shape))
     return replace(layout, onward=replace(layout.onward, metres=metres))
 
 
 def with_one_way(layout: Layout, share: float, rng: np.random.Generator) -> Layout:
-    """The same, where ``share`` of the unseen ways are taken in one direction only, as through a turnstile."""
+    """The same, where ``share`` of the unseen ways are taken in one direction only, as through a
+    turnstile.
+    """
     onward = layout.onward
     rows, options = np.nonzero((onward.probability > 0) & (onward.metres > 0))
     ends = zip(rows.tolist(), onward.target[rows, options].tolist(), strict=True)
@@ -143,7 +168,9 @@ def with_one_way(layout: Layout, share: float, rng: np.random.Generator) -> Layo
     return replace(layout, onward=onward.without({(u, v) for u, v in chosen.tolist()}))
 
 
-def _zones(counts: Longs, separation: float, stretch: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _zones(
+    counts: Longs, separation: float, stretch: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
     """Centres (zones, 2) and covariances (zones, 2, 2), the zones of one camera well apart."""
     zones: list[tuple[Floats, Floats]] = []
     for count in counts:
@@ -171,7 +198,9 @@ def _apart(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> bool:
 
 
 def _place(rng: np.random.Generator) -> tuple[Floats, float]:
-    """A zone's centre and the direction it stretches in: along the border, or any for a door in mid-view."""
+    """A zone's centre and the direction it stretches in: along the border, or any for a door in
+    mid-view.
+    """
     if rng.random() < DOOR_SHARE:
         return rng.uniform((0.25, 0.3), (0.75, 0.65)), rng.uniform(0, math.pi)
     along, inset = rng.uniform(0.12, 0.88), rng.uniform(0.05, 0.08)
@@ -189,7 +218,9 @@ def _ellipse(angle: float, stretch: float, rng: np.random.Generator) -> Floats:
 
 
 def _streets(camera: Longs, cameras: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Which zones lead outside: at least two of the network, never all of a camera's (unless it is alone)."""
+    """Which zones lead outside: at least two of the network, never all of a camera's (unless it is
+    alone).
+    """
     street = rng.random(len(camera)) < STREET_SHARE
     if cameras == 1:
         return np.ones(len(camera), dtype=bool)
@@ -206,9 +237,13 @@ def _streets(camera: Longs, cameras: int, rng: np.random.Generator) -> NDArray[n
 
 
 class _Paths:
-    """Joins zones of different cameras, near ones first. ``options[u]`` lists (v, metres) of each zone."""
+    """Joins zones of different cameras, near ones first. ``options[u]`` lists (v, metres) of each
+    zone.
+    """
 
-    def __init__(self, camera: Longs, street: NDArray[np.bool_], position: Floats, rng: np.random.Generator) -> None:
+    def __init__(
+        self, camera: Longs, street: NDArray[np.bool_], position: Floats, rng: np.random.Generator
+    ) -> None:
         self.options: list[list[tuple[int, float]]] = [[] for _ in camera]
         self._camera, self._street, self._rng = camera, street, rng
         self._distance = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
@@ -216,8 +251,8 @@ class _Paths:
         self._joined: set[tuple[int, int]] = set()
 
     def overlaps(self, count: int, each: int) -> None:
-        """The nearest ``count`` pairs of cameras with a zone to spare see a piece of the same floor; at most
-        ``each`` per camera."""
+        """The nearest ``count`` pairs of cameras with a zone to spare see a piece of the same
+        floor; at most ``each`` per camera."""
         order = np.argsort(self._distance, axis=None, kind="stable")
         for a, b in zip(*np.unravel_index(order, self._distance.shape), strict=True):
             if count == 0:
@@ -242,14 +277,18 @@ class _Paths:
         tree = minimum_spanning_tree(self._distance).tocoo()
         for a, b in zip(tree.row, tree.col, strict=True):
             if (min(a, b), max(a, b)) not in self._joined:
-                self._join(self._least(int(a)), self._least(int(b)), self._log_uniform(PATH_SECONDS))
+                self._join(
+                    self._least(int(a)), self._least(int(b)), self._log_uniform(PATH_SECONDS)
+                )
 
     def branch(self) -> None:
         """Every inner zone leads somewhere, and two in five to one place more."""
         for u in self._rng.permutation(len(self._camera)):
             extra = int(self._rng.random() < 0.4)
             wanted = 0 if self._street[u] else max(1, len(self.options[u]) + extra)
-            while u not in self._exclusive and len(self.options[u]) < min(wanted, PATHS_PER_ZONE_MAX):
+            while u not in self._exclusive and len(self.options[u]) < min(
+                wanted, PATHS_PER_ZONE_MAX
+            ):
                 v = self._nearby(int(u))
                 if v is None:
                     break
@@ -260,7 +299,9 @@ class _Paths:
         for c in np.argsort(self._distance[self._camera[u]], kind="stable")[1:6]:
             known = {v for v, _ in self.options[u]}
             free = [v for v in self._of(int(c)) if v not in known and v not in self._exclusive]
-            free = [v for v in free if len(self.options[v]) < PATHS_PER_ZONE_MAX and not self._street[v]]
+            free = [
+                v for v in free if len(self.options[v]) < PATHS_PER_ZONE_MAX and not self._street[v]
+            ]
             if free and self._rng.random() < 0.7:
                 return min(free, key=lambda v: len(self.options[v]))
         return None
@@ -271,7 +312,10 @@ class _Paths:
     def _least(self, camera: int) -> int:
         """The zone with the fewest paths, inner ones first."""
         free = [u for u in self._of(camera) if u not in self._exclusive]
-        return min(free, key=lambda u: (len(self.options[u]) >= 2, bool(self._street[u]), len(self.options[u])))
+        return min(
+            free,
+            key=lambda u: (len(self.options[u]) >= 2, bool(self._street[u]), len(self.options[u])),
+        )
 
     def _join(self, u: int, v: int, metres: float) -> None:
         self.options[u].append((v, metres))
@@ -280,10 +324,14 @@ class _Paths:
         self._joined.add((a, b))
 
     def _log_uniform(self, seconds: tuple[float, float]) -> float:
-        return WALKING_SPEED * math.exp(self._rng.uniform(math.log(seconds[0]), math.log(seconds[1])))
+        return WALKING_SPEED * math.exp(
+            self._rng.uniform(math.log(seconds[0]), math.log(seconds[1]))
+        )
 
 
-def _onward(options: list[list[tuple[int, float]]], leave: Floats, rng: np.random.Generator) -> Choices:
+def _onward(
+    options: list[list[tuple[int, float]]], leave: Floats, rng: np.random.Generator
+) -> Choices:
     """Where walkers go after leaving at a zone; what is missing from 1 leaves the network."""
     rows = []
     for zone, ways in enumerate(options):
@@ -299,8 +347,15 @@ def _through(camera: Longs, centre: Floats, u_turn: float, rng: np.random.Genera
     for zone, c in enumerate(camera):
         others = [int(v) for v in np.flatnonzero(camera == c) if v != zone]
         metres = rng.uniform(*VIEW_METRES)
-        shares = (0.2 + rng.dirichlet(np.full(len(others), 2.0))) / (1 + 0.2 * len(others)) * (1 - u_turn)
-        row = [(v, p, 2 + metres * math.dist(centre[zone], centre[v])) for v, p in zip(others, shares, strict=True)]
+        shares = (
+            (0.2 + rng.dirichlet(np.full(len(others), 2.0)))
+            / (1 + 0.2 * len(others))
+            * (1 - u_turn)
+        )
+        row = [
+            (v, p, 2 + metres * math.dist(centre[zone], centre[v]))
+            for v, p in zip(others, shares, strict=True)
+        ]
         rows.append([*row, (zone, u_turn, U_TURN_METRES)])
     return _table(rows)
 

@@ -1,4 +1,6 @@
-"""The demo's picture: the true map beside the learned one, and the learned zones on each camera's view."""
+"""The demo's picture: the true map beside the learned one, and the learned zones on each camera's
+view.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats
 from camtopod.records import Link, Topology
 from camtopod.sim.floor import HEIGHT, WIDTH, Plan, Walk
-from camtopod.sim.render import PIXELS_PER_METRE, Colour, Picture, busy_scene, floor_picture, plan_corner
+from camtopod.sim.render import (
+    PIXELS_PER_METRE,
+    Colour,
+    Picture,
+    busy_scene,
+    floor_picture,
+    plan_corner,
+)
 from camtopod.sim.score import ZONE_TOLERANCE, match_zones
 from camtopod.sim.truth import TrueLink, Truth
 
@@ -33,7 +42,9 @@ NODE: Colour = (190, 120, 40)
 FOUND: Colour = (70, 160, 60)
 FALSE: Colour = (40, 60, 210)
 FONT = cv2.FONT_HERSHEY_DUPLEX
-ZONES_LEGEND = "ellipses: learned zones, two standard deviations; green: a true zone; diamonds: true centres"
+ZONES_LEGEND = (
+    "ellipses: learned zones, two standard deviations; green: a true zone; diamonds: true centres"
+)
 LEGEND = "black: views overlap   grey: unseen path   seconds left to right / right to left"
 Point = tuple[float, float]
 Times = dict[tuple[str, str], tuple[bool, float]]
@@ -41,7 +52,12 @@ Times = dict[tuple[str, str], tuple[bool, float]]
 
 
 def write_map(
-    path: Path, plan: Plan, walks: list[Walk], truth: Truth, topology: Topology, notes: Sequence[str]
+    path: Path,
+    plan: Plan,
+    walks: list[Walk],
+    truth: Truth,
+    topology: Topology,
+    notes: Sequence[str],
 ) -> None:
     """Write the picture as PNG; ``notes`` are lines of text below it. Raises OSError."""
     rows = -(-len(plan.views) // THUMBS_PER_ROW)
@@ -68,7 +84,9 @@ def write_map(
         y = top + (k // THUMBS_PER_ROW) * (thumb_height + TITLE)
         view_size = THUMB_WIDTH - 2 * FRAME, thumb_height - 2 * FRAME
         seen = cv2.resize(busy_scene(plan, view, walks), view_size, interpolation=cv2.INTER_CUBIC)
-        thumb = cv2.copyMakeBorder(seen, FRAME, FRAME, FRAME, FRAME, cv2.BORDER_CONSTANT, value=PAPER)
+        thumb = cv2.copyMakeBorder(
+            seen, FRAME, FRAME, FRAME, FRAME, cv2.BORDER_CONSTANT, value=PAPER
+        )
         _zones(thumb, view.camera, topology, truth, matched)
         sheet[y : y + thumb_height, left : left + THUMB_WIDTH] = thumb
         _text(sheet, f"{view.camera}: learned zones", (left + FRAME, y + 4), 0.48)
@@ -80,7 +98,9 @@ def write_map(
 
 
 def camera_times(links: Sequence[Link] | Sequence[TrueLink], camera: dict[str, str]) -> Times:
-    """Each direction between two cameras: do the views overlap, and the time of the link most walked."""
+    """Each direction between two cameras: do the views overlap, and the time of the link most
+    walked.
+    """
     best: dict[tuple[str, str], tuple[bool, float, float]] = {}
     for link in links:
         key = camera[link.from_], camera[link.to]
@@ -96,13 +116,19 @@ def _window(plan: Plan) -> tuple[float, float, float]:
     low, high = seen.min(0) - BORDER_METRES, seen.max(0) + BORDER_METRES
     scale = float(min(MAP_WIDTH / (high[0] - low[0]), MAP_HEIGHT / (high[1] - low[1])))
     middle = (low + high) / 2
-    return float(middle[0]) - MAP_WIDTH / 2 / scale, float(middle[1]) + MAP_HEIGHT / 2 / scale, scale
+    return (
+        float(middle[0]) - MAP_WIDTH / 2 / scale,
+        float(middle[1]) + MAP_HEIGHT / 2 / scale,
+        scale,
+    )
 
 
 def _places(plan: Plan) -> dict[str, Point]:
     """Where each camera's view is on the map, pixels."""
     west, north, scale = _window(plan)
-    return {v.camera: ((v.target[0] - west) * scale, (north - v.target[1]) * scale) for v in plan.views}
+    return {
+        v.camera: ((v.target[0] - west) * scale, (north - v.target[1]) * scale) for v in plan.views
+    }
 
 
 def _ground(plan: Plan, faded: float) -> Picture:
@@ -110,17 +136,23 @@ def _ground(plan: Plan, faded: float) -> Picture:
     west, north, scale = _window(plan)
     edge_west, _, _, edge_north = plan_corner(plan)
     zoom = scale / PIXELS_PER_METRE
-    shift = np.array([[zoom, 0, (edge_west - west) * scale], [0, zoom, (north - edge_north) * scale]])
+    shift = np.array(
+        [[zoom, 0, (edge_west - west) * scale], [0, zoom, (north - edge_north) * scale]]
+    )
     smooth = cv2.GaussianBlur(floor_picture(plan), (3, 3), 0)
     floor = cv2.warpAffine(smooth, shift, (MAP_WIDTH, MAP_HEIGHT), borderMode=cv2.BORDER_REPLICATE)
     seen, outlines = floor.copy(), []
     for view in plan.views:
-        outlines.append(np.round((view.footprint() - (west, north)) * (scale, -scale)).astype(np.int32))
+        outlines.append(
+            np.round((view.footprint() - (west, north)) * (scale, -scale)).astype(np.int32)
+        )
         cv2.fillPoly(seen, [outlines[-1]], (255, 240, 215))
     floor = cv2.addWeighted(floor, 0.5, seen, 0.5, 0)
     for outline in outlines:
         cv2.polylines(floor, [outline], True, NODE, 2, cv2.LINE_AA)
-    result: Picture = cv2.addWeighted(floor, 1 - faded, np.full_like(floor, 255), faded, 0).astype(np.uint8)
+    result: Picture = cv2.addWeighted(floor, 1 - faded, np.full_like(floor, 255), faded, 0).astype(
+        np.uint8
+    )
     return result
 
 
@@ -164,8 +196,12 @@ def _curve(a: Point, b: Point, others: list[Point]) -> Floats:
     return result
 
 
-def _zones(picture: NDArray[Any], camera: str, topology: Topology, truth: Truth, matched: set[str]) -> None:
-    """Learned zones as ellipses (two standard deviations), green if true; true centres as diamonds."""
+def _zones(
+    picture: NDArray[Any], camera: str, topology: Topology, truth: Truth, matched: set[str]
+) -> None:
+    """Learned zones as ellipses (two standard deviations), green if true; true centres as
+    diamonds.
+    """
     height, width = picture.shape[0] - 2 * FRAME, picture.shape[1] - 2 * FRAME
     for true in truth.zones:
         if true.camera == camera and true.x is not None and true.y is not None:
@@ -198,6 +234,10 @@ def _text(
 ) -> None:
     (width, _), _ = cv2.getTextSize(text, FONT, size, 1)
     origin = round(at[0] - (width / 2 if centred else 0)), round(at[1])
-    for dx, dy in ((-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (1, 1), (-1, 1), (1, -1)) if halo else ():
-        cv2.putText(picture, text, (origin[0] + dx, origin[1] + dy), FONT, size, PAPER, 1, cv2.LINE_AA)
+    for dx, dy in (
+        ((-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (1, 1), (-1, 1), (1, -1)) if halo else ()
+    ):
+        cv2.putText(
+            picture, text, (origin[0] + dx, origin[1] + dy), FONT, size, PAPER, 1, cv2.LINE_AA
+        )
     cv2.putText(picture, text, origin, FONT, size, colour, 1, cv2.LINE_AA)

@@ -33,9 +33,17 @@ CODEC, SUFFIX = "mp4v", ".mp4"
 _SUBPIXEL = 4
 """Fractional bits of drawing coordinates."""
 _CLOTHES: tuple[Colour, ...] = (
-    (60, 50, 40), (150, 70, 30), (40, 40, 150), (30, 90, 40), (110, 40, 110),
-    (20, 120, 190), (90, 90, 20), (35, 30, 90), (120, 110, 30), (50, 20, 20),
-)  # fmt: skip
+    (60, 50, 40),
+    (150, 70, 30),
+    (40, 40, 150),
+    (30, 90, 40),
+    (110, 40, 110),
+    (20, 120, 190),
+    (90, 90, 20),
+    (35, 30, 90),
+    (120, 110, 30),
+    (50, 20, 20),
+)
 _SKIN: tuple[Colour, ...] = ((150, 180, 220), (110, 140, 190), (60, 85, 130))
 
 
@@ -53,9 +61,11 @@ def plan_corner(plan: Plan) -> tuple[float, float, float, float]:
     """West, south, east and north ends of the plan's picture, metres."""
     x, y = np.array(list(plan.places.values())).T
     return (
-        float(x.min()) - MARGIN_METRES, float(y.min()) - MARGIN_METRES,
-        float(x.max()) + MARGIN_METRES, float(y.max()) + MARGIN_METRES,
-    )  # fmt: skip
+        float(x.min()) - MARGIN_METRES,
+        float(y.min()) - MARGIN_METRES,
+        float(x.max()) + MARGIN_METRES,
+        float(y.max()) + MARGIN_METRES,
+    )
 
 
 def floor_picture(plan: Plan) -> Picture:
@@ -85,38 +95,63 @@ def _pave(picture: Picture, corner: tuple[float, float], area: Area) -> None:
     """Slabs with seams, every other row half a slab on."""
     west, south, east, north = area.box
     colour, seam, (length, depth) = _FLOORS[area.floor]
-    cv2.rectangle(picture, _on_plan(corner, (west, north)), _on_plan(corner, (east, south)), colour, -1)
+    cv2.rectangle(
+        picture, _on_plan(corner, (west, north)), _on_plan(corner, (east, south)), colour, -1
+    )
     for row, y in enumerate(np.arange(south, north, depth)):
         top = float(min(y + depth, north))
-        cv2.line(picture, _on_plan(corner, (west, float(y))), _on_plan(corner, (east, float(y))), seam, 1)
+        cv2.line(
+            picture, _on_plan(corner, (west, float(y))), _on_plan(corner, (east, float(y))), seam, 1
+        )
         for x in np.arange(west + length * (0.5 if row % 2 else 1.0), east, length):
-            cv2.line(picture, _on_plan(corner, (float(x), float(y))), _on_plan(corner, (float(x), top)), seam, 1)
+            cv2.line(
+                picture,
+                _on_plan(corner, (float(x), float(y))),
+                _on_plan(corner, (float(x), top)),
+                seam,
+                1,
+            )
 
 
 def _on_plan(corner: tuple[float, float], place: tuple[float, float]) -> tuple[int, int]:
     """Pixels of a place in metres; ``corner``: west and north end of the picture."""
-    return round((place[0] - corner[0]) * PIXELS_PER_METRE), round((corner[1] - place[1]) * PIXELS_PER_METRE)
+    return round((place[0] - corner[0]) * PIXELS_PER_METRE), round(
+        (corner[1] - place[1]) * PIXELS_PER_METRE
+    )
 
 
 def scene(plan: Plan, view: View) -> Picture:
-    """What a camera sees when nobody is there, (HEIGHT, WIDTH, 3) BGR: the floor through its homography."""
+    """What a camera sees when nobody is there, (HEIGHT, WIDTH, 3) BGR: the floor through its
+    homography.
+    """
     west, _, _, north = plan_corner(plan)
     corners = np.array(view.target) + np.array([(-3, -3), (3, -3), (3, 3), (-3, 3)], dtype=float)
-    there = np.array([_on_plan((west, north), (float(x), float(y))) for x, y in corners], dtype=np.float32)
+    there = np.array(
+        [_on_plan((west, north), (float(x), float(y))) for x, y in corners], dtype=np.float32
+    )
     here = (view.feet(corners)[:, :2] * (2 * WIDTH, 2 * HEIGHT)).astype(np.float32)
     homography = cv2.getPerspectiveTransform(there, here)
     size = 2 * WIDTH, 2 * HEIGHT
-    large = cv2.warpPerspective(floor_picture(plan), homography, size, borderMode=cv2.BORDER_REFLECT)
+    large = cv2.warpPerspective(
+        floor_picture(plan), homography, size, borderMode=cv2.BORDER_REFLECT
+    )
     shade = np.linspace(0.8, 1.05, 2 * HEIGHT)[:, None, None]
     return _grey_levels(cv2.resize(large * shade, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA))
 
 
-def render(plan: Plan, view: View, walks: list[Walk], seconds: float, path: Path, seed: int) -> None:
-    """Write the camera's video, from second 0 to ``seconds``. Raises OSError if it cannot be written."""
+def render(
+    plan: Plan, view: View, walks: list[Walk], seconds: float, path: Path, seed: int
+) -> None:
+    """Write the camera's video, from second 0 to ``seconds``. Raises OSError if it cannot be
+    written.
+    """
     frames = _figures(view, walks, round(seconds * FPS))
     empty = scene(plan, view)
     rng = np.random.default_rng(seed)
-    noise = [np.clip(rng.normal(0, NOISE_SD, empty.shape), -127, 127).astype(np.int8) for _ in range(NOISE_PICTURES)]
+    noise = [
+        np.clip(rng.normal(0, NOISE_SD, empty.shape), -127, 127).astype(np.int8)
+        for _ in range(NOISE_PICTURES)
+    ]
     grain = [cv2.add(empty, part, dtype=cv2.CV_8U) for part in noise]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODEC), FPS, (WIDTH, HEIGHT))
     if not writer.isOpened():
@@ -136,7 +171,10 @@ def busy_scene(plan: Plan, view: View, walks: list[Walk]) -> Picture:
     """What a camera sees at a moment when most people are well inside its picture."""
     end = max((float(walk.t[-1]) for walk in walks if len(walk.t)), default=0.0)
     frames = _figures(view, walks, round(end * FPS) + 1)
-    inside = [sum(0.1 < f.foot[0] / WIDTH < 0.9 and 0.3 < f.foot[1] / HEIGHT < 0.9 for f in frame) for frame in frames]
+    inside = [
+        sum(0.1 < f.foot[0] / WIDTH < 0.9 and 0.3 < f.foot[1] / HEIGHT < 0.9 for f in frame)
+        for frame in frames
+    ]
     picture = scene(plan, view)
     for figure in sorted(frames[int(np.argmax(inside))], reverse=True):
         _draw(picture, figure)
@@ -157,7 +195,9 @@ def _figures(view: View, walks: list[Walk], frames: int) -> list[list[_Figure]]:
             frame = round(float(walk.t[i]) * FPS)
             if frame < frames:
                 foot, head = _pair(feet[i, :2] * scale), _pair(heads[i, :2] * scale)
-                result[frame].append(_Figure(float(feet[i, 2]), foot, head, float(swing[i]), walker))
+                result[frame].append(
+                    _Figure(float(feet[i, 2]), foot, head, float(swing[i]), walker)
+                )
     return result
 
 
@@ -166,7 +206,9 @@ def _pair(point: Floats) -> tuple[float, float]:
 
 
 def _draw(picture: Picture, figure: _Figure) -> None:
-    """A person: shadow, two legs, a body with arms, a head; sizes go with the height in the picture."""
+    """A person: shadow, two legs, a body with arms, a head; sizes go with the height in the
+    picture.
+    """
     (fx, fy), (hx, hy) = figure.foot, figure.head
     tall = max(1.0, fy - hy)
     coat, trousers = _CLOTHES[figure.walker % 10], _CLOTHES[(figure.walker * 7 + 3) % 10]
@@ -177,7 +219,9 @@ def _draw(picture: Picture, figure: _Figure) -> None:
         return round(x * (1 << _SUBPIXEL)), round(y * (1 << _SUBPIXEL))
 
     def limb(a: tuple[float, float], b: tuple[float, float], width: float, colour: Colour) -> None:
-        cv2.line(picture, at(*a), at(*b), colour, max(1, round(width * tall)), cv2.LINE_AA, _SUBPIXEL)
+        cv2.line(
+            picture, at(*a), at(*b), colour, max(1, round(width * tall)), cv2.LINE_AA, _SUBPIXEL
+        )
 
     axes = round(0.16 * tall * (1 << _SUBPIXEL)), round(0.06 * tall * (1 << _SUBPIXEL))
     cv2.ellipse(picture, at(0, 0), axes, 0, 0, 360, (120, 126, 130), -1, cv2.LINE_AA, _SUBPIXEL)
@@ -187,4 +231,12 @@ def _draw(picture: Picture, figure: _Figure) -> None:
     limb((0, 0.5), (0, 0.74), 0.26, coat)
     limb((0.13, 0.74), (0.13 - reach, 0.5), 0.08, coat)
     limb((-0.13, 0.74), (-0.13 + reach, 0.5), 0.08, coat)
-    cv2.circle(picture, at(0, 0.92), round(0.085 * tall * (1 << _SUBPIXEL)), skin, -1, cv2.LINE_AA, _SUBPIXEL)
+    cv2.circle(
+        picture,
+        at(0, 0.92),
+        round(0.085 * tall * (1 << _SUBPIXEL)),
+        skin,
+        -1,
+        cv2.LINE_AA,
+        _SUBPIXEL,
+    )

@@ -10,7 +10,15 @@ from camtopod.records import Event, Transit
 from camtopod.sim.faults import Setup, turned
 from camtopod.sim.layout import Layout
 from camtopod.sim.settings import SimSettings
-from camtopod.sim.truth import CLUTTER, TRUTH_SCHEMA, TrueLink, TrueZone, Truth, pairs_of, transit_of
+from camtopod.sim.truth import (
+    CLUTTER,
+    TRUTH_SCHEMA,
+    TrueLink,
+    TrueZone,
+    Truth,
+    pairs_of,
+    transit_of,
+)
 from camtopod.sim.walkers import Passages, jitter, paces
 
 TRANSIT_DRAWS = 20_000
@@ -20,19 +28,25 @@ CLUTTER_TRACK_SHARE = 0.5
 def report(
     passages: Passages, setup: Setup, settings: SimSettings, rng: np.random.Generator
 ) -> tuple[list[Event], Longs]:
-    """What the cameras say, sorted by time, and (events, 3) owners: walker, number of the passage, zone."""
+    """What the cameras say, sorted by time, and (events, 3) owners: walker, number of the passage,
+    zone.
+    """
     layout = setup.layout
     n = len(passages.t_in)
     extra = round(settings.clutter / (1 - settings.clutter) * 2 * n)
     zone = np.concatenate([passages.zone_in, passages.zone_out])
     camera = np.concatenate([layout.camera[zone], rng.integers(0, settings.cameras, extra)])
-    t = np.concatenate([passages.t_in, passages.t_out, rng.uniform(0, settings.hours * 3600.0, extra)])
+    t = np.concatenate(
+        [passages.t_in, passages.t_out, rng.uniform(0, settings.hours * 3600.0, extra)]
+    )
     entry = np.concatenate([np.ones(n, bool), np.zeros(n, bool), rng.random(extra) < 0.5])
     place = np.concatenate([_positions(layout, zone, settings, rng), rng.random((extra, 2))])
     track = np.concatenate([np.tile(np.arange(n), 2), n + np.arange(extra)])
     track[2 * n :][rng.random(extra) >= CLUTTER_TRACK_SHARE] = -1
     owner = np.full((2 * n + extra, 3), CLUTTER)
-    owner[: 2 * n] = np.column_stack([np.tile(passages.walker, 2), np.tile(passages.number, 2), zone])
+    owner[: 2 * n] = np.column_stack(
+        [np.tile(passages.walker, 2), np.tile(passages.number, 2), zone]
+    )
     inside = ~_lost(camera, t, layout, settings)
     for moved, (since, turn) in setup.turned.items():
         then = (camera == moved) & (t >= since)
@@ -47,10 +61,14 @@ def report(
     return events, owner[order]
 
 
-def _positions(layout: Layout, zone: Longs, settings: SimSettings, rng: np.random.Generator) -> Floats:
+def _positions(
+    layout: Layout, zone: Longs, settings: SimSettings, rng: np.random.Generator
+) -> Floats:
     """A point of each zone's normal distribution, inside the image."""
     spread = np.linalg.cholesky(layout.cov)
-    at = layout.centre[zone] + np.einsum("nij,nj->ni", spread[zone], rng.standard_normal((len(zone), 2)))
+    at = layout.centre[zone] + np.einsum(
+        "nij,nj->ni", spread[zone], rng.standard_normal((len(zone), 2))
+    )
     at += settings.position_noise * rng.standard_normal(at.shape)
     inside: Floats = np.clip(at, 0.0, 1.0)
     return inside
@@ -77,7 +95,9 @@ def truth_of(setup: Setup, settings: SimSettings, recorded: Passages, owners: Lo
         zones=zones,
         links=links,
         pairs=pairs_of(links, {zone.id: zone.camera for zone in zones}),
-        clock_offsets={c: round(float(o), 6) for c, o in zip(layout.cameras, setup.offsets, strict=True)},
+        clock_offsets={
+            c: round(float(o), 6) for c, o in zip(layout.cameras, setup.offsets, strict=True)
+        },
         identity=owners[:, 0].tolist(),
         passage=owners[:, 1].tolist(),
         zone=owners[:, 2].tolist(),
@@ -96,11 +116,17 @@ def _zone(setup: Setup, settings: SimSettings, zone: int, name: str) -> TrueZone
         x, y = np.round(turned(setup.layout.centre[zone], turn), 4).tolist()
         cov = turn @ cov @ turn.T
     cov = np.round(cov, 7).tolist()
-    return TrueZone(id=name, camera=setup.layout.cameras[camera], x=x, y=y, cov=cov, moved_at=moved_at, was=was)
+    return TrueZone(
+        id=name, camera=setup.layout.cameras[camera], x=x, y=y, cov=cov, moved_at=moved_at, was=was
+    )
 
 
-def _links(setup: Setup, settings: SimSettings, ids: list[str], recorded: Passages) -> list[TrueLink]:
-    """Every way with its probability, the time for it, and how often it was walked in the recording."""
+def _links(
+    setup: Setup, settings: SimSettings, ids: list[str], recorded: Passages
+) -> list[TrueLink]:
+    """Every way with its probability, the time for it, and how often it was walked in the
+    recording.
+    """
     layout = setup.layout
     rng = np.random.default_rng((settings.seed, 3))
     forward = paces(settings, rng, TRANSIT_DRAWS) * jitter(settings, rng, TRANSIT_DRAWS)
@@ -119,8 +145,12 @@ def _links(setup: Setup, settings: SimSettings, ids: list[str], recorded: Passag
                     probability=round(float(choices.probability[u, k]), 6),
                     transitions=walked.get((inside, *way), 0),
                     transit=_times(metre[metres > 0], abs(metres)),
-                    closed_at=settings.start + settings.closing() if not inside and way in setup.closing else None,
-                    opened_at=settings.start + settings.opening() if not inside and way in setup.opening else None,
+                    closed_at=settings.start + settings.closing()
+                    if not inside and way in setup.closing
+                    else None,
+                    opened_at=settings.start + settings.opening()
+                    if not inside and way in setup.opening
+                    else None,
                 )
             )
     return links
@@ -128,7 +158,12 @@ def _links(setup: Setup, settings: SimSettings, ids: list[str], recorded: Passag
 
 def _times(one: Transit, metres: float) -> Transit:
     """A metre's figures scaled to a way's length."""
-    return Transit(*(round(time * metres, 4) for time in (one.mode, one.mean, one.sd, one.q10, one.q50, one.q90)))
+    return Transit(
+        *(
+            round(time * metres, 4)
+            for time in (one.mode, one.mean, one.sd, one.q10, one.q50, one.q90)
+        )
+    )
 
 
 def _walked(recorded: Passages) -> dict[tuple[bool, int, int], int]:
@@ -147,9 +182,17 @@ def _walked(recorded: Passages) -> dict[tuple[bool, int, int], int]:
 
 
 def events_of(
-    cameras: list[str], camera: Longs, entry: Bools, t: Floats, at: Floats, track: Longs, order: Longs
+    cameras: list[str],
+    camera: Longs,
+    entry: Bools,
+    t: Floats,
+    at: Floats,
+    track: Longs,
+    order: Longs,
 ) -> list[Event]:
-    """Events in ``order`` from columns: (n,) camera, entry or exit, event time, (n, 2) place or nan, track or -1."""
+    """Events in ``order`` from columns: (n,) camera, entry or exit, event time, (n, 2) place or
+    nan, track or -1.
+    """
     names = _track_names(camera, track, order)
     xy, when, placed = np.round(at, 4), np.round(t, 6), np.isfinite(at[:, 0])
     return [

@@ -15,13 +15,19 @@ from camtopod.sim.calibration import calibration_error, calibration_floor
 from camtopod.sim.truth import CLUTTER, TrueLink, TrueZone, Truth
 
 ZONE_TOLERANCE = 0.1
-"""A learned zone is a true one when their centres are at most this far apart, fraction of the image."""
+"""A learned zone is a true one when their centres are at most this far apart, fraction of the
+image.
+"""
 COVERED_SDS = 1.96
 """An error within so many stated standard deviations is covered; 95 % should be."""
 TRANSIT_FLOOR_SECONDS = 1.0
-"""Errors of shorter transit times are relative to this, as a fraction of next to nothing says nothing."""
+"""Errors of shorter transit times are relative to this, as a fraction of next to nothing says
+nothing.
+"""
 PROBABILITY_FLOOR = 1e-6
-"""Least probability in the log loss: an outcome held impossible costs 13.8 nats, not infinitely many."""
+"""Least probability in the log loss: an outcome held impossible costs 13.8 nats, not infinitely
+many.
+"""
 
 
 class Score(Struct, frozen=True):
@@ -42,14 +48,18 @@ class Score(Struct, frozen=True):
     relations_right: int
     """Of these, how many have the true relation (unseen or overlapped)."""
     mode_error: float
-    """Median over the right links of |learned - true| / max(|true|, 1 s) of the transit times' modes."""
+    """Median over the right links of |learned - true| / max(|true|, 1 s) of the transit times'
+    modes.
+    """
     mean_error: float
     median_error: float
     """The same of the medians."""
     median_error_mean: float
     """Mean of the medians' errors: it counts the links that are far off, too."""
     median_covered: float
-    """Share of the right links with the true median within `COVERED_SDS` stated standard errors; nan without any."""
+    """Share of the right links with the true median within `COVERED_SDS` stated standard errors;
+    nan without any.
+    """
     mean_covered: float
     """The same of the means."""
     pairs_true: int
@@ -80,7 +90,9 @@ class Score(Struct, frozen=True):
 
     @property
     def relation_right(self) -> float:
-        """Share of the pairs of cameras, walked or learned, that are learned with their true relation."""
+        """Share of the pairs of cameras, walked or learned, that are learned with their true
+        relation.
+        """
         return _share(self.pair_relations_right, self.pairs_walked)
 
     @property
@@ -126,19 +138,23 @@ class PredictionScore(Struct, frozen=True):
     """Share of the followed ones whose next camera had the highest probability."""
     top3: float
     log_loss: float
-    """Mean of -ln(probability of what happened: that camera, or not seen again) over all exits, nats."""
+    """Mean of -ln(probability of what happened: that camera, or not seen again) over all exits,
+    nats.
+    """
     calibration_error: float = math.nan
-    """Expected calibration error of all stated probabilities, that of leaving included. Most of them are next to 0,
-    where nobody is far off."""
+    """Expected calibration error of all stated probabilities, that of leaving included. Most of
+    them are next to 0, where nobody is far off."""
     first_calibration_error: float = math.nan
     """The same of the first guess alone: the likeliest outcome, which may be leaving."""
     first_calibration_floor: float = math.nan
     """What chance would make of that on as many exits if every probability were right."""
     first_calibration_error_all: float = math.nan
-    """The same over all exits, those of nobody too, after which nobody comes: who predicts cannot know which they are,
-    so over the others alone what is right over all looks too careful."""
+    """The same over all exits, those of nobody too, after which nobody comes: who predicts cannot
+    know which they are, so over the others alone what is right over all looks too careful."""
     window_coverage: float = math.nan
-    """Share of the followed ones, next camera named at all, that came between the stated q10 and q90."""
+    """Share of the followed ones, next camera named at all, that came between the stated q10 and
+    q90.
+    """
 
     def text(self) -> str:
         """A line for a person."""
@@ -149,13 +165,19 @@ class PredictionScore(Struct, frozen=True):
 
 
 def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -> Score:
-    """Hold a topology against the truth. Links count at the level of zones, those through a view do not."""
+    """Hold a topology against the truth. Links count at the level of zones, those through a view do
+    not.
+    """
     match = match_zones(topology.zones, truth.zones, tolerance)
     true_count, learned_count = (_per_camera(zones) for zones in (truth.zones, topology.zones))
     matched_count = _per_camera([zone for zone in truth.zones if zone.id in match])
     true_links = _projected([link for link in truth.links if link.relation != "visible"], match)
     learned = [link for link in topology.links if link.relation != "visible"]
-    right = [(link, true_links[link.from_, link.to]) for link in learned if (link.from_, link.to) in true_links]
+    right = [
+        (link, true_links[link.from_, link.to])
+        for link in learned
+        if (link.from_, link.to) in true_links
+    ]
     keys = {(link.from_, link.to) for link in learned}
     walked = [link for link in truth.links if link.relation != "visible" and link.transitions > 0]
     camera_of = {zone.id: zone.camera for zone in truth.zones}
@@ -167,7 +189,8 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
     return Score(
         cameras=len(truth.cameras),
         cameras_right=sum(
-            true_count.get(c, 0) == learned_count.get(c, 0) == matched_count.get(c, 0) for c in truth.cameras
+            true_count.get(c, 0) == learned_count.get(c, 0) == matched_count.get(c, 0)
+            for c in truth.cameras
         ),
         zones_true=len(truth.zones),
         zones_learned=len(topology.zones),
@@ -195,14 +218,17 @@ def score(topology: Topology, truth: Truth, tolerance: float = ZONE_TOLERANCE) -
 def clock_errors(topology: Topology, truth: Truth) -> dict[str, float]:
     """Learned minus true clock offset of each learned camera, seconds.
 
-    Only differences between clocks can be learned, so the median of the errors is taken out of all of them.
+    Only differences between clocks can be learned, so the median of the errors is taken out of all
+    of them.
     """
     error = {c.id: c.clock_offset - truth.clock_offsets.get(c.id, 0.0) for c in topology.cameras}
     gauge = float(np.median(list(error.values()))) if error else 0.0
     return {camera: value - gauge for camera, value in error.items()}
 
 
-def match_zones(learned: Sequence[Zone], true: Sequence[TrueZone], tolerance: float) -> dict[str, str]:
+def match_zones(
+    learned: Sequence[Zone], true: Sequence[TrueZone], tolerance: float
+) -> dict[str, str]:
     """True zone -> learned zone, one to one within each camera, least total distance (Hungarian).
 
     A learned zone without positions stands for the whole camera, so for all its true zones.
@@ -222,21 +248,31 @@ def match_zones(learned: Sequence[Zone], true: Sequence[TrueZone], tolerance: fl
             cost = np.where(distance <= tolerance, distance, 1e3)
             rows, columns = linear_sum_assignment(cost)
             near = distance[rows, columns] <= tolerance
-            result |= {theirs[i].id: placed[j].id for i, j in zip(rows[near], columns[near], strict=True)}
+            result |= {
+                theirs[i].id: placed[j].id for i, j in zip(rows[near], columns[near], strict=True)
+            }
     return result
 
 
 def next_entries(events: Sequence[Event], truth: Truth) -> list[int]:
-    """For each event, if it is somebody's exit: index of the entry with which they appear next; else -1."""
+    """For each event, if it is somebody's exit: index of the entry with which they appear next;
+    else -1.
+    """
     entries: dict[int, list[tuple[int, int]]] = {}
-    for index, (event, who, number) in enumerate(zip(events, truth.identity, truth.passage, strict=True)):
+    for index, (event, who, number) in enumerate(
+        zip(events, truth.identity, truth.passage, strict=True)
+    ):
         if who != CLUTTER and event.kind == "entry":
             entries.setdefault(who, []).append((number, index))
     for passages in entries.values():
         passages.sort()
     result = []
     for event, who, number in zip(events, truth.identity, truth.passage, strict=True):
-        later = [index for n, index in entries.get(who, []) if n > number] if event.kind == "exit" else []
+        later = (
+            [index for n, index in entries.get(who, []) if n > number]
+            if event.kind == "exit"
+            else []
+        )
         result.append(later[0] if later else -1)
     return result
 
@@ -248,10 +284,12 @@ def score_predictions(
     since: float = -math.inf,
     zone_of: Callable[[Event], str | None] | None = None,
 ) -> PredictionScore:
-    """Score one prediction for each exit line of ``events``, in order; exits before ``since`` do not count.
+    """Score one prediction for each exit line of ``events``, in order; exits before ``since`` do
+    not count.
 
-    ``zone_of`` names the zone of an entry, so that its own time window is looked at; without it, that of the likeliest
-    zone of its camera is. Raises ValueError when the predictions do not belong to these events.
+    ``zone_of`` names the zone of an entry, so that its own time window is looked at; without it,
+    that of the likeliest zone of its camera is. Raises ValueError when the predictions do not
+    belong to these events.
     """
     following = next_entries(events, truth)
     exits = [index for index, event in enumerate(events) if event.kind == "exit"]
@@ -284,7 +322,10 @@ def score_predictions(
         outcome = prediction.leave if entry is None else by_camera.get(entry.camera, 0.0)
         loss -= math.log(max(outcome, PROBABILITY_FLOOR))
         stated += [*by_camera.values(), prediction.leave]
-        happened += [*(entry is not None and camera == entry.camera for camera in by_camera), entry is None]
+        happened += [
+            *(entry is not None and camera == entry.camera for camera in by_camera),
+            entry is None,
+        ]
     somebody = [guess for guess in firsts if not guess.clutter]
     return PredictionScore(
         exits=scored,
@@ -301,7 +342,9 @@ def score_predictions(
 
 
 class _Guess(NamedTuple):
-    """The likeliest outcome of an exit: its probability, whether it came so, whether the exit belonged to nobody."""
+    """The likeliest outcome of an exit: its probability, whether it came so, whether the exit
+    belonged to nobody.
+    """
 
     stated: float
     happened: bool
@@ -316,7 +359,9 @@ def _first(leave: float, by_camera: dict[str, float], entry: Event | None, clutt
 
 
 def _calibration_error(guesses: Sequence[_Guess]) -> float:
-    return calibration_error([guess.stated for guess in guesses], [guess.happened for guess in guesses])
+    return calibration_error(
+        [guess.stated for guess in guesses], [guess.happened for guess in guesses]
+    )
 
 
 def _by_camera(prediction: Prediction) -> dict[str, float]:
@@ -327,7 +372,9 @@ def _by_camera(prediction: Prediction) -> dict[str, float]:
 
 
 def _within(prediction: Prediction, entry: Event, zone: str | None) -> list[bool]:
-    """Whether the entry came in the window of its zone, else of the likeliest of its camera; empty: not named."""
+    """Whether the entry came in the window of its zone, else of the likeliest of its camera; empty:
+    not named.
+    """
     named = [choice for choice in prediction.next_ if choice.camera == entry.camera]
     for choice in [choice for choice in named if choice.zone == zone] or named:
         return [choice.q10 <= entry.t - prediction.t <= choice.q90]
@@ -351,13 +398,16 @@ def _projected(links: list[TrueLink], match: dict[str, str]) -> dict[tuple[str, 
 
 
 def _error(
-    right: list[tuple[Link, TrueLink]], figure: str, together: Callable[[list[float]], np.floating[Any]] = np.median
+    right: list[tuple[Link, TrueLink]],
+    figure: str,
+    together: Callable[[list[float]], np.floating[Any]] = np.median,
 ) -> float:
     def value(transit: Transit) -> float:
         return float(getattr(transit, figure))
 
     errors = [
-        abs(value(link.transit) - value(true.transit)) / max(abs(value(true.transit)), TRANSIT_FLOOR_SECONDS)
+        abs(value(link.transit) - value(true.transit))
+        / max(abs(value(true.transit)), TRANSIT_FLOOR_SECONDS)
         for link, true in right
     ]
     return float(together(errors)) if errors else math.nan

@@ -11,11 +11,29 @@ from camtopod.sim.layout import ZONE_SEPARATION
 SEPARATION_RANGE = (0.05, 0.3)
 STRETCH_RANGE = (1.0, 4.0)
 SHARES = (
-    *("missed", "group_share", "loiterers", "slow_share", "u_turn", "overlap_share", "rhythm", "platoons"),
+    *(
+        "missed",
+        "group_share",
+        "loiterers",
+        "slow_share",
+        "u_turn",
+        "overlap_share",
+        "rhythm",
+        "platoons",
+    ),
     *("clock_share", "one_way"),
 )
 NOT_NEGATIVE = (
-    *("speed_sd", "path_sd", "uneven", "position_noise", "clock_sd", "clock_max", "doors_closed", "doors_opened"),
+    *(
+        "speed_sd",
+        "path_sd",
+        "uneven",
+        "position_noise",
+        "clock_sd",
+        "clock_max",
+        "doors_closed",
+        "doors_opened",
+    ),
     *("fire_doors", "seed"),
 )
 
@@ -41,7 +59,9 @@ class SimSettings(Struct, frozen=True, forbid_unknown_fields=True):
     fire_doors: int = 0
     """Cameras with a zone that sees about 1 % of their events."""
     uneven: float = 0.0
-    """Spread (log scale) of the length of a way in each direction: up the stairs takes longer than down."""
+    """Spread (log scale) of the length of a way in each direction: up the stairs takes longer than
+    down.
+    """
     one_way: float = 0.0
     """Share of the ways between views that do not overlap that are taken in one direction only."""
     u_turn: float = 0.03
@@ -59,7 +79,9 @@ class SimSettings(Struct, frozen=True, forbid_unknown_fields=True):
     clock_sd: float = 0.0
     """Standard deviation of the cameras' clock offsets."""
     clock_max: float = 0.0
-    """Beside that, the clocks of ``clock_share`` of the cameras are off by up to so many seconds (uniform)."""
+    """Beside that, the clocks of ``clock_share`` of the cameras are off by up to so many seconds
+    (uniform).
+    """
     clock_share: float = 0.33
     rhythm: float = 0.0
     """Amplitude of the day/night rhythm: the rate swings by this share."""
@@ -86,7 +108,9 @@ class SimSettings(Struct, frozen=True, forbid_unknown_fields=True):
     lost: tuple[tuple[str, float, float], ...] = ()
     """Intervals (camera, from, to) in seconds after the start in which a camera reports nothing."""
     moved: tuple[tuple[str, float], ...] = ()
-    """Cameras that are turned elsewhere (camera, seconds after the start), so that their zones lie elsewhere."""
+    """Cameras that are turned elsewhere (camera, seconds after the start), so that their zones lie
+    elsewhere.
+    """
     tracks: bool = True
     positions: bool = True
 
@@ -119,6 +143,9 @@ def check(s: SimSettings) -> None:
         raise ValueError(f"objects_per_second is {s.objects_per_second}; it must be positive")
     if not s.platoon_size >= 1 or not s.platoon_cycle > 0:
         raise ValueError("platoon_size must be at least 1 and platoon_cycle positive")
-    for name, (low, high) in (("zone_separation", SEPARATION_RANGE), ("zone_stretch", STRETCH_RANGE)):
+    for name, (low, high) in (
+        ("zone_separation", SEPARATION_RANGE),
+        ("zone_stretch", STRETCH_RANGE),
+    ):
         if not low <= getattr(s, name) <= high:
             raise ValueError(f"{name} is {getattr(s, name)}; it must be from {low:g} to {high:g}")

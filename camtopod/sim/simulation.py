@@ -1,7 +1,8 @@
 """A made-up camera network at work: walkers, what the cameras report of them, and the truth.
 
-Pure: the same settings give the same events. Walkers arrive as a Poisson process, follow a first-order chain
-over zones, and each keeps a speed of their own; the disturbances of real installations are settings.
+Pure: the same settings give the same events. Walkers arrive as a Poisson process, follow a
+first-order chain over zones, and each keeps a speed of their own; the disturbances of real
+installations are settings.
 """
 
 from __future__ import annotations

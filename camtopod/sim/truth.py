@@ -15,9 +15,11 @@ CLUTTER = -1
 
 
 class TrueZone(Struct, frozen=True, omit_defaults=True):
-    """An entry/exit zone; centre and covariance in fractions of the image, `None` without positions.
+    """An entry/exit zone; centre and covariance in fractions of the image, `None` without
+    positions.
 
-    ``moved_at``: seconds since the epoch before which it lay at ``was`` in the image, as the camera was turned.
+    ``moved_at``: seconds since the epoch before which it lay at ``was`` in the image, as the camera
+    was turned.
     """
 
     id: str
@@ -47,9 +49,9 @@ class TrueLink(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}
 class Truth(Struct, frozen=True, omit_defaults=True):
     """The network and, per event line, who caused it.
 
-    ``identity[i]`` is the walker of event ``i``, ``passage[i]`` the number of the passage within the walk (it
-    rises along the walk, unrecorded passages count too) and ``zone[i]`` the index into ``zones``; `CLUTTER`
-    for clutter.
+    ``identity[i]`` is the walker of event ``i``, ``passage[i]`` the number of the passage within
+    the walk (it rises along the walk, unrecorded passages count too) and ``zone[i]`` the index into
+    ``zones``; `CLUTTER` for clutter.
     """
 
     schema: str
@@ -75,9 +77,13 @@ def transit_of(seconds: Floats) -> Transit:
 
 
 def mode_of(values: Floats) -> float:
-    """Where a Gaussian kernel density (Silverman's bandwidth) is highest, to a 200th of the spread."""
+    """Where a Gaussian kernel density (Silverman's bandwidth) is highest, to a 200th of the
+    spread.
+    """
     low, high = np.quantile(values, (0.02, 0.98))
-    width = min(float(np.std(values)), float(np.subtract(*np.quantile(values, (0.75, 0.25)))) / 1.34)
+    width = min(
+        float(np.std(values)), float(np.subtract(*np.quantile(values, (0.75, 0.25)))) / 1.34
+    )
     if width <= 0:
         return float(np.median(values))
     grid = np.linspace(low, high, 201)
@@ -90,10 +96,15 @@ def mode_of(values: Floats) -> float:
 
 
 def pairs_of(links: list[TrueLink], camera_of: dict[str, str]) -> list[Pair]:
-    """Related pairs of cameras: overlapped where any of their links is, else joined by an unseen path."""
+    """Related pairs of cameras: overlapped where any of their links is, else joined by an unseen
+    path.
+    """
     overlapped: dict[tuple[str, str], bool] = {}
     for link in links:
         a, b = sorted((camera_of[link.from_], camera_of[link.to]))
         if a != b:
             overlapped[a, b] = overlapped.get((a, b), False) or link.relation == "overlapped"
-    return [Pair(cameras, "overlapped" if over else "unseen_path") for cameras, over in sorted(overlapped.items())]
+    return [
+        Pair(cameras, "overlapped" if over else "unseen_path")
+        for cameras, over in sorted(overlapped.items())
+    ]

@@ -1,4 +1,6 @@
-"""People walk about in a made-up network: when they come, where they go, how long it takes them, with whom."""
+"""People walk about in a made-up network: when they come, where they go, how long it takes them,
+with whom.
+"""
 
 from __future__ import annotations
 
@@ -55,8 +57,14 @@ def walk(setup: Setup, settings: SimSettings, rng: np.random.Generator) -> Passa
         stay = metres * pace * jitter(settings, rng, len(t)) * linger
         option = _onward(setup, settings, out, t, rng.random(len(t)))
         goes = option >= 0
-        ahead = np.where(goes, layout.onward.metres[out, option], 0.0) * pace * jitter(settings, rng, len(t))
-        stay = np.maximum(stay, -1.25 * ahead)  # nobody is in the next view before being in this one
+        ahead = (
+            np.where(goes, layout.onward.metres[out, option], 0.0)
+            * pace
+            * jitter(settings, rng, len(t))
+        )
+        stay = np.maximum(
+            stay, -1.25 * ahead
+        )  # nobody is in the next view before being in this one
         parts.append(Passages(walker, np.full(len(t), number), zone, out, t, t + stay))
         t, zone = (t + stay + ahead)[goes], layout.onward.target[out, option][goes]
         walker, pace, linger = walker[goes], pace[goes], linger[goes]
@@ -70,7 +78,9 @@ def paces(settings: SimSettings, rng: np.random.Generator, n: int) -> Floats:
 
 
 def _onward(setup: Setup, settings: SimSettings, zone: Longs, t: Floats, draw: Floats) -> Longs:
-    """Index of the way that people who are at a zone at some time take, -1 for none; doors close and open."""
+    """Index of the way that people who are at a zone at some time take, -1 for none; doors close
+    and open.
+    """
     shut, unopened = t >= settings.closing(), t < settings.opening()
     result = np.zeros(len(zone), dtype=np.int64)
     for gone, now in (
@@ -91,8 +101,13 @@ def _in_platoons(t: Floats, zone: Longs, settings: SimSettings) -> tuple[Floats,
     _, leader, of = np.unique(bunch, return_index=True, return_inverse=True)
     where = zone[member[leader]]
     phase = (where * 0.618) % 1.0 * settings.platoon_cycle
-    begin = np.ceil((t[member[leader]] - phase) / settings.platoon_cycle) * settings.platoon_cycle + phase
-    late = HEADWAY_SECONDS * ((np.arange(len(member)) - leader[of]) + rng.uniform(-0.4, 0.4, len(member)))
+    begin = (
+        np.ceil((t[member[leader]] - phase) / settings.platoon_cycle) * settings.platoon_cycle
+        + phase
+    )
+    late = HEADWAY_SECONDS * (
+        (np.arange(len(member)) - leader[of]) + rng.uniform(-0.4, 0.4, len(member))
+    )
     t, zone = t.copy(), zone.copy()
     t[member], zone[member] = begin[of] + late, where[of]
     return t, zone
@@ -102,7 +117,9 @@ def _arrivals(settings: SimSettings, rng: np.random.Generator) -> Floats:
     """Poisson arrival times; the rhythm thins a faster process."""
     rate = settings.objects_per_second or 0.4 * settings.cameras / 12
     begin, end = -WARM_UP_SECONDS, settings.hours * 3600.0
-    times = np.sort(rng.uniform(begin, end, rng.poisson(rate * (1 + settings.rhythm) * (end - begin))))
+    times = np.sort(
+        rng.uniform(begin, end, rng.poisson(rate * (1 + settings.rhythm) * (end - begin)))
+    )
     phase = 2 * np.pi * (times + settings.start) / (settings.rhythm_hours * DAY_SECONDS / 24)
     wanted = (1 - settings.rhythm * np.cos(phase)) / (1 + settings.rhythm)
     return times[rng.random(len(times)) < wanted]
@@ -131,10 +148,17 @@ def _join(parts: list[Passages]) -> Passages:
     if not parts:
         none = np.zeros(0, dtype=np.int64)
         return Passages(none, none, none, none, none.astype(float), none.astype(float))
-    return Passages(*(np.concatenate([getattr(part, name) for part in parts]) for name in Passages.__struct_fields__))
+    return Passages(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in Passages.__struct_fields__
+        )
+    )
 
 
-def with_companions(passages: Passages, settings: SimSettings, rng: np.random.Generator) -> Passages:
+def with_companions(
+    passages: Passages, settings: SimSettings, rng: np.random.Generator
+) -> Passages:
     """Groups: companions walk the leader's way, each a step (0.3 to 2 s) behind the one before."""
     walkers = int(passages.walker.max(initial=-1)) + 1
     size = np.where(rng.random(walkers) < settings.group_share, rng.integers(1, 4, walkers), 0)
@@ -147,6 +171,10 @@ def with_companions(passages: Passages, settings: SimSettings, rng: np.random.Ge
         fresh += len(led)
         mine = passages.take(identity[passages.walker] >= 0)
         late = behind[mine.walker]
-        mine.walker, mine.t_in, mine.t_out = identity[mine.walker], mine.t_in + late, mine.t_out + late
+        mine.walker, mine.t_in, mine.t_out = (
+            identity[mine.walker],
+            mine.t_in + late,
+            mine.t_out + late,
+        )
         parts.append(mine)
     return _join(parts)

@@ -34,7 +34,14 @@ from camtopod.topology.shared_constants import (
     STAY_SECONDS_MIN,
     UNKNOWN_STAY_SECONDS,
 )
-from camtopod.topology.versions import ALARMS_KEPT_MAX, LinkKey, apply_delta, link_key, make_delta, stamp
+from camtopod.topology.versions import (
+    ALARMS_KEPT_MAX,
+    LinkKey,
+    apply_delta,
+    link_key,
+    make_delta,
+    stamp,
+)
 
 __all__ = [
     "ALARMS_KEPT_MAX",

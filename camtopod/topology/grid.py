@@ -12,8 +12,13 @@ BLOCKS_ACROSS = 6
 
 
 def blocks_of(px: NDArray[np.int32], py: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Block of the image (row * columns + column of a coarse grid) of fixed-point positions; -1 where there is none."""
-    row, column = (np.minimum(p.astype(np.int64) * BLOCKS_ACROSS // POSITION_ONE, BLOCKS_ACROSS - 1) for p in (py, px))
+    """Block of the image (row * columns + column of a coarse grid) of fixed-point positions; -1
+    where there is none.
+    """
+    row, column = (
+        np.minimum(p.astype(np.int64) * BLOCKS_ACROSS // POSITION_ONE, BLOCKS_ACROSS - 1)
+        for p in (py, px)
+    )
     return np.where(px < 0, -1, row * BLOCKS_ACROSS + column).astype(np.int32)
 
 

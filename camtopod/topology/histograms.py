@@ -16,8 +16,9 @@ Weighed = tuple[float, Histogram]
 MASS_MIN = 1e-3
 """Bins at the ends with less than this share of the mass are left off."""
 STEPS = 250
-"""Of the highest bin, where a histogram is in whole steps: a version has one for each pair of zones that may be linked,
-thousands of them. Whole numbers this small take a byte or two in a message and none of their own in Python.
+"""Of the highest bin, where a histogram is in whole steps: a version has one for each pair of zones
+that may be linked, thousands of them. Whole numbers this small take a byte or two in a message and
+none of their own in Python.
 """
 
 
@@ -64,7 +65,9 @@ def on_bins(histogram: Histogram, bins: LagBins) -> Floats:
 
 
 def _sum(histograms: Iterable[Weighed]) -> tuple[int, Floats, float]:
-    """First bin, masses and delay; of histograms with different delays those with the delay of the heaviest."""
+    """First bin, masses and delay; of histograms with different delays those with the delay of the
+    heaviest.
+    """
     known = [(weight, one) for weight, one in histograms if one.mass]
     if not known:
         return 0, np.zeros(0), 0.0
@@ -73,7 +76,9 @@ def _sum(histograms: Iterable[Weighed]) -> tuple[int, Floats, float]:
     first = min(one.first for _, one in known)
     mass = np.zeros(max(one.first + len(one.mass) for _, one in known) - first)
     for weight, one in known:
-        mass[one.first - first :][: len(one.mass)] += weight * one.unit * np.array(one.mass, np.float64)
+        mass[one.first - first :][: len(one.mass)] += (
+            weight * one.unit * np.array(one.mass, np.float64)
+        )
     return first, mass, delay
 
 
@@ -91,7 +96,9 @@ def _stepped(first: int, mass: Floats) -> Histogram:
 
 
 def _late(histogram: Histogram, delay: float) -> Histogram:
-    """The histogram with seconds to add to its lags, which it does not mention where there are none."""
+    """The histogram with seconds to add to its lags, which it does not mention where there are
+    none.
+    """
     return replace(histogram, delay=delay) if delay and histogram.mass else histogram
 
 

@@ -1,8 +1,8 @@
 """Lag bins: transit times on a scale that is fine near zero and coarse far away.
 
-Bins are uniform in asinh(lag / scale): about ``scale * step`` seconds wide near zero, a constant share of the lag far
-from it, as the spread of transit times grows with their length. Lags outside the range have no bin (-1): clipped into
-an end bin they would look like a peak there.
+Bins are uniform in asinh(lag / scale): about ``scale * step`` seconds wide near zero, a constant
+share of the lag far from it, as the spread of transit times grows with their length. Lags outside
+the range have no bin (-1): clipped into an end bin they would look like a peak there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,11 @@ class LagBins:
     """Bins covering [``lag_min``, ``lag_max``] seconds."""
 
     def __init__(
-        self, lag_min: float, lag_max: float, scale: float = LAG_SCALE_SECONDS, step: float = LAG_STEP
+        self,
+        lag_min: float,
+        lag_max: float,
+        scale: float = LAG_SCALE_SECONDS,
+        step: float = LAG_STEP,
     ) -> None:
         if not lag_min < lag_max:
             raise ValueError(f"lag range is empty: {lag_min} to {lag_max} s")
@@ -39,16 +43,27 @@ class LagBins:
         self.edges: NDArray[np.float64] = scale * np.sinh(step * np.arange(self.first, last + 2))
         """Bin edges in seconds, (size + 1,)."""
         self.widths: NDArray[np.float64] = np.diff(self.edges)
-        self.centres: NDArray[np.float64] = scale * np.sinh(step * (np.arange(self.first, last + 1) + 0.5))
-        self.limits: list[float] = [lag_min, *self.edges[1:-1].tolist(), math.nextafter(lag_max, math.inf)]
-        """Edges within the range, seconds: bin ``k`` holds lags from ``limits[k]`` to below ``limits[k + 1]``."""
+        self.centres: NDArray[np.float64] = scale * np.sinh(
+            step * (np.arange(self.first, last + 1) + 0.5)
+        )
+        self.limits: list[float] = [
+            lag_min,
+            *self.edges[1:-1].tolist(),
+            math.nextafter(lag_max, math.inf),
+        ]
+        """Edges within the range, seconds: bin ``k`` holds lags from ``limits[k]`` to below
+        ``limits[k + 1]``.
+        """
 
-        # For `index`: cells narrower than any bin, so that none has more than one edge; the bin in which each begins.
+        # For `index`: cells narrower than any bin, so that none has more than one edge; the bin in
+        # which each begins.
         self._cells_per_second = CELLS_PER_BIN / float(self.widths.min())
         cells = math.ceil((lag_max - lag_min) * self._cells_per_second) + 1
         starts = lag_min + np.arange(cells) / self._cells_per_second
         self._ends = np.array([*self.limits[1:-1], np.inf])
-        self._bin_of_cell = np.searchsorted(self.limits[1:-1], starts, side="right").astype(np.int32)
+        self._bin_of_cell = np.searchsorted(self.limits[1:-1], starts, side="right").astype(
+            np.int32
+        )
 
     def bin_of(self, lag: float) -> int:
         """`index` of one lag."""
@@ -71,7 +86,9 @@ def offset_bins(scale: float, step: float) -> LagBins:
 
 @lru_cache(maxsize=64)
 def smoother(size: int, sd_bins: float) -> NDArray[np.float64]:
-    """Matrix (size, size) that spreads each bin's mass over its neighbours; columns sum to 1, so mass is kept."""
+    """Matrix (size, size) that spreads each bin's mass over its neighbours; columns sum to 1, so
+    mass is kept.
+    """
     offset = np.arange(size)[:, None] - np.arange(size)[None, :]
     kernel: NDArray[np.float64] = np.exp(-0.5 * (offset / sd_bins) ** 2)
     kernel /= kernel.sum(axis=0, keepdims=True)
@@ -84,8 +101,8 @@ SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
 
 
 def smooth(counts: Floats, total: Floats | None = None) -> tuple[Floats, Floats]:
-    """Counts (P, bins) spread over neighbouring bins, the wider the fewer there are, or as for a ``total`` (P,) of
-    them; and the share (P,) that stays.
+    """Counts (P, bins) spread over neighbouring bins, the wider the fewer there are, or as for a
+    ``total`` (P,) of them; and the share (P,) that stays.
     """
     size = counts.shape[1]
     total = counts.sum(axis=1) if total is None else total

@@ -1,4 +1,6 @@
-"""The Markov chain over cameras (thesis 4.6): where those who leave a camera's view are seen next."""
+"""The Markov chain over cameras (thesis 4.6): where those who leave a camera's view are seen
+next.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ from camtopod.records import ChainEdge, Link, Zone
 def markov_chain(zones: Iterable[Zone], links: Iterable[Link], digits: int) -> list[ChainEdge]:
     """Transition probabilities between cameras from the links that leave a view, sorted by camera.
 
-    What is missing from 1 leaves the network or is not seen again. A camera may follow itself: an object comes back.
+    What is missing from 1 leaves the network or is not seen again. A camera may follow itself: an
+    object comes back.
     """
     zone_of = {zone.id: zone for zone in zones}
     leaving: dict[str, int] = defaultdict(int)

@@ -9,7 +9,9 @@ UNKNOWN_STAY_SECONDS = 10.0
 STAY_SECONDS_MIN = 0.2
 """Shorter passages count as this long, seconds."""
 SLOWNESS_MAX = 1.5
-"""Largest absolute log slowness; passages slower or faster than this are loiterers and fragments of tracks."""
+"""Largest absolute log slowness; passages slower or faster than this are loiterers and fragments of
+tracks.
+"""
 LAG_SECONDS_MIN = 2.0
 """Shorter lags, seconds, do not scale with an object's speed."""
 BACK_OFF_DEPARTURES = 5.0

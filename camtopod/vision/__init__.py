@@ -1,4 +1,6 @@
-"""Pixels -> events: capture, noise reduction, motion, tracks, crossings of the border of the view."""
+"""Pixels -> events: capture, noise reduction, motion, tracks, crossings of the border of the
+view.
+"""
 
 from __future__ import annotations
 

@@ -20,14 +20,16 @@ HEARTBEAT_SECONDS = 0.5
 class Grabber:
     """Watches one source and says who appears in its view and who leaves it.
 
-    ``source`` is an ``rtsp://`` (or other) URL, the path of a video file, or a device number as text. A
-    file is read as fast as it decodes and its times are ``start`` + position in the file; with ``realtime``
-    it is paced at ``speed`` times its own rate (times stay ``start`` + position). A stream's or device's
-    times are capture times on the clock ``wall_clock`` (seconds since the epoch).
+    ``source`` is an ``rtsp://`` (or other) URL, the path of a video file, or a device number as
+    text. A file is read as fast as it decodes and its times are ``start`` + position in the file;
+    with ``realtime`` it is paced at ``speed`` times its own rate (times stay ``start`` + position).
+    A stream's or device's times are capture times on the clock ``wall_clock`` (seconds since the
+    epoch).
 
-    One grabber per process for network streams: OpenCV serialises opens inside a process and its FFmpeg
-    options are process-wide. Not thread-safe: all calls from one thread. Raises `OSError` (`SourceError`
-    among them) if a *file* cannot be read or decoded; a stream that is not there yet is waited for.
+    One grabber per process for network streams: OpenCV serialises opens inside a process and its
+    FFmpeg options are process-wide. Not thread-safe: all calls from one thread. Raises `OSError`
+    (`SourceError` among them) if a *file* cannot be read or decoded; a stream that is not there yet
+    is waited for.
     """
 
     def __init__(
@@ -55,14 +57,14 @@ class Grabber:
         self._last_t: float | None = None
 
     def events(self) -> Iterator[Event | None]:
-        """Yield events as they become certain, and ``None`` at least about once a second so that the caller
-        can act.
+        """Yield events as they become certain, and ``None`` at least about once a second so that
+        the caller can act.
 
-        Entries come once the object is confirmed, exits after the tracker's patience; ``t`` is the capture
-        time of the first or last sighting, so events come up to some seconds late and not quite in order of
-        ``t``. No ``boot``, no ``seq``: the publisher adds them. Ends after the last frame of a file; never
-        for a stream or device (after `close`, it does). Raises `SourceError` if a *file* turns out to hold
-        no frame.
+        Entries come once the object is confirmed, exits after the tracker's patience; ``t`` is the
+        capture time of the first or last sighting, so events come up to some seconds late and not
+        quite in order of ``t``. No ``boot``, no ``seq``: the publisher adds them. Ends after the
+        last frame of a file; never for a stream or device (after `close`, it does). Raises
+        `SourceError` if a *file* turns out to hold no frame.
         """
         heard = time.monotonic()
         for frame in self._source.frames():
@@ -83,27 +85,28 @@ class Grabber:
 
     @property
     def state(self) -> State:
-        """``connecting`` (not one frame yet), ``running``, ``stalled`` (it worked before; reconnecting),
-        ``ended``."""
+        """``connecting`` (not one frame yet), ``running``, ``stalled`` (it worked before;
+        reconnecting), ``ended``."""
         return self._source.state
 
     @property
     def reason(self) -> str:
-        """A short sentence for a person saying why the state is not ``running``; "" if it is. Holds no
-        password."""
+        """A short sentence for a person saying why the state is not ``running``; "" if it is. Holds
+        no password."""
         return self._source.reason
 
     @property
     def overdue_seconds(self) -> float:
-        """How much longer than its timeouts allow the source has been in one call of OpenCV; 0.0 if all is well.
+        """How much longer than its timeouts allow the source has been in one call of OpenCV; 0.0 if
+        all is well.
 
         Nothing but ending the process helps against that.
         """
         return self._source.overdue_seconds
 
     def statistics(self) -> dict[str, int | float]:
-        """Counters since the start; ``last_frame_t`` is the capture time of the latest frame (absent before
-        it)."""
+        """Counters since the start; ``last_frame_t`` is the capture time of the latest frame
+        (absent before it)."""
         source = self._source
         figures: dict[str, int | float] = {
             "frames_grabbed": source.grabbed,
@@ -119,6 +122,6 @@ class Grabber:
         return figures
 
     def close(self) -> None:
-        """Release the source; `events` then ends. A stream's blocked read is waited for, at most its
-        timeouts."""
+        """Release the source; `events` then ends. A stream's blocked read is waited for, at most
+        its timeouts."""
         self._source.close()

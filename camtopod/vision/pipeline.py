@@ -31,8 +31,8 @@ class Watcher:
         self.ghosts = 0
 
     def see(self, t: float, frame: Luma) -> list[Event]:
-        """Take the picture (H, W) captured at ``t`` seconds, later than the last; returns what became
-        certain by it.
+        """Take the picture (H, W) captured at ``t`` seconds, later than the last; returns what
+        became certain by it.
 
         The first seconds' pictures wait until there is a background, then all are looked at.
         """
@@ -80,7 +80,9 @@ class Watcher:
                 self._tracker.drop(track)
                 self.ghosts += 1
         claimed = [
-            track.last.box if track.last.t == t else track.box for track in self._tracker.active if track.confirmed
+            track.last.box if track.last.t == t else track.box
+            for track in self._tracker.active
+            if track.confirmed
         ]
         self._motion.learn(frame, motion, dt, claimed)
         return events
@@ -91,13 +93,18 @@ class Watcher:
         if track.last.t < t or len(track.history) < 8 or t - track.first.t < GHOST_SECONDS:
             return False
         reach = GHOST_MOVE_HEIGHTS * track.height
-        return abs(past.foot[0] - track.last.foot[0]) < reach and abs(past.foot[1] - track.last.foot[1]) < reach
+        return (
+            abs(past.foot[0] - track.last.foot[0]) < reach
+            and abs(past.foot[1] - track.last.foot[1]) < reach
+        )
 
     def finish(self) -> list[Event]:
         """The recording is over: what is certain now. Objects still in view have no exit."""
         events = self._bootstrap() if self._waiting else []
         if self._tracker is not None and self._crossings is not None and self._t is not None:
-            events += [self._crossings.exit(x) for x in self._tracker.finish(self._t) if went_somewhere(x)]
+            events += [
+                self._crossings.exit(x) for x in self._tracker.finish(self._t) if went_somewhere(x)
+            ]
         return events
 
     def statistics(self) -> dict[str, int | float]:

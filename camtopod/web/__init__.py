@@ -1,4 +1,6 @@
-"""The page: a site's topology, predictions and health in a browser; `camtopod report` writes the same as one file."""
+"""The page: a site's topology, predictions and health in a browser; `camtopod report` writes the
+same as one file.
+"""
 
 from __future__ import annotations
 

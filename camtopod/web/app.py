@@ -1,4 +1,6 @@
-"""The page's server, the one home of starlette and uvicorn: reads only, and everything comes from this machine."""
+"""The page's server, the one home of starlette and uvicorn: reads only, and everything comes from
+this machine.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ BEAT_SECONDS = 4.0
 CONNECTIONS_MAX = 1_024
 """Requests on further connections are answered with 503."""
 WAITING_MAX = 64
-"""Connections that have sent no whole request, or wait for the next one; beyond it the oldest of them are closed ..."""
+"""Connections that have sent no whole request, or wait for the next one; beyond it the oldest of
+them are closed ...
+"""
 GRACE_SECONDS = 1.0
 """... when they have waited for longer than this: a request that is on its way is there by then."""
 REQUEST_SECONDS = 10.0
@@ -77,7 +81,9 @@ STATIC = resources.files("camtopod.web") / "static"
 
 
 class _Version(IntegerConvertor):
-    """A version's number: as many digits as the daemon takes; Python refuses to read thousands of them."""
+    """A version's number: as many digits as the daemon takes; Python refuses to read thousands of
+    them.
+    """
 
     regex = "[0-9]{1,18}"
 
@@ -104,7 +110,8 @@ class _Strict:
 class _Named:
     """Refuses who asks for another name than ``names``, and with ``any_address`` no address.
 
-    Else anybody's page, once its own name is made to lead here, could read this one (DNS rebinding).
+    Else anybody's page, once its own name is made to lead here, could read this one (DNS
+    rebinding).
     """
 
     def __init__(self, app: ASGIApp, names: Collection[str], any_address: bool) -> None:
@@ -112,7 +119,11 @@ class _Named:
         self._names, self._any_address = {name.lower() for name in names}, any_address
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        app = self._app if scope["type"] != "http" or self._is_ours(Request(scope)) else PlainTextResponse(REFUSED, 421)
+        app = (
+            self._app
+            if scope["type"] != "http" or self._is_ours(Request(scope))
+            else PlainTextResponse(REFUSED, 421)
+        )
         await app(scope, receive, send)
 
     def _is_ours(self, request: Request) -> bool:
@@ -157,13 +168,21 @@ class Site:
         """The links between two cameras."""
         a, b = request.path_params["a"], request.path_params["b"]
         story = self._feed.stories.pair(a, b) if self._feed.stories else None
-        return _json(story) if story else _json({"error": f"nothing joins {a} and {b} in the newest version"}, 404)
+        return (
+            _json(story)
+            if story
+            else _json({"error": f"nothing joins {a} and {b} in the newest version"}, 404)
+        )
 
     def link(self, request: Request) -> Response:
         """One link: ``from``, ``to``, ``relation``."""
         key = [request.query_params.get(name, "") for name in ("from", "to", "relation")]
         story = self._feed.stories.link(*key) if self._feed.stories else None
-        return _json(story) if story else _json({"error": f"{key[0]} → {key[1]} is not in the newest version"}, 404)
+        return (
+            _json(story)
+            if story
+            else _json({"error": f"{key[0]} → {key[1]} is not in the newest version"}, 404)
+        )
 
     def versions(self, request: Request) -> Response:
         """Summaries of the versions known without asking, and the newest version."""
@@ -252,7 +271,9 @@ class _Seldom(logging.Filter):
 
 
 class _Connection(H11Protocol):
-    """A connection with deadlines: clients that are idle or slow do not take the places of others."""
+    """A connection with deadlines: clients that are idle or slow do not take the places of
+    others.
+    """
 
     waiting_since: float | None = None
     """For a request, seconds of the event loop; None while one is answered."""
@@ -301,8 +322,16 @@ class _Connection(H11Protocol):
     def _wait(self) -> None:
         self.waiting_since = now = self.loop.time()
         self._set_timer(REQUEST_SECONDS, self._give_up)
-        waiting = [one for one in self.connections if isinstance(one, _Connection) and one.waiting_since is not None]
-        old = [(one.waiting_since or now, one) for one in waiting if (one.waiting_since or now) < now - GRACE_SECONDS]
+        waiting = [
+            one
+            for one in self.connections
+            if isinstance(one, _Connection) and one.waiting_since is not None
+        ]
+        old = [
+            (one.waiting_since or now, one)
+            for one in waiting
+            if (one.waiting_since or now) < now - GRACE_SECONDS
+        ]
         for _, one in sorted(old, key=itemgetter(0))[: max(0, len(waiting) - WAITING_MAX)]:
             one._give_up()
 
@@ -314,7 +343,9 @@ class _Connection(H11Protocol):
         """No request has come; what has been answered before is still sent."""
         self._stop_waiting()
         if not self.transport.is_closing():
-            log.warning("a client was disconnected: it sent no request, or there are too many such clients")
+            log.warning(
+                "a client was disconnected: it sent no request, or there are too many such clients"
+            )
             self.transport.close()
         self._watch_taking()
 
@@ -335,8 +366,8 @@ class _Connection(H11Protocol):
 
 
 def application(site: Site, names: Collection[str], any_address: bool, beat: Beat) -> Starlette:
-    """The application; it answers to ``names`` only, and with ``any_address`` to every address. ``beat`` is called as
-    long as its event loop gets on.
+    """The application; it answers to ``names`` only, and with ``any_address`` to every address.
+    ``beat`` is called as long as its event loop gets on.
     """
 
     @contextlib.asynccontextmanager
@@ -387,26 +418,39 @@ def serving(
     progress: Progress | None = None,
     stall_seconds: float = math.inf,
 ) -> Iterator[Callable[[], bool]]:
-    """Serve the page from a socket that listens, in threads, while the block runs; yields whether all of them live.
+    """Serve the page from a socket that listens, in threads, while the block runs; yields whether
+    all of them live.
 
-    It answers to ``names`` only, and with ``any_address`` to every address. In ``progress`` is whether the threads get
-    on: none may take longer than ``stall_seconds`` for a step.
+    It answers to ``names`` only, and with ``any_address`` to every address. In ``progress`` is
+    whether the threads get on: none may take longer than ``stall_seconds`` for a step.
     """
     marks = progress or Progress()
-    page, versions, messages = (marks.watch(name, stall_seconds) for name in ("page", "versions", "messages"))
+    page, versions, messages = (
+        marks.watch(name, stall_seconds) for name in ("page", "versions", "messages")
+    )
     stop = threading.Event()
     hub = Hub()
     feed = Feed(bus, hub, clock, status_seconds)
     config = uvicorn.Config(
-        application(Site(feed, Past(bus), hub, pictures), names, any_address, page.beat), log_config=None,
-        log_level="warning", access_log=False, lifespan="on", server_header=False, limit_concurrency=CONNECTIONS_MAX,
-        timeout_graceful_shutdown=CLOSE_SECONDS, http=_Connection,
-    )  # fmt: skip
+        application(Site(feed, Past(bus), hub, pictures), names, any_address, page.beat),
+        log_config=None,
+        log_level="warning",
+        access_log=False,
+        lifespan="on",
+        server_header=False,
+        limit_concurrency=CONNECTIONS_MAX,
+        timeout_graceful_shutdown=CLOSE_SECONDS,
+        http=_Connection,
+    )
     server = uvicorn.Server(config)
     threads = [
         threading.Thread(target=server.run, args=[[listener]], name="page", daemon=True),
-        threading.Thread(target=feed.versions, args=[stop, versions.beat], name="versions", daemon=True),
-        threading.Thread(target=feed.messages, args=[stop, messages.beat], name="messages", daemon=True),
+        threading.Thread(
+            target=feed.versions, args=[stop, versions.beat], name="versions", daemon=True
+        ),
+        threading.Thread(
+            target=feed.messages, args=[stop, messages.beat], name="messages", daemon=True
+        ),
     ]
     seldom, loggers = _Seldom(), (log, logging.getLogger("uvicorn.error"))
     for logger in loggers:

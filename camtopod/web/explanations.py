@@ -1,4 +1,6 @@
-"""What the page says of one camera, one pair or one link: figures to draw, and in plain words why it is believed."""
+"""What the page says of one camera, one pair or one link: figures to draw, and in plain words why
+it is believed.
+"""
 
 from __future__ import annotations
 
@@ -51,9 +53,14 @@ class Stories:
             "clock_offset_sd": found.clock_offset_sd,
             "share": known and known.share,
             "last_event": known and known.last_event,
-            "zones": [{**msgspec.to_builtins(zone), **self._arrivals(zone)} for zone in self._zones.get(camera, [])],
+            "zones": [
+                {**msgspec.to_builtins(zone), **self._arrivals(zone)}
+                for zone in self._zones.get(camera, [])
+            ],
             "links": [brief(link) for link in self._links.get(camera, [])],
-            "alarms": [alarm for alarm in self.topology.alarms or [] if _is_about(alarm.subject, camera)],
+            "alarms": [
+                alarm for alarm in self.topology.alarms or [] if _is_about(alarm.subject, camera)
+            ],
         }
 
     def pair(self, a: str, b: str) -> dict[str, Any] | None:
@@ -70,7 +77,10 @@ class Stories:
         pair = self._pairs.get((first, second))
         if (pair is None and not shown) or first == second:
             return None
-        transitions, best = sum(link.transitions for link in shown), min(shown, key=nearness, default=None)
+        transitions, best = (
+            sum(link.transitions for link in shown),
+            min(shown, key=nearness, default=None),
+        )
         return {
             "cameras": [first, second],
             "relation": pair and pair.relation,
@@ -83,8 +93,9 @@ class Stories:
     def link(self, from_: str, to: str, relation: str) -> dict[str, Any] | None:
         """All there is to show of a link; None for one that is not there.
 
-        ``chart``: ``counts`` and ``curve`` are expected transitions in the lag bins from ``first`` on, whose edges are
-        ``scale * sinh(step * k)`` seconds. ``background``: what chance brings, per second of lag.
+        ``chart``: ``counts`` and ``curve`` are expected transitions in the lag bins from ``first``
+        on, whose edges are ``scale * sinh(step * k)`` seconds. ``background``: what chance brings,
+        per second of lag.
         """
         for weak, held in ((False, self._links), (True, self._weak)):
             for link in held.get(self._camera_of.get(from_, ""), []):
@@ -121,7 +132,9 @@ def brief(link: Link) -> dict[str, Any]:
     return content
 
 
-def _grouped(items: Iterable[_Item], cameras: Callable[[_Item], set[str]]) -> dict[str, list[_Item]]:
+def _grouped(
+    items: Iterable[_Item], cameras: Callable[[_Item], set[str]]
+) -> dict[str, list[_Item]]:
     """The items of each camera."""
     result: dict[str, list[_Item]] = {}
     for item in items:
@@ -131,7 +144,9 @@ def _grouped(items: Iterable[_Item], cameras: Callable[[_Item], set[str]]) -> di
 
 
 def _chart(model: Model | None, link: Link) -> dict[str, Any] | None:
-    """Histogram, fitted curve and Monte Carlo samples; None where the topology holds no histogram of it."""
+    """Histogram, fitted curve and Monte Carlo samples; None where the topology holds no histogram
+    of it.
+    """
     if model is None or link.histogram is None or not any(link.histogram.mass):
         return None
     bins = LagBins(model.lag_min, model.lag_max, model.lag_scale, model.lag_step)
@@ -177,7 +192,9 @@ def why(link: Link, weak: bool, source: ZoneModel | None, background: float | No
             f"{_count(found)} more than that were found there."
         )
     rule = Settings().publish_q_max
-    said.append(f"Of links with as much evidence as this one, {_odds(link.q_value)} would be there by mere chance.")
+    said.append(
+        f"Of links with as much evidence as this one, {_odds(link.q_value)} would be there by mere chance."
+    )
     said.append(
         f"The variance of its transit times is {_share(link.mahalanobis_variance)} of what chance would give "
         f"(Var(d) = {link.mahalanobis_variance:.2g}; the thesis asks for at most {mahalanobis.LINKED_VARIANCE_MAX:g})."
@@ -207,13 +224,18 @@ def why_pair(pair: Pair | None) -> list[str]:
     """Why two cameras are taken to belong together, or not yet, a sentence each."""
     if pair is None:
         return ["The evidence is not enough to publish this pair. It only weighs in predictions."]
-    kinds = {"overlapped": "their views overlap", "unseen_path": "a path that no camera sees joins them"}
+    kinds = {
+        "overlapped": "their views overlap",
+        "unseen_path": "a path that no camera sees joins them",
+    }
     said = [f"The two cameras belong together: {kinds[pair.relation]}."]
     if pair.by_lags is not None and pair.by_lags == pair.by_sum_rule:
         said.append("When objects come and go, and how many do, both say so.")
     elif pair.by_lags is not None:
         said.append(f"When objects come and go says: {kinds[pair.by_lags]}.")
-        counted = kinds[pair.by_sum_rule] if pair.by_sum_rule else "nothing, as it could not be tested"
+        counted = (
+            kinds[pair.by_sum_rule] if pair.by_sum_rule else "nothing, as it could not be tested"
+        )
         said.append(f"How many do (table 4.4 of the thesis) says: {counted}.")
     if pair.reason:
         said.append(f"Noted: {pair.reason}.")
@@ -234,7 +256,9 @@ def _count(number: float) -> str:
 
 
 def _share(value: float) -> str:
-    return f"{value:.0%}".replace("%", " %") if value >= 0.095 else f"{value:.1%}".replace("%", " %")
+    return (
+        f"{value:.0%}".replace("%", " %") if value >= 0.095 else f"{value:.1%}".replace("%", " %")
+    )
 
 
 def _seconds(value: float) -> str:

@@ -1,7 +1,9 @@
-"""The bus as the page sees it: the newest map, who is well, and what is live; changes go to the open pages.
+"""The bus as the page sees it: the newest map, who is well, and what is live; changes go to the
+open pages.
 
-Two threads besides the bus's own. *Versions* follows the topology and draws its map once a version. *Messages* takes
-predictions, events and status from a bounded inbox. The bus's threads only put things there.
+Two threads besides the bus's own. *Versions* follows the topology and draws its map once a version.
+*Messages* takes predictions, events and status from a bounded inbox. The bus's threads only put
+things there.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ PREDICTIONS_HELD = 20
 NEXT_SHOWN = 3
 """Next cameras of a prediction that the page is told."""
 SILENT_STATUSES = 6
-"""A daemon whose status did not come so many times is not live, a grabber is silent: whatever it last said is old."""
+"""A daemon whose status did not come so many times is not live, a grabber is silent: whatever it
+last said is old.
+"""
 LOOK_SECONDS = 1.0
 """How often the cameras are looked through for those that have fallen silent."""
 _TICK_SECONDS = 0.2
@@ -51,8 +55,8 @@ ENDED = "ended"
 
 
 class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
-    """A prediction as the page has it, of which no track is named: ``now`` are the cameras that probably see the object
-    at ``t``, which it has left the view of ``camera``.
+    """A prediction as the page has it, of which no track is named: ``now`` are the cameras that
+    probably see the object at ``t``, which it has left the view of ``camera``.
     """
 
     camera: str
@@ -67,9 +71,14 @@ class ShownPrediction(msgspec.Struct, frozen=True, rename={"next_": "next"}):
 def shown(prediction: Prediction) -> ShownPrediction:
     """The prediction for the page."""
     return ShownPrediction(
-        prediction.camera, prediction.zone, prediction.t, prediction.version, prediction.leave,
-        seen_now(prediction.in_view or []), prediction.next_[:NEXT_SHOWN],
-    )  # fmt: skip
+        prediction.camera,
+        prediction.zone,
+        prediction.t,
+        prediction.version,
+        prediction.leave,
+        seen_now(prediction.in_view or []),
+        prediction.next_[:NEXT_SHOWN],
+    )
 
 
 class Feed:
@@ -128,9 +137,11 @@ class Feed:
             with contextlib.suppress(queue.Empty):
                 key, payload = self._inbox.get(timeout=_TICK_SECONDS)
                 kind, _, name = key.partition("/")
-                {"status": self._on_status, "prediction": self._on_prediction, "event": self._on_event}[kind](
-                    name, payload
-                )
+                {
+                    "status": self._on_status,
+                    "prediction": self._on_prediction,
+                    "event": self._on_event,
+                }[kind](name, payload)
             self._look()
 
     def hello(self) -> bytes:
@@ -138,11 +149,19 @@ class Feed:
         with self._mutex:
             live, predictions = msgspec.json.encode(self._live), list(self._predictions)
         version = None if self.map is None else [self.map.epoch, self.map.version]
-        said = [b"event: live\ndata: " + live, b"event: version\ndata: " + msgspec.json.encode(version)]
-        return b"".join(line + b"\n\n" for line in [*said, *(b"event: past\ndata: " + one for one in predictions)])
+        said = [
+            b"event: live\ndata: " + live,
+            b"event: version\ndata: " + msgspec.json.encode(version),
+        ]
+        return b"".join(
+            line + b"\n\n"
+            for line in [*said, *(b"event: past\ndata: " + one for one in predictions)]
+        )
 
     def beat(self) -> bytes:
-        """What a page is told when nothing else happens, so that it knows the connection is alive."""
+        """What a page is told when nothing else happens, so that it knows the connection is
+        alive.
+        """
         return b'event: beat\ndata: {"now":%.3f}\n\n' % self._clock()
 
     def health(self) -> dict[str, Any]:
@@ -157,7 +176,11 @@ class Feed:
             "now": now,
             "live": live,
             "dropped": self.dropped,
-            "daemon": {k: v for k, v in (daemon or {}).items() if k not in ("cameras", "reject_samples", "alarms")},
+            "daemon": {
+                k: v
+                for k, v in (daemon or {}).items()
+                if k not in ("cameras", "reject_samples", "alarms")
+            },
             "cameras": [
                 _row(name, self._word(name, status.get(name)), known.get(name))
                 for name in sorted({*status, *known, *drawn})
@@ -168,7 +191,10 @@ class Feed:
     def watching(self, camera: str) -> Iterator[None]:
         """Events of ``camera`` are passed on while the block runs; several may watch the same."""
         with self._mutex:
-            count, end = self._watched.get(camera) or (0, self._bus.subscribe(f"event/{camera}", self._put))
+            count, end = self._watched.get(camera) or (
+                0,
+                self._bus.subscribe(f"event/{camera}", self._put),
+            )
             self._watched[camera] = (count + 1, end)
         try:
             yield
@@ -202,7 +228,11 @@ class Feed:
             self._silent.discard(name)
         if name == DAEMON:
             return
-        if before is None or again or any(before.get(k) != status.get(k) for k in ("state", "reason")):
+        if (
+            before is None
+            or again
+            or any(before.get(k) != status.get(k) for k in ("state", "reason"))
+        ):
             self._tell_health(name, status)
 
     def _tell_health(self, name: str, status: dict[str, Any]) -> None:
@@ -218,7 +248,10 @@ class Feed:
 
     def _on_prediction(self, name: str, payload: bytes) -> None:
         second = int(self._clock())
-        self._second, self._this_second = second, self._this_second + 1 if second == self._second else 1
+        self._second, self._this_second = (
+            second,
+            self._this_second + 1 if second == self._second else 1,
+        )
         if self._this_second > PREDICTIONS_PER_SECOND_MAX:
             return
         try:
@@ -243,14 +276,20 @@ class Feed:
         now = self._clock()
         if not self._bus.connected:
             self._unheard_since = now
-        if abs(now - self._looked_at_cameras) >= LOOK_SECONDS:  # not for every message: they may be thousands
+        if (
+            abs(now - self._looked_at_cameras) >= LOOK_SECONDS
+        ):  # not for every message: they may be thousands
             self._looked_at_cameras = now
             self._look_at_cameras(now)
         heard = self._heard.get(DAEMON)
         if not self._bus.connected:
             reason = f"the bus at {self._bus.endpoint} is not reached"
         elif heard is None:
-            reason = WAITING if now - self._unheard_since < self._silent_seconds else "no daemon has said anything yet"
+            reason = (
+                WAITING
+                if now - self._unheard_since < self._silent_seconds
+                else "no daemon has said anything yet"
+            )
         elif not abs(now - heard) < self._silent_seconds:
             reason = f"the daemon has said nothing for {self._silent_seconds:.0f} s"
         else:
@@ -258,8 +297,12 @@ class Feed:
         with self._mutex:
             if self._live["reason"] == reason:
                 return
-            if not reason or self._live["live"]:  # another reason for the same silence goes on counting
-                self._live["since"] = now if not reason else max(heard or 0.0, now - self._silent_seconds)
+            if (
+                not reason or self._live["live"]
+            ):  # another reason for the same silence goes on counting
+                self._live["since"] = (
+                    now if not reason else max(heard or 0.0, now - self._silent_seconds)
+                )
             self._live = {**self._live, "live": not reason, "reason": reason}
             told = msgspec.json.encode(self._live)
         self._hub.tell("live", told)
@@ -279,12 +322,16 @@ class Feed:
             self._tell_health(name, status)
 
 
-def _row(name: str, status: dict[str, Any] | None, counted: dict[str, Any] | None) -> dict[str, Any]:
+def _row(
+    name: str, status: dict[str, Any] | None, counted: dict[str, Any] | None
+) -> dict[str, Any]:
     """A camera on the health page; ``counted``: what the daemon says of it."""
     said, known = status or {}, counted or {}
     return {
         "id": name,
-        "state": str(said.get("state") or ("unknown" if known.get("alive") else "no grabber"))[:REASON_CHARACTERS_MAX],
+        "state": str(said.get("state") or ("unknown" if known.get("alive") else "no grabber"))[
+            :REASON_CHARACTERS_MAX
+        ],
         "reason": str(said.get("reason") or "")[:REASON_CHARACTERS_MAX],
         "events": known.get("events"),
         "newest": known.get("newest"),

@@ -1,7 +1,9 @@
-"""Places of the cameras on the map: by how many hops they are apart, so that neighbours lie beside each other.
+"""Places of the cameras on the map: by how many hops they are apart, so that neighbours lie beside
+each other.
 
-Stress majorisation (Gansner, Koren & North 2004) of each connected part, parts packed beside each other. From the
-same network the same places; a network that changes a little moves a little, as the search starts from the old places.
+Stress majorisation (Gansner, Koren & North 2004) of each connected part, parts packed beside each
+other. From the same network the same places; a network that changes a little moves a little, as the
+search starts from the old places.
 """
 
 from __future__ import annotations
@@ -33,18 +35,28 @@ def places(
 ) -> dict[str, Place]:
     """Where each camera is drawn; an unseen path is about 1 long, y grows downwards.
 
-    ``joined``: pairs of names -> whether their views overlap. ``before``: the places of an earlier version, if any.
+    ``joined``: pairs of names -> whether their views overlap. ``before``: the places of an earlier
+    version, if any.
     """
     order = sorted(names)
     number = {name: k for k, name in enumerate(order)}
-    pairs = [(number[a], number[b], OVERLAPPED_LENGTH if close else 1.0) for (a, b), close in sorted(joined.items())]
-    a, b, length = (np.array(column) for column in zip(*pairs, strict=True)) if pairs else (np.zeros(0, int),) * 3
+    pairs = [
+        (number[a], number[b], OVERLAPPED_LENGTH if close else 1.0)
+        for (a, b), close in sorted(joined.items())
+    ]
+    a, b, length = (
+        (np.array(column) for column in zip(*pairs, strict=True))
+        if pairs
+        else (np.zeros(0, int),) * 3
+    )
     graph = coo_matrix((length.astype(float), (a, b)), shape=(len(order), len(order))).tocsr()
     count, part = connected_components(graph, directed=False)
     sizes = np.bincount(part, minlength=count)
     at = np.zeros((len(order), 2))
     boxes = []
-    for label in sorted(range(count), key=lambda label: (-sizes[label], int(np.argmax(part == label)))):
+    for label in sorted(
+        range(count), key=lambda label: (-sizes[label], int(np.argmax(part == label)))
+    ):
         members = np.flatnonzero(part == label)
         held = [before.get(order[k]) for k in members]
         apart = shortest_path(graph[members][:, members], directed=False)
@@ -54,7 +66,9 @@ def places(
     stayed = [k for k, name in enumerate(order) if name in before]
     if stayed:  # a part that grew to the left is no reason for all to go to the right
         at += np.median([before[order[k]] for k in stayed] - at[stayed], axis=0)
-    return {name: (round(float(at[k, 0]), 3), round(float(at[k, 1]), 3)) for k, name in enumerate(order)}
+    return {
+        name: (round(float(at[k, 0]), 3), round(float(at[k, 1]), 3)) for k, name in enumerate(order)
+    }
 
 
 def _one_part(apart: Floats, held: list[Place | None]) -> Floats:
@@ -65,7 +79,9 @@ def _one_part(apart: Floats, held: list[Place | None]) -> Floats:
     known = np.array([place is not None for place in held])
     if known.sum() * 2 >= n:
         at = np.array([place or (np.nan, np.nan) for place in held], float)
-        for k in np.flatnonzero(~known):  # beside those it is joined with, each on a side of its own
+        for k in np.flatnonzero(
+            ~known
+        ):  # beside those it is joined with, each on a side of its own
             near = known & (apart[k] <= apart[k][known].min() + 1e-9)
             at[k] = at[near].mean(0) + 0.3 * np.array([np.cos(2.4 * k), np.sin(2.4 * k)])
         return _majorised(apart, at, ROUNDS_MOVED)
@@ -74,7 +90,9 @@ def _one_part(apart: Floats, held: list[Place | None]) -> Floats:
 
 
 def _scaled(apart: Floats) -> Floats:
-    """Classical scaling: the two widest dimensions of the distances; the sign is that of the first clear entry."""
+    """Classical scaling: the two widest dimensions of the distances; the sign is that of the first
+    clear entry.
+    """
     n = len(apart)
     squared = apart**2
     inner = -0.5 * (squared - squared.mean(0) - squared.mean(1)[:, None] + squared.mean())
@@ -82,8 +100,12 @@ def _scaled(apart: Floats) -> Floats:
     at: Floats = np.zeros((n, 2))
     for k in range(len(value)):
         column = vector[:, -1 - k] * np.sqrt(max(value[-1 - k], 0.0))
-        at[:, k] = column * (np.sign(column[np.argmax(np.abs(column) > 0.5 * np.abs(column).max())]) or 1.0)
-    at += 0.05 * np.column_stack([np.cos(2.4 * np.arange(n)), np.sin(2.4 * np.arange(n))])  # none upon another
+        at[:, k] = column * (
+            np.sign(column[np.argmax(np.abs(column) > 0.5 * np.abs(column).max())]) or 1.0
+        )
+    at += 0.05 * np.column_stack(
+        [np.cos(2.4 * np.arange(n)), np.sin(2.4 * np.arange(n))]
+    )  # none upon another
     return at
 
 
@@ -107,7 +129,9 @@ def _pack(at: Floats, parts: list[NDArray[np.intp]]) -> None:
     """Shift the parts (rows of ``at``), largest first, onto shelves beside each other."""
     sizes = [np.ptp(at[rows], axis=0) + MARGIN for rows in parts]
     total = sum(float(size.prod()) for size in sizes)
-    width = max([float((total * WIDE) ** 0.5), *(float(size[0]) for size in sizes)]) if sizes else 0.0
+    width = (
+        max([float((total * WIDE) ** 0.5), *(float(size[0]) for size in sizes)]) if sizes else 0.0
+    )
     x = y = shelf = 0.0
     for rows, size in zip(parts, sizes, strict=True):
         if x > 0 and x + size[0] > width + 1e-9:

@@ -1,4 +1,6 @@
-"""The map as the page draws it: cameras with places, one edge a related pair, and what changed from map to map."""
+"""The map as the page draws it: cameras with places, one edge a related pair, and what changed from
+map to map.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from camtopod.records import Alarm, Lacks, Link, Pair, PairRelation, SelfScore, 
 from camtopod.web.layout import Place, places
 
 SETTLED_TRANSITIONS_MIN = 30.0
-"""A path that fewer are known to have taken is provisional: its median transit time is a fifth of its spread unsure."""
+"""A path that fewer are known to have taken is provisional: its median transit time is a fifth of
+its spread unsure.
+"""
 SUSPECTED_Q_MAX = 0.05
 SUSPECTED_TRANSITIONS_MIN = 5.0
 """Evidence that is not published is on the map from this on, as provisional."""
@@ -46,7 +50,9 @@ class Way(Struct, frozen=True, rename={"from_": "from"}):
 
 
 class MapEdge(Struct, frozen=True):
-    """A pair of cameras that belong together; ``provisional`` says why it is not settled, "" if it is."""
+    """A pair of cameras that belong together; ``provisional`` says why it is not settled, "" if it
+    is.
+    """
 
     relation: PairRelation
     provisional: str
@@ -55,7 +61,9 @@ class MapEdge(Struct, frozen=True):
 
 
 class Map(Struct, frozen=True):
-    """Everything the map shows of one version. An edge's key is its two camera ids, sorted, with a space between."""
+    """Everything the map shows of one version. An edge's key is its two camera ids, sorted, with a
+    space between.
+    """
 
     site: str
     epoch: str
@@ -69,7 +77,9 @@ class Map(Struct, frozen=True):
 
 
 class MapChange(Struct, frozen=True):
-    """What makes the map of version ``since`` the newer one: new or changed items whole, gone ones by key."""
+    """What makes the map of version ``since`` the newer one: new or changed items whole, gone ones
+    by key.
+    """
 
     site: str
     epoch: str
@@ -86,7 +96,9 @@ class MapChange(Struct, frozen=True):
 
 
 def draw(topology: Topology, before: Map | None = None) -> Map:
-    """The map of a version; cameras keep their places of ``before`` as far as the network is the same."""
+    """The map of a version; cameras keep their places of ``before`` as far as the network is the
+    same.
+    """
     drawn = map_edges(topology)
     entries: dict[str, list[int]] = {camera.id: [0, 0] for camera in topology.cameras}
     for zone in topology.zones:
@@ -94,25 +106,40 @@ def draw(topology: Topology, before: Map | None = None) -> Map:
         entries[zone.camera][1] += zone.exits
     at = _places(topology, drawn, before)
     cameras = {
-        camera.id: MapCamera(*at[camera.id], len(camera.zones), *(_steady(n) for n in entries[camera.id]))
+        camera.id: MapCamera(
+            *at[camera.id], len(camera.zones), *(_steady(n) for n in entries[camera.id])
+        )
         for camera in topology.cameras
     }
     return Map(
-        topology.site, topology.epoch, topology.version, topology.as_of, topology.events,
-        cameras, drawn, topology.score, topology.alarms or [],
-    )  # fmt: skip
+        topology.site,
+        topology.epoch,
+        topology.version,
+        topology.as_of,
+        topology.events,
+        cameras,
+        drawn,
+        topology.score,
+        topology.alarms or [],
+    )
 
 
 def change(old: Map, new: Map) -> MapChange:
     """What a page that shows ``old`` needs to show ``new``."""
     return MapChange(
-        new.site, new.epoch, old.version, new.version, new.as_of, new.events,
+        new.site,
+        new.epoch,
+        old.version,
+        new.version,
+        new.as_of,
+        new.events,
         {name: camera for name, camera in new.cameras.items() if old.cameras.get(name) != camera},
         {key: edge for key, edge in new.edges.items() if old.edges.get(key) != edge},
         [name for name in old.cameras if name not in new.cameras],
         [key for key in old.edges if key not in new.edges],
-        new.score, new.alarms,
-    )  # fmt: skip
+        new.score,
+        new.alarms,
+    )
 
 
 def map_edges(topology: Topology) -> dict[str, MapEdge]:
@@ -139,7 +166,9 @@ def map_edges(topology: Topology) -> dict[str, MapEdge]:
     for key in sorted({*ways, *pairs}):
         there = ways.get(key, [])
         transitions = sum(way.transitions for way in there)
-        overlapped: PairRelation = "overlapped" if any(way.overlapped for way in there) else "unseen_path"
+        overlapped: PairRelation = (
+            "overlapped" if any(way.overlapped for way in there) else "unseen_path"
+        )
         pair = pairs.get(key)
         result[key] = MapEdge(
             pair.relation if pair else overlapped,
@@ -156,8 +185,8 @@ def nearness(link: Link) -> tuple[float, float]:
 
 
 def doubt(pair: Pair | None, transitions: float, best: Link | None) -> str:
-    """Why an edge is provisional, in words; "" if it is settled. ``best``: the link that is nearest to being
-    published.
+    """Why an edge is provisional, in words; "" if it is settled. ``best``: the link that is nearest
+    to being published.
     """
     if pair is None:
         if best is not None and best.lacks is not None:
@@ -169,25 +198,43 @@ def doubt(pair: Pair | None, transitions: float, best: Link | None) -> str:
         return f"not published: it may be chance ({figure})"
     if transitions < SETTLED_TRANSITIONS_MIN:
         return f"new: only about {transitions:.0f} are known to have taken it"
-    if pair.by_lags is not None and pair.by_sum_rule is not None and pair.by_lags != pair.by_sum_rule:
+    if (
+        pair.by_lags is not None
+        and pair.by_sum_rule is not None
+        and pair.by_lags != pair.by_sum_rule
+    ):
         return f"the two tests of its kind differ{f' ({pair.reason})' if pair.reason else ''}"
     return ""
 
 
 def in_words(lacks: Lacks) -> str:
     """What a link lacks."""
-    passages = "one more passage" if lacks.passages < 1.5 else f"about {lacks.passages:.0f} more passages"
+    passages = (
+        "one more passage" if lacks.passages < 1.5 else f"about {lacks.passages:.0f} more passages"
+    )
     minutes = lacks.seconds / 60.0
-    for unit, amount in (("minutes", minutes), ("hours", minutes / 60.0), ("days", minutes / 1440.0)):
+    for unit, amount in (
+        ("minutes", minutes),
+        ("hours", minutes / 60.0),
+        ("days", minutes / 1440.0),
+    ):
         if amount < LONGEST[unit]:
             break
-    return f"{passages}, {max(amount, 1.0):.0f} {unit if amount >= 1.5 else unit[:-1]} at this traffic"
+    return (
+        f"{passages}, {max(amount, 1.0):.0f} {unit if amount >= 1.5 else unit[:-1]} at this traffic"
+    )
 
 
-def _places(topology: Topology, drawn: Mapping[str, MapEdge], before: Map | None) -> dict[str, Place]:
+def _places(
+    topology: Topology, drawn: Mapping[str, MapEdge], before: Map | None
+) -> dict[str, Place]:
     names = [camera.id for camera in topology.cameras]
     joined = _joined(drawn)
-    held = {} if before is None else {name: (camera.x, camera.y) for name, camera in before.cameras.items()}
+    held = (
+        {}
+        if before is None
+        else {name: (camera.x, camera.y) for name, camera in before.cameras.items()}
+    )
     if before is not None and joined == _joined(before.edges) and set(names) == set(held):
         return held
     return places(names, joined, held)
@@ -205,9 +252,18 @@ def _joined(drawn: Mapping[str, MapEdge]) -> dict[tuple[str, str], bool]:
 
 def _with(topology: Topology, links: list[Link]) -> Topology:
     return Topology(
-        topology.schema, topology.site, topology.epoch, topology.version, topology.as_of, topology.events,
-        topology.digest, topology.cameras, topology.zones, links, [],
-    )  # fmt: skip
+        topology.schema,
+        topology.site,
+        topology.epoch,
+        topology.version,
+        topology.as_of,
+        topology.events,
+        topology.digest,
+        topology.cameras,
+        topology.zones,
+        links,
+        [],
+    )
 
 
 def _key(a: str, b: str) -> str:
@@ -218,8 +274,15 @@ def _way(edge: Edge) -> Way:
     t = edge.transit
     mode, q10, q50, q90 = (_digits(value, 3) for value in (t.mode, t.q10, t.q50, t.q90))
     return Way(
-        edge.from_, edge.to, mode, q10, q50, q90, _digits(edge.probability, 2), _digits(edge.transitions, 2)
-    )  # fmt: skip
+        edge.from_,
+        edge.to,
+        mode,
+        q10,
+        q50,
+        q90,
+        _digits(edge.probability, 2),
+        _digits(edge.transitions, 2),
+    )
 
 
 def _digits(value: float, digits: int) -> float:

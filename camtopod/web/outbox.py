@@ -1,4 +1,6 @@
-"""What waits for one open page: messages from any thread, taken by the page's connection, within a limit."""
+"""What waits for one open page: messages from any thread, taken by the page's connection, within a
+limit.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +10,22 @@ from collections import deque
 
 MESSAGES_MAX = 256
 BYTES_MAX = 4 << 20
-"""Messages, and bytes, that wait for a page; beyond it the page is told to fetch everything anew. A version of a large
-site is half a megabyte; one that alone is more may wait alone.
+"""Messages, and bytes, that wait for a page; beyond it the page is told to fetch everything anew. A
+version of a large site is half a megabyte; one that alone is more may wait alone.
 """
 PASSING_MAX = 64
-"""Predictions and events are left out while this many messages wait: a page that lags shows fewer of them."""
+"""Predictions and events are left out while this many messages wait: a page that lags shows fewer
+of them.
+"""
 PAGES_MAX = 64
 """Pages that are open at a time."""
 RESYNC = b"event: resync\ndata: {}\n\n"
 
 
 class Mailbox:
-    """One page's. ``camera``: whose events it wants to see, if any. Made and taken from in the event loop's thread."""
+    """One page's. ``camera``: whose events it wants to see, if any. Made and taken from in the
+    event loop's thread.
+    """
 
     def __init__(self, camera: str | None) -> None:
         self.camera = camera
@@ -41,7 +47,9 @@ class Mailbox:
             if passing and len(self._messages) >= PASSING_MAX:
                 self.left_out += 1
                 return
-            if len(self._messages) >= MESSAGES_MAX or (self._messages and self._bytes + len(message) > BYTES_MAX):
+            if len(self._messages) >= MESSAGES_MAX or (
+                self._messages and self._bytes + len(message) > BYTES_MAX
+            ):
                 self._messages.clear()
                 self._bytes = 0
                 message = RESYNC
@@ -56,7 +64,9 @@ class Mailbox:
             self._wake()
 
     async def take(self, seconds: float) -> bytes | None:
-        """Everything that waits as one; b"" when nothing came within ``seconds``; None once closed."""
+        """Everything that waits as one; b"" when nothing came within ``seconds``; None once
+        closed.
+        """
         try:
             await asyncio.wait_for(self._something.wait(), seconds)
         except TimeoutError:
@@ -86,7 +96,9 @@ class Hub:
         self._closed = False
 
     def open(self, camera: str | None) -> Mailbox | None:
-        """A mailbox for a page that has come; None if there are `PAGES_MAX` already, or it is closing."""
+        """A mailbox for a page that has come; None if there are `PAGES_MAX` already, or it is
+        closing.
+        """
         with self._mutex:
             if self._closed or len(self._boxes) >= PAGES_MAX:
                 return None
@@ -99,8 +111,12 @@ class Hub:
         with self._mutex:
             self._boxes.discard(box)
 
-    def tell(self, name: str, content: bytes, camera: str | None = None, passing: bool = False) -> None:
-        """Send a server-sent event of one line of JSON to all pages, or to those that look at ``camera``."""
+    def tell(
+        self, name: str, content: bytes, camera: str | None = None, passing: bool = False
+    ) -> None:
+        """Send a server-sent event of one line of JSON to all pages, or to those that look at
+        ``camera``.
+        """
         message = b"event: " + name.encode() + b"\ndata: " + content + b"\n\n"
         with self._mutex:
             boxes = [box for box in self._boxes if camera is None or box.camera == camera]

@@ -1,6 +1,8 @@
-"""Pictures of the cameras: files CAMERA.jpg or CAMERA.png in a folder, from `keep` or the operator's own.
+"""Pictures of the cameras: files CAMERA.jpg or CAMERA.png in a folder, from `keep` or the
+operator's own.
 
-They are of the site and perhaps of people: never sent over the bus, and not for everybody on the machine.
+They are of the site and perhaps of people: never sent over the bus, and not for everybody on the
+machine.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ def picture_of(folder: Path | None, camera: str) -> Path | None:
     """The file of a camera's picture; None if there is none."""
     if folder is None or not re.match(CAMERA_PATTERN, camera):
         return None
-    return next((path for ending in TYPES if (path := folder / f"{camera}{ending}").is_file()), None)
+    return next(
+        (path for ending in TYPES if (path := folder / f"{camera}{ending}").is_file()), None
+    )
 
 
 def kept_at(folder: Path, camera: str) -> Path:
@@ -33,5 +37,7 @@ def make(folder: Path) -> None:
 
 
 def keep(folder: Path, camera: str, jpeg: bytes) -> None:
-    """Put a camera's picture there instead of the one before, for the folder's owner and group. Raises `OSError`."""
+    """Put a camera's picture there instead of the one before, for the folder's owner and group.
+    Raises `OSError`.
+    """
     secret_files.write(kept_at(folder, camera), jpeg, _FILE_MODE)

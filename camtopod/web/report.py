@@ -15,7 +15,9 @@ from camtopod.web.pictures import TYPES, picture_of
 from camtopod.web.version_diff import changes, summary
 
 LINKS_MAX = 3_000
-"""Links that are told in full, the most walked first; a large site has more than a browser opens as one file."""
+"""Links that are told in full, the most walked first; a large site has more than a browser opens as
+one file.
+"""
 COMPARED_MAX = 20
 """The newest versions, each compared with each."""
 Count = Callable[[int, int], None]
@@ -23,15 +25,21 @@ _T = TypeVar("_T")
 
 
 def gather(
-    topology: Topology, older: Sequence[Topology], pictures: Path | None, count: Count = lambda done, of: None
+    topology: Topology,
+    older: Sequence[Topology],
+    pictures: Path | None,
+    count: Count = lambda done, of: None,
 ) -> dict[str, Any]:
-    """The data of a report on ``topology``; ``older``: versions before it, oldest first. Raises OSError.
+    """The data of a report on ``topology``; ``older``: versions before it, oldest first. Raises
+    OSError.
 
     ``count`` is called often, with how many of its parts are ready and how many there will be.
     """
     drawn = draw(topology)
     cameras = [camera.id for camera in topology.cameras]
-    files = {camera: path for camera in cameras if (path := picture_of(pictures, camera)) is not None}
+    files = {
+        camera: path for camera in cameras if (path := picture_of(pictures, camera)) is not None
+    }
     stories = Stories(topology)
     versions = [*older, topology]
     compared = versions[-COMPARED_MAX:]
@@ -46,14 +54,21 @@ def gather(
 
     return {
         "map": drawn,
-        "cameras": {name: {**(stories.camera(counted(name)) or {}), "picture": name in files} for name in cameras},
+        "cameras": {
+            name: {**(stories.camera(counted(name)) or {}), "picture": name in files}
+            for name in cameras
+        },
         "pairs": {key: stories.pair(*counted(key).split(" ")) for key in drawn.edges},
         "links": {
-            f"{link.from_} {link.to} {link.relation}": stories.link(link.from_, link.to, link.relation)
+            f"{link.from_} {link.to} {link.relation}": stories.link(
+                link.from_, link.to, link.relation
+            )
             for link in map(counted, links)
         },
         "versions": [summary(one) for one in versions],
-        "changes": {f"{old.version} {new.version}": changes(old, new) for old, new in map(counted, both)},
+        "changes": {
+            f"{old.version} {new.version}": changes(old, new) for old, new in map(counted, both)
+        },
         "pictures": {name: _inline(path) for name, path in files.items()},
     }
 
@@ -61,8 +76,13 @@ def gather(
 def _told(topology: Topology) -> list[Link]:
     """Links between views before passages within one."""
     camera = {zone.id: zone.camera for zone in topology.zones}
-    links = [*topology.links, *(link for link in topology.weak_links or [] if camera[link.from_] != camera[link.to])]
-    links.sort(key=lambda link: (link.relation == "visible", link.q_value > 0.05, -link.transitions))
+    links = [
+        *topology.links,
+        *(link for link in topology.weak_links or [] if camera[link.from_] != camera[link.to]),
+    ]
+    links.sort(
+        key=lambda link: (link.relation == "visible", link.q_value > 0.05, -link.transitions)
+    )
     return links[:LINKS_MAX]
 
 

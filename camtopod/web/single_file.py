@@ -28,7 +28,9 @@ def page(data: Any) -> str:
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
-    held = msgspec.json.encode(data).decode().replace("<", "\\u003c")  # no text in it can end the element
+    held = (
+        msgspec.json.encode(data).decode().replace("<", "\\u003c")
+    )  # no text in it can end the element
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -49,7 +51,9 @@ def page(data: Any) -> str:
 
 
 def scripts() -> str:
-    """All modules as one script: each a function that returns what it exports, in the order they need each other."""
+    """All modules as one script: each a function that returns what it exports, in the order they
+    need each other.
+    """
     done: dict[str, str] = {}
     _add(FIRST, done)
     return "\n".join(done.values())

@@ -1,4 +1,6 @@
-"""Older versions, asked of the daemon one at a time; what has been asked is remembered within limits."""
+"""Older versions, asked of the daemon one at a time; what has been asked is remembered within
+limits.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ class Past:
         """Those known of the newest version's epoch, oldest first."""
         self._note(newest)
         with self._mutex:
-            return [self._summaries[key] for key in sorted(self._summaries) if key[0] == newest.epoch]
+            return [
+                self._summaries[key] for key in sorted(self._summaries) if key[0] == newest.epoch
+            ]
 
     def summary(self, newest: Topology, version: int) -> Summary | None:
         """One version's; None if it is not kept."""

@@ -1,4 +1,6 @@
-"""Versions side by side: a line on each for the time line, and what changed between any two, in words."""
+"""Versions side by side: a line on each for the time line, and what changed between any two, in
+words.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ class Summary(Struct, frozen=True):
 
 
 class Change(Struct, frozen=True):
-    """One difference. ``sign``: "+" is new, "-" is gone, "~" is other than before; ``subject`` is what a page opens."""
+    """One difference. ``sign``: "+" is new, "-" is gone, "~" is other than before; ``subject`` is
+    what a page opens.
+    """
 
     sign: str
     kind: str
@@ -49,15 +53,23 @@ class Change(Struct, frozen=True):
 def summary(topology: Topology) -> Summary:
     """The time line's entry of a version."""
     return Summary(
-        topology.epoch, topology.version, topology.as_of, topology.events,
-        len(topology.cameras), len(topology.zones), sum(link.relation != "visible" for link in topology.links),
-        len(topology.pairs), topology.score,
+        topology.epoch,
+        topology.version,
+        topology.as_of,
+        topology.events,
+        len(topology.cameras),
+        len(topology.zones),
+        sum(link.relation != "visible" for link in topology.links),
+        len(topology.pairs),
+        topology.score,
         [alarm for alarm in topology.alarms or [] if alarm.version == topology.version],
-    )  # fmt: skip
+    )
 
 
 def changes(old: Topology, new: Topology) -> list[Change]:
-    """What is new, gone or different in ``new``: cameras, pairs, links between views, then zones."""
+    """What is new, gone or different in ``new``: cameras, pairs, links between views, then
+    zones.
+    """
     result = [
         *_came_and_went("camera", {c.id: c for c in old.cameras}, {c.id: c for c in new.cameras}),
         *_pairs({p.cameras: p for p in old.pairs}, {p.cameras: p for p in new.pairs}),
@@ -88,7 +100,9 @@ def _pairs(old: dict[tuple[str, str], Pair], new: dict[tuple[str, str], Pair]) -
         elif was is None and now is not None:
             result.append(Change("+", "pair", list(cameras), KINDS[now.relation]))
         elif was is not None and now is not None and was.relation != now.relation:
-            result.append(Change("~", "pair", list(cameras), f"{KINDS[was.relation]} → {KINDS[now.relation]}"))
+            result.append(
+                Change("~", "pair", list(cameras), f"{KINDS[was.relation]} → {KINDS[now.relation]}")
+            )
     return result
 
 

@@ -1,4 +1,6 @@
-"""Frigate's, MOTChallenge's and SceneScape's lines -> events. The payloads are written after their documentation."""
+"""Frigate's, MOTChallenge's and SceneScape's lines -> events. The payloads are written after their
+documentation.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def short(events: list[Event]) -> list[tuple[Any, ...]]:
 
 
 @pytest.mark.parametrize("paths", [True, False])
-def test_an_object_comes_in_where_it_was_first_seen_and_leaves_where_it_was_last_seen(paths: bool) -> None:
+def test_an_object_comes_in_where_it_was_first_seen_and_leaves_where_it_was_last_seen(
+    paths: bool,
+) -> None:
     events = read(Frigate(SIZES), says.passage(paths=paths))
     assert short(events) == [
         ("yard", "entry", T, 0.0469, 0.8333),
@@ -47,7 +51,10 @@ def test_an_object_comes_in_where_it_was_first_seen_and_leaves_where_it_was_last
 
 def test_without_the_size_the_path_says_where() -> None:
     events = read(Frigate({}), says.passage())
-    assert short(events) == [("yard", "entry", T + 0.8, 0.0859, 0.8472), ("yard", "exit", T + 8.2, 0.5, 0.9)]
+    assert short(events) == [
+        ("yard", "entry", T + 0.8, 0.0859, 0.8472),
+        ("yard", "exit", T + 8.2, 0.5, 0.9),
+    ]
 
 
 def test_without_size_and_path_nothing_can_be_placed() -> None:
@@ -83,11 +90,15 @@ def test_what_is_remembered_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_what_stands_there_has_not_come_in_and_is_not_lost_by_leaving() -> None:
     assert read(Frigate(SIZES), says.parked(moved=0)) == []
-    assert [e.kind for e in read(Frigate(SIZES), says.parked(moved=1))] == ["entry"], "lost while it stood"
+    assert [e.kind for e in read(Frigate(SIZES), says.parked(moved=1))] == ["entry"], (
+        "lost while it stood"
+    )
     assert read(Frigate(SIZES), says.parked(moved=0, stationary=False)) == []
 
 
-def test_who_moves_only_a_moment_after_being_found_comes_in_and_who_moves_much_later_does_not() -> None:
+def test_who_moves_only_a_moment_after_being_found_comes_in_and_who_moves_much_later_does_not() -> (
+    None
+):
     for seconds, kinds in ((3.0, ["entry"]), (300.0, [])):
         first = says.seen(T, 10, 300, 110, 600, false_positive=True, position_changes=0)
         sure = says.seen(T + 0.8, 10, 300, 110, 600, position_changes=0)
@@ -110,7 +121,12 @@ def test_only_the_kinds_asked_for() -> None:
 
 def test_false_positives_are_none() -> None:
     thing = says.seen(T, 10, 300, 110, 600, false_positive=True)
-    assert read(Frigate(SIZES), [says.message(kind, thing, thing) for kind in ("new", "update", "end")]) == []
+    assert (
+        read(
+            Frigate(SIZES), [says.message(kind, thing, thing) for kind in ("new", "update", "end")]
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize("where", ["before", "after"])
@@ -140,7 +156,10 @@ def test_mosquitto_sub_may_put_the_topic_in_front() -> None:
         (b'{"type": "new"}', "bad-value"),
         (says.message("start", says.seen(T, 1, 2, 3, 4), says.seen(T, 1, 2, 3, 4)), "bad-value"),
         (says.message("new", says.seen(T, 1, 2, 3, 4), says.seen(1e30, 1, 2, 3, 4)), "bad-value"),
-        (says.message("new", says.seen(T, 1, 2, 3, 4), says.seen(T, 1, 2, 3, 4, camera="a/b")), "bad-value"),
+        (
+            says.message("new", says.seen(T, 1, 2, 3, 4), says.seen(T, 1, 2, 3, 4, camera="a/b")),
+            "bad-value",
+        ),
     ):
         with pytest.raises(Rejected) as caught:
             read(Frigate(SIZES), [line])
@@ -151,7 +170,9 @@ def test_mosquitto_sub_may_put_the_topic_in_front() -> None:
 
 
 def mot_lines(frames: int = 60) -> list[bytes]:
-    """Three people in a picture of 1920x1080, sorted by track as in ground truth; other lines do not count."""
+    """Three people in a picture of 1920x1080, sorted by track as in ground truth; other lines do
+    not count.
+    """
     lines = []
     lines += [f"{frame},1,{20 * frame},400,80.5,200,1,1,0.9" for frame in range(15, frames)]
     lines += [f"{frame},2,900,{300 + frame},80,200,1,1,1" for frame in range(1, 40)]
@@ -175,13 +196,22 @@ def test_mot_lines_become_events_by_time_whatever_their_order() -> None:
 
 def test_a_mot_file_begins_with_frame_1_whoever_is_there() -> None:
     lines = [f"{frame},1,100,100,50,50,1".encode() for frame in range(500, 520)]
-    assert [(e.kind, e.t) for e in read(Mot("gate", (1920, 1080), 10, 0.0), lines)] == [("entry", 49.9)]
+    assert [(e.kind, e.t) for e in read(Mot("gate", (1920, 1080), 10, 0.0), lines)] == [
+        ("entry", 49.9)
+    ]
 
 
 def test_a_mot_line_with_an_endless_id_costs_no_other_line() -> None:
-    lines = [f"{frame},{number},100,100,50,50,1".encode() for frame in range(50, 60) for number in ("1", "1e300")]
+    lines = [
+        f"{frame},{number},100,100,50,50,1".encode()
+        for frame in range(50, 60)
+        for number in ("1", "1e300")
+    ]
     found = read(Mot("gate", (1920, 1080), 10, 0.0), lines)
-    assert sorted(event.track or "" for event in found) == ["1", str(int(1e300))[:TRACK_CHARACTERS_MAX]]
+    assert sorted(event.track or "" for event in found) == [
+        "1",
+        str(int(1e300))[:TRACK_CHARACTERS_MAX],
+    ]
 
 
 @pytest.mark.parametrize(
@@ -214,28 +244,43 @@ def test_a_mot_file_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- SceneScape -----------------------------------------------------------------------------------
 
 
-def frame(t: float, people: list[tuple[int, int]], camera: str = "cam1", tracked: bool = False) -> bytes:
-    """A message of a camera at ``t``: people by (id, left edge), listed by confidence, so in changing order."""
+def frame(
+    t: float, people: list[tuple[int, int]], camera: str = "cam1", tracked: bool = False
+) -> bytes:
+    """A message of a camera at ``t``: people by (id, left edge), listed by confidence, so in
+    changing order.
+    """
     chance = random.Random(f"{t}")
     listed = sorted(people, key=lambda _: chance.random())
     persons = [
         {
-            "id": number if tracked else 1 + place, "category": "person", "confidence": 0.99,
+            "id": number if tracked else 1 + place,
+            "category": "person",
+            "confidence": 0.99,
             "center_of_mass": {"x": left, "y": 100, "width": 20.0, "height": 50.0},
             "bounding_box_px": {"x": left, "y": 100, "width": 60, "height": 200},
-            "metadata": {"age": {"label": "39", "model_name": "age_gender"},
-                         "reid": {"embedding_vector": "AAAA", "model_name": "torch"}},
+            "metadata": {
+                "age": {"label": "39", "model_name": "age_gender"},
+                "reid": {"embedding_vector": "AAAA", "model_name": "torch"},
+            },
         }
         for place, (number, left) in enumerate(listed)
-    ]  # fmt: skip
+    ]
     stamp = datetime.fromtimestamp(t, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-    message = {"id": camera, "timestamp": stamp, "debug_mac": "02:42:ac:11:00:05", "rate": 10.0,
-               "objects": {"person": persons} if persons else {}}  # fmt: skip
+    message = {
+        "id": camera,
+        "timestamp": stamp,
+        "debug_mac": "02:42:ac:11:00:05",
+        "rate": 10.0,
+        "objects": {"person": persons} if persons else {},
+    }
     return json.dumps(message).encode()
 
 
 def walks(tracked: bool) -> list[bytes]:
-    """One from the left, one from the right, passing each other in another row of the list each frame."""
+    """One from the left, one from the right, passing each other in another row of the list each
+    frame.
+    """
     lines = []
     for n in range(130):
         left = [(41, 8 * (n - 15))] if 15 <= n < 90 else []
@@ -256,7 +301,10 @@ def test_scenescape_frames_become_passages(tracked: bool) -> None:
     ]
     assert len({e.track for e in events}) == 2
     if tracked:
-        assert {(e.track, e.x) for e in events if e.kind == "entry"} == {("person-41", 0.0375), ("person-17", 0.9625)}
+        assert {(e.track, e.x) for e in events if e.kind == "entry"} == {
+            ("person-41", 0.0375),
+            ("person-17", 0.9625),
+        }
 
 
 def test_ids_that_only_count_are_not_believed() -> None:
@@ -264,7 +312,9 @@ def test_ids_that_only_count_are_not_believed() -> None:
 
     def passages(reader: SceneScape) -> set[tuple[float | None, ...]]:
         events = read(reader, walks(tracked=False))
-        return {tuple(e.x for e in events if e.track == track) for track in {e.track for e in events}}
+        return {
+            tuple(e.x for e in events if e.track == track) for track in {e.track for e in events}
+        }
 
     through = {(0.0375, 0.7775), (0.9625, 0.1725)}
     assert passages(SceneScape({"": (800, 600)})) == through
@@ -272,11 +322,18 @@ def test_ids_that_only_count_are_not_believed() -> None:
 
 
 def test_cameras_and_kinds_are_apart() -> None:
-    lines = [line for n in range(60) for line in (frame(T + n / 10, [(1, 100)] if 15 < n < 30 else [], camera)
-             for camera in ("a", "b"))]  # fmt: skip
+    lines = [
+        line
+        for n in range(60)
+        for line in (
+            frame(T + n / 10, [(1, 100)] if 15 < n < 30 else [], camera) for camera in ("a", "b")
+        )
+    ]
     lines = [b"scenescape/data/camera/x " + line for line in lines]
     events = read(SceneScape({"": (800, 600)}), lines)
-    assert sorted((e.camera, e.kind) for e in events) == [(c, k) for c in "ab" for k in ("entry", "exit")]
+    assert sorted((e.camera, e.kind) for e in events) == [
+        (c, k) for c in "ab" for k in ("entry", "exit")
+    ]
     assert read(SceneScape({"": (800, 600)}, ["vehicle"]), lines) == []
 
 
@@ -322,17 +379,29 @@ def test_scenescape_lines_that_make_no_sense(monkeypatch: pytest.MonkeyPatch) ->
 # --- all ------------------------------------------------------------------------------------------
 
 
-@given(st.lists(st.one_of(
-    st.binary(max_size=60),
-    st.tuples(st.sampled_from(says.passage() + walks(False)[30:34] + mot_lines()[:3]), st.data()),
-), max_size=8), st.data())  # fmt: skip
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(max_size=60),
+            st.tuples(
+                st.sampled_from(says.passage() + walks(False)[30:34] + mot_lines()[:3]), st.data()
+            ),
+        ),
+        max_size=8,
+    ),
+    st.data(),
+)
 def test_damaged_lines_are_rejected_and_never_more(lines: list[Any], data: Any) -> None:
     for reader in (Frigate(SIZES), SceneScape(SIZES), Mot("gate", (10, 10), 10, 0.0)):
         for given_line in lines:
             line = given_line
             if isinstance(line, tuple):
                 cut = data.draw(st.integers(0, len(line[0])))
-                line = line[0][:cut] + data.draw(st.binary(max_size=2)) + line[0][cut + data.draw(st.integers(0, 2)) :]
+                line = (
+                    line[0][:cut]
+                    + data.draw(st.binary(max_size=2))
+                    + line[0][cut + data.draw(st.integers(0, 2)) :]
+                )
             try:
                 reader.receive(line)
             except Rejected:
@@ -341,7 +410,13 @@ def test_damaged_lines_are_rejected_and_never_more(lines: list[Any], data: Any) 
 
 
 def test_what_is_quoted_of_a_line_names_nobody() -> None:
-    for line in (*says.passage(), b"frigate/yard/last_face Jane Doe", b"Jane Doe", b"Jane", b'{"a": "Jane'):
+    for line in (
+        *says.passage(),
+        b"frigate/yard/last_face Jane Doe",
+        b"Jane Doe",
+        b"Jane",
+        b'{"a": "Jane',
+    ):
         assert b"Jane" not in adapter.quotable(line)
         assert says.PLATE.encode() not in adapter.quotable(line)
     assert adapter.quotable(b'{"a": "x\\"y", "b": 1.5, "c') == b'{"a": "...", "b": 1.5, "..."'

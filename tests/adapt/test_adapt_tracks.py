@@ -38,8 +38,12 @@ def fed(frames: list[tuple[float, dict[Any, list[float]]]], **options: Any) -> l
 # --- against a slow twin --------------------------------------------------------------------------
 
 
-def by_definition(frames: list[tuple[float, dict[Any, list[float]]]], life: float, lost: float) -> set[Any]:
-    """A passage: sightings of one id without a gap above ``lost``, from the first to the last over ``life``."""
+def by_definition(
+    frames: list[tuple[float, dict[Any, list[float]]]], life: float, lost: float
+) -> set[Any]:
+    """A passage: sightings of one id without a gap above ``lost``, from the first to the last over
+    ``life``.
+    """
     seen = defaultdict(list)
     for t, boxes in frames:
         for number, box in boxes.items():
@@ -71,23 +75,35 @@ boxes = st.lists(st.integers(-50, 250), min_size=4, max_size=4)
 views = st.dictionaries(st.integers(0, 4), boxes, max_size=4)
 
 
-@given(st.lists(st.tuples(st.integers(1, 12), views), min_size=1, max_size=40), st.integers(0, 8), st.integers(1, 10))
-def test_passages_are_those_of_the_definition(steps: list[tuple[int, dict[int, Any]]], life: int, lost: int) -> None:
+@given(
+    st.lists(st.tuples(st.integers(1, 12), views), min_size=1, max_size=40),
+    st.integers(0, 8),
+    st.integers(1, 10),
+)
+def test_passages_are_those_of_the_definition(
+    steps: list[tuple[int, dict[int, Any]]], life: int, lost: int
+) -> None:
     """Times in quarters of a second, so that all arithmetic is exact."""
     times = itertools.accumulate(step for step, _ in steps)
     frames = [(t / 4, view) for t, (_, view) in zip(times, steps, strict=True)]
     found = fed(frames, life_seconds=life / 4, lost_seconds=lost / 4)
-    assert {(e.kind, e.track, e.t, e.x, e.y) for e in found} == by_definition(frames, life / 4, lost / 4)
+    assert {(e.kind, e.track, e.t, e.x, e.y) for e in found} == by_definition(
+        frames, life / 4, lost / 4
+    )
     assert len(found) == len({(e.kind, e.track, e.t) for e in found})
 
 
 def test_events_are_reported_in_time_and_numbered_without_a_gap() -> None:
-    """None is reported later than life or lost and a frame after its time: the lateness of the learner is 5 s."""
+    """None is reported later than life or lost and a frame after its time: the lateness of the
+    learner is 5 s.
+    """
     events = TrackEvents("c", SIZE, boot="b")
     ages, seqs = [], []
     for n in range(400):
         t = n / 10
-        walkers = {99: BOX} | {k: [k, 0, k + 9, 50] for k in range(20) if 2 * k <= t <= 2 * k + 5 + k / 7}
+        walkers = {99: BOX} | {
+            k: [k, 0, k + 9, 50] for k in range(20) if 2 * k <= t <= 2 * k + 5 + k / 7
+        }
         for event in events.update(list(walkers), list(walkers.values()), t):
             ages.append(t - event.t)
             seqs.append(event.seq)
@@ -104,7 +120,9 @@ def test_events_are_reported_in_time_and_numbered_without_a_gap() -> None:
     "ids",
     [[7], np.array([7]), np.array([7.0], np.float32), [np.int64(7)], ["7"], (7.0,)],
 )
-@pytest.mark.parametrize("box", [[BOX], np.array([BOX]), np.array([BOX], float).reshape(1, 2, 2), [np.array(BOX)]])
+@pytest.mark.parametrize(
+    "box", [[BOX], np.array([BOX]), np.array([BOX], float).reshape(1, 2, 2), [np.array(BOX)]]
+)
 def test_arrays_and_lists_are_the_same(ids: Any, box: Any) -> None:
     events = TrackEvents("c", SIZE)
     found = events.update([], [], 0.0) + events.update(ids, box, 1.1) + events.update(ids, box, 2.0)
@@ -125,8 +143,13 @@ def test_what_is_not_tracked_is_counted_and_nothing_else() -> None:
 
 def test_who_is_in_view_at_the_start_has_not_come_in_and_at_the_end_not_left() -> None:
     frames = [(n / 10, {1: BOX} if n < 20 else {}) for n in range(30)]
-    assert [(e.kind, e.t) for e in fed(frames)] == [("exit", 1.9)]  # close: out of sight in the last frame
-    for first, entries in ((9, []), (11, [("entry", 1.1)])):  # tenths of a second after the first frame
+    assert [(e.kind, e.t) for e in fed(frames)] == [
+        ("exit", 1.9)
+    ]  # close: out of sight in the last frame
+    for first, entries in (
+        (9, []),
+        (11, [("entry", 1.1)]),
+    ):  # tenths of a second after the first frame
         frames = [(n / 10, {1: BOX} if n >= first else {}) for n in range(30)]
         assert [(e.kind, e.t) for e in fed(frames)] == entries
 
@@ -170,7 +193,9 @@ def test_a_clock_that_is_set_back_begins_anew_and_a_frame_out_of_order_is_left_o
         ("c", SIZE, {"boot": "b" * 65}),
     ],
 )
-def test_nonsense_is_said_at_once(camera: str, size: tuple[float, float], options: dict[str, Any]) -> None:
+def test_nonsense_is_said_at_once(
+    camera: str, size: tuple[float, float], options: dict[str, Any]
+) -> None:
     with pytest.raises(ValueError, match=r"camera|size|seconds|boot"):
         TrackEvents(camera, size, **options)
 
@@ -194,9 +219,14 @@ def test_boxes_are_joined_to_the_nearest_whatever_their_order() -> None:
     joiner = Joiner()
     found: dict[str, set[int | None]] = {"left": set(), "right": set()}
     for n in range(20):
-        places = {"left": (10.0 * n, 0.0, 10.0 * n + 40, 120.0), "right": (400 - 10.0 * n, 50.0, 440 - 10.0 * n, 190.0)}
+        places = {
+            "left": (10.0 * n, 0.0, 10.0 * n + 40, 120.0),
+            "right": (400 - 10.0 * n, 50.0, 440 - 10.0 * n, 190.0),
+        }
         names = sorted(places, reverse=n % 2 == 0)
-        for name, number in zip(names, joiner.ids([places[name] for name in names], n / 10), strict=True):
+        for name, number in zip(
+            names, joiner.ids([places[name] for name in names], n / 10), strict=True
+        ):
             found[name].add(number)
     assert sorted(map(len, found.values())) == [1, 1]
     assert found["left"] != found["right"]

@@ -29,8 +29,8 @@ FIRST, SECOND = 12.0, 30.0
 
 
 def chain(share: float = 0.8) -> Crossings:
-    """Objects leave a, of which a share comes to b and leaves there at once, and all of those come to c; at d others
-    come and go. Zones a, b, c, d are of four cameras."""
+    """Objects leave a, of which a share comes to b and leaves there at once, and all of those come
+    to c; at d others come and go. Zones a, b, c, d are of four cameras."""
     rng = np.random.default_rng(5)
     a = np.sort(rng.uniform(0, SECONDS, 400))
     b = a[rng.random(400) < share] + FIRST
@@ -40,9 +40,13 @@ def chain(share: float = 0.8) -> Crossings:
     left = np.concatenate([a, b + 0.5, d[:400]])
     left_zone = np.repeat([0, 1, 3], [len(a), len(b), 400])
     came = np.concatenate([b, c, d[400:], rng.uniform(0, SECONDS, 200)])
-    came_zone = np.concatenate([np.repeat([1, 2, 3], [len(b), len(c), 400]), rng.integers(1, 4, 200)])
+    came_zone = np.concatenate(
+        [np.repeat([1, 2, 3], [len(b), len(c), 400]), rng.integers(1, 4, 200)]
+    )
     p, q = np.argsort(left), np.argsort(came)
-    return Crossings(["a", "b", "c", "d"], np.arange(4), left[p], left_zone[p], came[q], came_zone[q])
+    return Crossings(
+        ["a", "b", "c", "d"], np.arange(4), left[p], left_zone[p], came[q], came_zone[q]
+    )
 
 
 CHAIN = chain()
@@ -52,7 +56,9 @@ FOUND = candidates(CHAIN)
 def two_zones(left: list[float], left_zone: list[int], came: list[float]) -> Crossings:
     """Two zones of two cameras; all arrivals are at the second."""
     zones = np.ones(len(came), np.int64)
-    return Crossings(["a", "b"], np.array([0, 1]), np.array(left), np.array(left_zone), np.array(came), zones)
+    return Crossings(
+        ["a", "b"], np.array([0, 1]), np.array(left), np.array(left_zone), np.array(came), zones
+    )
 
 
 def test_candidates_are_all_pairs_of_two_cameras_within_the_lags() -> None:
@@ -64,7 +70,8 @@ def test_candidates_are_all_pairs_of_two_cameras_within_the_lags() -> None:
         (i, j)
         for j in range(len(CHAIN.came))
         for i in range(len(CHAIN.left))
-        if NARROW.low <= CHAIN.came[j] - CHAIN.left[i] <= NARROW.high and CHAIN.left_zone[i] != CHAIN.came_zone[j]
+        if NARROW.low <= CHAIN.came[j] - CHAIN.left[i] <= NARROW.high
+        and CHAIN.left_zone[i] != CHAIN.came_zone[j]
     ]
     assert [*zip(FOUND.departure.tolist(), FOUND.arrival.tolist(), strict=True)] == naive
     few = candidates(CHAIN, 100)
@@ -95,7 +102,9 @@ def best(findings: dict[str, Findings], variant: str) -> list[tuple[int, int]]:
         (hawkes(CHAIN, FOUND), "likelihood"),
     ],
 )
-def test_joint_methods_find_the_links_and_not_the_indirect_one(findings: dict[str, Findings], variant: str) -> None:
+def test_joint_methods_find_the_links_and_not_the_indirect_one(
+    findings: dict[str, Findings], variant: str
+) -> None:
     assert best(findings, variant) == [(0, 1), (1, 2)]
     transit = findings[variant].transit
     assert transit[0, 1] == pytest.approx(FIRST, abs=4)
@@ -110,9 +119,15 @@ def test_joint_methods_find_the_links_and_not_the_indirect_one(findings: dict[st
         (transfer(CHAIN), "peak, 4 s bins"),
     ],
 )
-def test_pairwise_methods_find_the_links_and_their_times(findings: dict[str, Findings], variant: str) -> None:
+def test_pairwise_methods_find_the_links_and_their_times(
+    findings: dict[str, Findings], variant: str
+) -> None:
     result = findings[variant]
-    unrelated = [result.score[u, v] for u, v in ((0, 3), (3, 1), (2, 3), (3, 2)) if np.isfinite(result.score[u, v])]
+    unrelated = [
+        result.score[u, v]
+        for u, v in ((0, 3), (3, 1), (2, 3), (3, 2))
+        if np.isfinite(result.score[u, v])
+    ]
     assert min(result.score[0, 1], result.score[1, 2]) > 1.5 * max(unrelated)
     assert result.transit[0, 1] == pytest.approx(FIRST, abs=2.5)
     assert result.transit[1, 2] == pytest.approx(SECOND, abs=2.5)
@@ -123,11 +138,18 @@ def test_a_long_way_is_found_in_the_wide_range_only() -> None:
     for seconds in (150.0, -60.0):
         rng = np.random.default_rng(7)
         left = np.sort(rng.uniform(0, SECONDS, 300))
-        came = np.sort(np.concatenate([left[:240] + seconds + rng.normal(0, 1, 240), rng.uniform(0, SECONDS, 60)]))
+        came = np.sort(
+            np.concatenate(
+                [left[:240] + seconds + rng.normal(0, 1, 240), rng.uniform(0, SECONDS, 60)]
+            )
+        )
         seen = two_zones(left.tolist(), [0] * 300, came.tolist())
         found = [candidates(seen, lags=lags) for lags in (NARROW, WIDE)]
         for method in (correlation, information, hawkes, transfer, anonymous):
-            times = {variant: result.transit[0, 1] for variant, result in by_range(method, seen, found).items()}
+            times = {
+                variant: result.transit[0, 1]
+                for variant, result in by_range(method, seen, found).items()
+            }
             wide = [time for variant, time in times.items() if variant.endswith("-120..180 s")]
             narrow = [time for variant, time in times.items() if variant.endswith("-20..120 s")]
             assert len(wide) == len(narrow) > 0
@@ -153,12 +175,16 @@ def test_transfer_entropy_equals_the_naive_sum() -> None:
     x[((seen.left - 1.0) / 2.0).astype(int)] = 1
     y[((seen.came - 1.0) / 2.0).astype(int)] = 1
     for delay in (1, 2, 5):
-        triples = [(y[t], y[t - 1] if t else 0, x[t - delay] if t >= delay else 0) for t in range(bins)]
+        triples = [
+            (y[t], y[t - 1] if t else 0, x[t - delay] if t >= delay else 0) for t in range(bins)
+        ]
         bits = 0.0
         for now, before, cause in set(triples):
             joint = triples.count((now, before, cause))
             given = sum(b == before and c == cause for _, b, c in triples)
-            alone = sum(n == now and b == before for n, b, _ in triples) / sum(b == before for _, b, _ in triples)
+            alone = sum(n == now and b == before for n, b, _ in triples) / sum(
+                b == before for _, b, _ in triples
+            )
             bits += joint / bins * math.log2(joint / given / alone)
         assert entropy[[*delays].index(2.0 * delay), 0, 1] == pytest.approx(bits, abs=1e-12)
 
@@ -168,10 +194,17 @@ def test_least_squares_recover_a_chain_of_counts() -> None:
     left = rng.poisson(2.0, (4000, 2)).astype(float)
     came = rng.poisson(1.0, (4000, 2)).astype(float)
     came[3:, 1] += rng.binomial(left[:-3, 0].astype(int), 0.5)
-    rate = fit(left - left.mean(0), came - came.mean(0), np.arange(6), np.array([[False, True], [True, False]]))
+    rate = fit(
+        left - left.mean(0),
+        came - came.mean(0),
+        np.arange(6),
+        np.array([[False, True], [True, False]]),
+    )
     share = rate.sum(axis=0)
     assert rate.argmax(axis=0)[0, 1] == 3
-    assert share[0, 1] == pytest.approx(0.25, abs=0.05)  # half of it: the ridge doubles the diagonal
+    assert share[0, 1] == pytest.approx(
+        0.25, abs=0.05
+    )  # half of it: the ridge doubles the diagonal
     assert share[1, 0] < 0.05
     assert share[0, 0] == 0
 
@@ -183,7 +216,9 @@ def network(threshold: list[float], kind: list[int], walked: int) -> Ranked:
 def test_thresholds_are_chosen_for_the_best_mean() -> None:
     one = network([5.0, 4.0, 3.0, 2.0], [2, 2, 0, 2], 3)
     tuned = tune([one])
-    assert tuned.threshold == 2.0  # 3 of 4 right and all found: 6/7; at 4.0, 2 of 2 right and 2 of 3 found: 4/5
+    assert (
+        tuned.threshold == 2.0
+    )  # 3 of 4 right and all found: 6/7; at 4.0, 2 of 2 right and 2 of 3 found: 4/5
     assert tuned.f1[0] == pytest.approx(6 / 7)
     assert at([one], 4.0).f1[0] == pytest.approx(4 / 5)
     assert at([one], 4.0).error[0] == pytest.approx(0.1)
@@ -205,10 +240,17 @@ def small_truth(placed: bool = True) -> Truth:
         TrueLink("a/2", "b/2", "unseen", 0.5, 0, transit),
         TrueLink("a/1", "a/2", "visible", 0.5, 3, transit),
     ]
-    return Truth(TRUTH_SCHEMA, ["a", "b"], zones, links, [], {}, [1, 1, -1, 2], [0, 0, -1, 0], [0, 0, -1, 3])
+    return Truth(
+        TRUTH_SCHEMA, ["a", "b"], zones, links, [], {}, [1, 1, -1, 2], [0, 0, -1, 0], [0, 0, -1, 3]
+    )
 
 
-EVENTS = [Event("a", "entry", 1.0), Event("a", "exit", 2.0), Event("b", "exit", 2.5), Event("b", "entry", 3.0)]
+EVENTS = [
+    Event("a", "entry", 1.0),
+    Event("a", "exit", 2.0),
+    Event("b", "exit", 2.5),
+    Event("b", "entry", 3.0),
+]
 
 
 def test_crossings_leave_out_clutter_and_know_the_true_zones() -> None:
@@ -227,7 +269,9 @@ def test_ranks_tell_walked_links_from_those_nobody_walked() -> None:
     ranked = rank(Findings(score, transit), crossings(EVENTS, small_truth()), small_truth())
     assert ranked.walked == 1
     assert ranked.kind[:3] == [2, 1, 0]  # the pair within one camera is out of the question
-    assert ranked.error[0] == pytest.approx(1.5 / 10.5, abs=1e-4)  # the median is nearer than the mode
+    assert ranked.error[0] == pytest.approx(
+        1.5 / 10.5, abs=1e-4
+    )  # the median is nearer than the mode
     whole = small_truth(placed=False)
     of_cameras = Findings(np.array([[50.0, 1.0], [2.0, 50.0]]), np.full((2, 2), 12.0))
     assert rank(of_cameras, crossings(EVENTS, whole), whole).kind == [0, 2]
@@ -244,7 +288,10 @@ def test_without_true_zones_a_camera_is_one_and_the_surer_direction_counts() -> 
     )
     seen = crossings(EVENTS, truth)
     assert seen.zones == ["a", "b", "c"]
-    assert (seen.left_zone.tolist(), seen.came_zone.tolist()) == ([0], [0, 1])  # the third belongs to nobody
+    assert (seen.left_zone.tolist(), seen.came_zone.tolist()) == (
+        [0],
+        [0, 1],
+    )  # the third belongs to nobody
     score = np.array([[99.0, 1.0, np.nan], [5.0, 99.0, 4.0], [3.0, -np.inf, 99.0]])
     ranked = rank(Findings(score, np.zeros((3, 3))), seen, truth)
     assert (ranked.walked, ranked.score, ranked.kind) == (1, [5.0, 4.0, 3.0], [2, 0, 0])
@@ -274,7 +321,9 @@ def told_case() -> tuple[list[Event], Truth]:
         who += [person] * len(way)
         number += [n for *_, n in way]
     events += [Event("a", "exit", 900.0), Event("b", "exit", 901.0)]
-    return events, Truth(TRUTH_SCHEMA, ["a", "b"], [], [], [], {}, [*who, 8, 9], [*number, 0, 0], [-1] * len(events))
+    return events, Truth(
+        TRUTH_SCHEMA, ["a", "b"], [], [], [], {}, [*who, 8, 9], [*number, 0, 0], [-1] * len(events)
+    )
 
 
 def test_the_told_chain_counts_with_a_part_of_a_count_for_everything() -> None:
@@ -287,17 +336,22 @@ def test_the_told_chain_counts_with_a_part_of_a_count_for_everything() -> None:
 
 
 def test_the_told_chain_is_smoothed_as_suits_it_best() -> None:
-    """Of 20 known states with one exit each the next exit does the same: the less is added, the better. Where the next
-    exits do anything but the same, much is better."""
+    """Of 20 known states with one exit each the next exit does the same: the less is added, the
+    better. Where the next exits do anything but the same, much is better."""
     for same, best in ((True, 0.02), (False, 0.5)):
         events, who, number = [], [], []
         for person in range(40):
             there = person if same or person < 20 else person + 7
-            events += [Event("a", "exit", 100.0 * person), Event(f"b{there % 20}", "entry", 100.0 * person + 5)]
+            events += [
+                Event("a", "exit", 100.0 * person),
+                Event(f"b{there % 20}", "entry", 100.0 * person + 5),
+            ]
             who, number = [*who, person, person], [*number, 0, 1]
         truth = Truth(TRUTH_SCHEMA, ["a"], [], [], [], {}, who, number, [-1] * len(events))
         states = [person % 20 for person in who]
-        expected = score_predictions(told(events, truth, 40, states, best), events[40:], tail_of(truth, 40))
+        expected = score_predictions(
+            told(events, truth, 40, states, best), events[40:], tail_of(truth, 40)
+        )
         assert told_score(events, truth, 40, states) == expected
 
 

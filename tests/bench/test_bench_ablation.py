@@ -40,7 +40,9 @@ def test_without_any_the_sampler_has_another_seed() -> None:
     assert before == posterior.SAMPLING_SEED
 
 
-def test_a_network_is_measured_with_and_without(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_network_is_measured_with_and_without(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     a_recording(tmp_path / "walks")
     arguments = ["--data", str(tmp_path), "--regimes", "", "--sampling-seeds", "1", "--jobs", "1"]
     assert ablation.main([*arguments, "--mechanisms", "sparse prior,contexts: all"]) == 2
@@ -60,7 +62,11 @@ def test_a_mechanism_earns_its_place_by_more_than_two_standard_errors() -> None:
         means["harmful", REAL, network] = np.array([0.4 + noise, 0.3, 0.1, 1.0, math.nan])
     lines = table(means, ["dear", "noisy", "harmful"])
     assert len(FIGURES) == 5
-    assert lines[-3:] == ["  dear: log loss of real +0.100", "  noisy: NOTHING", "  harmful: NOTHING"]
+    assert lines[-3:] == [
+        "  dear: log loss of real +0.100",
+        "  noisy: NOTHING",
+        "  harmful: NOTHING",
+    ]
 
 
 def test_a_constant_is_chosen_on_the_other_networks() -> None:

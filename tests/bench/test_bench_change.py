@@ -8,12 +8,20 @@ from bench.change import Found, summary
 
 
 def found(after: float, needed: float, known: bool = True) -> Found:
-    """A link of so many passages since the change that was right after so many, and said so if ever."""
+    """A link of so many passages since the change that was right after so many, and said so if
+    ever.
+    """
     return Found(known, 50.0, after, needed, not math.isnan(needed))
 
 
 def test_what_is_never_found_takes_for_ever() -> None:
-    rows = [found(90, 10), found(90, 30), found(90, math.nan), found(90, math.nan), found(90, 5, known=False)]
+    rows = [
+        found(90, 10),
+        found(90, 30),
+        found(90, math.nan),
+        found(90, math.nan),
+        found(90, 5, known=False),
+    ]
     everything, *soon = summary("close", [*rows, found(15, 12)])
     assert everything == (
         "close, 5 links of 0 passages or more since: 3 found, after a median of 30 passages (quartiles 12 to inf);"

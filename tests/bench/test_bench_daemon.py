@@ -1,4 +1,6 @@
-"""The parts of the bench that measure the daemon, at a size of seconds: what they say has the right shape."""
+"""The parts of the bench that measure the daemon, at a size of seconds: what they say has the right
+shape.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,9 @@ other.communicate()
 
 
 def test_the_most_at_one_moment_counts_files_once() -> None:
-    with subprocess.Popen([sys.executable, "-c", GROWS], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", GROWS], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         with most_at_once(process.pid) as most:
@@ -79,14 +83,19 @@ def test_the_most_at_one_moment_counts_files_once() -> None:
                 process.stdin.flush()
                 assert process.stdout.readline() == answer
                 left = resident(process.pid)
-                wait_for(lambda left=left: most[0] >= left, "the look at it")  # not one at what was growing yet
+                wait_for(
+                    lambda left=left: most[0] >= left, "the look at it"
+                )  # not one at what was growing yet
         process.stdin.write(b"\n")
         process.stdin.close()
     assert left < BIG < most[0] < BIG + left, "two interpreters, most of which is in one file"
 
 
 def test_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert memory.main(["--cameras", "4", "--events", "600", "--json", str(tmp_path / "out.json")]) == 0
+    assert (
+        memory.main(["--cameras", "4", "--events", "600", "--json", str(tmp_path / "out.json")])
+        == 0
+    )
     [row] = json.loads((tmp_path / "out.json").read_text())["tables"][0]["rows"]
     assert 10.0 < row["cost"]["low"] <= row["cost"]["high"]
     assert " 600 " in capsys.readouterr().out

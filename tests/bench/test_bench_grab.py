@@ -1,4 +1,6 @@
-"""What a camera costs, measured small: the parts of `bench grab`, and the arithmetic of `bench.support.ratios`."""
+"""What a camera costs, measured small: the parts of `bench grab`, and the arithmetic of
+`bench.support.ratios`.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +33,18 @@ def test_everybody_has_a_turn_in_every_round_and_another_one_begins() -> None:
 
 
 def test_ratios_are_taken_within_a_round() -> None:
-    """The machine is twice as slow in the second round and ten times in the third: the ratio does not see it."""
+    """The machine is twice as slow in the second round and ten times in the third: the ratio does
+    not see it.
+    """
     costs = {"base": [1.0, 2.0, 10.0], "other": [1.5, 3.0, 15.0]}
     table = ratios.compare("title", "s", costs, "base", {"other": 1.4})
     base, other = table.rows
-    assert (base.ratio.median, other.ratio.low, other.ratio.median, other.ratio.high) == (1.0, 1.5, 1.5, 1.5)
+    assert (base.ratio.median, other.ratio.low, other.ratio.median, other.ratio.high) == (
+        1.0,
+        1.5,
+        1.5,
+        1.5,
+    )
     assert other.cost.median == 3.0
     assert (base.reached, other.reached) == (None, False)
     assert ratios.compare("title", "s", costs, "base", {"other": 1.5}).rows[1].reached is True
@@ -49,7 +58,10 @@ def test_quartiles() -> None:
 
 def test_the_time_of_children_counts() -> None:
     work = "x = 0\nfor i in range(3_000_000): x += i"
-    assert ratios.cpu_seconds_of(lambda: subprocess.run([sys.executable, "-c", work], check=True)) > 0.05
+    assert (
+        ratios.cpu_seconds_of(lambda: subprocess.run([sys.executable, "-c", work], check=True))
+        > 0.05
+    )
     assert ratios.cpu_seconds_of(lambda: None) < 0.05
 
 
@@ -72,16 +84,33 @@ def test_measured_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(grab, "SMALL_DETECT", (240, 136))
     out = tmp_path / "grab.json"
     films = tmp_path / "films"
-    arguments = ["--rounds", "1", "--seconds", "16", "--sizes", "720p", "--films", str(films), "--json", str(out)]
+    arguments = [
+        "--rounds",
+        "1",
+        "--seconds",
+        "16",
+        "--sizes",
+        "720p",
+        "--films",
+        str(films),
+        "--json",
+        str(out),
+    ]
     assert grab.main(arguments) == 0
     content = json.loads(out.read_text())
-    assert [table["title"].split(",")[0] for table in content["tables"]] == ["720p busy", "720p quiet"]
+    assert [table["title"].split(",")[0] for table in content["tables"]] == [
+        "720p busy",
+        "720p quiet",
+    ]
     for table in content["tables"]:
         costs = {row["name"]: row["cost"]["median"] for row in table["rows"]}
         assert len(costs) == 5
         assert all(cost > 0 for cost in costs.values())
         assert costs[grab.GRABBER] > costs[grab.DECODING]
-    assert sorted(path.name for path in films.iterdir()) == ["720p-busy-16s-crf20.mp4", "720p-quiet-16s-crf20.mp4"]
+    assert sorted(path.name for path in films.iterdir()) == [
+        "720p-busy-16s-crf20.mp4",
+        "720p-quiet-16s-crf20.mp4",
+    ]
 
 
 @needs_ffmpeg

@@ -10,7 +10,9 @@ import pytest
 from bench import links, scale, shards
 
 
-def test_scale_compares_each_size_with_the_one_before(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scale_compares_each_size_with_the_one_before(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     figures = tmp_path / "scale.json"
     assert scale.main(["--cameras", "3,6", "--hours", "0.1", "--json", str(figures)]) == 0
     written = json.loads(figures.read_text())
@@ -27,17 +29,28 @@ def test_links_counts_a_version_a_minute_for_the_others(tmp_path: Path) -> None:
     written = json.loads(figures.read_text())
     versions, rate = written["tables"]
     ours = next(row for row in versions["rows"] if row["name"] == links.OURS)
-    assert rate["rows"][0]["cost"]["median"] == pytest.approx(written["events"] / ours["cost"]["median"])
+    assert rate["rows"][0]["cost"]["median"] == pytest.approx(
+        written["events"] / ours["cost"]["median"]
+    )
     least = min(row["cost"]["median"] for row in versions["rows"] if row["name"] != links.OURS)
     assert ours["ratio"]["median"] == pytest.approx(ours["cost"]["median"] / least)
 
 
 def test_shards_hear_more_than_their_own_and_no_more_than_all(tmp_path: Path) -> None:
     figures = tmp_path / "shards.json"
-    assert shards.main(["--cameras", "6", "--shards", "2", "--hours", "0.08", "--json", str(figures)]) == 0
+    assert (
+        shards.main(["--cameras", "6", "--shards", "2", "--hours", "0.08", "--json", str(figures)])
+        == 0
+    )
     written = json.loads(figures.read_text())
-    assert [row["name"] for row in written["tables"][0]["rows"]] == ["one shard", "shard 0 of 2", "shard 1 of 2"]
+    assert [row["name"] for row in written["tables"][0]["rows"]] == [
+        "one shard",
+        "shard 0 of 2",
+        "shard 1 of 2",
+    ]
     alone, *shared = written["work"][:3]
     assert alone["own"] == alone["heard"] == alone["site"]
     assert sum(one["own"] for one in shared) == shared[0]["site"] == shared[1]["site"]
-    assert all(one["own"] < one["heard"] <= one["site"] for one in shared)  # the whole site while cameras are new
+    assert all(
+        one["own"] < one["heard"] <= one["site"] for one in shared
+    )  # the whole site while cameras are new

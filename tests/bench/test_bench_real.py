@@ -1,4 +1,6 @@
-"""The bench of real networks: its definitions on a recording made by hand, and that it finds its data."""
+"""The bench of real networks: its definitions on a recording made by hand, and that it finds its
+data.
+"""
 
 from __future__ import annotations
 
@@ -103,7 +105,9 @@ def test_a_chain_that_is_told_falls_back() -> None:
     for _ in range(8):
         chain.learn("a/1", "a", "b", 5.0)
     chain.learn("a/2", "a", LEAVE, float("nan"))
-    known, unknown, elsewhere = (chain.guess(*place).outcomes for place in (("a/1", "a"), ("a/3", "a"), ("b/1", "b")))
+    known, unknown, elsewhere = (
+        chain.guess(*place).outcomes for place in (("a/1", "a"), ("a/3", "a"), ("b/1", "b"))
+    )
     assert known["b"] > unknown["b"] > elsewhere["b"] > 1 / 3
     for shares in (known, unknown, elsewhere):
         assert sum(shares.values()) == pytest.approx(1.0)
@@ -116,14 +120,21 @@ def test_calibration_is_of_bins_of_equal_mass() -> None:
 
 
 def test_its_table(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert real.main(["--data", str(folder.parent), "--jobs", "1", "--json", str(tmp_path / "real.json")]) == 0
+    assert (
+        real.main(
+            ["--data", str(folder.parent), "--jobs", "1", "--json", str(tmp_path / "real.json")]
+        )
+        == 0
+    )
     out = capsys.readouterr().out
     assert "walks" in out
     assert "2 of 2: 1.00" in out
     assert (tmp_path / "real.json").read_text().startswith("[")
 
 
-def test_without_data_it_says_so(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_data_it_says_so(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("CAMTOPOD_REAL_DATA", raising=False)
     assert real.main([]) == 0
     assert "skipped" in capsys.readouterr().out

@@ -20,7 +20,10 @@ def days(resident: list[int], disk: int = 10) -> list[Day]:
 
 
 def on_the_disk(journal: list[int]) -> list[Day]:
-    return [Day(number, 1, size * MEGABYTE, 1, number, 1.0, 1.0) for number, size in enumerate(journal, start=1)]
+    return [
+        Day(number, 1, size * MEGABYTE, 1, number, 1.0, 1.0)
+        for number, size in enumerate(journal, start=1)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -30,11 +33,17 @@ def on_the_disk(journal: list[int]) -> list[Day]:
         ("it fills on the first day and is free again", [500, 100, 100, 100, 100, 100, 100], []),
         ("it leaks", [50, 100, 101, 102, 103, 104, 106], ["resident has grown by more than 5%"]),
         ("a hump", [50, 100, 100, 120, 100, 100, 100], ["resident has grown by more than 5%"]),
-        ("the second day is the one", [50, 100, 106, 106, 106, 106, 106], ["resident has grown by more than 5%"]),
+        (
+            "the second day is the one",
+            [50, 100, 106, 106, 106, 106, 106],
+            ["resident has grown by more than 5%"],
+        ),
         ("no later day", [50, 100], [f"{one} days are needed to tell" for one in ("", "", "")]),
     ],
-)  # fmt: skip
-def test_memory_is_held_against_the_second_day(what: str, sizes: list[int], said: list[str]) -> None:
+)
+def test_memory_is_held_against_the_second_day(
+    what: str, sizes: list[int], said: list[str]
+) -> None:
     found = list(grown(days(sizes)))
     assert len(found) == len(said), what
     assert all(end in one for one, end in zip(found, said, strict=True))
@@ -42,7 +51,9 @@ def test_memory_is_held_against_the_second_day(what: str, sizes: list[int], said
 
 def test_the_disk_is_held_against_the_fifth_day() -> None:
     assert list(grown(on_the_disk([10, 20, 30, 40, 100, 104, 105]))) == []
-    assert list(grown(on_the_disk([10, 20, 30, 40, 100, 106, 100]))) == ["journal has grown by more than 5%"]
+    assert list(grown(on_the_disk([10, 20, 30, 40, 100, 106, 100]))) == [
+        "journal has grown by more than 5%"
+    ]
     assert GROWTH_MAX == 0.05
 
 
@@ -51,7 +62,10 @@ def test_the_disk_is_held_against_its_bound_on_every_day() -> None:
     beside = BESIDE_BYTES["journal"] // MEGABYTE
     assert list(outside(on_the_disk([1, 9, 10, 10 + beside]), bounds)) == []
     [said] = outside(on_the_disk([1, 9, 11 + beside, 10]), bounds)
-    assert said == f"journal has {(11 + beside) * MEGABYTE} bytes on day 3 and may have {10 * MEGABYTE}"
+    assert (
+        said
+        == f"journal has {(11 + beside) * MEGABYTE} bytes on day 3 and may have {10 * MEGABYTE}"
+    )
     [said] = outside(on_the_disk([1, 7, 7, 7]), bounds)
     assert said == "journal has never come near its bound, which says nothing"
 

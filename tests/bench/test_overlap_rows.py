@@ -19,7 +19,17 @@ from bench.support.thesis_tables import (
 def test_table_5_3_exactly() -> None:
     rows = overlap_rows(TABLE_5_2, TABLE_5_2_CAMERAS, 0.200)
     listed = [
-        (r.camera_ab, r.camera_c, r.a + 1, r.b + 1, r.c + 1, r.transit_ac, r.transit_cb, r.transit_ab) for r in rows
+        (
+            r.camera_ab,
+            r.camera_c,
+            r.a + 1,
+            r.b + 1,
+            r.c + 1,
+            r.transit_ac,
+            r.transit_cb,
+            r.transit_ab,
+        )
+        for r in rows
     ]
     assert listed == TABLE_5_3
 

@@ -10,7 +10,18 @@ from camtopod.records import Event
 from camtopod.sim.truth import TRUTH_SCHEMA, Truth
 
 ROWS = {
-    *("zones-10", "zones-30", "sparse", "medium", "dense", "rhythm", "rhythm-dense", "faulty", "no-links", "short"),
+    *(
+        "zones-10",
+        "zones-30",
+        "sparse",
+        "medium",
+        "dense",
+        "rhythm",
+        "rhythm-dense",
+        "faulty",
+        "no-links",
+        "short",
+    ),
     *("overlapped", "clocks", "rhythm-sparse", "rhythm-medium", "windows", "clocks-uneven"),
 }
 TWINS = {"hall", "crowd", "walkway", "road"}
@@ -32,7 +43,13 @@ def test_every_regime_is_made_and_its_seed_decides(name: str) -> None:
 
 
 def test_the_rows_have_the_sizes_asked_for() -> None:
-    sizes_of = {"sparse": 50_000, "rhythm-sparse": 50_000, "dense": 50_000, "no-links": 50_000, "short": 9_000}
+    sizes_of = {
+        "sparse": 50_000,
+        "rhythm-sparse": 50_000,
+        "dense": 50_000,
+        "no-links": 50_000,
+        "short": 9_000,
+    }
     for name, size in sizes_of.items():
         sizes = [len(REGIMES[name].make(seed, 0.1)[0]) for seed in range(6)]
         assert np.mean(sizes) == pytest.approx(size / 10, rel=0.25)
@@ -44,10 +61,14 @@ def test_the_told_chain_counts() -> None:
     for who in range(40):
         for number, camera in enumerate("abc" if who % 2 else "cba"):
             for kind in ("entry", "exit"):
-                events.append(Event(camera, "entry" if kind == "entry" else "exit", 100.0 * who + 10 * number))
+                events.append(
+                    Event(camera, "entry" if kind == "entry" else "exit", 100.0 * who + 10 * number)
+                )
                 identity.append(who)
                 passage.append(number)
-    truth = Truth(TRUTH_SCHEMA, ["a", "b", "c"], [], [], [], {}, identity, passage, [-1] * len(events))
+    truth = Truth(
+        TRUTH_SCHEMA, ["a", "b", "c"], [], [], [], {}, identity, passage, [-1] * len(events)
+    )
     told = told_top1(events, truth)
     assert told["camera and previous"] == 1.0
     assert told["camera"] == told["zone"] == 0.75

@@ -59,7 +59,9 @@ def stays(events: list[Event], truth: Truth) -> dict[int, list[Stay]]:
     halves: dict[tuple[int, int], dict[str, Event]] = {}
     for event, who, number in zip(events, truth.identity, truth.passage, strict=True):
         if who != CLUTTER:
-            assert event.kind not in halves.setdefault((who, number), {}), "one entry and one exit a passage"
+            assert event.kind not in halves.setdefault((who, number), {}), (
+                "one entry and one exit a passage"
+            )
             halves[who, number][event.kind] = event
     result: dict[int, list[Stay]] = {}
     for (who, number), half in sorted(halves.items()):
@@ -79,7 +81,9 @@ def test_a_recording_is_consistent(scene: str) -> None:
     assert all((e.x is None) == (scene == "road") for e in events)
     assert all(e.track is not None for e in events)
     for passages in stays(events, truth).values():
-        assert [p.t_in for p in passages] == sorted(p.t_in for p in passages), "numbered in order of entry"
+        assert [p.t_in for p in passages] == sorted(p.t_in for p in passages), (
+            "numbered in order of entry"
+        )
         assert all(p.t_in <= p.t_out for p in passages)
     for event, who, zone in zip(events, truth.identity, truth.zone, strict=True):
         assert zone < 0 or (who >= 0 and truth.zones[zone].camera == event.camera)
@@ -93,7 +97,9 @@ def test_same_seed_same_recording_and_another_another(scene: str) -> None:
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_pairs_are_what_people_do(scene: str) -> None:
-    """Who is in two views at once makes an overlap, counted naively from a recording without faults."""
+    """Who is in two views at once makes an overlap, counted naively from a recording without
+    faults.
+    """
     simulate, chosen = SIMULATE[scene]
     changes = {"faults": NO_FAULTS} | ({"gaps": False} if scene == "walkway" else {})
     events, truth = simulate(msgspec.structs.replace(chosen, **changes))
@@ -120,7 +126,11 @@ def test_links_are_as_walked(scene: str) -> None:
     events, truth = made(scene)
     lags: dict[tuple[str, str], list[float]] = {}
     for i, j in enumerate(next_entries(events, truth)):
-        if j >= 0 and truth.passage[j] == truth.passage[i] + 1 and min(truth.zone[i], truth.zone[j]) >= 0:
+        if (
+            j >= 0
+            and truth.passage[j] == truth.passage[i] + 1
+            and min(truth.zone[i], truth.zone[j]) >= 0
+        ):
             key = truth.zones[truth.zone[i]].id, truth.zones[truth.zone[j]].id
             lags.setdefault(key, []).append(events[j].t - events[i].t)
     links = {(link.from_, link.to): link for link in truth.links}
@@ -184,8 +194,12 @@ def test_people_in_a_hall_are_in_several_views_and_cross_borders_anywhere() -> N
 
 def test_trains_bring_platoons() -> None:
     def unevenness(share: float) -> float:
-        events, _ = simulate_hall(HallSettings(train_share=share, walkers_per_hour=1500.0, faults=NO_FAULTS))
-        counts = np.histogram([e.t for e in events if e.kind == "entry"], np.arange(0, 2401, 30) + 1_700_000_000)[0]
+        events, _ = simulate_hall(
+            HallSettings(train_share=share, walkers_per_hour=1500.0, faults=NO_FAULTS)
+        )
+        counts = np.histogram(
+            [e.t for e in events if e.kind == "entry"], np.arange(0, 2401, 30) + 1_700_000_000
+        )[0]
         return float(counts.var() / counts.mean())
 
     assert unevenness(0.8) > 2 * unevenness(0.0)
@@ -209,7 +223,11 @@ def test_cameras_on_the_walkways_are_silent_at_times() -> None:
     always, _ = simulate_walkway(msgspec.structs.replace(chosen, gaps=False))
 
     def silent(recording: list[Event], camera: str) -> float:
-        times = [0.0, *(e.t - chosen.start for e in recording if e.camera == camera), chosen.seconds]
+        times = [
+            0.0,
+            *(e.t - chosen.start for e in recording if e.camera == camera),
+            chosen.seconds,
+        ]
         return float(np.diff(times).max())
 
     assert max(silent(always, camera) for camera in truth.cameras) < 200
@@ -217,7 +235,9 @@ def test_cameras_on_the_walkways_are_silent_at_times() -> None:
 
 
 def test_broad_ways_take_9_to_over_60_seconds() -> None:
-    _, truth = simulate_walkway(WalkwaySettings(seed=1, walkers_per_hour=4000.0, gaps=False, faults=NO_FAULTS))
+    _, truth = simulate_walkway(
+        WalkwaySettings(seed=1, walkers_per_hour=4000.0, gaps=False, faults=NO_FAULTS)
+    )
     spread = [link.transit.q90 / link.transit.q10 for link in truth.links]
     assert max(spread) > 4
     assert min(spread) < 2
@@ -235,7 +255,9 @@ def test_on_the_road_the_previous_camera_tells_the_direction() -> None:
             assert before != here
 
     def best(counts: dict[str, Counter[str]] | dict[tuple[str, str], Counter[str]]) -> float:
-        return sum(max(c.values()) for c in counts.values()) / sum(c.total() for c in counts.values())
+        return sum(max(c.values()) for c in counts.values()) / sum(
+            c.total() for c in counts.values()
+        )
 
     assert best(one) < 0.65
     assert best(two) > best(one) + 0.2
@@ -270,14 +292,20 @@ def test_a_piece_is_convex_and_its_picture_keeps_places_apart() -> None:
 def test_sightings_are_the_maximal_stays() -> None:
     rng = np.random.default_rng(5)
     view, size = piece(rng)
-    knots = [walk(list(rng.uniform((0, 0), size, (9, 2))), [0, 5, *[0] * 7], 1.3, 3.0 * k, rng) for k in range(12)]
+    knots = [
+        walk(list(rng.uniform((0, 0), size, (9, 2))), [0, 5, *[0] * 7], 1.3, 3.0 * k, rng)
+        for k in range(12)
+    ]
     walks = sampled(knots, size, 0.5, 150.0)
     seen = sightings([view], walks, np.inf, rng)
     expected = []
     for who in range(12):
         mine = walks.who == who
         begun, last = None, 0.0
-        for t, inside in [*zip(walks.t[mine], view.look(walks.floor[mine])[1], strict=True), (np.inf, False)]:
+        for t, inside in [
+            *zip(walks.t[mine], view.look(walks.floor[mine])[1], strict=True),
+            (np.inf, False),
+        ]:
             if inside and begun is None:
                 begun = t
             if not inside and begun is not None:
@@ -299,7 +327,14 @@ def test_a_walk_takes_its_time() -> None:
 def one_stay() -> Sightings:
     zero = np.zeros(1, dtype=np.int64)
     return Sightings(
-        zero, zero, np.array([10.0]), np.array([20.0]), np.array([[0.0, 0.5]]), np.array([[1.0, 0.5]]), zero, zero + 1
+        zero,
+        zero,
+        np.array([10.0]),
+        np.array([20.0]),
+        np.array([[0.0, 0.5]]),
+        np.array([[1.0, 0.5]]),
+        zero,
+        zero + 1,
     )
 
 
@@ -332,7 +367,9 @@ def test_nobody_makes_an_empty_recording() -> None:
 
 
 @pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize("wrong", [{"seconds": 0.0}, {"cameras": 0}, {"faults": Faults(missed=1.0)}])
+@pytest.mark.parametrize(
+    "wrong", [{"seconds": 0.0}, {"cameras": 0}, {"faults": Faults(missed=1.0)}]
+)
 def test_settings_without_sense_are_refused(scene: str, wrong: dict[str, object]) -> None:
     simulate, chosen = SIMULATE[scene]
     with pytest.raises(ValueError, match="missed" if "faults" in wrong else next(iter(wrong))):
@@ -343,4 +380,6 @@ def test_too_many_cameras_are_refused() -> None:
     with pytest.raises(ValueError, match="arterials"):
         simulate_road(RoadSettings(cameras=200))
     with pytest.raises(ValueError, match="no 3 views"):
-        make_pieces((30.0, 20.0), ["a", "b", "c"], (0.9999, 1.0), (0.0, 0.0), np.random.default_rng(0))
+        make_pieces(
+            (30.0, 20.0), ["a", "b", "c"], (0.9999, 1.0), (0.0, 0.0), np.random.default_rng(0)
+        )

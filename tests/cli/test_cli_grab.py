@@ -75,14 +75,31 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> type[FakeGrabber]:
     return FakeGrabber
 
 
-def test_lines_to_a_file_and_to_standard_output(tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]) -> None:
+def test_lines_to_a_file_and_to_standard_output(
+    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
     out = tmp_path / "e.jsonl"
-    arguments = ["grab", "--camera", "lobby", "x.mp4", "--start", "5", "--realtime", "--speed", "2", "--out"]
+    arguments = [
+        "grab",
+        "--camera",
+        "lobby",
+        "x.mp4",
+        "--start",
+        "5",
+        "--realtime",
+        "--speed",
+        "2",
+        "--out",
+    ]
     assert main([*arguments, str(out)]) == 0
     assert [event_from_json(line) for line in out.read_bytes().splitlines()] == EVENTS
     made = FakeGrabber.made[0]
     assert (made.source, made.closed) == ("x.mp4", True)
-    assert (made.options["start"], made.options["realtime"], made.options["speed"]) == (5.0, True, 2.0)
+    assert (made.options["start"], made.options["realtime"], made.options["speed"]) == (
+        5.0,
+        True,
+        2.0,
+    )
     assert main([*arguments, "-"]) == 0
     assert capfdbinary.readouterr().out == out.read_bytes()
 
@@ -90,11 +107,16 @@ def test_lines_to_a_file_and_to_standard_output(tmp_path: Path, capfdbinary: pyt
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (FileNotFoundError(2, "No such file or directory", "x.mp4"), "cannot read x.mp4: No such file"),
+        (
+            FileNotFoundError(2, "No such file or directory", "x.mp4"),
+            "cannot read x.mp4: No such file",
+        ),
         (SourceError("x.mp4: not a video"), "x.mp4: not a video"),
     ],
 )
-def test_a_file_that_cannot_be_read(error: OSError, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_cannot_be_read(
+    error: OSError, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     FakeGrabber.error = error
     assert main(["grab", "--camera", "lobby", "x.mp4", "--out", "-"]) == 66
     out, err = capsys.readouterr()
@@ -153,13 +175,19 @@ def test_every_event_reaches_the_daemon_and_the_status_tells(tmp_path: Path) -> 
         assert main(arguments) == 0
         assert daemon.status()["events"]["stored"] == len(EVENTS)
         wait_for(lambda: bool(said) and said[-1]["state"] == "ended", "the last status")
-        assert (said[-1]["frames"], said[-1]["published"], said[-1]["camera"]) == (7, len(EVENTS), "lobby")
+        assert (said[-1]["frames"], said[-1]["published"], said[-1]["camera"]) == (
+            7,
+            len(EVENTS),
+            "lobby",
+        )
         assert main(arguments) == 0
         assert daemon.status()["events"]["stored"] == 2 * len(EVENTS), "the spool's count goes on"
         client.close()
 
 
-@pytest.mark.parametrize(("overdue", "states"), [(0.0, ["running", "ended"]), (1.0, ["connecting", "ended"])])
+@pytest.mark.parametrize(
+    ("overdue", "states"), [(0.0, ["running", "ended"]), (1.0, ["connecting", "ended"])]
+)
 def test_it_tells_the_one_above_that_it_gets_on(
     overdue: float, states: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,8 +202,30 @@ def test_it_tells_the_one_above_that_it_gets_on(
 
     monkeypatch.setattr(FakeGrabber, "between", staticmethod(between))
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
-        arguments = ["--connect", daemon.endpoint, "grab", "--camera", "lobby", "x.mp4", "--state", str(tmp_path)]
-        assert main([*arguments, "--beat-fd", str(ear.child_fd), "--restarts", "2", "--last-end", "failed"]) == 0
+        arguments = [
+            "--connect",
+            daemon.endpoint,
+            "grab",
+            "--camera",
+            "lobby",
+            "x.mp4",
+            "--state",
+            str(tmp_path),
+        ]
+        assert (
+            main(
+                [
+                    *arguments,
+                    "--beat-fd",
+                    str(ear.child_fd),
+                    "--restarts",
+                    "2",
+                    "--last-end",
+                    "failed",
+                ]
+            )
+            == 0
+        )
     between()
     assert heard == states
     os.close(ear.child_fd)
@@ -198,7 +248,10 @@ def test_without_a_daemon_events_wait_in_the_spool(
         str(tmp_path),
     ]
     assert main(arguments) == 1
-    assert "20 events are not acknowledged: is `camtopod run` running for site site?" in capsys.readouterr().err
+    assert (
+        "20 events are not acknowledged: is `camtopod run` running for site site?"
+        in capsys.readouterr().err
+    )
     with Daemon(small_config(tmp_path / "daemon"), meeting) as daemon:
         monkeypatch.setattr("camtopod.cli.commands.grab.DRAIN_SECONDS", serving.WAIT_SECONDS)
         assert main(arguments) == 0
@@ -228,7 +281,16 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
         meeting = stack.enter_context(buses.meet(small_config(tmp_path)))
         daemon = Daemon(small_config(tmp_path / "daemon"), meeting)
         stack.callback(daemon.stop)
-        arguments = ["--connect", meeting.endpoint, "grab", "--camera", "lobby", "x.mp4", "--state", str(tmp_path)]
+        arguments = [
+            "--connect",
+            meeting.endpoint,
+            "grab",
+            "--camera",
+            "lobby",
+            "x.mp4",
+            "--state",
+            str(tmp_path),
+        ]
         if above == "supervisor":
             arguments += ["--beat-fd", str(ear.child_fd)]
         else:
@@ -240,13 +302,17 @@ def test_whoever_is_looked_after_waits_for_the_daemon_at_a_file_s_end(
     ear.close()
 
 
-def test_a_live_source_goes_on_while_the_bus_is_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_live_source_goes_on_while_the_bus_is_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The daemon comes only after the first events; a stream does not wait for it."""
     config = small_config(tmp_path / "daemon")
     bus = buses.meet(config)
     endpoint = bus.endpoint
     bus.close()
-    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, listen=(endpoint,)))
+    config = msgspec.structs.replace(
+        config, bus=msgspec.structs.replace(config.bus, listen=(endpoint,))
+    )
     daemon = Daemon(config)
     count = 0
 
@@ -256,24 +322,49 @@ def test_a_live_source_goes_on_while_the_bus_is_away(tmp_path: Path, monkeypatch
         if count == 10:
             daemon.start()
         if count == 19:
-            wait_for(lambda: daemon.status()["events"]["stored"] >= 10, "the events of before, from the spool")
+            wait_for(
+                lambda: daemon.status()["events"]["stored"] >= 10,
+                "the events of before, from the spool",
+            )
 
     monkeypatch.setattr(FakeGrabber, "between", staticmethod(between))
     path = tmp_path / "c.toml"
-    path.write_text(f'[bus]\nconnect = ["{endpoint}"]\nconnect_seconds = 0.2\n[cameras.lobby]\nsource = "rtsp://h/x"\n')
+    path.write_text(
+        f'[bus]\nconnect = ["{endpoint}"]\nconnect_seconds = 0.2\n[cameras.lobby]\nsource = "rtsp://h/x"\n'
+    )
     assert main(["--config", str(path), "grab", "--camera", "lobby", "--state", str(tmp_path)]) == 0
     assert daemon.status()["events"]["stored"] == len(EVENTS)
     assert FakeGrabber.made[0].source == "rtsp://h/x"
     daemon.stop()
 
 
-def test_ingest_counts_bad_lines_with_file_and_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ingest_counts_bad_lines_with_file_and_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "e.jsonl"
     lines = [json.dumps({"camera": "lobby", "kind": "entry", "t": T0 + n}) for n in range(5)]
-    lines[1:1] = ['{"camera":"lobby","kind":"entry"}', "", "nonsense rtsp://u:p@ss@h", "more nonsense"]
+    lines[1:1] = [
+        '{"camera":"lobby","kind":"entry"}',
+        "",
+        "nonsense rtsp://u:p@ss@h",
+        "more nonsense",
+    ]
     path.write_text("\n".join(lines))
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
-        assert main(["--connect", daemon.endpoint, "ingest", "jsonl", str(path), "--state", str(tmp_path)]) == 0
+        assert (
+            main(
+                [
+                    "--connect",
+                    daemon.endpoint,
+                    "ingest",
+                    "jsonl",
+                    str(path),
+                    "--state",
+                    str(tmp_path),
+                ]
+            )
+            == 0
+        )
         assert daemon.status()["events"]["stored"] == 5
     err = capsys.readouterr().err
     assert f"{path}:2: " in err

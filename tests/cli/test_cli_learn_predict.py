@@ -64,7 +64,9 @@ def topology(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- learn ---
 
 
-def test_learn_writes_the_topology_and_every_version(run: Run, recording: Path, tmp_path: Path) -> None:
+def test_learn_writes_the_topology_and_every_version(
+    run: Run, recording: Path, tmp_path: Path
+) -> None:
     out, updates = tmp_path / "t.json", tmp_path / "u.jsonl"
     status, printed, said = run("learn", recording, "--topology", out, "--updates", updates)
     assert (status, printed) == (0, b"")
@@ -80,11 +82,18 @@ def test_learn_writes_the_topology_and_every_version(run: Run, recording: Path, 
 
 def test_without_updates_there_is_one_version(run: Run, topology: Path) -> None:
     last = read(Topology, topology.read_bytes())
-    assert (last.version, last.epoch, last.events, last.digest) == (1, EPOCH, len(EVENTS), digest_of(last))
+    assert (last.version, last.epoch, last.events, last.digest) == (
+        1,
+        EPOCH,
+        len(EVENTS),
+        digest_of(last),
+    )
     assert last.score is None, "it takes versions on the way"
 
 
-def test_learn_says_in_a_pipe_how_far_it_has_come(run: Run, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_learn_says_in_a_pipe_how_far_it_has_come(
+    run: Run, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(progress, "PIPED_SECONDS", 0.0)
     _, _, said = run("learn", recording)
     assert re.search(r"^camtopod: \d+ lines, \d+ %, \d+ s until all are read$", said, re.M)
@@ -93,7 +102,9 @@ def test_learn_says_in_a_pipe_how_far_it_has_come(run: Run, recording: Path, mon
     assert re.search(r"^camtopod: \d+ lines$", said, re.M), "nobody knows how much is to come"
 
 
-def test_learn_prints_the_topology_when_no_file_is_named(run: Run, recording: Path, topology: Path) -> None:
+def test_learn_prints_the_topology_when_no_file_is_named(
+    run: Run, recording: Path, topology: Path
+) -> None:
     for args in ((recording,), (recording, "--topology", "-")):
         status, printed, _ = run("learn", *args)
         assert status == 0
@@ -108,7 +119,9 @@ def test_learn_from_a_pipe_and_from_several_files(run: Run, topology: Path, tmp_
     assert run("learn", *(tmp_path / name for name in names))[1] == topology.read_bytes()
 
 
-def test_learn_takes_its_settings_from_the_configuration(run: Run, recording: Path, tmp_path: Path) -> None:
+def test_learn_takes_its_settings_from_the_configuration(
+    run: Run, recording: Path, tmp_path: Path
+) -> None:
     config = tmp_path / "camtopod.toml"
     config.write_text('[site]\nname = "museum"\n[learn]\nwindow_events_max = 100\n')
     _, printed, _ = run("learn", recording, "--config", config)
@@ -135,7 +148,9 @@ def test_lines_that_do_not_fit_are_counted_and_quoted_once(run: Run, topology: P
 def test_duplicates_count_once(run: Run) -> None:
     numbered = [replace(event, boot="b", seq=k) for k, event in enumerate(EVENTS)]
     plain = run("learn", "-", stdin=lines(numbered))[1]
-    _, printed, said = run("learn", "-", stdin=lines([e for event in numbered for e in (event, event)]))
+    _, printed, said = run(
+        "learn", "-", stdin=lines([e for event in numbered for e in (event, event)])
+    )
     assert printed == plain
     assert f"duplicate {len(EVENTS)}" in said
 
@@ -150,7 +165,9 @@ def test_out_of_order_within_the_lateness(run: Run, topology: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["learn", "predict"])
-def test_an_input_that_cannot_be_read(run: Run, topology: Path, tmp_path: Path, command: str) -> None:
+def test_an_input_that_cannot_be_read(
+    run: Run, topology: Path, tmp_path: Path, command: str
+) -> None:
     missing = tmp_path / "missing.jsonl"
     args = (missing,) if command == "learn" else (topology, missing)
     status, printed, said = run(command, *args)
@@ -200,7 +217,9 @@ def test_one_prediction_for_each_exit_in_input_order(run: Run, topology: Path) -
         assert [(p.camera, p.t, p.track) for p in predictions(printed)] == wanted
         for line in printed.splitlines():
             found.setdefault(line, []).append(events is EVENTS)
-    assert all(sorted(orders) == [False, True] for orders in found.values())  # whatever the order, the same answers
+    assert all(
+        sorted(orders) == [False, True] for orders in found.values()
+    )  # whatever the order, the same answers
 
 
 def test_predictions_are_the_contracts(run: Run, topology: Path, recording: Path) -> None:
@@ -217,7 +236,9 @@ def test_predictions_are_the_contracts(run: Run, topology: Path, recording: Path
 
 
 def test_later_lines_change_no_answer(run: Run, topology: Path) -> None:
-    """The answers to the first part are the same whether or not the rest is there; those at the same moment too."""
+    """The answers to the first part are the same whether or not the rest is there; those at the
+    same moment too.
+    """
     _, whole, _ = run("predict", topology, "-", stdin=lines(EVENTS))
     for cut in (100, 333, 600):
         first = [event for event in EVENTS if event.t <= EVENTS[cut].t]
@@ -225,7 +246,9 @@ def test_later_lines_change_no_answer(run: Run, topology: Path) -> None:
         assert whole.startswith(part)
         last = first[-1]
         moment = [
-            replace(last, kind=kind, camera=camera) for kind in ("entry", "exit") for camera in ("cam01", "cam02")
+            replace(last, kind=kind, camera=camera)
+            for kind in ("entry", "exit")
+            for camera in ("cam01", "cam02")
         ]
         _, more, _ = run("predict", topology, "-", stdin=lines(moment + first + EVENTS[cut + 50 :]))
         assert set(part.splitlines()) <= set(more.splitlines())
@@ -240,7 +263,11 @@ def test_predict_counts_what_does_not_fit(run: Run, topology: Path) -> None:
 
 
 def test_predict_needs_a_topology(run: Run, tmp_path: Path) -> None:
-    for name, content in (("none.json", None), ("bad.json", b"{}"), ("other.json", b'{"schema":"x"}')):
+    for name, content in (
+        ("none.json", None),
+        ("bad.json", b"{}"),
+        ("other.json", b'{"schema":"x"}'),
+    ):
         path = tmp_path / name
         if content is not None:
             path.write_bytes(content)
@@ -257,7 +284,16 @@ def test_long_lines_are_skipped_whole(capsys: pytest.CaptureFixture[str]) -> Non
     padded = good[:-1] + b',"more":"' + b"m" * (EVENT_BYTES_MAX - len(good) - 10) + b'"}'
     assert len(padded) == EVENT_BYTES_MAX
     raw = b"\n".join(
-        [good, padded, padded + b" ", padded[:-2] + b'm"}', b"x" * 4098, b"y" * 5000, b"z" * 200_000, good]
+        [
+            good,
+            padded,
+            padded + b" ",
+            padded[:-2] + b'm"}',
+            b"x" * 4098,
+            b"y" * 5000,
+            b"z" * 200_000,
+            good,
+        ]
     )
     reader = LineReader()
     found = list(reader.lines("f", io.BytesIO(raw)))

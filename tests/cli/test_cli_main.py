@@ -1,4 +1,6 @@
-"""The dispatcher: commands, common options, exit statuses, and no traceback for what can be expected."""
+"""The dispatcher: commands, common options, exit statuses, and no traceback for what can be
+expected.
+"""
 
 from __future__ import annotations
 
@@ -88,8 +90,12 @@ def test_every_command_has_its_own_help(name: str, capsys: pytest.CaptureFixture
     assert "--connect ENDPOINT" in out
 
 
-@pytest.mark.parametrize("arguments", [[], ["nonsense"], ["probe", "--nonsense"], ["--log-format", "xml", "probe"]])
-def test_usage(arguments: list[str], command: types.ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "arguments", [[], ["nonsense"], ["probe", "--nonsense"], ["--log-format", "xml", "probe"]]
+)
+def test_usage(
+    arguments: list[str], command: types.ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as caught:
         main.main(arguments)
     assert caught.value.code == exits.USAGE
@@ -97,7 +103,16 @@ def test_usage(arguments: list[str], command: types.ModuleType, capsys: pytest.C
 
 
 def test_common_options_stand_before_or_after_the_command(command: types.ModuleType) -> None:
-    options = ["--site", "hq", "--connect", "tcp/a:1", "--connect", "tcp/b:2", "--log-format", "json"]
+    options = [
+        "--site",
+        "hq",
+        "--connect",
+        "tcp/a:1",
+        "--connect",
+        "tcp/b:2",
+        "--log-format",
+        "json",
+    ]
     assert main.main([*options, "probe", "w"]) == 0
     assert main.main(["probe", "w", *options]) == 0
     assert main.main(["--site", "hq", "probe", "w"]) == 0
@@ -129,9 +144,13 @@ def test_common_options_stand_before_or_after_the_command(command: types.ModuleT
     ],
 )
 def test_expected_errors_become_statuses(
-    error: BaseException, status: int, said: str, command: types.ModuleType,
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    error: BaseException,
+    status: int,
+    said: str,
+    command: types.ModuleType,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def fail(args: argparse.Namespace) -> int:
         raise error
 
@@ -219,12 +238,16 @@ def test_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def arguments(**given: Any) -> argparse.Namespace:
-    return argparse.Namespace(**{"config": None, "site": None, "connect": [], "log_format": "text", **given})
+    return argparse.Namespace(
+        **{"config": None, "site": None, "connect": [], "log_format": "text", **given}
+    )
 
 
 def test_the_command_line_is_on_top_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "c.toml"
-    path.write_text('[site]\nname = "hq"\n[bus]\nlisten = ["tcp/0.0.0.0:7000"]\n[state]\ndirectory = "/x"\n')
+    path.write_text(
+        '[site]\nname = "hq"\n[bus]\nlisten = ["tcp/0.0.0.0:7000"]\n[state]\ndirectory = "/x"\n'
+    )
     assert configuration(arguments(config=path)).site.name == "hq"
     loaded = configuration(arguments(config=path, site="lab", connect=["tcp/h:1"], state="/y"))
     assert (loaded.site.name, loaded.dials, loaded.listens) == ("lab", ("tcp/h:1",), ())
@@ -271,7 +294,11 @@ def test_log_formats(form: str, capsys: pytest.CaptureFixture[str]) -> None:
         assert line == 'warning: says "no"'
     elif form == "json":
         record = json.loads(line)
-        assert (record["level"], record["from"], record["message"]) == ("warning", "serve.x", 'says "no"')
+        assert (record["level"], record["from"], record["message"]) == (
+            "warning",
+            "serve.x",
+            'says "no"',
+        )
         assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", record["t"])
     else:
         assert re.fullmatch(r't=\S+Z level=warning from=serve\.x message="says \\"no\\""', line)
@@ -281,14 +308,17 @@ def test_the_bus_s_error_is_an_expected_one() -> None:
     assert issubclass(BusError, OSError)
 
 
-# --- run --------------------------------------------------------------------------------------------
+# --- run
+# --------------------------------------------------------------------------------------------
 
 
 def test_run_says_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     listen = tmp_path / "c.toml"
     listen.write_text('[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
-    assert main.main(["--config", str(listen), "run", "--state", str(tmp_path / "file" / "x")]) == 74
+    assert (
+        main.main(["--config", str(listen), "run", "--state", str(tmp_path / "file" / "x")]) == 74
+    )
     assert "cannot write the state directory" in capsys.readouterr().err
 
     newer = tmp_path / "newer"

@@ -59,7 +59,10 @@ def output(*command: str | Path, cwd: Path) -> list[str]:
         ("", {*COMMANDS}),
         ("gr", {"grab"}),
         ("grab --sp", {"--speed"}),
-        ("check --", {"--example", "--schema", "--help", "--config", "--site", "--connect", "--log-format"}),
+        (
+            "check --",
+            {"--example", "--schema", "--help", "--config", "--site", "--connect", "--log-format"},
+        ),
         ("--log-format ", {"text", "logfmt", "json"}),
         ("ingest fr", {"frigate"}),
         ("export t.json --format ", {"dot", "graphml", "svg", "json", "aicity"}),
@@ -79,7 +82,8 @@ def test_bash(typed: str, offered: set[str], of: Callable[[str], Path], tmp_path
 
 
 @pytest.mark.parametrize(
-    ("typed", "offered"), [("", {*COMMANDS}), ("grab --sp", {"--speed"}), ("ingest fr", {"frigate"})]
+    ("typed", "offered"),
+    [("", {*COMMANDS}), ("grab --sp", {"--speed"}), ("ingest fr", {"frigate"})],
 )
 def test_fish(typed: str, offered: set[str], of: Callable[[str], Path], tmp_path: Path) -> None:
     found = output("fish", "--no-config", "-c", FISH, of("fish"), f"camtopod {typed}", cwd=tmp_path)

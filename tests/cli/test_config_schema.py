@@ -1,4 +1,6 @@
-"""The configuration's JSON Schema: what is right passes, and mistakes an editor should see do not."""
+"""The configuration's JSON Schema: what is right passes, and mistakes an editor should see do
+not.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ VALIDATOR = jsonschema.Draft7Validator(schema())
 
 def wrong(toml: str) -> list[str]:
     """Where the schema finds mistakes."""
-    return sorted(".".join(map(str, error.path)) for error in VALIDATOR.iter_errors(tomllib.loads(toml)))
+    return sorted(
+        ".".join(map(str, error.path)) for error in VALIDATOR.iter_errors(tomllib.loads(toml))
+    )
 
 
 def test_it_is_a_schema_and_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,7 +87,11 @@ def test_patterns_of_cameras_are_no_endpoints() -> None:
 
 def test_every_key_says_what_it_is() -> None:
     def keys(table: dict[str, Any]) -> list[dict[str, Any]]:
-        return [key for each in table["properties"].values() for key in [each, *keys({"properties": {}, **each})]]
+        return [
+            key
+            for each in table["properties"].values()
+            for key in [each, *keys({"properties": {}, **each})]
+        ]
 
     described = keys(schema()) + keys(schema()["properties"]["cameras"]["additionalProperties"])
     assert all(key["description"] for key in described)

@@ -1,4 +1,6 @@
-"""A grabber says once that the daemon has gone and once that it is back; a second one on the same box ends."""
+"""A grabber says once that the daemon has gone and once that it is back; a second one on the same
+box ends.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ def started() -> Iterator[list[Grabber]]:
 
 
 def at(endpoint: str, folder: Path) -> Config:
-    return msgspec.structs.replace(small_config(folder / "state"), bus=BusSettings(listen=(endpoint,)))
+    return msgspec.structs.replace(
+        small_config(folder / "state"), bus=BusSettings(listen=(endpoint,))
+    )
 
 
 def present(daemon: Daemon, *cameras: str) -> bool:
@@ -68,7 +72,9 @@ def test_each_way_is_one_sentence(alone: bool, tmp_path: Path, started: list[Gra
     config = at(free_endpoint(), tmp_path)
     cameras = ("lobby",) if alone else CAMERAS
     with Daemon(config) as daemon:
-        started.append(grabber := Grabber(tmp_path, daemon.endpoint, *(["--camera", "lobby"] if alone else [])))
+        started.append(
+            grabber := Grabber(tmp_path, daemon.endpoint, *(["--camera", "lobby"] if alone else []))
+        )
         wait_for(lambda: present(daemon, *cameras), "the cameras")
     for count in (1, 2):
         wait_for(lambda n=count: len(grabber.said(GONE)) == n, "word that it has gone")  # type: ignore[misc]
@@ -82,9 +88,15 @@ def test_each_way_is_one_sentence(alone: bool, tmp_path: Path, started: list[Gra
 
 
 @pytest.mark.parametrize("alone", [True, False])
-def test_a_daemon_that_is_not_there_yet_is_one_sentence(alone: bool, tmp_path: Path, started: list[Grabber]) -> None:
+def test_a_daemon_that_is_not_there_yet_is_one_sentence(
+    alone: bool, tmp_path: Path, started: list[Grabber]
+) -> None:
     config = at(free_endpoint(), tmp_path)
-    started.append(grabber := Grabber(tmp_path, config.bus.listen[0], *(["--camera", "lobby"] if alone else [])))
+    started.append(
+        grabber := Grabber(
+            tmp_path, config.bus.listen[0], *(["--camera", "lobby"] if alone else [])
+        )
+    )
     wait_for(lambda: len(grabber.said(GONE)) == 1, "word that there is none")
     assert "is `camtopod run` running there" in grabber.said(GONE)[0]
     with Daemon(config):
@@ -95,7 +107,10 @@ def test_a_daemon_that_is_not_there_yet_is_one_sentence(alone: bool, tmp_path: P
 def test_a_bus_without_a_daemon_is_said(tmp_path: Path, started: list[Grabber]) -> None:
     with buses.meet(small_config(tmp_path)) as bus:
         started.append(grabber := Grabber(tmp_path, bus.endpoint))
-        wait_for(lambda: len(grabber.said("no daemon of site site is there")) == 1, "word that there is none")
+        wait_for(
+            lambda: len(grabber.said("no daemon of site site is there")) == 1,
+            "word that there is none",
+        )
         with Daemon(small_config(tmp_path / "state"), bus):
             wait_for(lambda: len(grabber.said(BACK)) == 1, "word that it is there")
 
@@ -103,7 +118,9 @@ def test_a_bus_without_a_daemon_is_said(tmp_path: Path, started: list[Grabber]) 
 # --- what is said of many -------------------------------------------------------------------------
 
 
-def test_connections_that_go_and_come_at_different_moments(caplog: pytest.LogCaptureFixture) -> None:
+def test_connections_that_go_and_come_at_different_moments(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     reach, now = Reach(), 100.0
 
     def hold(seconds: float, **known: str) -> list[str]:
@@ -118,7 +135,9 @@ def test_connections_that_go_and_come_at_different_moments(caplog: pytest.LogCap
     assert hold(5.0) == []
     assert hold(5.0, a="", b="") == []
     assert hold(2.0, a="gone", b="") == [], "the other may be late"
-    assert hold(SETTLE_SECONDS + 1, a="gone", b="gone") == ["gone; events wait in the spools of all cameras"]
+    assert hold(SETTLE_SECONDS + 1, a="gone", b="gone") == [
+        "gone; events wait in the spools of all cameras"
+    ]
     assert hold(60.0, a="other words", b="gone") == []
     assert hold(60.0, a="gone") == [], "one is started again"
     assert hold(5.0) == []

@@ -1,4 +1,6 @@
-"""`camtopod demo` whole: processes, videos, bus, daemon, learner, picture; a short recording, a rough map."""
+"""`camtopod demo` whole: processes, videos, bus, daemon, learner, picture; a short recording, a
+rough map.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,16 @@ main.console()
 
 def test_demo_works_in_an_empty_directory_though_one_grabber_is_slow(tmp_path: Path) -> None:
     slow, empty = tmp_path / "python", tmp_path / "empty"
-    slow.write_text(f'#!/bin/sh\ncase " $* " in *" hall "*) sleep 4 ;; esac\nexec "{sys.executable}" "$@"\n')
+    slow.write_text(
+        f'#!/bin/sh\ncase " $* " in *" hall "*) sleep 4 ;; esac\nexec "{sys.executable}" "$@"\n'
+    )
     slow.chmod(0o755)
     empty.mkdir()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(empty)}
     command = [sys.executable, "-c", UNEVEN, str(slow), "demo", "--minutes", "5", "--out", "here"]
-    done = subprocess.run(command, cwd=empty, env=environment, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(
+        command, cwd=empty, env=environment, capture_output=True, text=True, timeout=100
+    )
     assert done.returncode == 0, done.stderr
     assert [path.name for path in empty.iterdir()] == ["here"], "nothing is left over"
     topology = msgspec.json.decode((empty / "here" / "topology.json").read_bytes(), type=Topology)
@@ -101,13 +107,19 @@ def test_those_that_are_ahead_wait_for_the_last(tmp_path: Path) -> None:
     def say(**reached: float) -> None:
         for camera, t in reached.items():
             bus.put(f"status/{camera}", {"camera": camera, "last_frame_t": t}, "status")
-        wait_for(lambda: {camera: together._reached[camera] for camera in reached} == reached, "the statuses")
+        wait_for(
+            lambda: {camera: together._reached[camera] for camera in reached} == reached,
+            "the statuses",
+        )
         assert not together()
 
     bus.put("status/a", {"camera": "a"}, "status")  # not one frame yet
     bus.put("status/daemon", {"state": "running"}, "status")
     say(a=1031.0, b=1029.0)
-    wait_for(lambda: [state(camera) for camera in "abc"] == ["T", "S", "S"], "a to be held, and nobody else")
+    wait_for(
+        lambda: [state(camera) for camera in "abc"] == ["T", "S", "S"],
+        "a to be held, and nobody else",
+    )
     say(c=1005.0)
     wait_for(lambda: [state(camera) for camera in "abc"] == ["S", "S", "S"], "a to go on")
     say(a=1060.0, b=1060.0)
@@ -115,7 +127,10 @@ def test_those_that_are_ahead_wait_for_the_last(tmp_path: Path) -> None:
     grabbers["c"].kill()
     grabbers["c"].wait()
     assert not together()
-    wait_for(lambda: [state(camera) for camera in "ab"] == ["S", "S"], "nobody to wait for one that has ended")
+    wait_for(
+        lambda: [state(camera) for camera in "ab"] == ["S", "S"],
+        "nobody to wait for one that has ended",
+    )
     for grabber in grabbers.values():
         grabber.kill()
         grabber.wait()
@@ -126,7 +141,9 @@ def test_those_that_are_ahead_wait_for_the_last(tmp_path: Path) -> None:
 def test_a_terminated_demo_leaves_nothing_behind(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
     command = [sys.executable, "-m", "camtopod", "demo", "--minutes", "1"]
-    with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True
+    ) as running:
         assert running.stderr is not None
         lines = iter(running.stderr.readline, "")
         assert any("watching" in line for line in lines)
@@ -145,7 +162,9 @@ def test_a_grabber_that_fails_ends_the_demo_with_its_words(
     grabber = 'case "$*" in *" grab "*) echo it is broken >&2; exit 3;; esac'
     broken.write_text(f'#!/bin/sh\n{grabber}\nexec "{sys.executable}" "$@"\n')
     broken.chmod(0o755)
-    recording = demo.Recording(demo.site(), [], Truth(TRUTH_SCHEMA, [], [], [], []), 1.0, {"hall": tmp_path / "x"})
+    recording = demo.Recording(
+        demo.site(), [], Truth(TRUTH_SCHEMA, [], [], [], []), 1.0, {"hall": tmp_path / "x"}
+    )
     monkeypatch.setattr(demo, "_record", lambda *_: recording)
     monkeypatch.setattr(demo.sys, "executable", str(broken))
     assert main(["demo", "--out", str(tmp_path / "out")]) == 1

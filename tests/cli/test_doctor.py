@@ -1,4 +1,6 @@
-"""`doctor`: what it tells, also when much is wrong, and that no secret is in it, wherever it stands."""
+"""`doctor`: what it tells, also when much is wrong, and that no secret is in it, wherever it
+stands.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         f"-----BEGIN PRIVATE KEY-----\n{SECRETS['key']}\n-----END PRIVATE KEY-----\n"
     )
     (tmp_path / "lobby").write_text(f"rtsp://admin:{SECRETS['file']}@192.0.2.5/x\n")
-    (tmp_path / "lobby").chmod(0o644)  # as most files are; the umask of who runs the tests may be a stricter one
+    (tmp_path / "lobby").chmod(
+        0o644
+    )  # as most files are; the umask of who runs the tests may be a stricter one
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(credentials))
     monkeypatch.setenv("CAMTOPOD_MQTT_PASSWORD", SECRETS["mqtt"])
     monkeypatch.setenv("CAMERA_URL", f"rtsp://u:{SECRETS['environment']}@h/x")
@@ -75,7 +79,8 @@ def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     }
     text = f'# rtsp://old:{SECRETS["environment"]}@192.0.2.9/x\n[site]\nname = "hq"\n'
     text += "".join(
-        f"[cameras.{name}]\nsource = {json.dumps(source, ensure_ascii=False)}\n" for name, source in sources.items()
+        f"[cameras.{name}]\nsource = {json.dumps(source, ensure_ascii=False)}\n"
+        for name, source in sources.items()
     )
     text += f'[cameras.file]\nsource_file = "{tmp_path}/lobby"\n'
     text += '[cameras.credential]\nsource_file = "$CREDENTIALS_DIRECTORY/source"\n'
@@ -93,19 +98,33 @@ def without_secrets(text: str) -> str:
     return text
 
 
-def test_no_secret_is_in_it(planted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_secret_is_in_it(
+    planted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     config = small_config(tmp_path / "daemon")
     with Daemon(config) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
-        bus.put("event/yard", {"camera": "yard", "note": f"mqtt://u:{SECRETS['rejected']}@h"}, "event")
+        bus.put(
+            "event/yard", {"camera": "yard", "note": f"mqtt://u:{SECRETS['rejected']}@h"}, "event"
+        )
         bus.put_raw("event/yard", f'{{"password":"{SECRETS["rejected"]}"}}'.encode(), "event")
         wait_for(lambda: daemon.status()["rejects"] != {}, "the events to be refused")
         names = ("quoted", "token", "file", "credential", "mqtt", "mqtt's file", "environment")
         raw = " and ".join(SECRETS[name] for name in names)
-        said = {"camera": "lobby", "state": "stalled", "reason": f"rtsp://u:{SECRETS['status']}@h and {raw}"}
+        said = {
+            "camera": "lobby",
+            "state": "stalled",
+            "reason": f"rtsp://u:{SECRETS['status']}@h and {raw}",
+        }
         bus.answer("status/lobby", lambda key, parameters: said, "status")
         connect = f"{daemon.endpoint}#connect_private_key_base64={SECRETS['endpoint']}"
-        planted.write_text(f'{planted.read_text()}[bus]\nconnect_seconds = 0.5\nconnect = ["{connect}"]\n')
-        for form in ([], ["--out", str(tmp_path / "all.txt")], ["--out", str(tmp_path / "all.tar.gz")]):
+        planted.write_text(
+            f'{planted.read_text()}[bus]\nconnect_seconds = 0.5\nconnect = ["{connect}"]\n'
+        )
+        for form in (
+            [],
+            ["--out", str(tmp_path / "all.txt")],
+            ["--out", str(tmp_path / "all.tar.gz")],
+        ):
             assert main(["--config", str(planted), "--site", "site", "doctor", *form]) == 0
     out, err = capsys.readouterr()
     without_secrets(err)
@@ -131,7 +150,9 @@ def test_no_secret_is_in_it(planted: Path, tmp_path: Path, capsys: pytest.Captur
         assert told in text
 
 
-def test_what_is_on_disk_is_counted_and_not_touched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_on_disk_is_counted_and_not_touched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     config = small_config(tmp_path / "state")
     events = numbered([*walkers(20), closing_event()])
     with Daemon(config) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
@@ -141,7 +162,9 @@ def test_what_is_on_disk_is_counted_and_not_touched(tmp_path: Path, capsys: pyte
         publisher.publish(*events)
         wait_for(lambda: publisher.drained(0.1), "the events to be stored")
         spooled.close()
-        killed = tmp_path / "killed"  # as it would be found: with a log that is not in the database yet
+        killed = (
+            tmp_path / "killed"
+        )  # as it would be found: with a log that is not in the database yet
         killed.mkdir()
         for suffix in ("", "-wal"):
             shutil.copy(tmp_path / "state" / f"journal.db{suffix}", killed)
@@ -154,7 +177,9 @@ def test_what_is_on_disk_is_counted_and_not_touched(tmp_path: Path, capsys: pyte
     assert journal(tmp_path / "state" / "journal.db")["last entry"] >= len(events)
     assert spool(spools / "a.db")["events"] == len(events)
     (spools / "b.db").write_bytes(b"no database, at all" * 100)
-    (tmp_path / "c.toml").write_text(f'[state]\ndirectory = "{tmp_path}/state"\n[bus]\nconnect_seconds = 0.1\n')
+    (tmp_path / "c.toml").write_text(
+        f'[state]\ndirectory = "{tmp_path}/state"\n[bus]\nconnect_seconds = 0.1\n'
+    )
     connect = free_endpoint()
     assert main(["--config", str(tmp_path / "c.toml"), "--connect", connect, "doctor"]) == 0
     text = capsys.readouterr().out
@@ -174,7 +199,9 @@ def test_a_wrong_configuration_and_nothing_there(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "c.toml"
-    path.write_text('[cameras.lobby]\nsource = "rtsp://u:hunter2@h"\nspede = 1\npassword = "hunter2"\n')
+    path.write_text(
+        '[cameras.lobby]\nsource = "rtsp://u:hunter2@h"\nspede = 1\npassword = "hunter2"\n'
+    )
 
     def away(config: Config) -> NoReturn:
         raise BusError(f"the bus at {', '.join(config.dials)} is away")

@@ -1,4 +1,6 @@
-"""`camtopod ingest` of other programs' formats: into a file, onto the bus, and lines that do not fit."""
+"""`camtopod ingest` of other programs' formats: into a file, onto the bus, and lines that do not
+fit.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +29,24 @@ def lines_of(path: Path) -> list[Event]:
 def recording(tmp_path: Path) -> Path:
     """What `mosquitto_sub -v` printed of ten passages, with some lines of another kind."""
     lines = [b"frigate/events " + line for n in range(10) for line in says.passage(n, T0 + 20 * n)]
-    lines[4:4] = [b'frigate/tracked_object_update {"type": "face", "name": "Jane Doe"}', b"frigate/yard/person 2"]
+    lines[4:4] = [
+        b'frigate/tracked_object_update {"type": "face", "name": "Jane Doe"}',
+        b"frigate/yard/person 2",
+    ]
     lines[9:9] = [b'frigate/events {"type": "new", "before": {"sub_label": ["Jane Doe", 0.9]']
     path = tmp_path / "frigate.txt"
     path.write_bytes(b"\n".join(lines) + b"\n")
     return path
 
 
-def test_lines_without_a_bus(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_without_a_bus(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "events.jsonl"
-    assert main(["ingest", "frigate", str(recording), "--size", "yard=1280x720", "--out", str(out)]) == exits.DONE
+    assert (
+        main(["ingest", "frigate", str(recording), "--size", "yard=1280x720", "--out", str(out)])
+        == exits.DONE
+    )
     assert [event.kind for event in lines_of(out)] == ["entry", "exit"] * 10
     err = capsys.readouterr().err
     assert f"{recording}:5: is not of .../events: frigate/tracked_object_update ..." in err
@@ -50,9 +60,22 @@ def test_from_standard_input_to_standard_output(
     monkeypatch: pytest.MonkeyPatch, capsysbinary: pytest.CaptureFixture[bytes]
 ) -> None:
     """A MOTChallenge file through a pipe."""
-    rows = "".join(f"{n},4,{8 * n},20,30,60,1,-1,-1,-1\n" for n in range(15, 40)) + "90,9,0,0,1,1,1\n"
+    rows = (
+        "".join(f"{n},4,{8 * n},20,30,60,1,-1,-1,-1\n" for n in range(15, 40)) + "90,9,0,0,1,1,1\n"
+    )
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(rows.encode())))
-    options = ["--camera", "gate", "--fps", "10", "--size", "400x200", "--start", "1000", "--out", "-"]
+    options = [
+        "--camera",
+        "gate",
+        "--fps",
+        "10",
+        "--size",
+        "400x200",
+        "--start",
+        "1000",
+        "--out",
+        "-",
+    ]
     assert main(["ingest", "mot", *options]) == exits.DONE
     events = [event_from_json(line) for line in capsysbinary.readouterr().out.splitlines()]
     assert [(e.camera, e.kind, e.t, e.x, e.y, e.track) for e in events] == [
@@ -63,7 +86,15 @@ def test_from_standard_input_to_standard_output(
 
 def test_onto_the_bus_and_once_however_often(recording: Path, tmp_path: Path) -> None:
     with Daemon(small_config(tmp_path / "daemon")) as daemon:
-        base = ["--connect", daemon.endpoint, "ingest", "frigate", str(recording), "--state", str(tmp_path)]
+        base = [
+            "--connect",
+            daemon.endpoint,
+            "ingest",
+            "frigate",
+            str(recording),
+            "--state",
+            str(tmp_path),
+        ]
         for _ in range(2):
             assert main([*base, "--boot", "recording-1"]) == exits.DONE
             assert daemon.status()["events"]["stored"] == 20
@@ -79,7 +110,11 @@ def test_onto_the_bus_and_once_however_often(recording: Path, tmp_path: Path) ->
     ],
 )
 def test_lines_that_come_to_nothing_are_not_passed_over_in_silence(
-    arguments: list[str], line: bytes, because: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    line: bytes,
+    because: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "lines").write_bytes(2 * (line + b"\n"))
     name, *options = arguments
@@ -103,7 +138,10 @@ def test_lines_that_come_to_nothing_are_not_passed_over_in_silence(
         (["frigate", "x.txt", "--fps", "5"], "--fps is for mot, not frigate"),
         (["jsonl", "x.txt", "--size", "4x4"], "not jsonl"),
         (["scenescape", "x.txt", "--ca", "y.pem"], "are for mqtt://"),
-        (["mot", "mqtt://h/frigate", "--camera", "a", "--fps", "5", "--size", "4x4"], "does not come by MQTT"),
+        (
+            ["mot", "mqtt://h/frigate", "--camera", "a", "--fps", "5", "--size", "4x4"],
+            "does not come by MQTT",
+        ),
         (["frigate", "mqtt://u:hunter2@h/frigate"], "put it in a file"),
         (["frigate", "mqtt://h"], "topic prefix"),
         (["frigate", "mqtt:///frigate"], "write it like"),
@@ -118,15 +156,25 @@ def test_usage(arguments: list[str], said: str, capsys: pytest.CaptureFixture[st
     assert "hunter2" not in err
 
 
-def test_what_cannot_be_read_or_written(tmp_path: Path, recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_read_or_written(
+    tmp_path: Path, recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["ingest", "frigate", str(tmp_path / "none"), "--out", "-"]) == exits.INPUT
-    assert main(["ingest", "frigate", str(recording), "--out", str(tmp_path / "no" / "x")]) == exits.FAILED
+    assert (
+        main(["ingest", "frigate", str(recording), "--out", str(tmp_path / "no" / "x")])
+        == exits.FAILED
+    )
     password = ["--password-file", str(tmp_path / "none")]
-    assert main(["ingest", "frigate", "mqtt://u@127.0.0.1/frigate", "--out", "-", *password]) == exits.INPUT
+    assert (
+        main(["ingest", "frigate", "mqtt://u@127.0.0.1/frigate", "--out", "-", *password])
+        == exits.INPUT
+    )
     capsys.readouterr()
 
 
-def test_a_line_without_end_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_a_line_without_end_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
     for name in ("camtopod.cli.events.input_formats", "camtopod.cli.events.event_lines"):
         monkeypatch.setattr(f"{name}.LINE_BYTES_MAX", 5000)
     path = tmp_path / "x"
@@ -138,13 +186,18 @@ def test_a_line_without_end_is_not_kept(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_reading_that_fails_in_the_middle_is_no_success(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def broken(_: Any, line: bytes) -> list[Event]:
         raise RuntimeError("nobody expected this")
 
     monkeypatch.setattr("camtopod.adapt.frigate.Frigate.receive", broken)
-    monkeypatch.setattr("threading.excepthook", lambda crash: print(crash.exc_value, file=sys.stderr))
+    monkeypatch.setattr(
+        "threading.excepthook", lambda crash: print(crash.exc_value, file=sys.stderr)
+    )
     assert main(["ingest", "frigate", str(recording), "--out", str(tmp_path / "x")]) == exits.FAILED
     err = capsys.readouterr().err
     assert "nobody expected this" in err

@@ -1,4 +1,6 @@
-"""`init` and `check --probe`: cameras that are there and that are not, their names, and where their passwords go."""
+"""`init` and `check --probe`: cameras that are there and that are not, their names, and where their
+passwords go.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,15 @@ import pytest
 from rendered_scenes import FPS, Scene
 from serving import camtopod, small_config
 
-from bench.support.rtsp_streams import Host, hang_up, missing, rtsp_answer, served, silent, transcode
+from bench.support.rtsp_streams import (
+    Host,
+    hang_up,
+    missing,
+    rtsp_answer,
+    served,
+    silent,
+    transcode,
+)
 from camtopod import redact
 from camtopod.cli.cameras import probe as probes
 from camtopod.cli.commands.init import named
@@ -39,7 +49,9 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Scene([]).film(tmp_path_factory.mktemp("film") / "yard.mp4", 3.0)
 
 
-def painted(path: Path, size: tuple[int, int], fps: float, colour: tuple[int, int, int] = (90, 90, 90)) -> Path:
+def painted(
+    path: Path, size: tuple[int, int], fps: float, colour: tuple[int, int, int] = (90, 90, 90)
+) -> Path:
     """A film of this size, of one colour (blue, green, red)."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
     for _ in range(5):
@@ -51,7 +63,10 @@ def painted(path: Path, size: tuple[int, int], fps: float, colour: tuple[int, in
 def everything_below(folder: Path) -> dict[str, tuple[int, str]]:
     """Mode and content of each file."""
     files = [path for path in folder.rglob("*") if path.is_file()]
-    return {str(path.relative_to(folder)): (path.stat().st_mode & 0o777, path.read_text()) for path in files}
+    return {
+        str(path.relative_to(folder)): (path.stat().st_mode & 0o777, path.read_text())
+        for path in files
+    }
 
 
 # --- what a source is ----------------------------------------------------------------------------
@@ -61,7 +76,9 @@ def test_a_file_and_what_could_be_better_about_it(film: Path, tmp_path: Path) ->
     huge = painted(tmp_path / "huge.mp4", (2560, 1440), 2.0)
     assert PIXELS_MAX < 2560 * 1440
     good, bad, none = probes.probe_all(
-        {"good": str(film), "bad": str(huge), "none": str(tmp_path / "x.mp4")}, QUICK, lambda name, probe: None
+        {"good": str(film), "bad": str(huge), "none": str(tmp_path / "x.mp4")},
+        QUICK,
+        lambda name, probe: None,
     ).values()
     assert good == Probe("", "MPEG-4", 192, 144, FPS)
     assert good.words == ["MPEG-4, 192x144, 7 frames a second"]
@@ -85,13 +102,19 @@ def test_what_is_wrong_with_a_stream_is_said_in_words(tmp_path: Path) -> None:
     with socket.socket() as reserved:
         reserved.bind(("127.0.0.1", 0))  # bound, not listening
         away = f"rtsp://127.0.0.1:{reserved.getsockname()[1]}/x"
-        sources = {**{name: host.url for name, host in hosts.items()}, "away": away, "device": "4242"}
+        sources = {
+            **{name: host.url for name, host in hosts.items()},
+            "away": away,
+            "device": "4242",
+        }
         found = probes.probe_all(sources, QUICK, lambda name, probe: told.append(name))
     for host in hosts.values():
         host.close()
     assert list(found) == list(sources)
     assert sorted(told) == sorted(sources)
-    assert {name: probe.problem.removeprefix("it cannot be opened: ") for name, probe in found.items()} == {
+    assert {
+        name: probe.problem.removeprefix("it cannot be opened: ") for name, probe in found.items()
+    } == {
         "secret": "the camera refuses the user name or password (401)",
         "other": "the camera has no such stream (404)",
         "silent": "the host does not answer",
@@ -101,7 +124,9 @@ def test_what_is_wrong_with_a_stream_is_said_in_words(tmp_path: Path) -> None:
     }
 
 
-def test_a_process_that_hangs_or_crashes_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_hangs_or_crashes_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     os.mkfifo(tmp_path / "fifo")  # opening it blocks for ever
     monkeypatch.setattr(probes, "START_SECONDS", -3.7)
     assert probes.probe_all({"a": str(tmp_path / "fifo")}, QUICK, lambda *_: None) == {
@@ -109,7 +134,9 @@ def test_a_process_that_hangs_or_crashes_is_given_up(tmp_path: Path, monkeypatch
     }
     monkeypatch.setattr(probes, "START_SECONDS", 30.0)
     monkeypatch.setattr(probes, "PROGRAM", "camtopod.none_such")
-    assert probes.probe_all({"a": "0"}, QUICK, lambda *_: None)["a"].problem.endswith("failed (status 1)")
+    assert probes.probe_all({"a": "0"}, QUICK, lambda *_: None)["a"].problem.endswith(
+        "failed (status 1)"
+    )
 
 
 # --- names ---------------------------------------------------------------------------------------
@@ -140,8 +167,20 @@ def test_a_camera_is_called_after_its_host_or_path(source: str, name: str) -> No
 
 def test_names_are_different_and_one_s_own_stay() -> None:
     nvr = "rtsp://192.0.2.9/ch"
-    given = [("", f"{nvr}1"), ("", f"{nvr}2"), ("", f"{nvr}2?sub=1"), ("", "rtsp://hall/"), ("hall", "rtsp://x/y")]
-    assert list(named(given)) == ["192-0-2-9-ch1", "192-0-2-9-ch2", "192-0-2-9-ch2-2", "hall-2", "hall"]
+    given = [
+        ("", f"{nvr}1"),
+        ("", f"{nvr}2"),
+        ("", f"{nvr}2?sub=1"),
+        ("", "rtsp://hall/"),
+        ("hall", "rtsp://x/y"),
+    ]
+    assert list(named(given)) == [
+        "192-0-2-9-ch1",
+        "192-0-2-9-ch2",
+        "192-0-2-9-ch2-2",
+        "hall-2",
+        "hall",
+    ]
     secret = "rtsp://192.0.2.9/user=admin_password=hunter2_channel="
     assert list(named([("", f"{secret}1"), ("", f"{secret}2")])) == ["192-0-2-9", "192-0-2-9-2"]
 
@@ -161,14 +200,26 @@ def test_passwords_go_into_files_of_their_own(
     assert main(["init", "yard.mp4", "--out", "site/camtopod.toml"]) == 1
     assert "cannot write" in capsys.readouterr().err, "the folder is not there"
     (tmp_path / "site").mkdir()
-    arguments = ["init", "yard.mp4", f"front.door={url}", parameter, f"nvr={token}", "--out", "site/camtopod.toml"]
+    arguments = [
+        "init",
+        "yard.mp4",
+        f"front.door={url}",
+        parameter,
+        f"nvr={token}",
+        "--out",
+        "site/camtopod.toml",
+    ]
     assert main(["--site", "hq", *arguments]) == 66
     host.close()
     out, err = capsys.readouterr()
     assert out == ""
-    assert "front.door  it cannot be opened: the camera refuses the user name or password (401)" in err
+    assert (
+        "front.door  it cannot be opened: the camera refuses the user name or password (401)" in err
+    )
     assert "yard        MPEG-4, 192x144, 7 frames a second" in err
-    assert err.endswith("    camtopod --config site/camtopod.toml run\n    camtopod --config site/camtopod.toml grab\n")
+    assert err.endswith(
+        "    camtopod --config site/camtopod.toml run\n    camtopod --config site/camtopod.toml grab\n"
+    )
     files = everything_below(tmp_path / "site")
     assert files.pop("camtopod.toml")[0] & 0o444
     assert files == {
@@ -200,26 +251,50 @@ def test_services_are_handed_every_source(
     url = f"rtsp://user:{PASSWORD}@127.0.0.1:1/x"
     umask = os.umask(0o077)
     try:
-        assert main(["init", "--credentials", f"hall={url}", "yard.mp4", "--out", "site/camtopod.toml"]) == 66
+        assert (
+            main(
+                ["init", "--credentials", f"hall={url}", "yard.mp4", "--out", "site/camtopod.toml"]
+            )
+            == 66
+        )
     finally:
         os.umask(umask)
     err = capsys.readouterr().err
-    assert "systemctl enable --now camtopod camtopod-web camtopod-grab@hall camtopod-grab@yard\n" in err
-    assert f"    CREDENTIALS_DIRECTORY={tmp_path}/site/secrets camtopod check site/camtopod.toml --probe\n" in err
+    assert (
+        "systemctl enable --now camtopod camtopod-web camtopod-grab@hall camtopod-grab@yard\n"
+        in err
+    )
+    assert (
+        f"    CREDENTIALS_DIRECTORY={tmp_path}/site/secrets camtopod check site/camtopod.toml --probe\n"
+        in err
+    )
     files = everything_below(tmp_path / "site")
     mode, text = files.pop("camtopod.toml")
     assert (mode, PASSWORD in text) == (0o644, False)
-    assert files == {"secrets/hall": (0o600, f"{url}\n"), "secrets/yard": (0o600, f"{tmp_path}/yard.mp4\n")}
+    assert files == {
+        "secrets/hall": (0o600, f"{url}\n"),
+        "secrets/yard": (0o600, f"{tmp_path}/yard.mp4\n"),
+    }
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path / "site" / "secrets"))
     loaded = settings.load(tmp_path / "site/camtopod.toml")
     assert loaded.health.listen == "127.0.0.1:8787"
     assert loaded.for_camera("hall").cameras["hall"].source == url
     assert main(["check", "site/camtopod.toml"]) == 0
     assert "chmod" not in capsys.readouterr().err
-    elsewhere = ["--connect", "tcp/192.0.2.1:7447", "init", "--credentials", "4242", "--out", "box.toml"]
+    elsewhere = [
+        "--connect",
+        "tcp/192.0.2.1:7447",
+        "init",
+        "--credentials",
+        "4242",
+        "--out",
+        "box.toml",
+    ]
     assert main(elsewhere) == 66
     assert "systemctl enable --now camtopod-grab@device-4242\n" in capsys.readouterr().err
-    assert settings.load(tmp_path / "box.toml").health.listen == "", "the daemon's, which is not here"
+    assert settings.load(tmp_path / "box.toml").health.listen == "", (
+        "the daemon's, which is not here"
+    )
 
 
 def test_nothing_is_overwritten_unless_told(
@@ -244,11 +319,14 @@ def test_sources_from_standard_input_and_a_daemon_elsewhere(tmp_path: Path) -> N
     process = camtopod(*command, stdin=-1, stderr=-1)
     _, err = process.communicate(b"\nlobby=4242\n  4243  \n", timeout=60)
     assert process.returncode == 66
-    assert err.decode().endswith(f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab\n")
+    assert err.decode().endswith(
+        f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab\n"
+    )
     loaded = settings.load(out)
     assert ({name: each.source for name, each in loaded.cameras.items()}, loaded.bus.connect) == (
-        {"lobby": "4242", "device-4243": "4243"}, ("tcp/192.0.2.1:7447",),
-    )  # fmt: skip
+        {"lobby": "4242", "device-4243": "4243"},
+        ("tcp/192.0.2.1:7447",),
+    )
 
 
 @pytest.mark.parametrize(
@@ -279,7 +357,10 @@ def test_a_picture_is_kept_when_asked_for_and_not_otherwise(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    yard, colour = painted(tmp_path / "yard.mp4", (2560, 1440), 7.0, (200, 120, 40)), np.array((200, 120, 40))
+    yard, colour = (
+        painted(tmp_path / "yard.mp4", (2560, 1440), 7.0, (200, 120, 40)),
+        np.array((200, 120, 40)),
+    )
     assert main(["init", str(yard), "gone=4242"]) == 66
     assert main(["check", "camtopod.toml", "--probe"]) == 69
     assert not list(tmp_path.rglob("*.jpg"))
@@ -291,7 +372,10 @@ def test_a_picture_is_kept_when_asked_for_and_not_otherwise(
     assert picture is not None
     assert picture.shape == (720, 1280, 3)
     assert np.abs(picture.mean((0, 1)) - colour).max() < 10, "in colour"
-    assert ((folder / "yard.jpg").stat().st_mode & 0o777, folder.stat().st_mode & 0o777) == (0o640, 0o750)
+    assert ((folder / "yard.jpg").stat().st_mode & 0o777, folder.stat().st_mode & 0o777) == (
+        0o640,
+        0o750,
+    )
     assert pictures.picture_of(folder, "yard") == folder / "yard.jpg"
     capsys.readouterr()
     (tmp_path / "other.toml").unlink()
@@ -343,7 +427,9 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         assert out == ""
         assert f"{path}:4: cameras.yard: MPEG-4, 192x144, 7 frames a second\n" in err
         assert f"{path}: bus: {daemon.endpoint} is reached, site site\n" in err
-        path.write_text(f'{bus}[site]\nname = "other"\n{cameras}[cameras.gone]\nsource_file = "none"\n')
+        path.write_text(
+            f'{bus}[site]\nname = "other"\n{cameras}[cameras.gone]\nsource_file = "none"\n'
+        )
         assert main(["check", str(path), "--probe"]) == 69
         err = capsys.readouterr().err
         assert f"{path}:8: cameras.gone: cannot read {tmp_path}/none: No such file" in err
@@ -351,11 +437,18 @@ def test_check_probe_opens_the_cameras_and_the_bus(
         path.write_text('[cameras.gone]\nsource_file = "$NOT_SET_AT_ALL/gone"\n')
         assert main(["check", str(path), "--probe", "--connect", daemon.endpoint]) == 66
         assert (
-            f"cannot read {tmp_path}/$NOT_SET_AT_ALL/gone: $NOT_SET_AT_ALL is not set here" in capsys.readouterr().err
+            f"cannot read {tmp_path}/$NOT_SET_AT_ALL/gone: $NOT_SET_AT_ALL is not set here"
+            in capsys.readouterr().err
         )
         path.write_text(cameras)
-        assert main(["check", str(path), "--probe", "--connect", daemon.endpoint, "--site", "other"]) == 69
-        assert f"{daemon.endpoint} is reached, but no daemon of site other is there" in capsys.readouterr().err
+        assert (
+            main(["check", str(path), "--probe", "--connect", daemon.endpoint, "--site", "other"])
+            == 69
+        )
+        assert (
+            f"{daemon.endpoint} is reached, but no daemon of site other is there"
+            in capsys.readouterr().err
+        )
         assert main(["check", str(path), "--connect", "nowhere"]) == 2
         capsys.readouterr()
         path.write_text(f'{bus}[cameras.gone]\nsource = "4242"\n')
@@ -372,7 +465,10 @@ def test_a_real_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     film = Scene([]).film(tmp_path / "film.mp4", 5.0)
     transcode(film, tmp_path / "served.mp4", FPS)
     with served(tmp_path / "served.mp4") as port:
-        assert main(["init", f"rtsp://127.0.0.1:{port}/camera", "--out", str(tmp_path / "c.toml")]) == 0
+        assert (
+            main(["init", f"rtsp://127.0.0.1:{port}/camera", "--out", str(tmp_path / "c.toml")])
+            == 0
+        )
     loaded = settings.load(tmp_path / "c.toml")
     assert loaded.cameras["camera"].source == f"rtsp://127.0.0.1:{port}/camera"
     rate = float(capsys.readouterr().err.partition("H.264, 192x144, ")[2].split()[0])

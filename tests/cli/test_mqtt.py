@@ -1,4 +1,6 @@
-"""Frigate's messages straight from a broker: a real mosquitto, with passwords, with TLS, and away for a while."""
+"""Frigate's messages straight from a broker: a real mosquitto, with passwords, with TLS, and away
+for a while.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from camtopod.serve.daemon import Daemon
 USER, PASSWORD = "camtopod", "hunter2-long"
 
 pytest.importorskip("paho.mqtt.publish", reason="needs paho-mqtt (camtopod[mqtt])")
-pytestmark = pytest.mark.skipif(PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)")
+pytestmark = pytest.mark.skipif(
+    PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)"
+)
 
 
 class Ingest:
@@ -35,12 +39,25 @@ class Ingest:
 
     def __init__(self, tmp_path: Path, url: str, *options: str, **variables: str) -> None:
         self.out, self._err = tmp_path / "out.jsonl", tmp_path / "err.txt"
-        command = [sys.executable, "-m", "camtopod", "ingest", "frigate", url, "--out", str(self.out), *options]
+        command = [
+            sys.executable,
+            "-m",
+            "camtopod",
+            "ingest",
+            "frigate",
+            url,
+            "--out",
+            str(self.out),
+            *options,
+        ]
         with self._err.open("wb") as err:
             self.process = subprocess.Popen(command, stderr=err, env={**os.environ, **variables})
 
     def __enter__(self) -> Ingest:
-        wait_for(lambda: "hearing frigate/events" in self.said or self.process.poll() is not None, "the subscription")
+        wait_for(
+            lambda: "hearing frigate/events" in self.said or self.process.poll() is not None,
+            "the subscription",
+        )
         assert self.process.poll() is None, self.said
         return self
 
@@ -53,11 +70,17 @@ class Ingest:
         return self._err.read_text()
 
     def wait_for_lines(self, count: int) -> None:
-        wait_for(lambda: self.out.exists() and self.out.read_bytes().count(b"\n") >= count, f"{count} lines")
+        wait_for(
+            lambda: self.out.exists() and self.out.read_bytes().count(b"\n") >= count,
+            f"{count} lines",
+        )
 
 
 def test_events_come_while_objects_come_and_go_and_the_broker_may_be_away(tmp_path: Path) -> None:
-    with mosquitto(tmp_path) as broker, Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest:
+    with (
+        mosquitto(tmp_path) as broker,
+        Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest,
+    ):
         broker.publish(says.passage(1)[:2])
         ingest.wait_for_lines(1)
         broker.publish([*says.passage(1)[2:], b"nonsense"])
@@ -65,7 +88,10 @@ def test_events_come_while_objects_come_and_go_and_the_broker_may_be_away(tmp_pa
         broker.stop()
         wait_for(lambda: "lost 127.0.0.1" in ingest.said, "the loss to be noticed")
         assert broker.start()
-        wait_for(lambda: ingest.said.count("hearing frigate/events") == 2, "the subscription after the loss")
+        wait_for(
+            lambda: ingest.said.count("hearing frigate/events") == 2,
+            "the subscription after the loss",
+        )
         broker.publish(says.passage(2, T0))
         ingest.wait_for_lines(4)
         ingest.process.send_signal(signal.SIGTERM)
@@ -78,7 +104,15 @@ def test_events_come_while_objects_come_and_go_and_the_broker_may_be_away(tmp_pa
 def test_onto_the_bus(tmp_path: Path) -> None:
     with mosquitto(tmp_path) as broker, Daemon(small_config(tmp_path / "daemon")) as daemon:
         url = f"mqtt://127.0.0.1:{broker.port}/frigate"
-        command = ["--connect", daemon.endpoint, "ingest", "frigate", url, "--state", str(tmp_path / "i")]
+        command = [
+            "--connect",
+            daemon.endpoint,
+            "ingest",
+            "frigate",
+            url,
+            "--state",
+            str(tmp_path / "i"),
+        ]
         err = tmp_path / "err.txt"
         with err.open("wb") as file:
             process = subprocess.Popen([sys.executable, "-m", "camtopod", *command], stderr=file)
@@ -105,14 +139,20 @@ def test_a_password_from_a_file_or_the_environment(
     secret.chmod(0o600)
     with mosquitto(tmp_path, f"password_file {users}") as broker:
         url = f"mqtt://{USER}@127.0.0.1:{broker.port}/frigate"
-        for options, variables in ((["--password-file", str(secret)], {}), ([], {"CAMTOPOD_MQTT_PASSWORD": PASSWORD})):
+        for options, variables in (
+            (["--password-file", str(secret)], {}),
+            ([], {"CAMTOPOD_MQTT_PASSWORD": PASSWORD}),
+        ):
             with Ingest(tmp_path, url, *options, **variables) as ingest:
                 broker.publish(says.passage(), auth={"username": USER, "password": PASSWORD})
                 ingest.wait_for_lines(2)
                 assert PASSWORD not in ingest.said
                 ingest.out.unlink()
         secret.write_text("wrong-one")
-        assert main(["ingest", "frigate", url, "--password-file", str(secret), "--out", "-"]) == exits.INPUT
+        assert (
+            main(["ingest", "frigate", url, "--password-file", str(secret), "--out", "-"])
+            == exits.INPUT
+        )
         monkeypatch.delenv("CAMTOPOD_MQTT_PASSWORD", raising=False)
         assert main(["ingest", "frigate", url, "--out", "-"]) == exits.INPUT
         err = capsys.readouterr().err
@@ -132,11 +172,17 @@ def certificate(folder: Path) -> tuple[Path, Path]:
     day = datetime.timedelta(days=1)
     address = x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))])
     made = (
-        x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key()).serial_number(7)
-        .not_valid_before(today - day).not_valid_after(today + day)
-        .add_extension(address, False).add_extension(x509.BasicConstraints(True, None), True)
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(7)
+        .not_valid_before(today - day)
+        .not_valid_after(today + day)
+        .add_extension(address, False)
+        .add_extension(x509.BasicConstraints(True, None), True)
         .sign(key, hashes.SHA256())
-    )  # fmt: skip
+    )
     cert_file, key_file = folder / "cert.pem", folder / "key.pem"
     cert_file.write_bytes(made.public_bytes(serialization.Encoding.PEM))
     private = key.private_bytes(
@@ -153,8 +199,21 @@ def test_tls(tmp_path: Path) -> None:
         with Ingest(tmp_path, url, "--ca", str(cert)) as ingest:
             broker.publish(says.passage(), tls={"ca_certs": str(cert)})
             ingest.wait_for_lines(2)
-        for options, said in (([], "certificate verify failed"), (["--ca", str(tmp_path / "none")], "No such file")):
-            command = [sys.executable, "-m", "camtopod", "ingest", "frigate", url, "--out", "-", *options]
+        for options, said in (
+            ([], "certificate verify failed"),
+            (["--ca", str(tmp_path / "none")], "No such file"),
+        ):
+            command = [
+                sys.executable,
+                "-m",
+                "camtopod",
+                "ingest",
+                "frigate",
+                url,
+                "--out",
+                "-",
+                *options,
+            ]
             refused = subprocess.run(command, capture_output=True, timeout=60, check=False)
             assert refused.returncode == exits.INPUT
             assert said in refused.stderr.decode()
@@ -166,9 +225,14 @@ def test_nobody_there_or_somebody_else(
     monkeypatch.setattr(mqtt, "CONNECT_SECONDS", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = silent.getsockname()[1]
-        assert main(["ingest", "frigate", f"mqtt://127.0.0.1:{port}/frigate", "--out", "-"]) == exits.INPUT
+        assert (
+            main(["ingest", "frigate", f"mqtt://127.0.0.1:{port}/frigate", "--out", "-"])
+            == exits.INPUT
+        )
         assert "does not answer as an MQTT broker" in capsys.readouterr().err
-    assert main(["ingest", "frigate", f"mqtt://127.0.0.1:{port}/frigate", "--out", "-"]) == exits.INPUT
+    assert (
+        main(["ingest", "frigate", f"mqtt://127.0.0.1:{port}/frigate", "--out", "-"]) == exits.INPUT
+    )
     assert f"cannot reach 127.0.0.1:{port}" in capsys.readouterr().err
 
 
@@ -238,7 +302,10 @@ def peak_mebibytes(process: subprocess.Popen[bytes]) -> float:
 
 
 def test_a_broker_that_speaks_5_does_not_send_a_huge_message(tmp_path: Path) -> None:
-    with mosquitto(tmp_path) as broker, Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest:
+    with (
+        mosquitto(tmp_path) as broker,
+        Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest,
+    ):
         with socket.create_connection(("127.0.0.1", broker.port), 30) as other:
             other.sendall(packet(0x10, text("MQTT") + bytes([4, 2, 0, 60]) + text("other")))
             assert other.recv(4) == b"\x20\x02\x00\x00"
@@ -251,7 +318,9 @@ def test_a_broker_that_speaks_5_does_not_send_a_huge_message(tmp_path: Path) -> 
 
 
 class Old:
-    """A broker that speaks MQTT 3.1.1 only. The first who subscribes is sent a huge message, the next a passage."""
+    """A broker that speaks MQTT 3.1.1 only. The first who subscribes is sent a huge message, the
+    next a passage.
+    """
 
     def __init__(self, answers_5: bool) -> None:
         self._answers_5 = answers_5
@@ -287,18 +356,25 @@ class Old:
 
 
 @pytest.mark.parametrize("answers_5", [True, False])
-def test_an_older_broker_that_sends_a_huge_message_is_disconnected(answers_5: bool, tmp_path: Path) -> None:
+def test_an_older_broker_that_sends_a_huge_message_is_disconnected(
+    answers_5: bool, tmp_path: Path
+) -> None:
     with (
         contextlib.closing(Old(answers_5)) as broker,
         Ingest(tmp_path, f"mqtt://127.0.0.1:{broker.port}/frigate") as ingest,
     ):
         ingest.wait_for_lines(2)
-        assert f"the broker sends a packet of {HUGE + 16} bytes; at most 2097152 are taken" in ingest.said
+        assert (
+            f"the broker sends a packet of {HUGE + 16} bytes; at most 2097152 are taken"
+            in ingest.said
+        )
         assert ingest.said.count("hearing") == broker.subscribed == 2
         assert peak_mebibytes(ingest.process) < 150
 
 
-def test_without_the_extra_it_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_the_extra_it_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "paho"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "paho", None)

@@ -23,7 +23,9 @@ def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_at_once")
-def test_only_a_terminal_sees_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_terminal_sees_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     with Progress() as shown:
         shown.show("%s", "half")
     assert capsys.readouterr().err == ""
@@ -34,7 +36,9 @@ def test_only_a_terminal_sees_it(capsys: pytest.CaptureFixture[str], monkeypatch
     assert capsys.readouterr().err == "\r\x1b[K", "and then it is gone"
 
 
-def test_it_is_said_now_and_then(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_said_now_and_then(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     now = [10.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
@@ -93,11 +97,18 @@ def test_simulate_and_report(
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setattr(simulate, "BLOCK_LINES", 100)
-    assert main(["simulate", "--cameras", "3", "--hours", "0.1", "--events", str(tmp_path / "e.jsonl")]) == 0
+    assert (
+        main(
+            ["simulate", "--cameras", "3", "--hours", "0.1", "--events", str(tmp_path / "e.jsonl")]
+        )
+        == 0
+    )
     written = (tmp_path / "e.jsonl").read_bytes().count(b"\n")
     assert written > 100, "more than a block"
     assert f"\r\x1b[K100 of {written} events written" in capfdbinary.readouterr().err.decode()
     (tmp_path / "t.json").write_bytes(to_json(synthetic_topology(4)))
     assert main(["report", str(tmp_path / "t.json")]) == 0
     steps = re.findall(r"(\d+) of (\d+) parts ready", capfdbinary.readouterr().err.decode())
-    assert [int(ready) for ready, _ in steps] == list(range(int(steps[0][1]))), "each part is counted, once"
+    assert [int(ready) for ready, _ in steps] == list(range(int(steps[0][1]))), (
+        "each part is counted, once"
+    )

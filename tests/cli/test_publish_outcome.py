@@ -1,4 +1,6 @@
-"""`camtopod ingest` beside real daemons: whose events are whose, and what is said to have become of them."""
+"""`camtopod ingest` beside real daemons: whose events are whose, and what is said to have become of
+them.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +42,15 @@ def lines(path: Path, events: list[Event]) -> Path:
 def stored(folder: Path, name: str) -> list[bytes]:
     """The events in the journal of a daemon."""
     with contextlib.closing(sqlite3.connect(folder / name / "journal.db")) as journal:
-        return [raw for (raw,) in journal.execute("SELECT raw FROM entry WHERE kind = 'event' ORDER BY id")]
+        return [
+            raw
+            for (raw,) in journal.execute("SELECT raw FROM entry WHERE kind = 'event' ORDER BY id")
+        ]
 
 
-def test_each_of_two_sites_has_its_own_events_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_of_two_sites_has_its_own_events_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     first = lines(tmp_path / "a.jsonl", [Event("lobby", "entry", T0 + n) for n in range(60)])
     second = lines(tmp_path / "b.jsonl", [Event("lobby", "entry", T0 + 0.5)])
     with site(tmp_path, "a") as a, site(tmp_path, "b") as b:
@@ -68,11 +75,18 @@ def test_each_of_two_daemons_of_one_site_name_has_its_own_events_only(tmp_path: 
         assert (one.status()["events"]["stored"], other.status()["events"]["stored"]) == (60, 1)
 
 
-def test_what_became_of_the_events_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_became_of_the_events_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     recording = lines(tmp_path / "walks.jsonl", [*walkers(30), closing_event()])
     events = len(recording.read_bytes().splitlines())
-    old = lines(tmp_path / "old.jsonl", [Event("lobby", "entry", T0 - 50_000.0 - n) for n in range(20)])
-    both = lines(tmp_path / "both.jsonl", [Event("lobby", "entry", T0 + 12_000.0), Event("lobby", "exit", T0 - 9e4)])
+    old = lines(
+        tmp_path / "old.jsonl", [Event("lobby", "entry", T0 - 50_000.0 - n) for n in range(20)]
+    )
+    both = lines(
+        tmp_path / "both.jsonl",
+        [Event("lobby", "entry", T0 + 12_000.0), Event("lobby", "exit", T0 - 9e4)],
+    )
     early = lines(tmp_path / "early.jsonl", [Event("hall", "entry", T0 + 300_000.0)])
 
     with site(tmp_path, "a") as daemon:
@@ -93,7 +107,12 @@ def test_what_became_of_the_events_is_said(tmp_path: Path, capsys: pytest.Captur
 
 def test_what_came_before_a_restart_is_late_after_it(tmp_path: Path) -> None:
     with site(tmp_path, "a") as daemon:
-        assert ingest(daemon, tmp_path, lines(tmp_path / "walks.jsonl", [*walkers(30), closing_event()])) == 0
+        assert (
+            ingest(
+                daemon, tmp_path, lines(tmp_path / "walks.jsonl", [*walkers(30), closing_event()])
+            )
+            == 0
+        )
     old = lines(tmp_path / "old.jsonl", [Event("lobby", "entry", T0 - 50_000.0)])
     with site(tmp_path, "a") as daemon:
         assert ingest(daemon, tmp_path, old) == 1
@@ -114,27 +133,45 @@ def test_a_daemon_that_does_not_count_is_believed_to_have_stored(
 
     def acknowledge(key: str, raw: bytes) -> None:
         event = codec.event_from_bytes(raw)
-        bus.put(f"ack/{event.camera}", {"camera": event.camera, "boot": event.boot, "seq": event.seq}, "ack")
+        bus.put(
+            f"ack/{event.camera}",
+            {"camera": event.camera, "boot": event.boot, "seq": event.seq},
+            "ack",
+        )
 
     bus.subscribe("event/*", acknowledge)
-    where = ["--connect", bus.endpoint, "ingest", "jsonl", str(events), "--state", str(tmp_path / "here")]
+    where = [
+        "--connect",
+        bus.endpoint,
+        "ingest",
+        "jsonl",
+        str(events),
+        "--state",
+        str(tmp_path / "here"),
+    ]
     assert main(where) == 0
     assert "0 not acknowledged" in capsys.readouterr().err
     bus.close()
 
 
-def test_two_events_under_one_number_are_never_silently_one(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_two_events_under_one_number_are_never_silently_one(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     first, second = numbered([Event("lobby", "entry", T0), Event("lobby", "exit", T0 + 1)])
     other = msgspec.structs.replace(first, t=T0 + 2)
     with site(tmp_path, "a") as daemon:
-        publisher = buses.dial(msgspec.structs.replace(small_config(tmp_path, daemon.endpoint), site=SiteSettings("a")))
+        publisher = buses.dial(
+            msgspec.structs.replace(small_config(tmp_path, daemon.endpoint), site=SiteSettings("a"))
+        )
         for event in (first, second, first, second):
             publisher.put("event/lobby", event, "event")
         publisher.put_raw("event/lobby", codec.to_json(first), "event")
         wait_for(lambda: daemon.status()["events"]["duplicate"] == 3, "the duplicates")
         assert (daemon.status()["events"]["contradicted"], daemon.status()["reason"]) == (0, "")
         publisher.put("event/lobby", other, "event")
-        wait_for(lambda: daemon.status()["events"]["contradicted"] == 1, "the contradiction to be found")
+        wait_for(
+            lambda: daemon.status()["events"]["contradicted"] == 1, "the contradiction to be found"
+        )
         assert "two different events under one number (boot b1, seq 1)" in daemon.status()["reason"]
         publisher.close()
     assert caplog.text.count("two different events under one number") == 1

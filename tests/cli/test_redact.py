@@ -13,7 +13,16 @@ from camtopod.cli.common import _Formatter
 from camtopod.config.settings import ConfigError, parse
 from camtopod.redact import HIDDEN
 
-SECRETS = ["secret", "p@ss:w/rd", "p%40ss%3Aw", "with space", "quote\"'<>", "ünïcode", "a://b@c", "#?&="]
+SECRETS = [
+    "secret",
+    "p@ss:w/rd",
+    "p%40ss%3Aw",
+    "with space",
+    "quote\"'<>",
+    "ünïcode",
+    "a://b@c",
+    "#?&=",
+]
 
 
 @pytest.fixture(autouse=True)
@@ -58,7 +67,9 @@ def test_parameters_are_hidden() -> None:
 
 
 def test_a_password_in_a_path_is_hidden() -> None:
-    text = redact.redact("rtsp://192.0.2.7:554/user=admin_password=hunter2_channel=1_stream=0.sdp is slow")
+    text = redact.redact(
+        "rtsp://192.0.2.7:554/user=admin_password=hunter2_channel=1_stream=0.sdp is slow"
+    )
     assert "hunter2" not in text
     assert text.endswith("is slow")
 
@@ -77,7 +88,12 @@ TOKENS = (
 @pytest.mark.parametrize("token", TOKENS)
 @pytest.mark.parametrize(
     "url",
-    ["rtsp://192.0.2.7:554/stream/{}/live", "rtsps://nvr:7441/{}?enableSrtp", "https://h/api/{}", "https://h/?k={}"],
+    [
+        "rtsp://192.0.2.7:554/stream/{}/live",
+        "rtsps://nvr:7441/{}?enableSrtp",
+        "https://h/api/{}",
+        "https://h/?k={}",
+    ],
 )
 def test_a_token_in_a_path_is_hidden(token: str, url: str) -> None:
     source = url.format(token)
@@ -95,15 +111,28 @@ def test_a_token_in_a_path_is_hidden(token: str, url: str) -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        "Streaming/Channels/101", "cam/realmonitor?channel=1&subtype=0", "h264Preview_01_main", "axis-media/media.amp",
-        "MediaInput/h264/stream_1", "ISAPI/Streaming/channels/101/httpPreview", "onvif/profile2/media.smp",
-        "Streaming/tracks/101?starttime=20240131T120000Z&endtime=20240131T130000Z", "live_h264_1280x720_15fps",
-        "MEDIA_PROFILE_CHANNEL_1_STREAM_2", "building-7_floor_12_corridor_north", "cam1_cam2_cam3_cam4_cam5",
-        "VideoSourceToken_1", "PSIA1StreamingH264Channel1", "DS-2CD2143G0-I20190101AAWRC12345678", "ACCC8E123456",
-        "AC-CC-8E-12-34-56/live", "My%20Camera%20Front%20Door", "1700000000123456789",
+        "Streaming/Channels/101",
+        "cam/realmonitor?channel=1&subtype=0",
+        "h264Preview_01_main",
+        "axis-media/media.amp",
+        "MediaInput/h264/stream_1",
+        "ISAPI/Streaming/channels/101/httpPreview",
+        "onvif/profile2/media.smp",
+        "Streaming/tracks/101?starttime=20240131T120000Z&endtime=20240131T130000Z",
+        "live_h264_1280x720_15fps",
+        "MEDIA_PROFILE_CHANNEL_1_STREAM_2",
+        "building-7_floor_12_corridor_north",
+        "cam1_cam2_cam3_cam4_cam5",
+        "VideoSourceToken_1",
+        "PSIA1StreamingH264Channel1",
+        "DS-2CD2143G0-I20190101AAWRC12345678",
+        "ACCC8E123456",
+        "AC-CC-8E-12-34-56/live",
+        "My%20Camera%20Front%20Door",
+        "1700000000123456789",
         "camtopo/site/topology?version=7",
     ],
-)  # fmt: skip
+)
 def test_an_ordinary_path_is_left_alone(path: str) -> None:
     url = f"rtsp://a1b2c3d4e5f6a7b8c9d0.cameras.example.org:554/{path}"
     redact.remember(url)
@@ -133,7 +162,9 @@ def test_a_url_behind_other_characters_is_a_url(before: str) -> None:
     assert said == f"{before}rtsp://{HIDDEN}@192.0.2.7/{HIDDEN}"
 
 
-@pytest.mark.parametrize("piece", ["a", "_", "a://", "a://x", "private_key", "x://h/a1", "a1", "@", "user", "a.1-"])
+@pytest.mark.parametrize(
+    "piece", ["a", "_", "a://", "a://x", "private_key", "x://h/a1", "a1", "@", "user", "a.1-"]
+)
 @pytest.mark.parametrize("end", ["", " ", "@", "="])
 def test_text_that_somebody_made_to_take_long_does_not(piece: str, end: str) -> None:
     text = piece * (20_000 // len(piece)) + end

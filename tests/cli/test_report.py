@@ -31,7 +31,9 @@ def written(tmp_path: Path, *options: str, topology: Topology = SITE) -> str:
 
 def held(text: str) -> Any:
     """The data in a report."""
-    found = re.search(r'<script type="application/json" id="report">(.*?)</script>', text, re.DOTALL)
+    found = re.search(
+        r'<script type="application/json" id="report">(.*?)</script>', text, re.DOTALL
+    )
     assert found is not None
     return json.loads(found[1])
 
@@ -69,7 +71,10 @@ def test_text_in_the_data_cannot_end_its_element(tmp_path: Path) -> None:
 
 def test_older_versions_are_on_the_time_line_and_compared(tmp_path: Path) -> None:
     updates = tmp_path / "updates.jsonl"
-    older = [msgspec.structs.replace(SITE, version=version, pairs=SITE.pairs[version:]) for version in (1, 2)]
+    older = [
+        msgspec.structs.replace(SITE, version=version, pairs=SITE.pairs[version:])
+        for version in (1, 2)
+    ]
     other = msgspec.structs.replace(SITE, epoch="another", version=1)
     updates.write_bytes(b"\n".join(codec.to_json(one) for one in (*older, SITE, other)))
     data = held(written(tmp_path, "--updates", str(updates)))
@@ -84,14 +89,21 @@ def test_pictures_are_in_it(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "cam0001.png").write_bytes(b"a picture")
     data = held(written(tmp_path, "--pictures", str(folder)))
-    assert data["pictures"] == {"cam0001": "data:image/png;base64," + base64.b64encode(b"a picture").decode()}
+    assert data["pictures"] == {
+        "cam0001": "data:image/png;base64," + base64.b64encode(b"a picture").decode()
+    }
     assert [name for name, camera in data["cameras"].items() if camera["picture"]] == ["cam0001"]
 
 
-def test_a_large_sites_most_walked_links_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_sites_most_walked_links_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(report, "LINKS_MAX", 5)
     told = held(written(tmp_path))["links"]
-    most = max((link for link in SITE.links if link.relation != "visible"), key=lambda link: link.transitions)
+    most = max(
+        (link for link in SITE.links if link.relation != "visible"),
+        key=lambda link: link.transitions,
+    )
     assert len(told) == 5
     assert next(iter(told)) == f"{most.from_} {most.to} {most.relation}"
 
@@ -108,7 +120,9 @@ def test_every_module_is_in_the_script_before_those_that_use_it() -> None:
     assert max(at, key=lambda name: at[name]) == "main"
 
 
-def test_what_cannot_be_read_or_written_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_read_or_written_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     source = tmp_path / "topology.json"
     source.write_bytes(codec.to_json(SITE))
     bad = tmp_path / "bad.jsonl"

@@ -85,7 +85,9 @@ def ended(process: subprocess.Popen[bytes]) -> int:
 # --- standard error is a full pipe ---------------------------------------------------------------
 
 
-def test_the_daemon_runs_and_ends_though_its_log_is_not_read(full: tuple[int, int], tmp_path: Path) -> None:
+def test_the_daemon_runs_and_ends_though_its_log_is_not_read(
+    full: tuple[int, int], tmp_path: Path
+) -> None:
     options, endpoint, health = configured(tmp_path)
     with running(serving.camtopod(*options, "run", stderr=full[1])) as process:
         wait_for(lambda: answers(health), "the daemon's health")
@@ -166,7 +168,9 @@ def test_the_daemon_runs_with_closed_streams(closed: str, tmp_path: Path) -> Non
         wait_for(lambda: process.poll() is not None or answers(health), "the daemon's health")
         assert process.poll() is None
         numbers = [os.readlink(f"/proc/{process.pid}/fd/{number}") for number in range(3)]
-        assert not [name for name in numbers if name.startswith(str(tmp_path))], "no file has a stream's number"
+        assert not [name for name in numbers if name.startswith(str(tmp_path))], (
+            "no file has a stream's number"
+        )
         with contextlib.closing(buses.dial(small_config(tmp_path, endpoint))) as bus:
             wait_for(lambda: bool(bus.ask("status/daemon", one=True)), "an answer")
         assert ended(process) == 0
@@ -189,18 +193,41 @@ def test_data_that_cannot_be_written_is_no_success(tmp_path: Path) -> None:
 
 def test_with_too_few_files_it_says_so_and_ends(tmp_path: Path) -> None:
     options, _, _ = configured(tmp_path)
-    for command in (["run"], ["grab", "--camera", "lobby", "rtsp://127.0.0.1:1/x"], ["web", "--listen", "[::1]:0"]):
-        line = ["sh", "-c", 'ulimit -n 32 && exec "$0" -m camtopod "$@"', sys.executable, *options, *command]
+    for command in (
+        ["run"],
+        ["grab", "--camera", "lobby", "rtsp://127.0.0.1:1/x"],
+        ["web", "--listen", "[::1]:0"],
+    ):
+        line = [
+            "sh",
+            "-c",
+            'ulimit -n 32 && exec "$0" -m camtopod "$@"',
+            sys.executable,
+            *options,
+            *command,
+        ]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(line, env=environment, capture_output=True, text=True, check=False, timeout=60)
+        done = subprocess.run(
+            line, env=environment, capture_output=True, text=True, check=False, timeout=60
+        )
         assert done.returncode == 1
-        assert "this process may have 32 files open at a time, and needs 64" in done.stderr.splitlines()[-1]
+        assert (
+            "this process may have 32 files open at a time, and needs 64"
+            in done.stderr.splitlines()[-1]
+        )
         assert "panic" not in done.stderr
 
 
 def test_it_takes_as_many_as_it_may_have(tmp_path: Path) -> None:
     options, _, health = configured(tmp_path)
-    line = ["sh", "-c", 'ulimit -Sn 40 && exec "$0" -m camtopod "$@"', sys.executable, *options, "run"]
+    line = [
+        "sh",
+        "-c",
+        'ulimit -Sn 40 && exec "$0" -m camtopod "$@"',
+        sys.executable,
+        *options,
+        "run",
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with running(subprocess.Popen(line, env=environment)) as process:
         wait_for(lambda: answers(health), "the daemon's health")

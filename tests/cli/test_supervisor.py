@@ -1,4 +1,6 @@
-"""Many cameras, a process each: who dies, hangs, or will not end, and what another configuration does."""
+"""Many cameras, a process each: who dies, hangs, or will not end, and what another configuration
+does.
+"""
 
 from __future__ import annotations
 
@@ -71,27 +73,36 @@ class Box:
             speed=None,
             realtime=None,
         )
-        self.head = (
-            f'{QUICK}[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.1\n[limits]\nstatus_seconds = 0.1\n'
-        )
+        self.head = f'{QUICK}[bus]\nconnect = ["tcp/127.0.0.1:1"]\nconnect_seconds = 0.1\n[limits]\nstatus_seconds = 0.1\n'
         self.statuses: list[int] = []
         self._thread: threading.Thread | None = None
         monkeypatch.setattr(
-            supervisor, "command",
+            supervisor,
+            "command",
             lambda camera, args, config_fd, restarts, last_end, fd: [
-                sys.executable, "-c", CHILD, camera, str(restarts), str(fd), str(folder)
+                sys.executable,
+                "-c",
+                CHILD,
+                camera,
+                str(restarts),
+                str(fd),
+                str(folder),
             ],
-        )  # fmt: skip
+        )
 
     def configure(self, *cameras: str, **sources: str) -> None:
-        tables = [f'[cameras.{name}]\nsource = "{sources.get(name, "rtsp://h/x")}"\n' for name in cameras]
+        tables = [
+            f'[cameras.{name}]\nsource = "{sources.get(name, "rtsp://h/x")}"\n' for name in cameras
+        ]
         self.file.write_text(self.head + "".join(tables))
 
     def start(self) -> None:
         text = self.file.read_bytes()
         config = configs.load(self.file)
         self._thread = threading.Thread(
-            target=lambda: self.statuses.append(supervisor.supervise(self.args, config, text, self.told))
+            target=lambda: self.statuses.append(
+                supervisor.supervise(self.args, config, text, self.told)
+            )
         )
         self._thread.start()
 
@@ -106,7 +117,9 @@ class Box:
         return int([words for words in self.said(camera) if words[0] == "start"][-1][1])
 
     def beats(self, camera: str) -> list[float]:
-        return [float(words[1]) for words in self.said(camera) if words[0] == "beat" and len(words) == 2]
+        return [
+            float(words[1]) for words in self.said(camera) if words[0] == "beat" and len(words) == 2
+        ]
 
     def stop(self) -> int:
         self.told.stop.set()
@@ -142,7 +155,10 @@ def test_one_that_dies_hangs_or_blocks_is_started_again_and_delays_nobody(
     box.configure("blocked", "crashes", "good", "good-2", "hangs", "leaves")
     with caplog.at_level(logging.INFO):
         box.start()
-        wait_for(lambda: all(box.starts(camera) >= 3 for camera in bad), "three starts of each that fails")
+        wait_for(
+            lambda: all(box.starts(camera) >= 3 for camera in bad),
+            "three starts of each that fails",
+        )
         began = time.monotonic()
         assert box.stop() == 0
         assert time.monotonic() - began < 3.0
@@ -155,7 +171,10 @@ def test_one_that_dies_hangs_or_blocks_is_started_again_and_delays_nobody(
         ("blocked", "while connecting"),
         ("crashes", "failed"),
     ):
-        assert any(camera in text and why in text for text in caplog.messages), (camera, caplog.messages)
+        assert any(camera in text and why in text for text in caplog.messages), (
+            camera,
+            caplog.messages,
+        )
         assert not there(box.pid(camera))
     assert any("leaves: ended by itself" in text for text in caplog.messages)
 
@@ -176,23 +195,37 @@ def test_the_worst_status_when_all_have_ended(box: Box) -> None:
     wait_for(lambda: bool(box.statuses), "the end")
     assert box.statuses == [78]
     assert {camera: box.starts(camera) for camera in ("ends", "hopeless", "ends-2")} == {
-        "ends": 1, "hopeless": 1, "ends-2": 1,
-    }  # fmt: skip
+        "ends": 1,
+        "hopeless": 1,
+        "ends-2": 1,
+    }
 
 
-def test_a_file_that_was_begun_is_not_begun_again(box: Box, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_file_that_was_begun_is_not_begun_again(
+    box: Box, caplog: pytest.LogCaptureFixture
+) -> None:
     """Its events would be there twice, each time with numbers of their own."""
     files = ("recovers", "hangs", "crashes")
     box.configure(*files, "hangs-live", **dict.fromkeys(files, "film.mp4"))
     with caplog.at_level(logging.INFO):
         box.start()
         wait_for(lambda: box.starts("hangs-live") >= 3, "a stream to be started again and again")
-        wait_for(lambda: box.starts("crashes") >= 3, "a file that never got to its first frame, too")
-        wait_for(lambda: not there(box.pid("recovers")) and not there(box.pid("hangs")), "both to have ended")
+        wait_for(
+            lambda: box.starts("crashes") >= 3, "a file that never got to its first frame, too"
+        )
+        wait_for(
+            lambda: not there(box.pid("recovers")) and not there(box.pid("hangs")),
+            "both to have ended",
+        )
     assert box.stop() == 0
     assert (box.starts("recovers"), box.starts("hangs")) == (1, 1)
-    for camera, why in (("recovers", r"failed \(status 3\)"), ("hangs", "hung for 1 s while running")):
-        said = re.compile(rf"camera {camera}: {why}; a file is not begun again, or its events would count twice")
+    for camera, why in (
+        ("recovers", r"failed \(status 3\)"),
+        ("hangs", "hung for 1 s while running"),
+    ):
+        said = re.compile(
+            rf"camera {camera}: {why}; a file is not begun again, or its events would count twice"
+        )
         assert any(said.search(text) for text in caplog.messages), caplog.messages
 
 
@@ -224,15 +257,21 @@ def test_a_stopped_process_is_found_and_killed(box: Box) -> None:
     wait_for(lambda: box.starts("good") == 2, "a second process")
 
 
-def test_another_configuration_touches_only_what_changed(box: Box, caplog: pytest.LogCaptureFixture) -> None:
+def test_another_configuration_touches_only_what_changed(
+    box: Box, caplog: pytest.LogCaptureFixture
+) -> None:
     box.configure("good-same", "good-changed", "good-gone")
     box.start()
-    wait_for(lambda: all(box.beats(f"good-{name}") for name in ("same", "changed", "gone")), "all three")
+    wait_for(
+        lambda: all(box.beats(f"good-{name}") for name in ("same", "changed", "gone")), "all three"
+    )
     same, gone = box.pid("good-same"), box.pid("good-gone")
     box.configure("good-same", "good-changed", "good-new", **{"good-changed": "rtsp://other/x"})
     with caplog.at_level(logging.INFO):
         box.told.reload.set()
-        wait_for(lambda: bool(box.beats("good-new")) and box.starts("good-changed") == 2, "the new ones")
+        wait_for(
+            lambda: bool(box.beats("good-new")) and box.starts("good-changed") == 2, "the new ones"
+        )
     wait_for(lambda: not there(gone), "the end of what is gone")
     assert "start: good-new; start anew: good-changed; end: good-gone" in caplog.text
     assert (box.starts("good-same"), box.pid("good-same"), there(same)) == (1, same, True)
@@ -247,7 +286,9 @@ def test_another_configuration_touches_only_what_changed(box: Box, caplog: pytes
     wait_for(lambda: len(box.beats("good-same")) > count + 3, "the old ones to go on")
     assert (box.starts("good-new"), box.starts("good-same")) == (1, 1)
 
-    box.configure("good-gone", "good-same", "good-new", "good-changed", **{"good-changed": "rtsp://other/x"})
+    box.configure(
+        "good-gone", "good-same", "good-new", "good-changed", **{"good-changed": "rtsp://other/x"}
+    )
     box.told.reload.set()
     wait_for(lambda: box.starts("good-gone") == 2, "it to come back")
     assert (box.starts("good-same"), box.starts("good-changed")) == (1, 2)
@@ -273,8 +314,12 @@ def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
     with box.file.open("a") as file:
         file.write('[cameras.crashes-2]\nsource_file = "nowhere"\n')
     box.start()
-    wait_for(lambda: any(s["camera"] == "crashes" and s["restarts"] >= 2 for s in said), "the restarts")
-    wait_for(lambda: any(s["camera"] == "crashes-2" for s in said), "one whose source cannot be read")
+    wait_for(
+        lambda: any(s["camera"] == "crashes" and s["restarts"] >= 2 for s in said), "the restarts"
+    )
+    wait_for(
+        lambda: any(s["camera"] == "crashes-2" for s in said), "one whose source cannot be read"
+    )
     wait_for(lambda: any(s["state"] == "failed" for s in said), "the hopeless one")
     status = next(s for s in said if s["restarts"] >= 2)
     assert f"restarted {status['restarts']} times, last: failed (status 1)" in status["reason"]
@@ -293,11 +338,19 @@ def test_an_operator_sees_how_often_and_why(box: Box, tmp_path: Path) -> None:
 
 def test_a_camera_s_command_line_has_no_source_in_it() -> None:
     args = argparse.Namespace(
-        config=Path("c.toml"), site="hq", connect=["tcp/h:1"], log_format="json", state="/s", start=None, speed=2.0,
+        config=Path("c.toml"),
+        site="hq",
+        connect=["tcp/h:1"],
+        log_format="json",
+        state="/s",
+        start=None,
+        speed=2.0,
         realtime=True,
-    )  # fmt: skip
+    )
     text = " ".join(supervisor.command("lobby", args, 7, 3, "hung for 30 s", 9))
-    assert "--config c.toml --log-format json --site hq --connect tcp/h:1 grab --camera lobby" in text
+    assert (
+        "--config c.toml --log-format json --site hq --connect tcp/h:1 grab --camera lobby" in text
+    )
     assert "--config-fd 7 --beat-fd 9 --restarts 3 --last-end hung for 30 s" in text
     assert text.endswith("--state /s --speed 2.0 --realtime")
     assert "--restarts" not in supervisor.command("lobby", args, 7, 0, "", 9)
@@ -319,7 +372,10 @@ def test_words() -> None:
     assert (in_words(-9), in_words(-100)) == ("killed by SIGKILL", "killed by signal 100")
     assert restarted(0, "", "stalled") == "stalled"
     assert restarted(1, "failed", "") == "restarted once, last: failed"
-    assert restarted(3, "hung for 30 s", "no frame") == "no frame; restarted 3 times, last: hung for 30 s"
+    assert (
+        restarted(3, "hung for 30 s", "no frame")
+        == "no frame; restarted 3 times, last: hung for 30 s"
+    )
 
 
 def test_a_process_that_cannot_be_started_is_tried_again(caplog: pytest.LogCaptureFixture) -> None:
@@ -404,7 +460,9 @@ def test_heartbeats() -> None:
 
 
 def test_signals_are_heard_even_if_the_main_thread_is_inside_a_library() -> None:
-    """No handler of Python runs while a mutex of C is waited for; the events are set all the same."""
+    """No handler of Python runs while a mutex of C is waited for; the events are set all the
+    same.
+    """
     before = signal.getsignal(signal.SIGHUP)
     library = ctypes.CDLL(None)
     mutex = ctypes.create_string_buffer(128)
@@ -446,7 +504,9 @@ with signals() as told, leaving(told.stop, float(sys.argv[1])):
 
 
 def test_what_blocks_cannot_hold_up_the_end() -> None:
-    process = subprocess.Popen([sys.executable, "-c", LEAVES, "0.3"], stdout=subprocess.PIPE, env=with_path())
+    process = subprocess.Popen(
+        [sys.executable, "-c", LEAVES, "0.3"], stdout=subprocess.PIPE, env=with_path()
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == b"ready\n"
     process.send_signal(signal.SIGHUP)
@@ -457,7 +517,9 @@ def test_what_blocks_cannot_hold_up_the_end() -> None:
 
 def test_without_that_it_would() -> None:
     """The canary."""
-    process = subprocess.Popen([sys.executable, "-c", LEAVES, "1000"], stdout=subprocess.PIPE, env=with_path())
+    process = subprocess.Popen(
+        [sys.executable, "-c", LEAVES, "1000"], stdout=subprocess.PIPE, env=with_path()
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == b"ready\n"
     process.terminate()
@@ -487,7 +549,9 @@ main.console()
 """
 
 
-@pytest.mark.parametrize(("arguments", "status"), [(["--version"], 0), (["nonsense"], 2), (["check", "/nowhere"], 66)])
+@pytest.mark.parametrize(
+    ("arguments", "status"), [(["--version"], 0), (["nonsense"], 2), (["check", "/nowhere"], 66)]
+)
 def test_the_end_waits_for_no_thread(arguments: list[str], status: int) -> None:
     done = subprocess.run(
         [sys.executable, "-c", ENDS, *arguments],

@@ -27,7 +27,16 @@ from camtopod.cli.events.event_lines import LineReader
 from camtopod.cli.main import main
 from camtopod.cli.terminal.screen import drawn
 from camtopod.cli.terminal.site_state import Board
-from camtopod.records import TOPOLOGY_SCHEMA, Alarm, Camera, Link, NextCamera, Prediction, Topology, Transit
+from camtopod.records import (
+    TOPOLOGY_SCHEMA,
+    Alarm,
+    Camera,
+    Link,
+    NextCamera,
+    Prediction,
+    Topology,
+    Transit,
+)
 from camtopod.serve.bus import session as buses
 from camtopod.serve.bus.session import Bus
 from camtopod.serve.daemon import Daemon
@@ -53,7 +62,9 @@ def test_nothing_else_is_left_and_json_stays_json(text: str) -> None:
 
 @pytest.mark.parametrize("form", ["text", "logfmt", "json"])
 def test_a_message_is_one_line_in_every_form(form: str) -> None:
-    record = logging.LogRecord("camtopod.x", logging.WARNING, "", 0, "rejected event/%s", (HOSTILE,), None)
+    record = logging.LogRecord(
+        "camtopod.x", logging.WARNING, "", 0, "rejected event/%s", (HOSTILE,), None
+    )
     line = _Formatter(form).format(record)
     assert ACTING.search(line) is None, line
     if form == "json":
@@ -65,7 +76,9 @@ def test_a_traceback_is_indented(form: str) -> None:
     try:
         raise ValueError(HOSTILE)
     except ValueError as error:
-        record = logging.LogRecord("x", logging.ERROR, "", 0, "it failed", (), (ValueError, error, error.__traceback__))
+        record = logging.LogRecord(
+            "x", logging.ERROR, "", 0, "it failed", (), (ValueError, error, error.__traceback__)
+        )
     first, *others = _Formatter(form).format(record).split("\n")
     assert "it failed" in first
     assert all(line.startswith("    ") for line in others)
@@ -82,12 +95,25 @@ def full_of_it() -> tuple[Board, Topology]:
     cameras = {said: {"events": 1, "newest": 1.0, "alive": True}}
     board.on_status("status/daemon", msgspec.msgpack.encode({**status, "cameras": cameras}))
     onward = [NextCamera(said, said, 0.5, 1.0, 2.0, 3.0)]
-    board.on_prediction("prediction/cam1", codec.to_pack(Prediction(said, said, 1.0, said, 1, 0.5, onward)))
+    board.on_prediction(
+        "prediction/cam1", codec.to_pack(Prediction(said, said, 1.0, said, 1, 0.5, onward))
+    )
     link = Link(said, said, "unseen", 0.5, 3.0, Transit(1, 1, 1, 1, 1, 1), 0.0, 0.1)
     alarms = [Alarm(1, 1.0, said, said, said)]
     topology = Topology(
-        TOPOLOGY_SCHEMA, said, said, 1, 1.0, 1, said, [Camera(said, [])], [], [link], [], alarms=alarms
-    )  # fmt: skip
+        TOPOLOGY_SCHEMA,
+        said,
+        said,
+        1,
+        1.0,
+        1,
+        said,
+        [Camera(said, [])],
+        [],
+        [link],
+        [],
+        alarms=alarms,
+    )
     return board, topology
 
 
@@ -114,22 +140,30 @@ def hostile_site(folder: Path) -> Iterator[tuple[Bus, Daemon]]:
         contextlib.closing(buses.dial(small_config(folder, daemon.endpoint))) as bus,
     ):
         bus.answer("status/cam1", lambda key, parameters: {"state": said, "reason": said}, "status")
-        bus.answer("status/x\nFORGED", lambda key, parameters: {"state": said, said: said}, "status")
+        bus.answer(
+            "status/x\nFORGED", lambda key, parameters: {"state": said, said: said}, "status"
+        )
         bus.appear("grabber", "y\x1b[2J\nFORGED")
         bus.appear("daemon", "z\x1b[2J\nFORGED")
         yield bus, daemon
 
 
-def test_doctor_shows_it_and_does_not_obey_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_shows_it_and_does_not_obey_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with hostile_site(tmp_path) as (_, daemon):
         assert main(["--connect", daemon.endpoint, "doctor"]) == 0
     text = capsys.readouterr().out
     assert text.count("OWNED") >= 2
-    assert [line for line in text.splitlines() if ACTING.search(line) or line.startswith("FORGED")] == []
+    assert [
+        line for line in text.splitlines() if ACTING.search(line) or line.startswith("FORGED")
+    ] == []
 
 
 @pytest.mark.parametrize("how", [[], ["--plain"]])
-def test_a_terminal_gets_none_of_it(how: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_gets_none_of_it(
+    how: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.delenv("COLUMNS", raising=False)
     said = HOSTILE.replace("\ud800", "")
@@ -137,11 +171,17 @@ def test_a_terminal_gets_none_of_it(how: list[str], tmp_path: Path, monkeypatch:
         terminal = Terminal("--connect", daemon.endpoint, "watch", *how, columns=200, rows=50)
 
         def shown() -> bool:
-            bus.put("status/cam1", {"state": said, "reason": said}, "status")  # as grabbers do, again and again
+            bus.put(
+                "status/cam1", {"state": said, "reason": said}, "status"
+            )  # as grabbers do, again and again
             return "OWNED" in terminal.text
 
         wait_for(shown, "what it says of itself")
-        bus.put("status/cam1", {"state": "\x1b]52;c;ZWNobw==\x07", "reason": "\x1b]0;AGAIN\x07"}, "status")
+        bus.put(
+            "status/cam1",
+            {"state": "\x1b]52;c;ZWNobw==\x07", "reason": "\x1b]0;AGAIN\x07"},
+            "status",
+        )
         wait_for(lambda: "AGAIN" in terminal.text, "what it says then")
         assert terminal.close() == 0
     for written in ("\x1b]", "\x07", "\x9b", "\u202e", "\nFORGED", "\nerror"):
@@ -152,14 +192,20 @@ def test_a_terminal_gets_none_of_it(how: list[str], tmp_path: Path, monkeypatch:
 def test_no_name_on_the_bus_makes_a_line_of_the_log(form: str, tmp_path: Path) -> None:
     endpoint, log = free_endpoint(), tmp_path / "log"
     settings = tmp_path / "c.toml"
-    settings.write_text(f'[bus]\nlisten = ["{endpoint}"]\n[state]\ndirectory = "{tmp_path}/state"\n', "utf-8")
+    settings.write_text(
+        f'[bus]\nlisten = ["{endpoint}"]\n[state]\ndirectory = "{tmp_path}/state"\n', "utf-8"
+    )
     with log.open("wb") as file:
-        process = serving.camtopod("--config", str(settings), "--log-format", form, "run", stderr=file)
+        process = serving.camtopod(
+            "--config", str(settings), "--log-format", form, "run", stderr=file
+        )
     try:
         wait_for(lambda: "ready at" in log.read_text("utf-8"), "the daemon")
         with contextlib.closing(buses.dial(small_config(tmp_path, endpoint))) as bus:
             bus.appear("daemon", "x\nFORGED\x1b[2J")
-            bus.put_raw("event/x\n2026-01-01T00:00:00Z error: FORGED\x1b[2J\u202e", b"\xc1", "event")
+            bus.put_raw(
+                "event/x\n2026-01-01T00:00:00Z error: FORGED\x1b[2J\u202e", b"\xc1", "event"
+            )
             bus.put_raw("event/y", b'{"camera":"y\\nFORGED","kind":"\\u001b[2J\\n"}', "event")
             wait_for(lambda: log.read_text("utf-8").count("rejected") >= 2, "what is rejected")
             (status,) = [msgspec.msgpack.decode(raw) for _, raw in bus.ask("status/daemon")]
@@ -181,14 +227,21 @@ def test_a_line_of_a_file_is_quoted_so(capsys: pytest.CaptureFixture[str]) -> No
 
 def test_what_ends_a_command_is_said_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for form in ("text", "logfmt", "json"):
-        assert main(["--log-format", form, "export", "--format", "dot", f"{tmp_path}/\x1b[2J\x9bx"]) == 66
+        assert (
+            main(["--log-format", form, "export", "--format", "dot", f"{tmp_path}/\x1b[2J\x9bx"])
+            == 66
+        )
         (line,) = capsys.readouterr().err.splitlines()
         assert ACTING.search(line) is None
 
 
 def test_a_crash_is_told_so() -> None:
-    code = "import camtopod.cli.main as m; m.main = lambda: 1 / int('\\x1b[2J\\nFORGED'); m.console()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    code = (
+        "import camtopod.cli.main as m; m.main = lambda: 1 / int('\\x1b[2J\\nFORGED'); m.console()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
     assert done.returncode == 1
     assert "ValueError" in done.stderr
     assert "\x1b" not in done.stderr

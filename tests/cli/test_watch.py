@@ -1,4 +1,6 @@
-"""What `camtopod watch` shows: as lines, on a screen of any size, in a real terminal, through a daemon's restart."""
+"""What `camtopod watch` shows: as lines, on a screen of any size, in a real terminal, through a
+daemon's restart.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,25 @@ from camtopod.cli.commands import watch
 from camtopod.cli.commands.watch import lines
 from camtopod.cli.terminal import screen
 from camtopod.cli.terminal.screen import REASON_ROWS_MAX, drawn
-from camtopod.cli.terminal.site_state import ALARMS_SHOWN, SILENT_SECONDS, Board, View, prediction_line
+from camtopod.cli.terminal.site_state import (
+    ALARMS_SHOWN,
+    SILENT_SECONDS,
+    Board,
+    View,
+    prediction_line,
+)
 from camtopod.config.settings import BusSettings
-from camtopod.records import TOPOLOGY_SCHEMA, Alarm, InView, Link, NextCamera, Prediction, SelfScore, Topology, Transit
+from camtopod.records import (
+    TOPOLOGY_SCHEMA,
+    Alarm,
+    InView,
+    Link,
+    NextCamera,
+    Prediction,
+    SelfScore,
+    Topology,
+    Transit,
+)
 from camtopod.serve.daemon import Daemon
 
 NOW = 1_700_007_200.0
@@ -56,11 +74,20 @@ def shown(topology: Topology | None) -> str:
 def topology(alarms: int = 0, score: SelfScore | None = None, links: int = 0) -> Topology:
     """A version with so many alarms, an hour old each, and links, the last one the busiest."""
     listed = [
-        Alarm(k, 1_700_003_600.0, "link_closed", f"lobby/{k}->hall/2", "share 0.60 until 5, 0.00 since")
+        Alarm(
+            k,
+            1_700_003_600.0,
+            "link_closed",
+            f"lobby/{k}->hall/2",
+            "share 0.60 until 5, 0.00 since",
+        )
         for k in range(alarms)
     ]
     transit = Transit(7.8, 8.1, 1.9, -6.2, 7.9, 10.4)
-    found = [Link(f"lobby/{k}", "hall/2", "unseen", 0.4, float(k), transit, 0.0, 0.1) for k in range(links)]
+    found = [
+        Link(f"lobby/{k}", "hall/2", "unseen", 0.4, float(k), transit, 0.0, 0.1)
+        for k in range(links)
+    ]
     return msgspec.structs.replace(NOTHING, alarms=listed or None, score=score, links=found)
 
 
@@ -72,11 +99,27 @@ def full(cameras: int, steady: Steady | None = None) -> Board:
     """A site with cameras, one in ten of which is not well, a daemon, and predictions."""
     board = Board(steady or Steady())
     counts = {f"cam{k:04}": {"events": k, "newest": NOW - k, "alive": True} for k in range(cameras)}
-    told(board, "daemon", state="running", reason="", cameras=counts, events={"stored": 77}, rejects={"malformed": 2})
+    told(
+        board,
+        "daemon",
+        state="running",
+        reason="",
+        cameras=counts,
+        events={"stored": 77},
+        rejects={"malformed": 2},
+    )
     for k in range(cameras):
         well = k % 10 != 7
-        told(board, f"cam{k:04}", state="running" if well else "stalled", reason="" if well else REASON)
-    following = [NextCamera("hall", "hall/2", 0.61, 6.2, 7.9, 10.4), NextCamera("bar", "bar/1", 0.2, -3.0, 1.0, -1.0)]
+        told(
+            board,
+            f"cam{k:04}",
+            state="running" if well else "stalled",
+            reason="" if well else REASON,
+        )
+    following = [
+        NextCamera("hall", "hall/2", 0.61, 6.2, 7.9, 10.4),
+        NextCamera("bar", "bar/1", 0.2, -3.0, 1.0, -1.0),
+    ]
     for k in range(3):
         said = Prediction("lobby", f"lobby/{k}", NOW - 3.0 + k, "17", 9, 0.2, following)
         board.on_prediction("prediction/lobby", codec.to_pack(said))
@@ -85,7 +128,9 @@ def full(cameras: int, steady: Steady | None = None) -> Board:
 
 def on_screen(view: View, width: int, height: int, words: str = "") -> list[str]:
     """What somebody would read."""
-    console = Console(file=io.StringIO(), width=width, height=height, color_system=None, legacy_windows=False)
+    console = Console(
+        file=io.StringIO(), width=width, height=height, color_system=None, legacy_windows=False
+    )
     with console.capture() as capture:
         console.print(drawn(view, width, height, words), height=height)
     return [line.rstrip() for line in capture.get().splitlines()]
@@ -96,21 +141,32 @@ def on_screen(view: View, width: int, height: int, words: str = "") -> list[str]
 
 def test_the_newest_alarms_are_shown_newest_first() -> None:
     text = shown(topology(ALARMS_SHOWN + 2, None))
-    assert "60 min ago, version 6: link_closed lobby/6->hall/2, share 0.60 until 5, 0.00 since" in text
+    assert (
+        "60 min ago, version 6: link_closed lobby/6->hall/2, share 0.60 until 5, 0.00 since" in text
+    )
     assert text.index("lobby/6->") < text.index("lobby/2->")
     assert "lobby/1->" not in text
 
 
 def test_who_sees_somebody_now_is_said_first() -> None:
-    """If it is likely; of several passages in one view it counts that one of them is the object's."""
-    in_view = [InView("hall", "1", NOW, 0.5), InView("stairs", "2", NOW, 0.1), InView("hall", "3", NOW, 0.25)]
+    """If it is likely; of several passages in one view it counts that one of them is the
+    object's.
+    """
+    in_view = [
+        InView("hall", "1", NOW, 0.5),
+        InView("stairs", "2", NOW, 0.1),
+        InView("hall", "3", NOW, 0.25),
+    ]
     said = Prediction("lobby", "lobby/1", NOW, "17", 9, 1.0, [], [], in_view)
     assert prediction_line(said) == "lobby/1 -> now in view of hall 0.75"
 
 
 def test_the_score_is_shown_beside_its_baseline() -> None:
     text = shown(topology(0, SCORE))
-    assert "next camera right 0.81 (the usual one 0.55), among three 0.93, log loss 1.25 (1.75)" in text
+    assert (
+        "next camera right 0.81 (the usual one 0.55), among three 0.93, log loss 1.25 (1.75)"
+        in text
+    )
     assert "200 exits since version 3" in text
 
 
@@ -147,9 +203,14 @@ def test_what_cannot_be_read_changes_nothing() -> None:
     board.on_status("status/cam0000", b"\xc1")
     board.on_prediction("prediction/lobby", b"\xc1")
     for odd in (
-        {"cameras": 3}, {"cameras": {"cam0000": 3}}, {"cameras": {"cam0000": {"newest": "x"}}}, {"events": None},
-        {"rejects": [1]}, {"rejects": {"malformed": "x"}}, {"state": 3},
-    ):  # fmt: skip
+        {"cameras": 3},
+        {"cameras": {"cam0000": 3}},
+        {"cameras": {"cam0000": {"newest": "x"}}},
+        {"events": None},
+        {"rejects": [1]},
+        {"rejects": {"malformed": "x"}},
+        {"state": 3},
+    ):
         told(board, "daemon", **odd)
     told(board, "cam0000", state=None)
     assert board.view(None, "hq", NOW) == before
@@ -169,7 +230,11 @@ def test_it_fits_any_terminal(size: tuple[int, int], cameras: int) -> None:
 
 
 def test_everything_is_there_on_a_large_one() -> None:
-    text = "\n".join(on_screen(full(9).view(topology(2, SCORE, 3), "hq", NOW), 160, 40, "warning: the disk is full"))
+    text = "\n".join(
+        on_screen(
+            full(9).view(topology(2, SCORE, 3), "hq", NOW), 160, 40, "warning: the disk is full"
+        )
+    )
     for said in (
         "daemon running, 77 events stored",
         "version 9, 0 events",
@@ -182,7 +247,9 @@ def test_everything_is_there_on_a_large_one() -> None:
         "1 s ago  lobby/2 -> hall/2 0.61 in 6 to 10 s, bar/1 0.20",
     ):
         assert said in text
-    assert REASON in " ".join(" ".join(on_screen(full(9).view(None, "hq", NOW), 90, 40)).split()), "the whole of it"
+    assert REASON in " ".join(" ".join(on_screen(full(9).view(None, "hq", NOW), 90, 40)).split()), (
+        "the whole of it"
+    )
 
 
 def test_of_many_cameras_those_that_are_not_well_come_first() -> None:
@@ -197,7 +264,11 @@ def test_of_many_cameras_those_that_are_not_well_come_first() -> None:
     assert len(text) - heading <= REASON_ROWS_MAX * len(rows) + 20
     quiet = [camera for camera in view.cameras if not camera.wrong]
     text = on_screen(view._replace(cameras=quiet), 100, 50)
-    assert [line.split()[0] for line in text if line.startswith("cam")][:3] == ["cam0000", "cam0001", "cam0002"]
+    assert [line.split()[0] for line in text if line.startswith("cam")][:3] == [
+        "cam0000",
+        "cam0001",
+        "cam0002",
+    ]
     assert any(re.fullmatch(r"and \d+ more +well", line) for line in text)
 
 
@@ -245,7 +316,9 @@ class Terminal:
 
 def test_in_a_terminal_through_a_restart(tmp_path: Path) -> None:
     endpoint = free_endpoint()
-    config = msgspec.structs.replace(small_config(tmp_path / "state"), bus=BusSettings(listen=(endpoint,)))
+    config = msgspec.structs.replace(
+        small_config(tmp_path / "state"), bus=BusSettings(listen=(endpoint,))
+    )
     with Daemon(config):
         terminal = Terminal("--connect", endpoint, "watch")
         wait_for(lambda: "daemon running" in terminal.text, "the first screen")
@@ -262,7 +335,9 @@ def test_in_a_terminal_through_a_restart(tmp_path: Path) -> None:
     assert terminal.text.endswith("\x1b[?25h\x1b[?1049l"), "cursor and screen are as they were"
 
 
-def test_plain_lines_where_it_is_not_installed_or_not_wanted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plain_lines_where_it_is_not_installed_or_not_wanted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with Daemon(small_config(tmp_path / "state")) as daemon:
         terminal = Terminal("--connect", daemon.endpoint, "watch", "--plain", columns=30)
         wait_for(lambda: terminal.text.count("PREDICTIONS") >= 2, "two pictures")
@@ -270,13 +345,17 @@ def test_plain_lines_where_it_is_not_installed_or_not_wanted(tmp_path: Path, mon
     assert "site site: daemon running, 0 e\r\n" in terminal.text, "cut at the width"
     assert "\x1b[?1049h" not in terminal.text
     stop = threading.Event()
-    assert not watch._on_screen(lambda: Board().view(None, "hq", NOW), stop), "standard output is no terminal"
+    assert not watch._on_screen(lambda: Board().view(None, "hq", NOW), stop), (
+        "standard output is no terminal"
+    )
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "dumb")
     monkeypatch.setattr(screen, "Console", lambda: Console(force_terminal=True, file=io.StringIO()))
     assert not watch._on_screen(lambda: Board().view(None, "hq", NOW), stop)
     for name in [
-        name for name in sys.modules if name == "camtopod.cli.terminal.screen" or name.partition(".")[0] == "rich"
+        name
+        for name in sys.modules
+        if name == "camtopod.cli.terminal.screen" or name.partition(".")[0] == "rich"
     ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rich", None)

@@ -1,4 +1,6 @@
-"""The client library against a real daemon on a real bus: what it holds, what it says, what it waits for."""
+"""The client library against a real daemon on a real bus: what it holds, what it says, what it
+waits for.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,16 @@ import msgspec
 import numpy as np
 import pytest
 from fake_bus_daemon import LEFT, NOW, Hub, a_hub, later, learned, put, running, there
-from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+from serving import (
+    SPAN_SECONDS,
+    T0,
+    closing_event,
+    free_endpoint,
+    numbered,
+    small_config,
+    wait_for,
+    walkers,
+)
 
 from camtopod.client import BusError, NothingLearned, Topology, UnknownPlace, site_view
 from camtopod.codec import read
@@ -58,7 +69,10 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         Topology.connect(connect=endpoint) as site,
     ):
         assert (site.current, site.version, site.stale_since) == (None, 0, None)
-        with pytest.raises(TimeoutError, match=r"no version 1 of site site within 0\.1 s, .* 0; the daemon is there"):
+        with pytest.raises(
+            TimeoutError,
+            match=r"no version 1 of site site within 0\.1 s, .* 0; the daemon is there",
+        ):
             site.wait_for(1, 0.1)
         with pytest.raises(NothingLearned, match="nothing has been learned yet"):
             site.predict(**LEFT)
@@ -80,7 +94,9 @@ def test_versions_come_by_themselves(tmp_path: Path) -> None:
         newer = site.wait_for(last.version + 1, 20.0)
         assert site._held is not None
         assert site._held.predictor.version >= newer.version
-        assert site._held.predictor.save().under_way[0][:2] == ("a", "7"), "what was observed outlives a version"
+        assert site._held.predictor.save().under_way[0][:2] == ("a", "7"), (
+            "what was observed outlives a version"
+        )
     assert [one.version for one in site.versions()] == [], "closed"
     assert site.predict(**LEFT).next_, "what is held stays usable"
     assert site.stale_since is not None
@@ -138,7 +154,9 @@ def test_what_has_been_told_since_counts_when_asked_again(site: Topology) -> Non
     assert late.leave > 0.8 > 0.3 > at_exit.leave
     site.observe(left)
     again = site.predict(**LEFT, track="7", now=NOW + 60)
-    assert again.leave == pytest.approx(late.leave), "told or not, and after which passage is still known"
+    assert again.leave == pytest.approx(late.leave), (
+        "told or not, and after which passage is still known"
+    )
     site.observe(Event("b", "entry", NOW + 9.0, 0.1, 0.5))
     for zone in (None, at_exit.zone):
         asked = {"zone": zone} if zone else {"x": 0.9, "y": 0.5}
@@ -152,7 +170,9 @@ def test_what_has_been_told_since_counts_when_asked_again(site: Topology) -> Non
 
 def test_numbers_may_be_those_of_an_array(site: Topology) -> None:
     kept = np.array([NOW, 0.9, 0.5])
-    assert site.predict("a", kept[0], x=kept[1], y=kept[2], track=np.int64(17)) == site.predict(**LEFT, track="17")  # type: ignore[arg-type]
+    assert site.predict("a", kept[0], x=kept[1], y=kept[2], track=np.int64(17)) == site.predict(
+        **LEFT, track="17"
+    )  # type: ignore[arg-type]
 
 
 def test_who_tells_of_one_camera_does_not_make_the_others_dead(site: Topology) -> None:
@@ -160,7 +180,9 @@ def test_who_tells_of_one_camera_does_not_make_the_others_dead(site: Topology) -
     for number in range(3000):
         site.observe(Event("a", "entry", NOW + number, 0.1, 0.5))
     after = site.predict("a", NOW + 3600, x=0.9, y=0.5)
-    assert [one.probability for one in after.next_] == pytest.approx([one.probability for one in before.next_])
+    assert [one.probability for one in after.next_] == pytest.approx(
+        [one.probability for one in before.next_]
+    )
 
 
 def test_priors_are_those_of_the_version_held(site: Topology) -> None:
@@ -211,7 +233,10 @@ def test_a_reader_gets_in_with_its_certificate(tmp_path: Path) -> None:
     access.write_bytes(msgspec.json.encode(rules.Access("hq", authority.access.certificates)))
 
     def files(folder: str) -> list[str]:
-        return [str(tmp_path / "keys" / folder / name) for name in ("ca.pem", "certificate.pem", "private.key")]
+        return [
+            str(tmp_path / "keys" / folder / name)
+            for name in ("ca.pem", "certificate.pem", "private.key")
+        ]
 
     endpoint = free_endpoint().replace("tcp/127.0.0.1", "tls/localhost")
     bus = BusSettings(listen=(endpoint,), tls=TlsSettings(*files("daemon"), access=str(access)))
@@ -242,7 +267,9 @@ def test_each_exit_is_heard_of(hub: Hub, site: Topology) -> None:
         heard = [everywhere.get(10.0) for _ in exits]
         assert sorted((p.camera, p.t, p.track) for p in heard if p is not None) == exits
         assert everywhere.get(0.0) is None
-        assert [p.t for p in of_b] == [t for camera, t, _ in exits if camera == "b"], "ends when none comes for 0.5 s"
+        assert [p.t for p in of_b] == [t for camera, t, _ in exits if camera == "b"], (
+            "ends when none comes for 0.5 s"
+        )
         assert (everywhere.dropped, everywhere.unreadable) == (0, 0)
         hub.bus.put_raw("prediction/b", b"\xc1", "prediction")
         wait_for(lambda: everywhere.unreadable == of_b.unreadable == 1, "what is no prediction")
@@ -281,7 +308,9 @@ def test_closing_lets_go_who_waits(hub: Hub) -> None:
         site.wait_for(10**6, 10.0)
 
 
-def test_nobody_begins_to_wait_while_it_closes_or_after(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_begins_to_wait_while_it_closes_or_after(
+    hub: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
     site = Topology.connect(connect=hub.daemon.endpoint)
     leave, refused = site._bus.close, []
 

@@ -1,4 +1,6 @@
-"""The client library in asyncio: the same as in threads, and what waits or connects can be cancelled."""
+"""The client library in asyncio: the same as in threads, and what waits or connects can be
+cancelled.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +49,9 @@ def test_what_waits_in_asyncio_can_be_cancelled(hub: Hub) -> None:
     async def main() -> tuple[float, int]:
         async with aio.Topology.connect(connect=hub.daemon.endpoint) as site:
             waiting = [
-                asyncio.create_task(site.wait_for(10**6, 60.0)), asyncio.create_task(site.predictions().get()),
-            ]  # fmt: skip
+                asyncio.create_task(site.wait_for(10**6, 60.0)),
+                asyncio.create_task(site.predictions().get()),
+            ]
             await asyncio.sleep(0)
             for task in waiting:
                 task.cancel()
@@ -75,7 +78,9 @@ def test_asyncio_says_that_nobody_is_there(tmp_path: Path) -> None:
 
 def test_a_connection_that_is_given_up_is_closed(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
     closed = []
-    monkeypatch.setattr(aio.Topology, "close", lambda self: (closed.append(self), super(aio.Topology, self).close()))
+    monkeypatch.setattr(
+        aio.Topology, "close", lambda self: (closed.append(self), super(aio.Topology, self).close())
+    )
 
     async def main() -> None:
         async def hold() -> None:

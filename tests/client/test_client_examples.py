@@ -1,4 +1,6 @@
-"""The examples of the client library as their readers run them, against a real daemon; README shows the same."""
+"""The examples of the client library as their readers run them, against a real daemon; README shows
+the same.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,12 @@ def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
         yield one
 
 
-def said(hub: Hub, name: str, events: list[Event], looks: dict[str, list[float]] | None = None) -> list[str]:
-    """What an example prints when it is told of the events, and of how the people of tracks look."""
+def said(
+    hub: Hub, name: str, events: list[Event], looks: dict[str, list[float]] | None = None
+) -> list[str]:
+    """What an example prints when it is told of the events, and of how the people of tracks
+    look.
+    """
     command = [sys.executable, str(EXAMPLES / name), hub.daemon.endpoint]
     lines = [json.loads(to_json(event)) for event in events]
     if looks is not None:
@@ -57,7 +63,9 @@ def walk(track: int, t: float, to: str) -> list[Event]:
 
 
 def test_where_next(hub: Hub) -> None:
-    found = re.fullmatch(r"a -> [bc] (\d+)%, in (\d+) to (\d+) s", said(hub, "next_camera.py", walk(1, NOW, "b"))[0])
+    found = re.fullmatch(
+        r"a -> [bc] (\d+)%, in (\d+) to (\d+) s", said(hub, "next_camera.py", walk(1, NOW, "b"))[0]
+    )
     assert found is not None
     chance, soonest, latest = map(int, found.groups())
     assert 40 <= chance <= 60
@@ -77,13 +85,20 @@ def through_both(number: int, t: float) -> list[Event]:
 
 def test_where_views_overlap_the_track_that_goes_on_is_named(tmp_path: Path) -> None:
     begin = np.cumsum(np.random.default_rng(3).exponential(20.0, 200))
-    events = [event for number, t in enumerate(begin) for event in through_both(number, T0 + float(t))]
+    events = [
+        event for number, t in enumerate(begin) for event in through_both(number, T0 + float(t))
+    ]
     events = [*numbered(sorted(events, key=lambda event: event.t)), closing_event()]
-    with running(tmp_path, free_endpoint()) as daemon, dial(small_config(tmp_path, daemon.endpoint)) as bus:
+    with (
+        running(tmp_path, free_endpoint()) as daemon,
+        dial(small_config(tmp_path, daemon.endpoint)) as bus,
+    ):
         put(bus, *events)
         learned(daemon, events)
         command = [sys.executable, str(EXAMPLES / "handing_over.py"), daemon.endpoint]
-        two = sorted([*through_both(301, NOW), *through_both(302, NOW + 2)], key=lambda event: event.t)
+        two = sorted(
+            [*through_both(301, NOW), *through_both(302, NOW + 2)], key=lambda event: event.t
+        )
         given = b"".join(to_json(event) + b"\n" for event in two)
         done = subprocess.run(command, input=given, capture_output=True, timeout=100)
     assert done.stderr == b""
@@ -93,28 +108,40 @@ def test_where_views_overlap_the_track_that_goes_on_is_named(tmp_path: Path) -> 
 
 
 def test_who_is_who(hub: Hub) -> None:
-    events = sorted([*walk(1, NOW, "b"), *walk(2, NOW + 6, "c"), *walk(3, NOW + 60, "b")], key=lambda event: event.t)
+    events = sorted(
+        [*walk(1, NOW, "b"), *walk(2, NOW + 6, "c"), *walk(3, NOW + 60, "b")],
+        key=lambda event: event.t,
+    )
     assert sorted(said(hub, "gating.py", events)) == ["a/11 = b/12", "a/21 = c/22", "a/31 = b/32"]
 
 
 def test_who_is_who_by_looks_and_by_the_site(hub: Hub) -> None:
-    """Of two at the same time looks tell; of two who look alike, the times and ways that the site knows."""
+    """Of two at the same time looks tell; of two who look alike, the times and ways that the site
+    knows.
+    """
     two = [*walk(1, NOW, "b"), *walk(2, NOW + 0.3, "b"), *walk(3, NOW + 300, "b")]
     red, blue = [1.0, 0.0, 0.2], [0.0, 1.0, 0.2]
     looks = {"11": red, "21": blue, "12": blue, "22": red, "31": red, "32": red}
     found = said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), looks)
     assert sorted(found) == ["a/11 = b/22", "a/21 = b/12", "a/31 = b/32"]
-    alike = said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), dict.fromkeys(looks, red))
+    alike = said(
+        hub, "by_looks.py", sorted(two, key=lambda event: event.t), dict.fromkeys(looks, red)
+    )
     assert len(alike) == 3
     assert "a/31 = b/32" in alike
     strangers = {**looks, "32": blue}
-    assert sorted(said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), strangers)) == found[:2]
+    assert (
+        sorted(said(hub, "by_looks.py", sorted(two, key=lambda event: event.t), strangers))
+        == found[:2]
+    )
 
 
 def test_as_it_comes(hub: Hub) -> None:
     """Until interrupted, after which nothing keeps the process."""
     command = [sys.executable, "-u", str(EXAMPLES / "in_asyncio.py"), hub.daemon.endpoint]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as running:
         assert running.stdout is not None
         lines: list[str] = []
         reader = threading.Thread(target=lines.extend, args=(running.stdout,), daemon=True)
@@ -136,11 +163,18 @@ def test_as_it_comes(hub: Hub) -> None:
 
 def test_the_bus_itself_as_readme_shows_it(hub: Hub) -> None:
     """The lines without camtopod, word for word but for where the daemon is."""
-    [shown] = re.findall(r"^```python\n(import json, msgspec, zenoh\n.*?)^```$", README, re.DOTALL | re.MULTILINE)
-    assert len([line for line in shown.splitlines() if line and not line.startswith("import ")]) <= LINES_MAX
+    [shown] = re.findall(
+        r"^```python\n(import json, msgspec, zenoh\n.*?)^```$", README, re.DOTALL | re.MULTILINE
+    )
+    assert (
+        len([line for line in shown.splitlines() if line and not line.startswith("import ")])
+        <= LINES_MAX
+    )
     assert shown.count('"tcp/127.0.0.1:7447"') == 1
     block = shown.replace("tcp/127.0.0.1:7447", hub.daemon.endpoint)
-    with subprocess.Popen([sys.executable, "-u", "-c", block], stdout=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(
+        [sys.executable, "-u", "-c", block], stdout=subprocess.PIPE, text=True
+    ) as running:
         assert running.stdout is not None
         lines: list[str] = []
         reader = threading.Thread(target=lines.extend, args=(running.stdout,), daemon=True)
@@ -158,12 +192,18 @@ def test_the_bus_itself_as_readme_shows_it(hub: Hub) -> None:
     assert [pair["cameras"] for pair in ast.literal_eval(lines[0])] == [["a", "b"], ["a", "c"]]
     prediction = ast.literal_eval(lines[1])
     assert prediction["camera"] in "abc"
-    assert prediction["leave"] + sum(one["probability"] for one in prediction["next"]) == pytest.approx(1.0)
+    assert prediction["leave"] + sum(
+        one["probability"] for one in prediction["next"]
+    ) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("name", ["next_camera.py", "gating.py", "handing_over.py"])
 def test_it_takes_ten_lines(name: str) -> None:
-    lines = [line for line in code(name).splitlines() if line and not line.startswith(("import ", "from "))]
+    lines = [
+        line
+        for line in code(name).splitlines()
+        if line and not line.startswith(("import ", "from "))
+    ]
     assert len(lines) <= LINES_MAX
 
 

@@ -1,4 +1,6 @@
-"""The log-priors for a tracker's association: what they sum to, and how right the association is that they make."""
+"""The log-priors for a tracker's association: what they sum to, and how right the association is
+that they make.
+"""
 
 from __future__ import annotations
 
@@ -48,25 +50,36 @@ def link(from_: str, to: str, probability: float, median: float) -> Link:
 
 
 def a_topology(*links: Link, ahead: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Topology:
-    """Cameras a (two zones), b and c (one each), with clocks so many seconds ahead; from outside somebody comes to each
-    zone every 1,000 s.
+    """Cameras a (two zones), b and c (one each), with clocks so many seconds ahead; from outside
+    somebody comes to each zone every 1,000 s.
     """
     zones = [
-        Zone("a/1", "a", 100, 100, 0.1, 0.5, COV), Zone("a/2", "a", 100, 100, 0.9, 0.5, COV),
-        Zone("b/1", "b", 100, 100, 0.5, 0.5, COV), Zone("c/1", "c", 100, 100),
-    ]  # fmt: skip
+        Zone("a/1", "a", 100, 100, 0.1, 0.5, COV),
+        Zone("a/2", "a", 100, 100, 0.9, 0.5, COV),
+        Zone("b/1", "b", 100, 100, 0.5, 0.5, COV),
+        Zone("c/1", "c", 100, 100),
+    ]
     model = Model(
-        4.0, 0.1, -20.0, 120.0, [ZoneModel(zone.id, 100, 0.001, []) for zone in zones],
-        [CameraModel(name, 1 / 3, 0.0) for name in "abc"], clocks_corrected=True,
-    )  # fmt: skip
+        4.0,
+        0.1,
+        -20.0,
+        120.0,
+        [ZoneModel(zone.id, 100, 0.001, []) for zone in zones],
+        [CameraModel(name, 1 / 3, 0.0) for name in "abc"],
+        clocks_corrected=True,
+    )
     cameras = [
         Camera(name, [zone.id for zone in zones if zone.camera == name], offset)
         for name, offset in zip("abc", ahead, strict=True)
     ]
-    return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 7, 0.0, 800, "", cameras, zones, [*links], [], model=model)
+    return Topology(
+        TOPOLOGY_SCHEMA, "hq", "01J", 7, 0.0, 800, "", cameras, zones, [*links], [], model=model
+    )
 
 
-THREE = a_topology(link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.3, 20.0), link("a/1", "a/2", 0.1, 30.0))
+THREE = a_topology(
+    link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.3, 20.0), link("a/1", "a/2", 0.1, 30.0)
+)
 LEFT = Event("a", "exit", 1000.0, 0.1, 0.5, "17")
 
 
@@ -77,7 +90,9 @@ def came(camera: str, t: float, x: float | None = 0.5) -> Event:
 def integral(gate: Gate, from_zone: str, to_camera: str, to_zone: str | None = None) -> float:
     """Of the density over all times."""
     times = np.arange(-20.0, 190.0, STEP) + STEP / 2
-    return sum(math.exp(gate.gate(from_zone, 0.0, to_camera, float(t), to_zone)) for t in times) * STEP
+    return (
+        sum(math.exp(gate.gate(from_zone, 0.0, to_camera, float(t), to_zone)) for t in times) * STEP
+    )
 
 
 # --- what it means --------------------------------------------------------------------------------
@@ -116,12 +131,20 @@ def test_clocks_that_are_ahead_are_taken_into_account() -> None:
 
 
 def test_views_that_overlap_are_seen_before_the_exit() -> None:
-    """With passages of 0 to 10 s: that only half of them had begun 5 s before the exit takes nothing off the sum."""
+    """With passages of 0 to 10 s: that only half of them had begun 5 s before the exit takes
+    nothing off the sum.
+    """
     assert THREE.model is not None
     stays = [ZoneModel(zone.id, 100, 0.001, [float(k) for k in range(11)]) for zone in THREE.zones]
-    gate = Gate(replace(a_topology(link("a/1", "b/1", 0.5, -5.0)), model=replace(THREE.model, zones=stays)))
+    gate = Gate(
+        replace(a_topology(link("a/1", "b/1", 0.5, -5.0)), model=replace(THREE.model, zones=stays))
+    )
     assert integral(gate, "a/1", "b") == pytest.approx(0.5, abs=0.01)
-    assert gate.affinity([LEFT], [came("b", 995.0)])[0, 0] > 0 > gate.affinity([LEFT], [came("b", 1003.0)])[0, 0]
+    assert (
+        gate.affinity([LEFT], [came("b", 995.0)])[0, 0]
+        > 0
+        > gate.affinity([LEFT], [came("b", 1003.0)])[0, 0]
+    )
 
 
 def test_where_in_the_zone_it_left_counts() -> None:
@@ -147,20 +170,26 @@ def test_odds_are_those_of_one_object_against_two() -> None:
         same = gate.gate("a/1", LEFT.t, entry.camera, entry.t, zone)
         assert odds[0, column] == pytest.approx(same - gate.gate_new(entry.camera, zone) - gone)
     assert (odds[1] == -math.inf).all(), "from a/2 no way is known"
-    assert gate.affinity(exits, entries, now=1e9)[0] == pytest.approx(odds[0] + gone - gate.gate_gone("a/1"))
+    assert gate.affinity(exits, entries, now=1e9)[0] == pytest.approx(
+        odds[0] + gone - gate.gate_gone("a/1")
+    )
 
 
 def overlapping() -> Topology:
     """Who comes in at a/2 appears at b/1 four seconds later, whenever they leave at a/1."""
     bins = LagBins(-20.0, 120.0)
     four = Histogram(bins.bin_of(4.0) + bins.first, [1.0])
-    onward = [Onward("a/1", 0.5, [Outcome("b/1", 0.5, Histogram(bins.bin_of(-9.0) + bins.first, [1e-3]))])]
+    onward = [
+        Onward("a/1", 0.5, [Outcome("b/1", 0.5, Histogram(bins.bin_of(-9.0) + bins.first, [1e-3]))])
+    ]
     model = replace(THREE.model, onward=onward, entered=[EntryKernel("a/2", "b/1", four)])
     return replace(THREE, model=model)
 
 
 def test_an_open_track_that_came_when_those_from_there_do_is_the_same_object() -> None:
-    """The passage lasted ten seconds, so the entry that was six before the exit goes with it, and no other."""
+    """The passage lasted ten seconds, so the entry that was six before the exit goes with it, and
+    no other.
+    """
     exits = [LEFT]
     own = Event("a", "entry", 990.0, 0.9, 0.5, "17")
     others = [came("b", 994.0), came("b", 998.0)]
@@ -178,11 +207,16 @@ def test_an_open_track_that_came_when_those_from_there_do_is_the_same_object() -
 def test_of_several_entries_of_a_track_the_newest_before_the_exit_began_the_passage() -> None:
     gate, entries = Gate(overlapping()), [came("b", 994.0)]
     own = [Event("a", "entry", t, 0.9, 0.5, "17") for t in (990.0, 900.0, 1000.5)]
-    assert gate.affinity([LEFT], [*entries, *own])[0, 0] == gate.affinity([LEFT], [*entries, own[0]])[0, 0]
+    assert (
+        gate.affinity([LEFT], [*entries, *own])[0, 0]
+        == gate.affinity([LEFT], [*entries, own[0]])[0, 0]
+    )
 
 
 def test_as_many_come_from_outside_as_no_exit_accounts_for() -> None:
-    """100 at each zone in 100,000 s, of which all that another zone does not lead to come from outside."""
+    """100 at each zone in 100,000 s, of which all that another zone does not lead to come from
+    outside.
+    """
     assert THREE.model is not None
     unexplained = zip(THREE.zones, (1.0, 0.9, 0.5, 0.7), strict=True)
     zones = [ZoneModel(zone.id, 100, share / 1000.0, []) for zone, share in unexplained]
@@ -194,7 +228,9 @@ def test_as_many_come_from_outside_as_no_exit_accounts_for() -> None:
 
 def test_what_is_not_there_is_said() -> None:
     gate = Gate(THREE)
-    with pytest.raises(UnknownPlace, match=r"^version 7 has no zone 'a/3'; there are a/2, a/1, c/1, b/1$"):
+    with pytest.raises(
+        UnknownPlace, match=r"^version 7 has no zone 'a/3'; there are a/2, a/1, c/1, b/1$"
+    ):
         gate.gate("a/3", 0.0, "b", 8.0)
     with pytest.raises(KeyError, match="no camera 'd'; there are"):
         gate.gate("a/1", 0.0, "d", 8.0)
@@ -214,7 +250,9 @@ def test_what_is_not_there_is_said() -> None:
 
 
 def test_of_an_unknown_camera_nothing_is_said() -> None:
-    odds = Gate(THREE).affinity([LEFT, replace(LEFT, camera="new")], [came("b", 1008.0), came("new", 1008.0)])
+    odds = Gate(THREE).affinity(
+        [LEFT, replace(LEFT, camera="new")], [came("b", 1008.0), came("new", 1008.0)]
+    )
     assert odds[0, 0] > 0
     assert (odds[:, 1] == 0).all()
     assert (odds[1] == 0).all()
@@ -226,10 +264,14 @@ def test_of_an_unknown_camera_nothing_is_said() -> None:
 
 
 class Site:
-    """A made-up site of 12 cameras, learned from the first 70 % of 48 minutes; the rest is to be associated."""
+    """A made-up site of 12 cameras, learned from the first 70 % of 48 minutes; the rest is to be
+    associated.
+    """
 
     def __init__(self, seed: int) -> None:
-        events, truth = simulate(SimSettings(cameras=12, hours=0.8, seed=seed, objects_per_second=0.12))
+        events, truth = simulate(
+            SimSettings(cameras=12, hours=0.8, seed=seed, objects_per_second=0.12)
+        )
         learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
         cut = int(TRAIN_SHARE * len(events))
         for event in events[:cut]:
@@ -247,7 +289,9 @@ class Site:
         self.lag = np.array([[came.t - left.t for came in self.entries] for left in self.exits])
 
     def right(self, value: np.ndarray) -> float:
-        """Share of the exits for which the matching with the largest sum of values above 0 says what is true."""
+        """Share of the exits for which the matching with the largest sum of values above 0 says
+        what is true.
+        """
         rows, columns = linear_sum_assignment(np.maximum(value, 0.0), maximize=True)
         said = np.full(len(self.truth), -1)
         some = value[rows, columns] > 0
@@ -262,27 +306,41 @@ def sites() -> list[Site]:
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_association_beats_the_nearest_in_time(sites: list[Site], which: int) -> None:
-    """By a quarter of the exits, even if that is told which cameras are linked and the best cutoff; and it beats the
-    nearest to the learned median of the two zones' link, with the best cutoff, too.
+    """By a quarter of the exits, even if that is told which cameras are linked and the best cutoff;
+    and it beats the nearest to the learned median of the two zones' link, with the best cutoff,
+    too.
     """
     site = sites[which]
     found = site.right(Gate(site.topology).affinity(site.exits, site.entries))
     pairs = {frozenset(pair.cameras) for pair in site.topology.pairs}
-    linked = np.array([[frozenset((a.camera, b.camera)) in pairs for b in site.entries] for a in site.exits])
+    linked = np.array(
+        [[frozenset((a.camera, b.camera)) in pairs for b in site.entries] for a in site.exits]
+    )
     forward = np.where(linked & (site.lag > 0), site.lag, np.inf)
     nearest = max(site.right(cutoff - forward) for cutoff in CUTOFFS_SECONDS)
     assert found >= nearest + 0.25
     predictor = Predictor(site.topology)
-    median = {(one.from_, one.to): one.transit.q50 for one in site.topology.links if one.relation != "visible"}
-    out, into = ([site.topology.zones[predictor.zone_of(e)].id for e in some] for some in (site.exits, site.entries))
+    median = {
+        (one.from_, one.to): one.transit.q50
+        for one in site.topology.links
+        if one.relation != "visible"
+    }
+    out, into = (
+        [site.topology.zones[predictor.zone_of(e)].id for e in some]
+        for some in (site.exits, site.entries)
+    )
     usual = np.array([[median.get((a, b), np.inf) for b in into] for a in out])
     window = max(site.right(cutoff - np.abs(site.lag - usual)) for cutoff in CUTOFFS_SECONDS)
-    print(f"exits decided right: {found:.2f}; nearest in time: {nearest:.2f}; nearest to the median: {window:.2f}")
+    print(
+        f"exits decided right: {found:.2f}; nearest in time: {nearest:.2f}; nearest to the median: {window:.2f}"
+    )
     assert found >= window + 0.02
 
 
 def test_what_it_holds_for_likely_is_as_often_true(sites: list[Site]) -> None:
-    """Of each entry's possible pasts, outside among them, the posterior probabilities beside what is true."""
+    """Of each entry's possible pasts, outside among them, the posterior probabilities beside what
+    is true.
+    """
     posteriors, truths = zip(*map(posterior_and_truth, sites), strict=True)
     posterior, true = np.concatenate(posteriors), np.concatenate(truths)
     looked_at = posterior > 0.02
@@ -294,7 +352,9 @@ def test_what_it_holds_for_likely_is_as_often_true(sites: list[Site]) -> None:
 
 def posterior_and_truth(site: Site) -> tuple[np.ndarray, np.ndarray]:
     """(exits * entries,) how likely each entry was the object of each exit, and whether it was."""
-    ratio = np.exp(Gate(site.topology).affinity(site.exits, site.entries, now=-math.inf))  # nobody is gone by then
+    ratio = np.exp(
+        Gate(site.topology).affinity(site.exits, site.entries, now=-math.inf)
+    )  # nobody is gone by then
     posterior = ratio / (1.0 + ratio.sum(axis=0))
     true = np.zeros(posterior.shape, bool)
     rows = np.flatnonzero(site.truth >= 0)
@@ -316,6 +376,8 @@ def test_it_is_what_the_predictor_says_before_anything_has_been_seen() -> None:
         said = predictor.predict_from(number, 0.0)
         assert math.exp(gate.gate_gone(zone.id)) == pytest.approx(said.leave, abs=0.01)
         for choice in said.next_[:1]:
-            assert integral(gate, zone.id, choice.camera, choice.zone) == pytest.approx(choice.probability, abs=0.01)
+            assert integral(gate, zone.id, choice.camera, choice.zone) == pytest.approx(
+                choice.probability, abs=0.01
+            )
             compared += 1
     assert compared > 4

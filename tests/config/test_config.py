@@ -1,4 +1,6 @@
-"""Configuration: what a file says, every mistake at once with its line, and which line a key is on."""
+"""Configuration: what a file says, every mistake at once with its line, and which line a key is
+on.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,10 @@ def test_what_is_said_is_used() -> None:
     assert config.learn.lateness_seconds == 7.0
     assert config.limits.future_seconds_max == 5.5
     assert config.vision.working_width == 160
-    assert config.cameras == {"lobby": CameraSettings("0"), "hall": CameraSettings("x.mp4", realtime=True)}
+    assert config.cameras == {
+        "lobby": CameraSettings("0"),
+        "hall": CameraSettings("x.mp4", realtime=True),
+    }
     assert config.listens == ("tcp/0.0.0.0:7000",)
     assert config.dials == ("tcp/127.0.0.1:7000",)
 
@@ -113,7 +118,10 @@ def test_every_mistake_at_once_with_its_line() -> None:
         ("cameras = 5\n", [(1, "cameras: expected tables [cameras.ID]")]),
         ("[cameras]\nlobby = 'x'\n", [(2, "cameras.lobby: expected a table [cameras.lobby]")]),
         ("x = '''\n", [(1, "expected")]),
-        ("[cameras.daemon]\nsource = '0'\n", [(1, "cameras.daemon: this name is taken on the bus")]),
+        (
+            "[cameras.daemon]\nsource = '0'\n",
+            [(1, "cameras.daemon: this name is taken on the bus")],
+        ),
     ],
 )
 def test_syntax_and_shape(text: str, expected: list[tuple[int, str]]) -> None:
@@ -184,24 +192,60 @@ k = 2
 '''
 
 EXPECTED = {
-    ("top",): 1, ("quoted key",): 2, ("lit.eral",): 3, ("dotted",): 4, ("dotted", "x y"): 4,
-    ("dotted", "x y", "z"): 4, ("multi",): 5, ("literal",): 9, ("array",): 11, ("array", 0): 12,
-    ("array", 1): 13, ("array", 2): 14, ("array", 2, 0): 14, ("array", 2, 1): 14,
-    ("array", 2, 1, 0): 14, ("array", 2, 1, 1): 15, ("when",): 17, ("inline",): 18, ("inline", "a"): 18,
-    ("inline", "b"): 18, ("inline", "b", "c"): 18, ("inline", "b", "c", 0): 18,
-    ("inline", "b", "c", 0, "d"): 18, ("inline", "b", "c", 1): 18, ("inline", "e"): 18, ("table",): 20,
-    ("table", "key"): 21, ("table", "sub.table"): 22, ("table", "sub.table", "key"): 23, ("list",): 24,
-    ("list", 0): 24, ("list", 0, "name"): 25, ("list", 1): 26, ("list", 1, "name"): 27,
-    ("list", 1, "inner"): 28, ("list", 1, "inner", "deep"): 29, ("list", 1, "many"): 30,
-    ("list", 1, "many", 0): 30, ("list", 1, "many", 0, "k"): 31, ("list", 1, "many", 1): 32,
+    ("top",): 1,
+    ("quoted key",): 2,
+    ("lit.eral",): 3,
+    ("dotted",): 4,
+    ("dotted", "x y"): 4,
+    ("dotted", "x y", "z"): 4,
+    ("multi",): 5,
+    ("literal",): 9,
+    ("array",): 11,
+    ("array", 0): 12,
+    ("array", 1): 13,
+    ("array", 2): 14,
+    ("array", 2, 0): 14,
+    ("array", 2, 1): 14,
+    ("array", 2, 1, 0): 14,
+    ("array", 2, 1, 1): 15,
+    ("when",): 17,
+    ("inline",): 18,
+    ("inline", "a"): 18,
+    ("inline", "b"): 18,
+    ("inline", "b", "c"): 18,
+    ("inline", "b", "c", 0): 18,
+    ("inline", "b", "c", 0, "d"): 18,
+    ("inline", "b", "c", 1): 18,
+    ("inline", "e"): 18,
+    ("table",): 20,
+    ("table", "key"): 21,
+    ("table", "sub.table"): 22,
+    ("table", "sub.table", "key"): 23,
+    ("list",): 24,
+    ("list", 0): 24,
+    ("list", 0, "name"): 25,
+    ("list", 1): 26,
+    ("list", 1, "name"): 27,
+    ("list", 1, "inner"): 28,
+    ("list", 1, "inner", "deep"): 29,
+    ("list", 1, "many"): 30,
+    ("list", 1, "many", 0): 30,
+    ("list", 1, "many", 0, "k"): 31,
+    ("list", 1, "many", 1): 32,
     ("list", 1, "many", 1, "k"): 33,
-}  # fmt: skip
+}
 
 
 def paths(value: Any, path: tuple[str | int, ...] = ()) -> set[tuple[str | int, ...]]:
     """Every path into what tomllib read."""
     found = {path} if path else set()
-    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    pairs = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     for key, inner in pairs:
         found |= paths(inner, (*path, key))
     return found
@@ -236,7 +280,11 @@ def render(value: Any) -> str:
     if isinstance(value, list):
         return "[\n" + "".join(f" {render(item)}, # ]\n" for item in value) + "]"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{render_key(key)} = {render(item)}" for key, item in value.items()) + "}"
+        return (
+            "{"
+            + ", ".join(f"{render_key(key)} = {render(item)}" for key, item in value.items())
+            + "}"
+        )
     return repr(value)
 
 
@@ -249,7 +297,9 @@ def render_key(key: str) -> str:
     st.dictionaries(keys, st.dictionaries(keys, values, max_size=3)),
 )
 @settings(max_examples=100, deadline=None)
-def test_lines_agree_with_the_parser(top: dict[str, Any], tables: dict[str, dict[str, Any]]) -> None:
+def test_lines_agree_with_the_parser(
+    top: dict[str, Any], tables: dict[str, dict[str, Any]]
+) -> None:
     tables = {name: table for name, table in tables.items() if name not in top}
     text, expected = "", {}
     for key, value in top.items():
@@ -291,16 +341,25 @@ def test_every_setting_says_what_it_is(kind: type[msgspec.Struct]) -> None:
 
 def test_the_deployed_example_is_the_program_s() -> None:
     load(EXAMPLE)
-    assert EXAMPLE.read_text(encoding="utf-8") == example(), "camtopod check --example > deploy/camtopod.toml"
+    assert EXAMPLE.read_text(encoding="utf-8") == example(), (
+        "camtopod check --example > deploy/camtopod.toml"
+    )
 
 
 @pytest.mark.parametrize(
     "key",
     [
-        "analysed_fps", "working_width", "background_seconds", "tracks_max", "patience_seconds",
-        "open_timeout_seconds", "read_timeout_seconds", "backoff_min_seconds", "backoff_max_seconds",
+        "analysed_fps",
+        "working_width",
+        "background_seconds",
+        "tracks_max",
+        "patience_seconds",
+        "open_timeout_seconds",
+        "read_timeout_seconds",
+        "backoff_min_seconds",
+        "backoff_max_seconds",
     ],
-)  # fmt: skip
+)
 def test_numbers_that_would_end_a_grabber_later_are_refused_here(key: str) -> None:
     ((line, what),) = mistakes(f"[vision]\n{key} = 0\n")
     assert (line, what.removesuffix("> 0.0").removesuffix(">= 1").replace("whole ", "")) == (
@@ -313,7 +372,10 @@ def test_numbers_that_would_end_a_grabber_later_are_refused_here(key: str) -> No
     ("text", "what"),
     [
         ('[site]\nname = "a b"', "site.name: expected 1 to 64 of the characters A-Z a-z 0-9 _ . -"),
-        ('[health]\nlisten = "8787"', "health.listen: expected an address and a port, like 127.0.0.1:8787"),
+        (
+            '[health]\nlisten = "8787"',
+            "health.listen: expected an address and a port, like 127.0.0.1:8787",
+        ),
     ],
 )
 def test_a_pattern_is_told_in_words(text: str, what: str) -> None:
@@ -326,7 +388,9 @@ def test_numbers_that_would_end_the_daemon_later_are_refused_here() -> None:
         (3, "learn.window_hours: expected a number > 0.0"),
         (4, "learn.publish_q_max: expected a number <= 1.0"),
     ]
-    assert mistakes("[learn]\nversion_seconds = 0\n[limits]\npull_seconds = 1e15\ncommit_seconds = -1") == [
+    assert mistakes(
+        "[learn]\nversion_seconds = 0\n[limits]\npull_seconds = 1e15\ncommit_seconds = -1"
+    ) == [
         (2, "learn.version_seconds: expected a number > 0.0"),
         (4, "limits.pull_seconds: expected at most 9e+09"),
         (5, "limits.commit_seconds: must not be negative"),

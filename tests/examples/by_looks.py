@@ -1,6 +1,8 @@
-"""A tracker's own cost matrix with the site's prior in it: `python by_looks.py [ENDPOINT] < seen.jsonl`.
+"""A tracker's own cost matrix with the site's prior in it: `python by_looks.py [ENDPOINT] <
+seen.jsonl`.
 
-Lines as of TrackEvents that also have `"look"`: numbers that say how a person looks, of any re-identification network.
+Lines as of TrackEvents that also have `"look"`: numbers that say how a person looks, of any
+re-identification network.
 """
 
 import json
@@ -16,12 +18,20 @@ from camtopod.codec import event_from_json
 seen = [(event_from_json(line), json.loads(line)["look"]) for line in sys.stdin]
 exits, left = zip(*[one for one in seen if one[0].kind == "exit"], strict=True)
 entries, came = zip(*[one for one in seen if one[0].kind == "entry"], strict=True)
-looks = 20 * (cdist(left, came, "cosine") - 0.4)  # nats; at 0.4 they say nothing: both figures are your network's
+looks = 20 * (
+    cdist(left, came, "cosine") - 0.4
+)  # nats; at 0.4 they say nothing: both figures are your network's
 with Topology.connect(connect=sys.argv[1:]) as site:
     zones = [site.predict(a.camera, a.t, x=a.x, y=a.y).zone for a in exits]
-    gates = np.array([[site.gate(zones[i], a.t, b.camera, b.t) for b in entries] for i, a in enumerate(exits)])
-    apart = -np.add.outer([site.gate_gone(zone) for zone in zones], [site.gate_new(b.camera) for b in entries])
-cost = np.minimum(looks - gates - apart, 0)  # (exits, entries): of being one person, over that of being two
+    gates = np.array(
+        [[site.gate(zones[i], a.t, b.camera, b.t) for b in entries] for i, a in enumerate(exits)]
+    )
+    apart = -np.add.outer(
+        [site.gate_gone(zone) for zone in zones], [site.gate_new(b.camera) for b in entries]
+    )
+cost = np.minimum(
+    looks - gates - apart, 0
+)  # (exits, entries): of being one person, over that of being two
 for i, j in zip(*linear_sum_assignment(cost), strict=True):
     if cost[i, j] < 0:
         print(f"{exits[i].camera}/{exits[i].track} = {entries[j].camera}/{entries[j].track}")

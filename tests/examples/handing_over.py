@@ -1,4 +1,6 @@
-"""Who sees the object that leaves now? `python handing_over.py [ENDPOINT] < events.jsonl`, lines as of TrackEvents."""
+"""Who sees the object that leaves now? `python handing_over.py [ENDPOINT] < events.jsonl`, lines as
+of TrackEvents.
+"""
 
 import sys
 
@@ -10,5 +12,8 @@ with Topology.connect(connect=sys.argv[1:]) as site:
         if event.kind == "exit":
             said = site.predict(event.camera, event.t, x=event.x, y=event.y, track=event.track)
             for n in (said.in_view or [])[:1]:
-                print(f"{event.camera}/{event.track} = {n.camera}/{n.track} {n.probability:.0%}", flush=True)
+                print(
+                    f"{event.camera}/{event.track} = {n.camera}/{n.track} {n.probability:.0%}",
+                    flush=True,
+                )
         site.observe(event)

@@ -14,12 +14,17 @@ LEARNED_FRAMES = 8
 
 
 class Moving:
-    """Iterates over a video from when the background is known: time in seconds, boxes (n, 4) in pixels."""
+    """Iterates over a video from when the background is known: time in seconds, boxes (n, 4) in
+    pixels.
+    """
 
     def __init__(self, path: str) -> None:
         self._video = cv2.VideoCapture(path)
         self.fps = self._video.get(cv2.CAP_PROP_FPS)
-        self.size = (self._video.get(cv2.CAP_PROP_FRAME_WIDTH), self._video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        self.size = (
+            self._video.get(cv2.CAP_PROP_FRAME_WIDTH),
+            self._video.get(cv2.CAP_PROP_FRAME_HEIGHT),
+        )
 
     def __iter__(self) -> Iterator[tuple[float, np.ndarray]]:
         background = cv2.createBackgroundSubtractorMOG2(history=300)
@@ -36,4 +41,6 @@ def _boxes(mask: np.ndarray) -> np.ndarray:
     mask = cv2.dilate(mask, np.ones((9, 5), np.uint8), iterations=2)
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     found = [cv2.boundingRect(outline) for outline in outlines]
-    return np.array([(x, y, x + w, y + h) for x, y, w, h in found if w * h >= AREA_MIN * mask.size]).reshape(-1, 4)
+    return np.array(
+        [(x, y, x + w, y + h) for x, y, w, h in found if w * h >= AREA_MIN * mask.size]
+    ).reshape(-1, 4)

@@ -1,4 +1,6 @@
-"""Where does who leaves appear next? `python next_camera.py [ENDPOINT] < events.jsonl`, lines as of TrackEvents."""
+"""Where does who leaves appear next? `python next_camera.py [ENDPOINT] < events.jsonl`, lines as of
+TrackEvents.
+"""
 
 import sys
 
@@ -10,5 +12,8 @@ with Topology.connect(connect=sys.argv[1:]) as site:
         if event.kind == "exit":
             said = site.predict(event.camera, event.t, x=event.x, y=event.y, track=event.track)
             for n in said.next_[:1]:
-                print(f"{event.camera} -> {n.camera} {n.probability:.0%}, in {n.q10:.0f} to {n.q90:.0f} s", flush=True)
+                print(
+                    f"{event.camera} -> {n.camera} {n.probability:.0%}, in {n.q10:.0f} to {n.q90:.0f} s",
+                    flush=True,
+                )
         site.observe(event)

@@ -1,4 +1,6 @@
-"""Exports are read back by other people's programs, or by slow obvious parsers where these are missing."""
+"""Exports are read back by other people's programs, or by slow obvious parsers where these are
+missing.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,10 @@ def test_edges_are_the_pairs() -> None:
 def test_graphml_is_read_by_networkx() -> None:
     graph = nx.read_graphml(io.StringIO(FORMATS["graphml"](TOPOLOGY)))
     assert set(graph.nodes) == {camera.id for camera in TOPOLOGY.cameras}
-    assert related([(a, b, d["relation"] == "overlapped") for a, b, d in graph.edges(data=True)]) == PAIRS
+    assert (
+        related([(a, b, d["relation"] == "overlapped") for a, b, d in graph.edges(data=True)])
+        == PAIRS
+    )
     for edge in edges(TOPOLOGY):
         data = graph.edges[edge.from_, edge.to]
         assert (data["weight"], data["q90"]) == (edge.transit.mode, edge.transit.q90)
@@ -69,7 +74,9 @@ def test_json_is_read_by_networkx() -> None:
 
 def test_dot_has_every_camera_and_edge() -> None:
     text = FORMATS["dot"](TOPOLOGY)
-    found = re.findall(r'^  "([^"]+)" -> "([^"]+)" \[color="(\w+)", label="(-?[\d.]+) s"', text, re.M)
+    found = re.findall(
+        r'^  "([^"]+)" -> "([^"]+)" \[color="(\w+)", label="(-?[\d.]+) s"', text, re.M
+    )
     assert related([(a, b, colour == "black") for a, b, colour, _ in found]) == PAIRS
     assert len(re.findall(r'^  "[^"]+" \[label=', text, re.M)) == len(TOPOLOGY.cameras)
     assert text.count("{") == text.count("}") == 1
@@ -78,7 +85,9 @@ def test_dot_has_every_camera_and_edge() -> None:
 @pytest.mark.skipif(shutil.which("dot") is None, reason="graphviz is not installed")
 def test_dot_is_read_by_graphviz() -> None:
     text = FORMATS["dot"](TOPOLOGY).encode()
-    done = subprocess.run(["dot", "-Tplain"], input=text, capture_output=True, check=True, timeout=30)
+    done = subprocess.run(
+        ["dot", "-Tplain"], input=text, capture_output=True, check=True, timeout=30
+    )
     lines = done.stdout.decode().splitlines()
     assert sum(line.startswith("edge ") for line in lines) == len(edges(TOPOLOGY))
     assert not done.stderr
@@ -88,7 +97,9 @@ def test_dot_is_read_by_graphviz() -> None:
 @pytest.mark.parametrize("name", ["a\\", 'a"b', 'a\\"b', "a\nb", "<b>&", "node"])
 def test_dot_survives_any_name(name: str) -> None:
     odd = msgspec.structs.replace(EMPTY, site=name, cameras=[Camera(name, []), Camera("other", [])])
-    done = subprocess.run(["dot", "-Tplain"], input=FORMATS["dot"](odd).encode(), capture_output=True, timeout=30)
+    done = subprocess.run(
+        ["dot", "-Tplain"], input=FORMATS["dot"](odd).encode(), capture_output=True, timeout=30
+    )
     assert (done.returncode, done.stderr) == (0, b"")
     assert sum(line.startswith(b"node ") for line in done.stdout.splitlines()) == 2
 
@@ -119,7 +130,9 @@ def test_svg_survives_a_site_with_markup_in_its_name() -> None:
 
 
 def test_aicity_lines_are_read_as_the_challenge_code_reads_them() -> None:
-    """The rules of UWIPL's camera_transition.py: integers, lower camera first, zones in their zone lists."""
+    """The rules of UWIPL's camera_transition.py: integers, lower camera first, zones in their zone
+    lists.
+    """
     numbers = camera_numbers(TOPOLOGY)
     names = {number: name for name, number in numbers.items()}
     windows = {}
@@ -131,8 +144,9 @@ def test_aicity_lines_are_read_as_the_challenge_code_reads_them() -> None:
             for passage in lists.split(";"):
                 assert int(zone) in [int(part) for part in passage.split("-")]
         windows[names[int(a)], int(z_a), names[int(b)], int(z_b), int(high) > 1] = (
-            int(low), int(high),
-        )  # fmt: skip
+            int(low),
+            int(high),
+        )
     links = [link for link in TOPOLOGY.links if link.relation != "visible"]
     assert len(FORMATS["aicity"](TOPOLOGY).splitlines()) == len(links)
     link = next(x for x in links if x.relation == "unseen" and x.from_ > x.to)

@@ -1,4 +1,6 @@
-"""The site in Home Assistant: what discovery promises is published, by a real bridge at a real broker."""
+"""The site in Home Assistant: what discovery promises is published, by a real bridge at a real
+broker.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +31,17 @@ SCORE = SelfScore(200, 3, 1.25, 0.814, 0.93, 1.75, 0.55)
 ALARM = Alarm(8, T0, "link_closed", "lobby/1->hall/2", "share 0.60 until 5, 0.00 since")
 TOPOLOGY = Topology(
     TOPOLOGY_SCHEMA, "hq", "01J", 9, T0, 0, "sha256:0", [], [], [], [], alarms=[ALARM], score=SCORE
-)  # fmt: skip
-needs_broker = pytest.mark.skipif(PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)")
+)
+needs_broker = pytest.mark.skipif(
+    PROGRAM is None, reason="needs the broker mosquitto (Debian: mosquitto)"
+)
 
 
 def decoded(messages: dict[str, str]) -> dict[str, Any]:
-    return {topic: json.loads(text) if text.startswith("{") else text for topic, text in messages.items()}
+    return {
+        topic: json.loads(text) if text.startswith("{") else text
+        for topic, text in messages.items()
+    }
 
 
 def to_hall(leave: float, *shares: tuple[str, float]) -> Prediction:
@@ -52,12 +59,18 @@ def test_every_entity_finds_its_figure() -> None:
     states = homeassistant.site_state(TOPICS, True, SiteSaid("running"), TOPOLOGY)
     for camera in cameras:
         states |= homeassistant.camera_state(TOPICS, camera, Counted(), None, 3)
-        states |= homeassistant.prediction_state(TOPICS, msgspec.structs.replace(to_hall(1.0), camera=camera))
+        states |= homeassistant.prediction_state(
+            TOPICS, msgspec.structs.replace(to_hall(1.0), camera=camera)
+        )
     published = decoded(states)
     assert len(announced) == len({config["unique_id"] for config in announced.values()})
-    assert len(announced) == len(homeassistant.SITE_ENTITIES) + 4 * len(homeassistant.CAMERA_ENTITIES)
+    assert len(announced) == len(homeassistant.SITE_ENTITIES) + 4 * len(
+        homeassistant.CAMERA_ENTITIES
+    )
     for topic, config in announced.items():
-        assert re.fullmatch(r"homeassistant/(sensor|binary_sensor)/[A-Za-z0-9_-]+/[A-Za-z0-9_-]+/config", topic)
+        assert re.fullmatch(
+            r"homeassistant/(sensor|binary_sensor)/[A-Za-z0-9_-]+/[A-Za-z0-9_-]+/config", topic
+        )
         [field] = re.findall(r"^\{\{ value_json\.(\w+) \}\}$", config["value_template"])
         state = published[config["state_topic"]]
         if "binary_sensor" in topic:
@@ -67,15 +80,24 @@ def test_every_entity_finds_its_figure() -> None:
             assert len(str(state[field])) <= 255
         for available in config["availability"]:
             assert available["topic"] == TOPICS.bridge or published[available["topic"]] == "online"
-    devices = {tuple(config["device"]["identifiers"]): config["device"] for config in announced.values()}
+    devices = {
+        tuple(config["device"]["identifiers"]): config["device"] for config in announced.values()
+    }
     assert {device.get("via_device") for device in devices.values()} == {None, "camtopod/hq"}
     assert len(devices) == 5
 
 
 def test_the_states() -> None:
-    published = decoded(homeassistant.site_state(TOPICS, True, SiteSaid("degraded", "disk full"), TOPOLOGY))
+    published = decoded(
+        homeassistant.site_state(TOPICS, True, SiteSaid("degraded", "disk full"), TOPOLOGY)
+    )
     state = published["camtopod/hq/daemon/state"]
-    assert (state["problem"], state["reason"], state["version"], state["score"]) == ("ON", "disk full", 9, 81.4)
+    assert (state["problem"], state["reason"], state["version"], state["score"]) == (
+        "ON",
+        "disk full",
+        9,
+        81.4,
+    )
     assert published["camtopod/hq/daemon/alarm"]["alarm"] == "link_closed lobby/1->hall/2"
     assert published["camtopod/hq/daemon/alarm"]["at"] == "2023-11-14T22:13:20+00:00"
     nothing = decoded(homeassistant.site_state(TOPICS, False, SiteSaid("running"), None))
@@ -95,16 +117,23 @@ def test_the_states() -> None:
     ],
 )
 def test_when_a_camera_is_online(alive: bool, said: Said | None, online: str) -> None:
-    [state] = decoded(homeassistant.camera_state(TOPICS, "lobby", Counted(5, alive), said, 2)).values()
+    [state] = decoded(
+        homeassistant.camera_state(TOPICS, "lobby", Counted(5, alive), said, 2)
+    ).values()
     assert (state["online"], state["events"], state["zones"]) == (online, 5, 2)
 
 
 def test_the_next_camera_is_that_of_all_its_zones_together() -> None:
     [state] = decoded(
-        homeassistant.prediction_state(TOPICS, to_hall(0.3, ("yard", 0.25), ("hall", 0.2), ("hall", 0.25)))
+        homeassistant.prediction_state(
+            TOPICS, to_hall(0.3, ("yard", 0.25), ("hall", 0.2), ("hall", 0.25))
+        )
     ).values()
     assert (state["next"], state["probability"]) == ("hall", 0.45)
-    assert (state["from"], state["until"]) == ("2023-11-14T22:13:25+00:00", "2023-11-14T22:13:29+00:00")
+    assert (state["from"], state["until"]) == (
+        "2023-11-14T22:13:25+00:00",
+        "2023-11-14T22:13:29+00:00",
+    )
     [state] = decoded(homeassistant.prediction_state(TOPICS, to_hall(0.6, ("hall", 0.4)))).values()
     assert (state["next"], state["until"]) == ("leaves", None)
 
@@ -122,7 +151,9 @@ class HomeAssistant:
         self.heard: dict[str, str] = {}
         self._client = client = Client(CallbackAPIVersion.VERSION2)
         client.on_connect = lambda *_: client.subscribe("#", qos=1)
-        client.on_message = lambda _, __, message: self.heard.update({message.topic: message.payload.decode()})
+        client.on_message = lambda _, __, message: self.heard.update(
+            {message.topic: message.payload.decode()}
+        )
         client.reconnect_delay_set(1, 1)
         client.connect("127.0.0.1", broker.port)
         client.loop_start()
@@ -141,7 +172,10 @@ class Bridge:
         url = f"mqtt://127.0.0.1:{broker.port}"
         with self._err.open("wb") as err:
             self.process = camtopod("--connect", endpoint, "bridge", url, stderr=err)
-        wait_for(lambda: "publishing below camtopod" in self.said or self.process.poll() is not None, "the bridge")
+        wait_for(
+            lambda: "publishing below camtopod" in self.said or self.process.poll() is not None,
+            "the bridge",
+        )
         assert self.process.poll() is None, self.said
 
     @property
@@ -187,7 +221,9 @@ def test_a_site_in_home_assistant(broker: Broker, bridged: tuple[Daemon, Bridge]
     wait_for(lambda: all_out(daemon, len(events)), "all to be learned")
     assert daemon.topology is not None
     assert daemon.topology.score is not None
-    daemon.bus.put("prediction/a", msgspec.structs.replace(to_hall(0.2, ("b", 0.8)), camera="a"), "prediction")
+    daemon.bus.put(
+        "prediction/a", msgspec.structs.replace(to_hall(0.2, ("b", 0.8)), camera="a"), "prediction"
+    )
     daemon.bus.put("status/c", {"state": "stalled", "reason": "no frame"}, "status")
     for key in ("status/a", "prediction/a", "status/daemon"):
         daemon.bus.put_raw(key, b"\xc1", "status")  # nonsense changes nothing
@@ -198,7 +234,9 @@ def test_a_site_in_home_assistant(broker: Broker, bridged: tuple[Daemon, Bridge]
     with listening(broker) as first:
         wait_for(lambda: first.of("daemon/state", "version") == version, "the version")
         wait_for(lambda: first.of("camera/a/prediction", "next") == "b", "the prediction")
-        wait_for(lambda: first.of("camera/b/prediction", "next") == "leaves", "one of no time at all")
+        wait_for(
+            lambda: first.of("camera/b/prediction", "next") == "leaves", "one of no time at all"
+        )
         wait_for(lambda: first.of("camera/c/state", "reason") == "no frame", "a camera's reason")
     assert bridge.process.poll() is None, bridge.said
     with listening(broker) as late:  # everything is retained
@@ -212,10 +250,15 @@ def test_a_site_in_home_assistant(broker: Broker, bridged: tuple[Daemon, Bridge]
         assert late.heard["camtopod/site/availability"] == "online"
         assert late.heard["camtopod/site/daemon/availability"] == "online"
         daemon.stop()
-        wait_for(lambda: late.heard["camtopod/site/daemon/availability"] == "offline", "the daemon's absence")
+        wait_for(
+            lambda: late.heard["camtopod/site/daemon/availability"] == "offline",
+            "the daemon's absence",
+        )
         wait_for(lambda: late.of("daemon/state", "problem") == "ON", "the problem")
         assert bridge.end(signal.SIGTERM) == exits.DONE
-        wait_for(lambda: late.heard["camtopod/site/availability"] == "offline", "the bridge's absence")
+        wait_for(
+            lambda: late.heard["camtopod/site/availability"] == "offline", "the bridge's absence"
+        )
 
 
 @needs_broker
@@ -231,12 +274,17 @@ def test_a_broker_that_forgot_everything_is_told_anew_and_a_killed_bridge_is_not
         wait_for(lambda: len(heard.heard) >= 3 + len(homeassistant.SITE_ENTITIES), "the entities")
         assert heard.heard["camtopod/site/availability"] == "online"
         assert bridge.end(signal.SIGKILL) == -signal.SIGKILL
-        wait_for(lambda: heard.heard["camtopod/site/availability"] == "offline", "the broker to say so")
+        wait_for(
+            lambda: heard.heard["camtopod/site/availability"] == "offline", "the broker to say so"
+        )
 
 
 @needs_broker
 def test_what_cannot_be_reached_and_what_is_missing(
-    broker: Broker, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    broker: Broker,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     assert main(["bridge", "mqtt://u:hunter2-long@h/x"]) == exits.USAGE
     assert main(["bridge", "http://h"]) == exits.USAGE

@@ -16,7 +16,9 @@ IN_MEMORY = Path("/dev/shm")
 
 @pytest.fixture
 def quick_path(tmp_path: Path) -> Iterator[Path]:
-    """A directory in memory where there is one: many files are written, and none needs to survive."""
+    """A directory in memory where there is one: many files are written, and none needs to
+    survive.
+    """
     if not os.access(IN_MEMORY, os.W_OK):
         yield tmp_path
         return

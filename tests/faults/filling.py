@@ -1,6 +1,8 @@
-"""A program that writes a journal or a spool while its files may not grow, and then when they may again.
+"""A program that writes a journal or a spool while its files may not grow, and then when they may
+again.
 
-Arguments: journal or spool, directory, bytes a file may have, steps. Says on standard output how often it was refused.
+Arguments: journal or spool, directory, bytes a file may have, steps. Says on standard output how
+often it was refused.
 """
 
 from __future__ import annotations
@@ -18,7 +20,12 @@ REFUSED = 20
 
 def main() -> None:
     """Be refused ``REFUSED`` times, then have the limit raised."""
-    name, directory, limit, steps = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4])
+    name, directory, limit, steps = (
+        sys.argv[1],
+        Path(sys.argv[2]),
+        int(sys.argv[3]),
+        int(sys.argv[4]),
+    )
     one = {"journal": WrittenJournal, "spool": WrittenSpool}[name](directory)
     hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))

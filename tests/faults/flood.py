@@ -1,4 +1,6 @@
-"""A camera gone wild: `flood.py ENDPOINT CAMERA PER_SECOND SECONDS` puts that many good events; prints how many."""
+"""A camera gone wild: `flood.py ENDPOINT CAMERA PER_SECOND SECONDS` puts that many good events;
+prints how many.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""A program of one thread that forks a writer of a journal or a spool, kills it, looks at what it left, and again.
+"""A program of one thread that forks a writer of a journal or a spool, kills it, looks at what it
+left, and again.
 
-Arguments: journal or spool, directory, number of kills, and "early" for a writer that says so before it is durable.
-Says on standard output, as JSON, how many steps the writers had said were durable and how many of them were lost.
+Arguments: journal or spool, directory, number of kills, and "early" for a writer that says so
+before it is durable. Says on standard output, as JSON, how many steps the writers had said were
+durable and how many of them were lost.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ def write(one: Written, start: int, pipe: int, early: bool) -> None:
         number += 1
 
 
-def killed_writer(name: str, directory: Path, start: int, early: bool, chance: random.Random) -> int:
+def killed_writer(
+    name: str, directory: Path, start: int, early: bool, chance: random.Random
+) -> int:
     """The last step that a writer said to be durable before it was killed; ``start - 1`` if none.
 
     Most are killed a while after their first step, some while they open the file.
@@ -68,7 +72,12 @@ def killed_writer(name: str, directory: Path, start: int, early: bool, chance: r
 
 def main() -> None:
     """Kill; look; go on."""
-    name, directory, kills, early = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), "early" in sys.argv[4:]
+    name, directory, kills, early = (
+        sys.argv[1],
+        Path(sys.argv[2]),
+        int(sys.argv[3]),
+        "early" in sys.argv[4:],
+    )
     chance = random.Random(1)
     FILES[name](directory).close()  # how a file is made is another test's
     durable = lost = done = 0
@@ -77,7 +86,9 @@ def main() -> None:
         one = FILES[name](directory)
         assert not one.damaged
         there = one.last()
-        assert there <= said + 2, f"{there} is there, and {said + 1} was begun"  # a step that forgets shows nowhere
+        assert there <= said + 2, (
+            f"{there} is there, and {said + 1} was begun"
+        )  # a step that forgets shows nowhere
         durable += said - done
         lost += len(one.missing(done + 1, said + 1))
         one.close()

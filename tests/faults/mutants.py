@@ -11,8 +11,21 @@ from camtopod.codec import to_json, to_pack
 from camtopod.records import Event
 
 WILD = (
-    *(b"\x00", b"\xff", b"\xc1", b"\xc0", b"\x80", b"\xdf\xff\xff\xff\xff", b"\xdd\x00\x0f\xff\xff", b"\x9f" * 50),
-    *(b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00", b"\xcb\x7f\xf0\x00\x00\x00\x00\x00\x00", b"\xcf" + b"\xff" * 8),
+    *(
+        b"\x00",
+        b"\xff",
+        b"\xc1",
+        b"\xc0",
+        b"\x80",
+        b"\xdf\xff\xff\xff\xff",
+        b"\xdd\x00\x0f\xff\xff",
+        b"\x9f" * 50,
+    ),
+    *(
+        b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00",
+        b"\xcb\x7f\xf0\x00\x00\x00\x00\x00\x00",
+        b"\xcf" + b"\xff" * 8,
+    ),
     *(
         b"1e999",
         b"-1",
@@ -39,8 +52,19 @@ def seeds(camera: str, boot: str = "b1") -> list[bytes]:
         Event(camera, "entry", t, 0.0, 1.0, "x" * 40, boot, 2**40),
         Event(camera, "exit", -1.5, 0.5, 0.5, "ü", "", 0),
     ]
-    more = {"camera": camera, "kind": "exit", "t": t, "more": {"deep": [[[{"a": [1, None, "é"]}]]], "n": 2**60}}
-    return [*map(to_json, events), *map(to_pack, events), to_json(more), to_pack(more), msgspec.msgpack.encode([more])]
+    more = {
+        "camera": camera,
+        "kind": "exit",
+        "t": t,
+        "more": {"deep": [[[{"a": [1, None, "é"]}]]], "n": 2**60},
+    }
+    return [
+        *map(to_json, events),
+        *map(to_pack, events),
+        to_json(more),
+        to_pack(more),
+        msgspec.msgpack.encode([more]),
+    ]
 
 
 def mutant(chance: random.Random, good: list[bytes]) -> bytes:
@@ -68,7 +92,9 @@ def _cut(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
 
 def _insert(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
     at = chance.randint(0, len(raw))
-    raw[at:at] = chance.choice(WILD) if chance.random() < 0.7 else chance.randbytes(chance.randrange(9))
+    raw[at:at] = (
+        chance.choice(WILD) if chance.random() < 0.7 else chance.randbytes(chance.randrange(9))
+    )
 
 
 def _repeat(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
@@ -84,5 +110,13 @@ def _splice(chance: random.Random, raw: bytearray, good: list[bytes]) -> None:
 
 
 _CHANGES: tuple[Callable[[random.Random, bytearray, list[bytes]], None], ...] = (
-    _flip, _flip, _set, _set, _cut, _insert, _insert, _repeat, _splice,
-)  # fmt: skip
+    _flip,
+    _flip,
+    _set,
+    _set,
+    _cut,
+    _insert,
+    _insert,
+    _repeat,
+    _splice,
+)

@@ -1,9 +1,10 @@
 """What may be on the disk after a power cut, from a record of what SQLite did to it.
 
-A disk keeps, for certain, what was synced. Of the rest: nothing (``synced``), some of the operations in some order
-(``subset``), or some sectors of them, with rubbish or nothing in the others (``torn``). Directory entries (a file made,
-a file deleted) are certain once the directory was synced. What a sync failed to write no later one will (Linux takes
-it for written), so it is as if it had not been done.
+A disk keeps, for certain, what was synced. Of the rest: nothing (``synced``), some of the
+operations in some order (``subset``), or some sectors of them, with rubbish or nothing in the
+others (``torn``). Directory entries (a file made, a file deleted) are certain once the directory
+was synced. What a sync failed to write no later one will (Linux takes it for written), so it is as
+if it had not been done.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ Content = dict[str, bytes]
 
 
 class Record:
-    """What was done, with marks: ``begun`` n: the n-th step was asked for; ``done`` n: it was said to be durable."""
+    """What was done, with marks: ``begun`` n: the n-th step was asked for; ``done`` n: it was said
+    to be durable.
+    """
 
     def __init__(self) -> None:
         self.ops: list[Op] = []
@@ -39,7 +42,9 @@ class Record:
 
 
 class _File:
-    """What is certain to be in it, and what was done since; ``first_sync``: will sync the directory, too."""
+    """What is certain to be in it, and what was done since; ``first_sync``: will sync the
+    directory, too.
+    """
 
     def __init__(self, first_sync: bool) -> None:
         self.certain = bytearray()
@@ -48,7 +53,9 @@ class _File:
 
 
 class _Entry(NamedTuple):
-    """A change of the directory that is not certain: ``file`` is now there, or (None) not any more."""
+    """A change of the directory that is not certain: ``file`` is now there, or (None) not any
+    more.
+    """
 
     name: str
     file: _File | None
@@ -94,7 +101,9 @@ class Disk:
                     entries.pop(name, None)
                 else:
                     entries[name] = file
-        return {name: self._content(file, model, survives, chance) for name, file in entries.items()}
+        return {
+            name: self._content(file, model, survives, chance) for name, file in entries.items()
+        }
 
     def _content(self, file: _File, model: Model, survives: float, chance: random.Random) -> bytes:
         if model == "synced" or not file.since:
@@ -109,7 +118,9 @@ class Disk:
             chance.shuffle(kept)
         for op in kept:
             _do(content, op)
-        if model == "torn" and chance.random() < 0.5:  # the file has its length, what should be in it is not there
+        if (
+            model == "torn" and chance.random() < 0.5
+        ):  # the file has its length, what should be in it is not there
             end = max((op.offset + len(op.data) for op in ops if op.kind == "write"), default=0)
             missing = max(0, end - len(content))
             content += chance.randbytes(missing) if chance.random() < 0.5 else bytes(missing)
@@ -121,7 +132,9 @@ class Disk:
 
 
 class Image(NamedTuple):
-    """``done``: the last step that was said to be durable; ``begun``: the last that was asked for."""
+    """``done``: the last step that was said to be durable; ``begun``: the last that was asked
+    for.
+    """
 
     content: Content
     done: int
@@ -130,8 +143,12 @@ class Image(NamedTuple):
     after_op: int
 
 
-def images(ops: list[Op], each: int, seed: int, models: tuple[Model, ...] = MODELS) -> Iterator[Image]:
-    """After every operation ``each`` images of each model but the first, which has one; none of them twice."""
+def images(
+    ops: list[Op], each: int, seed: int, models: tuple[Model, ...] = MODELS
+) -> Iterator[Image]:
+    """After every operation ``each`` images of each model but the first, which has one; none of
+    them twice.
+    """
     disk = Disk()
     done = begun = -1
     seen: set[bytes] = set()

@@ -1,6 +1,8 @@
-"""A process on the bus that does as it is told and knows no manners: the intruder, and the control that sees all.
+"""A process on the bus that does as it is told and knows no manners: the intruder, and the control
+that sees all.
 
-Commands come as JSON lines on standard input, answers go out as JSON lines. The first line is zenoh's settings.
+Commands come as JSON lines on standard input, answers go out as JSON lines. The first line is
+zenoh's settings.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ class Puppet:
         self._session.delete(key)
 
     def subscribe(self, key: str) -> None:
-        self._kept.append(self._session.declare_subscriber(key, self.hear, allowed_origin=zenoh.Locality.REMOTE))
+        self._kept.append(
+            self._session.declare_subscriber(key, self.hear, allowed_origin=zenoh.Locality.REMOTE)
+        )
 
     def watch(self, key: str) -> None:
         """Liveliness."""
@@ -75,7 +79,9 @@ class Puppet:
     def ask_many(self, key: str, times: int) -> None:
         """Questions, said to be as urgent as predictions, whose answers are not waited for."""
         for _ in range(times):
-            self._session.get(key, lambda reply: None, timeout=60.0, priority=zenoh.Priority.INTERACTIVE_HIGH)
+            self._session.get(
+                key, lambda reply: None, timeout=60.0, priority=zenoh.Priority.INTERACTIVE_HIGH
+            )
 
     def heard(self) -> list[str]:
         with self._mutex:

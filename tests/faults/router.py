@@ -1,4 +1,6 @@
-"""A router in a process of its own: `router.py ENDPOINT`. Says "ready" and stays until it is killed."""
+"""A router in a process of its own: `router.py ENDPOINT`. Says "ready" and stays until it is
+killed.
+"""
 
 from __future__ import annotations
 

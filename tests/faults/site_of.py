@@ -1,4 +1,6 @@
-"""A whole site in processes that can be killed: a router, the daemon, and a publisher for each camera."""
+"""A whole site in processes that can be killed: a router, the daemon, and a publisher for each
+camera.
+"""
 
 from __future__ import annotations
 
@@ -30,22 +32,34 @@ from camtopod.serve.storage.journal import Journal
 
 HERE = Path(__file__).parent
 OUTAGE_SECONDS_MAX = 60.0
-"""No fault makes anything later than this, so the result does not depend on the order of arrival."""
+"""No fault makes anything later than this, so the result does not depend on the order of
+arrival.
+"""
 READY_SECONDS = 60.0
 SAID_LINES_MAX = 40
 LEARNER = "learner"
-"""The daemon's process that learns, which can be killed by itself: the daemon then ends, and is started again."""
+"""The daemon's process that learns, which can be killed by itself: the daemon then ends, and is
+started again.
+"""
 
 
 class Site:
     """``count`` objects in ``span`` seconds of event time, played ``speed`` times faster.
 
-    ``at_daemon``, ``at_publishers``: endpoints they dial instead of the router's own (a proxy before it). Without
-    spools the publishers just put.
+    ``at_daemon``, ``at_publishers``: endpoints they dial instead of the router's own (a proxy
+    before it). Without spools the publishers just put.
     """
 
-    def __init__(self, directory: Path, count: int, span: float, speed: float, spools: bool = True) -> None:
-        self.directory, self.count, self.span, self.speed, self.spools = directory, count, span, speed, spools
+    def __init__(
+        self, directory: Path, count: int, span: float, speed: float, spools: bool = True
+    ) -> None:
+        self.directory, self.count, self.span, self.speed, self.spools = (
+            directory,
+            count,
+            span,
+            speed,
+            spools,
+        )
         self.events = traffic.crossings(count, span)
         self.router_endpoint = free_endpoint()
         self.at_daemon = self.at_publishers = self.router_endpoint
@@ -72,9 +86,15 @@ class Site:
         else:
             spool = str(self.directory / f"spool-{name}.db") if self.spools else "-"
             process = self._python(
-                "traffic.py", self.at_publishers, spool, name,
-                str(self.count), str(self.span), str(self.speed), str(self.began),
-            )  # fmt: skip
+                "traffic.py",
+                self.at_publishers,
+                spool,
+                name,
+                str(self.count),
+                str(self.span),
+                str(self.speed),
+                str(self.began),
+            )
         self.processes[name] = process
 
     def start_all(self) -> None:
@@ -104,17 +124,24 @@ class Site:
         return program in self.processes and self.processes[program].poll() is None
 
     def finish(self, seconds: float = 600.0) -> dict[str, Any]:
-        """Wait for the publishers to have everything acknowledged and for the learner to have learned it, and end
-        the daemon; returns its last status.
+        """Wait for the publishers to have everything acknowledged and for the learner to have
+        learned it, and end the daemon; returns its last status.
         """
         for camera in traffic.CAMERAS:
-            wait_for(lambda one=camera: not self.running(one), f"publisher {camera} to end", seconds)  # type: ignore[misc]
+            wait_for(
+                lambda one=camera: not self.running(one), f"publisher {camera} to end", seconds
+            )  # type: ignore[misc]
             assert self.processes[camera].returncode == 0
         assert self._bus is not None
-        for camera in (traffic.AFTER, f"{traffic.AFTER}2"):  # event time is where a second camera has come to
+        for camera in (
+            traffic.AFTER,
+            f"{traffic.AFTER}2",
+        ):  # event time is where a second camera has come to
             stored = self.status()["events"]["stored"]
             self._bus.put(f"event/{camera}", traffic.last_event(self.span, camera), "event")
-            wait_for(lambda before=stored: self.status()["events"]["stored"] > before, "the last event")  # type: ignore[misc]
+            wait_for(
+                lambda before=stored: self.status()["events"]["stored"] > before, "the last event"
+            )  # type: ignore[misc]
         wait_for(lambda: all_learned(self.status()), "the learner", seconds)
         status = self.status()
         self.processes["daemon"].terminate()
@@ -136,7 +163,9 @@ class Site:
         before = self.status()["events"]["stored"]
 
         def flows() -> bool:
-            return bool(self.status()["events"]["stored"] > before) or not any(map(self.running, traffic.CAMERAS))
+            return bool(self.status()["events"]["stored"] > before) or not any(
+                map(self.running, traffic.CAMERAS)
+            )
 
         wait_for(flows, "events to get through", 60.0)
 
@@ -169,10 +198,16 @@ class Site:
     def journal(self) -> list[Event]:
         """Every event in the journal, without its boot and seq, except the last one."""
         journal = Journal(self.directory / "state")
-        events = [codec.event_from_pack(entry.raw) for _, entry in journal.entries() if entry and entry.kind == "event"]
+        events = [
+            codec.event_from_pack(entry.raw)
+            for _, entry in journal.entries()
+            if entry and entry.kind == "event"
+        ]
         journal.close()
         return [
-            msgspec.structs.replace(event, boot=None, seq=None) for event in events if event.camera in traffic.CAMERAS
+            msgspec.structs.replace(event, boot=None, seq=None)
+            for event in events
+            if event.camera in traffic.CAMERAS
         ]
 
     def lost_and_doubled(self) -> tuple[int, int]:
@@ -181,10 +216,16 @@ class Site:
         return (made - found).total(), (found - made).total()
 
     def expected(self) -> dict[int, str]:
-        """Version -> digest of a learner that was never interrupted, over the same events by time."""
+        """Version -> digest of a learner that was never interrupted, over the same events by
+        time.
+        """
         learner = Learner(parse(self.daemon_toml()).learn, "site", "any")
         digests = {}
-        for event in [*self.events, traffic.last_event(self.span), traffic.last_event(self.span, "other")]:
+        for event in [
+            *self.events,
+            traffic.last_event(self.span),
+            traffic.last_event(self.span, "other"),
+        ]:
             learner.receive(event)
             digests |= {version.version: version.digest for version in learner.updates()}
         return digests
@@ -207,7 +248,9 @@ class Site:
     def _python(self, script: str, *arguments: str, **popen: Any) -> subprocess.Popen[bytes]:
         path = os.pathsep.join(str(folder) for folder in (HERE.parent.parent, HERE.parent, HERE))
         return subprocess.Popen(
-            [sys.executable, str(HERE / script), *arguments], env={**os.environ, "PYTHONPATH": path}, **popen
+            [sys.executable, str(HERE / script), *arguments],
+            env={**os.environ, "PYTHONPATH": path},
+            **popen,
         )
 
     def _await(self, process: subprocess.Popen[bytes], pipe: Any, what: bytes) -> deque[bytes]:
@@ -237,7 +280,9 @@ class Site:
 def kill_and_restart(
     site: Site, kills: int, seed: int, groups: Sequence[Sequence[str]], say: Callable[[str], None]
 ) -> Counter[str]:
-    """kill -9 of one of a group after the other at random moments; between two kills events get through."""
+    """kill -9 of one of a group after the other at random moments; between two kills events get
+    through.
+    """
     chance = random.Random(seed)
     killed: Counter[str] = Counter()
     while killed.total() < kills:
@@ -256,7 +301,9 @@ def kill_and_restart(
 
 
 def all_learned(status: dict[str, Any]) -> bool:
-    """Whether the learner has come to the end of the journal, which holds events only, and its versions are out."""
+    """Whether the learner has come to the end of the journal, which holds events only, and its
+    versions are out.
+    """
     learner = status["learner"]
     taken = learner["accepted"] + learner["late"]
     at_end = taken == status["journal"]["entries"] and learner["held"] <= 2
@@ -283,14 +330,19 @@ MakeSite = Callable[..., Site]
 
 
 def check(site: Site) -> None:
-    """Everything is there once, and the versions are those of a learner that was never interrupted."""
+    """Everything is there once, and the versions are those of a learner that was never
+    interrupted.
+    """
     status = site.finish()
     assert status["learner"]["late"] == 0, "else the order of arrival would matter"
     assert site.lost_and_doubled() == (0, 0)
     expected = site.expected()
     assert status["version"] == max(expected)
     newest = max(expected)
-    wait_for(lambda: any(version == newest for _, version in site.versions), "the newest version to be heard")
+    wait_for(
+        lambda: any(version == newest for _, version in site.versions),
+        "the newest version to be heard",
+    )
     epochs = {epoch for epoch, _ in site.versions}
     assert len(epochs) == 1
     assert site.newest == sorted(site.newest), "versions only go up"

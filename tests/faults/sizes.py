@@ -6,5 +6,7 @@ import os
 
 
 def size(name: str, default: int) -> int:
-    """How much of something a campaign does: the environment variable CAMTOPOD_FAULTS_``name``, or ``default``."""
+    """How much of something a campaign does: the environment variable CAMTOPOD_FAULTS_``name``, or
+    ``default``.
+    """
     return int(os.environ.get(f"CAMTOPOD_FAULTS_{name}", default))

@@ -1,4 +1,6 @@
-"""Every way a camera fails, at once, under the real `camtopod grab`; the one that works must not notice."""
+"""Every way a camera fails, at once, under the real `camtopod grab`; the one that works must not
+notice.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,16 @@ import pytest
 from rendered_scenes import FPS, Person, Scene, line
 from serving import WAIT_SECONDS, camtopod, small_config, wait_for
 
-from bench.support.rtsp_streams import FaultProxy, Host, hang_up, missing, rtsp_answer, served, silent, transcode
+from bench.support.rtsp_streams import (
+    FaultProxy,
+    Host,
+    hang_up,
+    missing,
+    rtsp_answer,
+    served,
+    silent,
+    transcode,
+)
 from camtopod.cli.cameras.heartbeat import Ear
 from camtopod.codec import event_from_json
 from camtopod.serve.daemon import Daemon
@@ -30,9 +41,14 @@ from camtopod.vision.source.ffmpeg_log import Complaints, listening, reason_in
 
 FILM_SECONDS = 14.0
 SPEED = 3.0
-QUICK = "[vision]\nopen_timeout_seconds = 0.7\nread_timeout_seconds = 0.7\nbackoff_min_seconds = 0.2\n"
+QUICK = (
+    "[vision]\nopen_timeout_seconds = 0.7\nread_timeout_seconds = 0.7\nbackoff_min_seconds = 0.2\n"
+)
 SETTINGS = VisionSettings(
-    open_timeout_seconds=0.7, read_timeout_seconds=0.7, backoff_min_seconds=0.2, backoff_max_seconds=0.5
+    open_timeout_seconds=0.7,
+    read_timeout_seconds=0.7,
+    backoff_min_seconds=0.2,
+    backoff_max_seconds=0.5,
 )
 
 
@@ -40,7 +56,8 @@ SETTINGS = VisionSettings(
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Somebody walks through every three seconds."""
     people = [
-        Person(line(3.5 + 3.0 * n, (-0.05, 0.7), (1.05, 0.65), 4.0), seed=n) for n in range(round(FILM_SECONDS / 3) - 2)
+        Person(line(3.5 + 3.0 * n, (-0.05, 0.7), (1.05, 0.65), 4.0), seed=n)
+        for n in range(round(FILM_SECONDS / 3) - 2)
     ]
     return Scene(people).film(tmp_path_factory.mktemp("film") / "film.mp4", FILM_SECONDS)
 
@@ -74,7 +91,9 @@ def children_of(pid: int) -> dict[str, int]:
 def test_every_bad_camera_is_named_and_the_good_one_is_on_time(
     film: Path, hosts: dict[str, Host], tmp_path: Path
 ) -> None:
-    expected = [e for e in Grabber("good", str(film), wall_clock=time.time).events() if e is not None]
+    expected = [
+        e for e in Grabber("good", str(film), wall_clock=time.time).events() if e is not None
+    ]
     assert len(expected) >= 4
     os.mkfifo(tmp_path / "fifo")  # opening it blocks for ever
     with socket.socket() as reserved:
@@ -90,7 +109,9 @@ def test_every_bad_camera_is_named_and_the_good_one_is_on_time(
             _watched(daemon, sources, expected_events=len(expected), directory=tmp_path)
 
 
-def _watched(daemon: Daemon, sources: dict[str, str], expected_events: int, directory: Path) -> None:
+def _watched(
+    daemon: Daemon, sources: dict[str, str], expected_events: int, directory: Path
+) -> None:
     said: dict[str, dict[str, Any]] = {}
     gaps: dict[str, float] = {}
     last: dict[str, float] = {}
@@ -127,7 +148,9 @@ def _watched(daemon: Daemon, sources: dict[str, str], expected_events: int, dire
         wait_for(lambda: said.get("good", {}).get("state") == "running", "the good one to run")
         began = time.monotonic() - said["good"]["frames_grabbed"] / FPS / SPEED
         wait_for(lambda: told("refused", "nothing listens at this address and port"), "refused")
-        wait_for(lambda: told("secret", "the camera refuses the user name or password (401)"), "secret")
+        wait_for(
+            lambda: told("secret", "the camera refuses the user name or password (401)"), "secret"
+        )
         wait_for(lambda: told("silent", "the source cannot be opened"), "silent")
         wait_for(lambda: said["silent"]["failures"] >= 2, "another try")
         wait_for(lambda: told("flapping", "the source cannot be opened"), "flapping")
@@ -136,10 +159,18 @@ def _watched(daemon: Daemon, sources: dict[str, str], expected_events: int, dire
         assert time.monotonic() - began < FILM_SECONDS / SPEED + 3.0, "it was held up"
         assert gaps["good"] < 1.5, "it was held up"
         assert said["good"]["restarts"] == 0
-        wait_for(lambda: daemon.status()["events"]["stored"] == expected_events, "all of its events")
+        wait_for(
+            lambda: daemon.status()["events"]["stored"] == expected_events, "all of its events"
+        )
         wait_for(lambda: told("frozen", "hung for 3 s while connecting"), "frozen")
-        wait_for(lambda: told("blocked", "restarted once, last: hung for 3 s while connecting"), "blocked")
-        wait_for(lambda: said["frozen"]["state"] == "connecting" and said["frozen"]["restarts"] == 1, "its return")
+        wait_for(
+            lambda: told("blocked", "restarted once, last: hung for 3 s while connecting"),
+            "blocked",
+        )
+        wait_for(
+            lambda: said["frozen"]["state"] == "connecting" and said["frozen"]["restarts"] == 1,
+            "its return",
+        )
         assert "p@ss" not in str(reasons) + (directory / "log").read_text()
 
         children: dict[str, int] = {}
@@ -147,14 +178,23 @@ def _watched(daemon: Daemon, sources: dict[str, str], expected_events: int, dire
         def all_run() -> bool:
             children.clear()
             children.update(children_of(box.pid))
-            return {"silent", "refused", "secret", "flapping", "frozen", "blocked"} <= children.keys()
+            return {
+                "silent",
+                "refused",
+                "secret",
+                "flapping",
+                "frozen",
+                "blocked",
+            } <= children.keys()
 
         wait_for(all_run, "a moment in which none of them is about to be started again")
         began = time.monotonic()
         box.terminate()
         assert box.wait(WAIT_SECONDS) == 0
         assert time.monotonic() - began < 9.0, "systemd would have killed it"
-        assert not [pid for pid in children.values() if Path(f"/proc/{pid}").exists()], "somebody was left behind"
+        assert not [pid for pid in children.values() if Path(f"/proc/{pid}").exists()], (
+            "somebody was left behind"
+        )
     finally:
         box.kill()
         box.wait()
@@ -173,7 +213,9 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.mark.campaign
 def test_no_beat_while_opencv_does_not_come_back(tmp_path: Path) -> None:
-    """The loop goes on, its capture does not: only ending the process helps, so it must not look alive."""
+    """The loop goes on, its capture does not: only ending the process helps, so it must not look
+    alive.
+    """
     config = tmp_path / "c.toml"
     config.write_text(
         f'[bus]\nconnect = ["tcp/127.0.0.1:1"]\n[state]\ndirectory = "{tmp_path}"\n'
@@ -183,9 +225,11 @@ def test_no_beat_while_opencv_does_not_come_back(tmp_path: Path) -> None:
     line = ["--config", str(config), "grab", "--camera", "lobby", "--beat-fd", str(ear.child_fd)]
     root = str(Path(__file__).parent.parent.parent)
     process = subprocess.Popen(
-        [sys.executable, "-c", BLOCKED, *line], pass_fds=(ear.child_fd,), stderr=subprocess.DEVNULL,
+        [sys.executable, "-c", BLOCKED, *line],
+        pass_fds=(ear.child_fd,),
+        stderr=subprocess.DEVNULL,
         env={**os.environ, "PYTHONPATH": root},
-    )  # fmt: skip
+    )
     os.close(ear.child_fd)
     try:
         wait_for(lambda: ear.listen() is not None, "the first beat")
@@ -231,11 +275,15 @@ def test_a_call_of_opencv_that_takes_too_long_is_seen(monkeypatch: pytest.Monkey
 
 @pytest.mark.campaign
 @pytest.mark.skipif(missing() is not None, reason=f"needs an RTSP server: {missing()}")
-def test_a_stream_that_flaps_is_tried_with_patience_and_comes_back(film: Path, tmp_path: Path) -> None:
+def test_a_stream_that_flaps_is_tried_with_patience_and_comes_back(
+    film: Path, tmp_path: Path
+) -> None:
     transcode(film, tmp_path / "film.mp4", FPS)
     with served(tmp_path / "film.mp4") as port:
         proxy = FaultProxy(port)
-        grabber = Grabber("cam", f"rtsp://127.0.0.1:{proxy.port}/camera", wall_clock=time.time, settings=SETTINGS)
+        grabber = Grabber(
+            "cam", f"rtsp://127.0.0.1:{proxy.port}/camera", wall_clock=time.time, settings=SETTINGS
+        )
         stream = grabber.events()
         stop = threading.Event()
 
@@ -258,7 +306,10 @@ def test_a_stream_that_flaps_is_tried_with_patience_and_comes_back(film: Path, t
 
         def more() -> bool:
             next(stream)
-            return grabber.state == "running" and grabber.statistics()["frames_analysed"] > analysed + 3
+            return (
+                grabber.state == "running"
+                and grabber.statistics()["frames_analysed"] > analysed + 3
+            )
 
         wait_for(more, "it to come back")
         grabber.close()
@@ -294,17 +345,28 @@ def test_lines_to_standard_output_say_what_is_wrong_with_the_camera(
         lines = [line.partition("; trying")[0] for line in log.read_text().splitlines()]
         spoken[out[0]] = [line for line in lines if line.startswith("camera lobby is ")]
         assert process.returncode == (66 if out[0] == "--out" else 0)
-        assert ("error: camera lobby has given no picture" in log.read_text()) == (out[0] == "--out")
+        assert ("error: camera lobby has given no picture" in log.read_text()) == (
+            out[0] == "--out"
+        )
         assert "p@ssw0rd" not in log.read_text()
     assert spoken["--out"] == spoken["--connect"]
 
 
-def test_a_good_camera_is_said_to_run_and_only_its_events_are_data(film: Path, tmp_path: Path) -> None:
+def test_a_good_camera_is_said_to_run_and_only_its_events_are_data(
+    film: Path, tmp_path: Path
+) -> None:
     out = subprocess.run(
         [sys.executable, "-m", "camtopod", "grab", "--camera", "good", str(film), "--out", "-"],
-        capture_output=True, text=True, check=False, timeout=60,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "OPENCV_FFMPEG_LOGLEVEL": "56"},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        env={
+            **os.environ,
+            "PYTHONPATH": str(Path(__file__).parents[2]),
+            "OPENCV_FFMPEG_LOGLEVEL": "56",
+        },
+    )
     assert out.returncode == 0
     assert "camera good is running" in out.stderr.splitlines()
     assert all(event_from_json(line).camera == "good" for line in out.stdout.splitlines())

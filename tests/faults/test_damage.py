@@ -1,7 +1,9 @@
-"""Files that were cut or have flipped bits: what is gone is noticed, and comes again from the grabber's spool.
+"""Files that were cut or have flipped bits: what is gone is noticed, and comes again from the
+grabber's spool.
 
-Silent is the one thing that damage must not be. It is not when the file is set aside, when something says so in the
-log, or when a grabber says that more was acknowledged than the journal has.
+Silent is the one thing that damage must not be. It is not when the file is set aside, when
+something says so in the log, or when a grabber says that more was acknowledged than the journal
+has.
 """
 
 from __future__ import annotations
@@ -44,7 +46,9 @@ class Found(NamedTuple):
 
 
 class Before(NamedTuple):
-    """Files as a kill leaves them, and what was in them; where in the log the last transaction is."""
+    """Files as a kill leaves them, and what was in them; where in the log the last transaction
+    is.
+    """
 
     content: Content
     found: Found
@@ -84,12 +88,24 @@ def installation(quick_path: Path) -> Iterator[Installation]:
     chance, ever = random.Random(1), list[Snapshot]()
     for number in range(1, STEPS + 1):
         if number == STEPS:
-            starts = [log_end(quick_path / name) for name in ("journal/journal.db", "spool/spool.db")]
+            starts = [
+                log_end(quick_path / name) for name in ("journal/journal.db", "spool/spool.db")
+            ]
         camera = chance.choice(CAMERAS)
-        events = spool.append([Event(camera, "entry", 60.0 * number + n) for n in range(chance.randint(1, 6))])
+        events = spool.append(
+            [Event(camera, "entry", 60.0 * number + n) for n in range(chance.randint(1, 6))]
+        )
         entries = [Entry("event", camera, one.boot, one.seq, codec.to_pack(one)) for one in events]
-        versions = [StoredVersion(EPOCH, number, f"sha256:{number}", chance.randbytes(600))] if number % 5 == 0 else []
-        snapshot = Snapshot(len(journal), EPOCH, chance.randbytes(SNAPSHOT_BYTES)) if number % 30 == 0 else None
+        versions = (
+            [StoredVersion(EPOCH, number, f"sha256:{number}", chance.randbytes(600))]
+            if number % 5 == 0
+            else []
+        )
+        snapshot = (
+            Snapshot(len(journal), EPOCH, chance.randbytes(SNAPSHOT_BYTES))
+            if number % 30 == 0
+            else None
+        )
         journal.commit(entries, versions, snapshot, now=0.0)
         ever += [snapshot] if snapshot else []
         if number % 3:
@@ -107,13 +123,19 @@ def installation(quick_path: Path) -> Iterator[Installation]:
     last = [range(*ends_of) for ends_of in zip(starts, ends, strict=True)]
     assert all(last), "the last transaction is not in the log: choose another number of steps"
     assert len(found.snapshots) == 2
-    yield Installation(Before(files[0], found, last[0], ever), Before(files[1], in_spool, last[1], []), grabber)
+    yield Installation(
+        Before(files[0], found, last[0], ever), Before(files[1], in_spool, last[1], []), grabber
+    )
     grabber.close()
 
 
 def files_of(directory: Path) -> Content:
     """As a kill would leave them; the shared memory is made anew."""
-    return {path.name: path.read_bytes() for path in directory.iterdir() if path.suffix in (".db", ".db-wal")}
+    return {
+        path.name: path.read_bytes()
+        for path in directory.iterdir()
+        if path.suffix in (".db", ".db-wal")
+    }
 
 
 def log_end(path: Path) -> int:
@@ -143,8 +165,12 @@ def look_into_journal(content: Content, grabber: Spool, directory: Path) -> Foun
             have = stored.get((camera, grabber.boot), -1)
             batch = grabber.batch(camera, grabber.boot, have + 1, 10_000)
             if (batch.acked or -1) > have:
-                lines.append(f"shorter: {batch.acked} of {camera} was acknowledged and {have} is there")
-            journal.commit([Entry("event", camera, batch.boot, seq, raw) for seq, raw in batch.events])
+                lines.append(
+                    f"shorter: {batch.acked} of {camera} was acknowledged and {have} is there"
+                )
+            journal.commit(
+                [Entry("event", camera, batch.boot, seq, raw) for seq, raw in batch.events]
+            )
         events: dict[Key, bytes] = {}
         for number, entry in journal.entries():
             if entry is None:
@@ -180,11 +206,15 @@ def clear(directory: Path) -> None:
 
 
 def verdict(before: Before, now: Found) -> str:
-    """``same``, ``said`` (something is missing, and that was said), ``refused``; anything else must not be."""
+    """``same``, ``said`` (something is missing, and that was said), ``refused``; anything else must
+    not be.
+    """
     was = before.found
     if not (
         now.events.items() <= was.events.items()
-        and all(content in (None, was.versions.get(number)) for number, content in now.versions.items())
+        and all(
+            content in (None, was.versions.get(number)) for number, content in now.versions.items()
+        )
         and all(one in before.snapshots for one in now.snapshots)
     ):
         return f"WRONG CONTENT, said {now.said}"
@@ -211,10 +241,15 @@ def damaged(before: Before, name: str, chance: random.Random) -> Content:
     return before.content | {chosen: bytes(content)}
 
 
-def flip(installation: Installation, count: int, directory: Path, seed: int) -> dict[str, collections.Counter[str]]:
+def flip(
+    installation: Installation, count: int, directory: Path, seed: int
+) -> dict[str, collections.Counter[str]]:
     """``count`` flips, half of them in the journal and half in the spool."""
     chance = random.Random(seed)
-    counts: dict[str, collections.Counter[str]] = {"journal": collections.Counter(), "spool": collections.Counter()}
+    counts: dict[str, collections.Counter[str]] = {
+        "journal": collections.Counter(),
+        "spool": collections.Counter(),
+    }
     for _ in range(count // 2):
         image = damaged(installation.journal, "journal.db", chance)
         now = look_into_journal(image, installation.grabber, directory)
@@ -224,9 +259,14 @@ def flip(installation: Installation, count: int, directory: Path, seed: int) -> 
     return counts
 
 
-def cut(installation: Installation, every: int, directory: Path) -> dict[str, collections.Counter[str]]:
+def cut(
+    installation: Installation, every: int, directory: Path
+) -> dict[str, collections.Counter[str]]:
     """The log ends anywhere in its last transaction, with the snapshot and the version in it."""
-    counts: dict[str, collections.Counter[str]] = {"journal": collections.Counter(), "spool": collections.Counter()}
+    counts: dict[str, collections.Counter[str]] = {
+        "journal": collections.Counter(),
+        "spool": collections.Counter(),
+    }
     for name, before in (("journal", installation.journal), ("spool", installation.spool)):
         whole = before.content[f"{name}.db-wal"]
         for length in before.last[::every]:
@@ -252,20 +292,33 @@ def test_flipped_bits_are_never_silent(installation: Installation, quick_path: P
     assert_nothing_silent(flip(installation, 240, quick_path / "image", seed=2))
 
 
-def test_a_journal_whose_format_is_damaged_is_set_aside(installation: Installation, quick_path: Path) -> None:
+def test_a_journal_whose_format_is_damaged_is_set_aside(
+    installation: Installation, quick_path: Path
+) -> None:
     clear(quick_path / "image")
     put(installation.journal.content, quick_path / "image")
-    with contextlib.closing(sqlite3.connect(quick_path / "image" / "journal.db")) as connection, connection:
+    with (
+        contextlib.closing(sqlite3.connect(quick_path / "image" / "journal.db")) as connection,
+        connection,
+    ):
         connection.execute("UPDATE meta SET value = '3' WHERE key = 'format'")
-    found = look_into_journal(files_of(quick_path / "image"), installation.grabber, quick_path / "image")
-    assert any("does not say its format" in line and "a new one is begun" in line for line in found.said)
+    found = look_into_journal(
+        files_of(quick_path / "image"), installation.grabber, quick_path / "image"
+    )
+    assert any(
+        "does not say its format" in line and "a new one is begun" in line for line in found.said
+    )
 
 
-def test_a_log_cut_anywhere_is_noticed_and_filled_in_again(installation: Installation, quick_path: Path) -> None:
+def test_a_log_cut_anywhere_is_noticed_and_filled_in_again(
+    installation: Installation, quick_path: Path
+) -> None:
     assert_nothing_silent(cut(installation, 401, quick_path / "image"))
 
 
-def test_a_snapshot_cut_at_any_byte_is_not_used(installation: Installation, quick_path: Path) -> None:
+def test_a_snapshot_cut_at_any_byte_is_not_used(
+    installation: Installation, quick_path: Path
+) -> None:
     directory = quick_path / "image"
     clear(directory)
     put(installation.journal.content, directory)
@@ -273,7 +326,9 @@ def test_a_snapshot_cut_at_any_byte_is_not_used(installation: Installation, quic
     newest, older = journal.snapshots()
     for length in range(SNAPSHOT_BYTES):
         state = newest.state[:length]
-        journal._db.execute("UPDATE snapshot SET state = ? WHERE position = ?", (state, newest.position))
+        journal._db.execute(
+            "UPDATE snapshot SET state = ? WHERE position = ?", (state, newest.position)
+        )
         with said() as lines:
             assert journal.snapshots() == [older]
         assert len(lines) == 1
@@ -287,10 +342,15 @@ def test_the_harness_sees_silent_damage(
     chance = random.Random(3)
     clear(quick_path / "image")
     put(installation.spool.content, quick_path / "image")
-    with contextlib.closing(sqlite3.connect(quick_path / "image" / "spool.db")) as connection, connection:
+    with (
+        contextlib.closing(sqlite3.connect(quick_path / "image" / "spool.db")) as connection,
+        connection,
+    ):
         for table in ("event", "meta", "count", "acked"):
             connection.execute(f"UPDATE {table} SET crc = 0")
-    before = installation.spool._replace(content={"spool.db-wal": b""} | files_of(quick_path / "image"))
+    before = installation.spool._replace(
+        content={"spool.db-wal": b""} | files_of(quick_path / "image")
+    )
     monkeypatch.setattr("camtopod.serve.storage.sqlite_file.crc", lambda *columns: 0)
     flips = (damaged(before, "spool.db", chance) for _ in range(100))
     verdicts = [verdict(before, look_into_spool(image, quick_path / "image")) for image in flips]

@@ -1,4 +1,6 @@
-"""Shuffled, repeated and delayed events: as long as nothing comes later than allowed, one result for all orders."""
+"""Shuffled, repeated and delayed events: as long as nothing comes later than allowed, one result
+for all orders.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,15 @@ from camtopod.serve.ingest.receiver import Receiver
 
 LATENESS = Settings().lateness_seconds
 SPAN_SECONDS = 600.0
-EVENTS = numbered([*crossings(14, SPAN_SECONDS), *(last_event(SPAN_SECONDS, camera) for camera in "yz")])
+EVENTS = numbered(
+    [*crossings(14, SPAN_SECONDS), *(last_event(SPAN_SECONDS, camera) for camera in "yz")]
+)
 LEARN = Settings(version_seconds=20.0, refit_share=0.3)
 ROUND_EVENTS = 7
 """Events that come in between two rounds of the receiver."""
-TENTHS = st.lists(st.integers(0, round(10 * LATENESS) - 1), min_size=len(EVENTS), max_size=len(EVENTS))
+TENTHS = st.lists(
+    st.integers(0, round(10 * LATENESS) - 1), min_size=len(EVENTS), max_size=len(EVENTS)
+)
 AGAIN = st.lists(st.tuples(st.integers(0, len(EVENTS) - 1), st.integers(0, 6000)), max_size=30)
 
 
@@ -71,7 +77,9 @@ def versions(learner: Learner) -> list[tuple[int, str]]:
     return [(one.version, one.digest) for one in learner.updates()]
 
 
-def received(arrivals: Sequence[Event], learn: Settings = LEARN) -> tuple[list[tuple[int, str]], Learner, Shelf, Line]:
+def received(
+    arrivals: Sequence[Event], learn: Settings = LEARN
+) -> tuple[list[tuple[int, str]], Learner, Shelf, Line]:
     """What comes of events that arrive in this order, through the receiver and the learner."""
     learner, shelf, line, made = Learner(learn, "site", "e"), Shelf(), Line(), []
 
@@ -82,8 +90,15 @@ def received(arrivals: Sequence[Event], learn: Settings = LEARN) -> tuple[list[t
         made.extend(versions(learner))
 
     receiver = Receiver(
-        shelf, line, Limits(), lambda: EVENTS[-1].t, take, lambda: 10_000, lambda version: None, lambda *_: None,  # type: ignore[arg-type]
-    )  # fmt: skip
+        shelf,
+        line,
+        Limits(),
+        lambda: EVENTS[-1].t,
+        take,
+        lambda: 10_000,
+        lambda version: None,
+        lambda *_: None,  # type: ignore[arg-type]
+    )
     stopping = threading.Event()
     stopping.set()  # one round at a time
     for start in range(0, len(arrivals), ROUND_EVENTS):
@@ -106,7 +121,10 @@ EXPECTED = expected()
 
 def one_result(tenths: list[int], again: list[tuple[int, int]]) -> None:
     """Each event is delayed by so many tenths of a second; some come again."""
-    at = [(event.t + late / 10, number) for number, (event, late) in enumerate(zip(EVENTS, tenths, strict=True))]
+    at = [
+        (event.t + late / 10, number)
+        for number, (event, late) in enumerate(zip(EVENTS, tenths, strict=True))
+    ]
     at += [(at[number][0] + late / 10, number) for number, late in again]
     made, learner, shelf, line = received([EVENTS[number] for _, number in sorted(at)])
     assert made == EXPECTED
@@ -117,7 +135,9 @@ def one_result(tenths: list[int], again: list[tuple[int, int]]) -> None:
 
 @given(TENTHS, AGAIN)
 @settings(max_examples=10, deadline=None)
-def test_any_order_within_the_lateness_gives_one_result(tenths: list[int], again: list[tuple[int, int]]) -> None:
+def test_any_order_within_the_lateness_gives_one_result(
+    tenths: list[int], again: list[tuple[int, int]]
+) -> None:
     one_result(tenths, again)
 
 
@@ -137,7 +157,9 @@ def test_there_is_something_to_get_wrong() -> None:
 
 
 def test_what_comes_too_late_is_stored_and_counted_and_not_learned() -> None:
-    number = next(k for k, event in enumerate(EVENTS) if event.camera == "b" and event.t > EVENTS[0].t + 200)
+    number = next(
+        k for k, event in enumerate(EVENTS) if event.camera == "b" and event.t > EVENTS[0].t + 200
+    )
     late = [event for event in EVENTS if event.camera == "b" and event is not EVENTS[number]]
     alone = msgspec.structs.replace(EVENTS[number], boot="other", seq=1)
     rest = numbered(late) + [event for event in EVENTS if event.camera != "b"]
@@ -152,4 +174,7 @@ def test_what_comes_too_late_is_stored_and_counted_and_not_learned() -> None:
 def test_shuffled_by_chance() -> None:
     chance = random.Random(1)
     for _ in range(3):
-        one_result([chance.randrange(50) for _ in EVENTS], [(chance.randrange(len(EVENTS)), 300) for _ in range(20)])
+        one_result(
+            [chance.randrange(50) for _ in EVENTS],
+            [(chance.randrange(len(EVENTS)), 300) for _ in range(20)],
+        )

@@ -1,5 +1,6 @@
-"""The journal's files are removed, moved, cut off or replaced under the running daemon: nothing is acknowledged from
-then on, what is wrong is said, and after a restart nothing that a spool still has is missing.
+"""The journal's files are removed, moved, cut off or replaced under the running daemon: nothing is
+acknowledged from then on, what is wrong is said, and after a restart nothing that a spool still has
+is missing.
 """
 
 from __future__ import annotations
@@ -101,11 +102,25 @@ def directory_removed(state: Path) -> None:
 
 Harm = Callable[[Path], None]
 HARMS: tuple[Harm, ...] = (
-    removed, removed_with_its_log, moved, cut, cut_by_a_page, replaced_by_a_folder, replaced_by_a_copy, overwritten,
-    log_cut, log_cut_in_half, log_removed, lock_removed, directory_moved, directory_removed,
-)  # fmt: skip
+    removed,
+    removed_with_its_log,
+    moved,
+    cut,
+    cut_by_a_page,
+    replaced_by_a_folder,
+    replaced_by_a_copy,
+    overwritten,
+    log_cut,
+    log_cut_in_half,
+    log_removed,
+    lock_removed,
+    directory_moved,
+    directory_removed,
+)
 DAMAGED = (cut, cut_by_a_page)
-"""After these what can be read of the journal is taken over, and what the spools have comes once more."""
+"""After these what can be read of the journal is taken over, and what the spools have comes once
+more.
+"""
 OLDER = (removed, removed_with_its_log, moved, replaced_by_a_folder, log_cut, log_cut_in_half)
 """After these the journal has fewer entries than before."""
 NEW_DIRECTORY = (directory_moved, directory_removed)
@@ -121,7 +136,9 @@ class Grabber:
         self.made = 0
 
     def publish(self, count: int) -> None:
-        events = [Event("lobby", "entry", T0 + 0.1 * n) for n in range(self.made, self.made + count)]
+        events = [
+            Event("lobby", "entry", T0 + 0.1 * n) for n in range(self.made, self.made + count)
+        ]
         self.made += count
         for event in events:
             self.publisher.publish(event)
@@ -146,11 +163,15 @@ def grabber(tmp_path: Path) -> Iterator[Grabber]:
 
 def is_clear_about(reason: str, state: Path) -> bool:
     """Whether it says what is wrong, with which file, and what to do."""
-    return str(state / "journal") in reason and "while it is in use" in reason and "restart" in reason
+    return (
+        str(state / "journal") in reason and "while it is in use" in reason and "restart" in reason
+    )
 
 
 class Seen(NamedTuple):
-    """A daemon that has stopped acknowledging: its epoch, what others know it by, and where it was reached."""
+    """A daemon that has stopped acknowledging: its epoch, what others know it by, and where it was
+    reached.
+    """
 
     epoch: str
     name: str
@@ -158,7 +179,9 @@ class Seen(NamedTuple):
 
 
 def config_at(state: Path, endpoint: str) -> Config:
-    """Of the daemon that is started again at the same endpoint: a spool knows its own by that, or by its name."""
+    """Of the daemon that is started again at the same endpoint: a spool knows its own by that, or
+    by its name.
+    """
     return msgspec.structs.replace(small_config(state), bus=BusSettings(listen=(endpoint,)))
 
 
@@ -170,7 +193,9 @@ def stops(harm: Harm, state: Path, grabber: Grabber, caplog: pytest.LogCaptureFi
         harm(state)
         wait_for(lambda: daemon.status()["state"] == "degraded", "it to notice", STOPS_SECONDS)
         grabber.publish(AFTER)
-        wait_for(lambda: daemon.status()["events"]["received"] >= grabber.made, "the events to be there")
+        wait_for(
+            lambda: daemon.status()["events"]["received"] >= grabber.made, "the events to be there"
+        )
         reason = daemon.status()["reason"]
         assert is_clear_about(reason, state), reason
         assert daemon.unready() == [reason]
@@ -200,7 +225,9 @@ def test_nothing_is_acknowledged_from_then_on_and_what_the_spools_have_comes_bac
     found = [seq for seq, _ in raws(state)]
     assert (sorted(set(found)) if harm in DAMAGED else found) == list(range(1, BEFORE + AFTER + 1))
     assert (SAYS_OLDER in caplog.text) == (status["journal"]["missing"] > 0) == (harm in OLDER)
-    assert ("journal.db is damaged" in caplog.text) == (harm in (*DAMAGED, removed, moved, replaced_by_a_folder))
+    assert ("journal.db is damaged" in caplog.text) == (
+        harm in (*DAMAGED, removed, moved, replaced_by_a_folder)
+    )
     if harm in (*OLDER, *DAMAGED):
         assert status["epoch"] > before.epoch, "though the clock is behind"
     elif harm not in NEW_DIRECTORY:
@@ -239,7 +266,9 @@ def test_it_goes_on_by_itself_when_the_file_is_back(
     assert [seq for seq, _ in raws(state)] == list(range(1, BEFORE + AFTER + 1))
 
 
-def test_of_two_daemons_in_one_directory_the_one_whose_lock_is_gone_stops(grabber: Grabber, tmp_path: Path) -> None:
+def test_of_two_daemons_in_one_directory_the_one_whose_lock_is_gone_stops(
+    grabber: Grabber, tmp_path: Path
+) -> None:
     state = tmp_path / "state"
     with Daemon(small_config(state), clock=lambda: NOW) as first, grabber.at(first.endpoint):
         grabber.publish(BEFORE)
@@ -248,7 +277,10 @@ def test_of_two_daemons_in_one_directory_the_one_whose_lock_is_gone_stops(grabbe
         with Daemon(small_config(state), clock=lambda: NOW) as second:
             wait_for(lambda: first.status()["state"] == "degraded", "it to notice", STOPS_SECONDS)
             grabber.publish(AFTER)
-            wait_for(lambda: first.status()["events"]["received"] >= grabber.made, "the events to be there")
+            wait_for(
+                lambda: first.status()["events"]["received"] >= grabber.made,
+                "the events to be there",
+            )
             assert is_clear_about(first.status()["reason"], state)
             assert grabber.publisher.unacknowledged == AFTER
             with grabber.at(second.endpoint):
@@ -261,7 +293,11 @@ class Process:
     """The real program, its status and what it has said."""
 
     def __init__(self, directory: Path) -> None:
-        self.state, self._config, self.endpoint = directory / "state", directory / "c.toml", free_endpoint()
+        self.state, self._config, self.endpoint = (
+            directory / "state",
+            directory / "c.toml",
+            free_endpoint(),
+        )
         self._config.write_text(
             f'[bus]\nlisten = ["{self.endpoint}"]\n[state]\ndirectory = "{self.state}"\n'
             "[limits]\npull_seconds = 0.2\nack_seconds = 0.05\nstatus_seconds = 0.1\n"
@@ -307,7 +343,10 @@ def test_a_process_that_is_killed_then_has_acknowledged_nothing_that_is_gone(
         harm(process.state)
         wait_for(lambda: process.status(bus)["state"] == "degraded", "it to notice")
         grabber.publish(AFTER)
-        wait_for(lambda: process.status(bus)["events"]["received"] >= grabber.made, "the events to be there")
+        wait_for(
+            lambda: process.status(bus)["events"]["received"] >= grabber.made,
+            "the events to be there",
+        )
         assert is_clear_about(process.status(bus)["reason"], process.state)
         assert grabber.publisher.unacknowledged == AFTER
     assert b"nothing is acknowledged" in process.said
@@ -315,7 +354,10 @@ def test_a_process_that_is_killed_then_has_acknowledged_nothing_that_is_gone(
     process.said = b""
     with process.running(), grabber.at(process.endpoint) as bus:
         assert grabber.publisher.drained(20)
-        wait_for(lambda: process.status(bus)["journal"]["entries"] == BEFORE + AFTER, "all events to be there again")
+        wait_for(
+            lambda: process.status(bus)["journal"]["entries"] == BEFORE + AFTER,
+            "all events to be there again",
+        )
         assert process.status(bus)["journal"]["missing"] == (0 if harm is lock_removed else BEFORE)
     assert (SAYS_OLDER.encode() in process.said) == (harm is not lock_removed)
     assert [seq for seq, _ in raws(process.state)] == list(range(1, BEFORE + AFTER + 1))
@@ -342,13 +384,19 @@ def test_the_status_is_answered_while_the_disk_hangs(
 ) -> None:
     monkeypatch.setattr("camtopod.serve.storage.journal_writer.SLOW_SECONDS", SLOW_SECONDS / 10)
     let_in, let_out = threading.Event(), threading.Event()
-    with Daemon(small_config(tmp_path / "state"), clock=lambda: NOW) as daemon, grabber.at(daemon.endpoint) as bus:
+    with (
+        Daemon(small_config(tmp_path / "state"), clock=lambda: NOW) as daemon,
+        grabber.at(daemon.endpoint) as bus,
+    ):
         journal = daemon._journal
         journal._db = Hanging(journal._db, let_in, let_out)  # type: ignore[assignment]
         try:
             grabber.publish(1)
             assert let_in.wait(20)
-            wait_for(lambda: "the disk of the journal does not answer" in Process.status(bus)["reason"], "the reason")
+            wait_for(
+                lambda: "the disk of the journal does not answer" in Process.status(bus)["reason"],
+                "the reason",
+            )
             assert Process.status(bus)["journal"]["bytes"] > 0
             assert daemon.unready() != []
         finally:

@@ -36,18 +36,26 @@ MEGABYTE = 1024**2
 GROWTH_MAX = 0.05
 """Of memory from the second to the last third of a flood; in the first its buffers fill."""
 SOON_FULL = "[learn]\nversion_seconds = 0.5\nlateness_seconds = 1.0\nwindow_events_max = 500\n"
-"""With these the reorder buffer and the window are full within two seconds; as they are by default, within 200."""
+"""With these the reorder buffer and the window are full within two seconds; as they are by default,
+within 200.
+"""
 UNGUARDED = "[limits]\ncamera_events_per_second_max = 1_000_000\n"
-"""With this all of the flood comes to the learner, which holds it for the next version: by default once a minute."""
+"""With this all of the flood comes to the learner, which holds it for the next version: by default
+once a minute.
+"""
 
 
 class Flooded:
-    """The real daemon, a camera that floods it, and quiet ones that just put, without a spool to fall back on."""
+    """The real daemon, a camera that floods it, and quiet ones that just put, without a spool to
+    fall back on.
+    """
 
     def __init__(self, directory: Path, settings: str = "") -> None:
         self.endpoint, self.health = free_endpoint(), free_endpoint().removeprefix("tcp/")
         config = directory / "camtopod.toml"
-        bus_and_state = f'[bus]\nlisten = ["{self.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n'
+        bus_and_state = (
+            f'[bus]\nlisten = ["{self.endpoint}"]\n[state]\ndirectory = "{directory}/state"\n'
+        )
         config.write_text(f'{bus_and_state}[health]\nlisten = "{self.health}"\n{settings}')
         self.daemon = camtopod("--config", str(config), "run", stderr=subprocess.PIPE)
         self.said: list[bytes] = []
@@ -78,14 +86,24 @@ class Flooded:
         """Begin to."""
         path = os.pathsep.join(str(folder) for folder in (HERE.parent.parent, HERE))
         flood = subprocess.Popen(
-            [sys.executable, str(HERE / "flood.py"), self.endpoint, "wild", str(PER_SECOND), str(seconds)],
-            env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.PIPE,
-        )  # fmt: skip
+            [
+                sys.executable,
+                str(HERE / "flood.py"),
+                self.endpoint,
+                "wild",
+                str(PER_SECOND),
+                str(seconds),
+            ],
+            env={**os.environ, "PYTHONPATH": path},
+            stdout=subprocess.PIPE,
+        )
         self._floods.append(flood)
         return flood
 
     def status(self) -> dict[str, Any]:
-        """The daemon's; on a busy machine a question may not be answered in time, so it is asked again."""
+        """The daemon's; on a busy machine a question may not be answered in time, so it is asked
+        again.
+        """
         answers: list[tuple[str, bytes]] = []
 
         def answered() -> bool:
@@ -126,7 +144,9 @@ def flooded(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Flooded]
 
 
 class Outcome(NamedTuple):
-    """What a flood was, how many events it had, and the memory of the daemon and its learner while it lasted, in MB."""
+    """What a flood was, how many events it had, and the memory of the daemon and its learner while
+    it lasted, in MB.
+    """
 
     said: str
     put: int
@@ -168,7 +188,9 @@ def flood(one: Flooded, seconds: float) -> Outcome:
     status = one.status()
     assert [status["cameras"][camera]["events"] for camera in QUIET] == [one.sent] * len(QUIET)
     assert set(status["dropped"]) <= {"wild", ""}
-    assert sum("rejected" in line.decode() for line in one.said) <= 5, "the log does not flood either"
+    assert sum("rejected" in line.decode() for line in one.said) <= 5, (
+        "the log does not flood either"
+    )
     kept = status["cameras"]["wild"]["events"]
     return Outcome(
         f"{put_by_wild} put in {seconds:.0f} s, {kept} learned, {status['events']['flood']} too many, "
@@ -189,7 +211,8 @@ def test_a_flood_hurts_only_its_camera(flooded: Flooded) -> None:
     assert flooded.status()["events"]["flood"] > 0
 
 
-# How memory goes is seen on a machine that does nothing else: beside others, a few seconds are not enough.
+# How memory goes is seen on a machine that does nothing else: beside others, a few seconds are not
+# enough.
 
 
 @pytest.mark.campaign
@@ -235,12 +258,18 @@ NAMES = 5_000
 
 
 def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> None:
-    """One that merely sends, as they do, is refused, and it is said why; one with a grabber has a place at once."""
+    """One that merely sends, as they do, is refused, and it is said why; one with a grabber has a
+    place at once.
+    """
     flooded.quiet()
     wait_for(lambda: flooded.stored(QUIET[-1]) == 1, "the quiet cameras to be known")
     for number in range(NAMES):
-        flooded.bus.put(f"event/name{number}", Event(f"name{number}", "entry", time.time(), 0.5, 0.5), "event")
-    wait_for(lambda: flooded.status()["rejects"].get("too-many-cameras", 0) > 0, "the places to be taken")
+        flooded.bus.put(
+            f"event/name{number}", Event(f"name{number}", "entry", time.time(), 0.5, 0.5), "event"
+        )
+    wait_for(
+        lambda: flooded.status()["rejects"].get("too-many-cameras", 0) > 0, "the places to be taken"
+    )
 
     def refused() -> bool:
         flooded.bus.put("event/gate", Event("gate", "entry", time.time(), 0.5, 0.5), "event")
@@ -249,7 +278,10 @@ def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> 
     wait_for(refused, "the status to name the camera that is refused")
     status = flooded.status()
     assert status["state"] == "degraded"
-    assert "refused, as limits.cameras_max (1000) is reached; the fewest events are those of name" in status["reason"]
+    assert (
+        "refused, as limits.cameras_max (1000) is reached; the fewest events are those of name"
+        in status["reason"]
+    )
     said, reasons = readiness(flooded.health)
     assert (said, len(reasons)) == (503, 1)
     assert "raise limits.cameras_max" in reasons[0]
@@ -266,7 +298,9 @@ def test_invented_names_keep_no_camera_out(flooded: Flooded, tmp_path: Path) -> 
 
 
 def quiet_events_lost(known: bool) -> int:
-    """How many of the quiet cameras' events do not get through an inbox that is emptied too slowly."""
+    """How many of the quiet cameras' events do not get through an inbox that is emptied too
+    slowly.
+    """
     inbox = Inbox(2_000, 500, 100, lambda camera: known)
     got = 0
     for number in range(100):
@@ -282,4 +316,6 @@ def quiet_events_lost(known: bool) -> int:
 
 def test_each_camera_has_its_turn() -> None:
     assert quiet_events_lost(known=True) == 0
-    assert quiet_events_lost(known=False) > 0, "the canary: in one queue for all a flood starves the others"
+    assert quiet_events_lost(known=False) > 0, (
+        "the canary: in one queue for all a flood starves the others"
+    )

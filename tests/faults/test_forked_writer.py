@@ -17,7 +17,14 @@ NAMES = ("journal", "spool")
 def killed(name: str, directory: Path, kills: int, *more: str) -> dict[str, int]:
     """In a process of its own: forking is for programs of one thread."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, str(Path(__file__).with_name("forking.py")), name, str(directory), str(kills), *more]
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name("forking.py")),
+        name,
+        str(directory),
+        str(kills),
+        *more,
+    ]
     done = subprocess.run(command, env=environment, capture_output=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr.decode()
     return dict(json.loads(done.stdout))

@@ -1,5 +1,5 @@
-"""The disk is full under the real daemon: it says so, acknowledges nothing that is not there, starts again on the full
-disk, and goes on by itself when there is room.
+"""The disk is full under the real daemon: it says so, acknowledges nothing that is not there,
+starts again on the full disk, and goes on by itself when there is room.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ class Box:
         return self.made - self.publisher.unacknowledged
 
     def publish(self, count: int = AT_A_TIME) -> None:
-        events = [Event("lobby", "entry", T0 + 0.1 * n) for n in range(self.made, self.made + count)]
+        events = [
+            Event("lobby", "entry", T0 + 0.1 * n) for n in range(self.made, self.made + count)
+        ]
         self.made += count
         self.publisher.publish(*events)
 
@@ -62,7 +64,11 @@ def stored(state: Path, copy: Path) -> list[int | None]:
     """The numbers of the events in a journal, read where there is room."""
     shutil.copytree(state, copy)
     with contextlib.closing(Journal(copy)) as journal:
-        return [entry.seq for _, entry in journal.entries() if entry is not None and entry.kind == "event"]
+        return [
+            entry.seq
+            for _, entry in journal.entries()
+            if entry is not None and entry.kind == "event"
+        ]
 
 
 def through_a_full_disk(disk: Path, box: Box, elsewhere: Path) -> None:
@@ -82,7 +88,9 @@ def through_a_full_disk(disk: Path, box: Box, elsewhere: Path) -> None:
             assert daemon.failing() == [], "starting it again would not help"
             acknowledged = box.acknowledged
             box.publish()
-            wait_for(lambda: daemon.status()["events"]["received"] == box.made, "all of them to be there")
+            wait_for(
+                lambda: daemon.status()["events"]["received"] == box.made, "all of them to be there"
+            )
             daemon.stop()
             assert box.acknowledged == acknowledged
             assert acknowledged <= len(stored(disk / "state", elsewhere / "while full")) < box.made
@@ -106,7 +114,9 @@ def box(tmp_path: Path) -> Iterator[Box]:
 
 @pytest.mark.campaign
 @pytest.mark.timeout(600)
-def test_campaign_of_a_daemon_on_a_full_file_system(small_disk: Path, box: Box, tmp_path: Path) -> None:
+def test_campaign_of_a_daemon_on_a_full_file_system(
+    small_disk: Path, box: Box, tmp_path: Path
+) -> None:
     through_a_full_disk(small_disk, box, tmp_path)
 
 

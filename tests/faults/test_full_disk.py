@@ -1,5 +1,5 @@
-"""The disk is full or fails, at any single operation: nothing is acknowledged that is not there, and it goes on by
-itself when there is room again.
+"""The disk is full or fails, at any single operation: nothing is acknowledged that is not there,
+and it goes on by itself when there is room again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ STEPS_AFTER = 8
 
 
 class Spoiler:
-    """In one directory: records, and spoils ``count`` operations from the ``first`` on (counted from 1)."""
+    """In one directory: records, and spoils ``count`` operations from the ``first`` on (counted
+    from 1).
+    """
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
@@ -96,7 +98,9 @@ def attempt(one: Written, number: int) -> int:
         except sqlite3.Error:
             continue
         return refused
-    raise AssertionError(f"step {number} was refused {ATTEMPTS_MAX} times and the disk was in order again")
+    raise AssertionError(
+        f"step {number} was refused {ATTEMPTS_MAX} times and the disk was in order again"
+    )
 
 
 def after_power_cut(record: Record, make: Open, directory: Path) -> State:
@@ -114,8 +118,12 @@ def after_power_cut(record: Record, make: Open, directory: Path) -> State:
         one.close()
 
 
-def each_write_fails_once(name: str, kind: Kind, steps: int, quick_path: Path, disk_watch: Vfs) -> None:
-    """One file: each step is tried with its first operation failing, then with its second, until none is left."""
+def each_write_fails_once(
+    name: str, kind: Kind, steps: int, quick_path: Path, disk_watch: Vfs
+) -> None:
+    """One file: each step is tried with its first operation failing, then with its second, until
+    none is left.
+    """
     make = FILES[name]
     states = reference(make, steps, quick_path / "reference")
     spoiler, suffered = Spoiler(quick_path / "real"), Suffered(0, 0)
@@ -147,7 +155,9 @@ def each_write_fails_once(name: str, kind: Kind, steps: int, quick_path: Path, d
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", FILES)
-def test_each_write_of_each_commit_fails_once(name: str, kind: Kind, quick_path: Path, disk_watch: Vfs) -> None:
+def test_each_write_of_each_commit_fails_once(
+    name: str, kind: Kind, quick_path: Path, disk_watch: Vfs
+) -> None:
     each_write_fails_once(name, kind, 20, quick_path, disk_watch)
 
 
@@ -155,14 +165,18 @@ def test_each_write_of_each_commit_fails_once(name: str, kind: Kind, quick_path:
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", FILES)
-def test_campaign_of_each_write_of_each_commit(name: str, kind: Kind, quick_path: Path, disk_watch: Vfs) -> None:
+def test_campaign_of_each_write_of_each_commit(
+    name: str, kind: Kind, quick_path: Path, disk_watch: Vfs
+) -> None:
     each_write_fails_once(name, kind, size("FULL_STEPS", 500), quick_path, disk_watch)
 
 
 def fails_at(
     make: Open, kind: Kind, first: int, count: int, states: list[State], base: Path, watch: Vfs
 ) -> tuple[int, bool]:
-    """One run with ``count`` operations failing from the ``first`` on; refused attempts, and whether any failed."""
+    """One run with ``count`` operations failing from the ``first`` on; refused attempts, and
+    whether any failed.
+    """
     directory = base / f"{kind} {first}"
     directory.mkdir()
     spoiler = Spoiler(directory)
@@ -205,7 +219,9 @@ def test_any_operation_fails_in_a_file_of_its_own(
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", FILES)
-def test_campaign_of_operations_that_fail(name: str, kind: Kind, quick_path: Path, disk_watch: Vfs) -> None:
+def test_campaign_of_operations_that_fail(
+    name: str, kind: Kind, quick_path: Path, disk_watch: Vfs
+) -> None:
     steps, every = size("FAILS_STEPS", 500), size("FAILS_EVERY", 25)
     states = reference(FILES[name], steps, quick_path / "reference")
     points = refused = 0
@@ -214,7 +230,9 @@ def test_campaign_of_operations_that_fail(name: str, kind: Kind, quick_path: Pat
         if not failed:
             break
         points, refused = points + 1, refused + more
-    print(f"{name} {kind}: {points} operations of {steps} steps failed, {refused} commits refused, none lost")
+    print(
+        f"{name} {kind}: {points} operations of {steps} steps failed, {refused} commits refused, none lost"
+    )
     assert points > steps // every
 
 
@@ -247,7 +265,9 @@ def test_the_harness_sees_a_sync_that_is_not_waited_for(quick_path: Path, disk_w
 
 
 def child(name: str, directory: Path, limit: int, steps: int) -> dict[str, int]:
-    """Write in a process of its own whose files may be ``limit`` bytes long until it has been refused often."""
+    """Write in a process of its own whose files may be ``limit`` bytes long until it has been
+    refused often.
+    """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [
         sys.executable,
@@ -284,7 +304,9 @@ def small_disk(quick_path: Path) -> Iterator[Path]:
     if subprocess.run(mount, capture_output=True, check=False).returncode != 0:
         if size("NO_MOUNT", 0):
             pytest.skip("no small file system: CAMTOPOD_FAULTS_NO_MOUNT is set")
-        pytest.fail("cannot mount a small file system: run this as root, or leave it out: CAMTOPOD_FAULTS_NO_MOUNT=1")
+        pytest.fail(
+            "cannot mount a small file system: run this as root, or leave it out: CAMTOPOD_FAULTS_NO_MOUNT=1"
+        )
     yield disk
     subprocess.run(["umount", "-l", str(disk)], check=True)
 
@@ -304,27 +326,37 @@ def full(disk: Path) -> Iterator[None]:
 @pytest.mark.campaign
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("name", FILES)
-def test_campaign_on_a_file_system_that_is_full(name: str, small_disk: Path, quick_path: Path) -> None:
+def test_campaign_on_a_file_system_that_is_full(
+    name: str, small_disk: Path, quick_path: Path
+) -> None:
     """Filled up by something else, at forty different moments, and each time freed again."""
     one = FILES[name](small_disk)
     try:
         steps, refused = 400, 0
         states = reference(FILES[name], steps, quick_path / "reference")
         for number in range(1, steps + 1):
-            refused += refused_while_full(one, number, small_disk) if number % 10 == 0 else attempt(one, number)
+            refused += (
+                refused_while_full(one, number, small_disk)
+                if number % 10 == 0
+                else attempt(one, number)
+            )
         assert one.state() == states[steps]
         one.close()
         one = FILES[name](small_disk)
         assert not one.damaged
         assert one.state() == states[steps]
-        print(f"{name}: refused {refused} times in {steps} steps on a full file system, nothing lost")
+        print(
+            f"{name}: refused {refused} times in {steps} steps on a full file system, nothing lost"
+        )
         assert refused > 5, "room that was free in the files was enough"
     finally:
         one.close()
 
 
 def refused_while_full(one: Written, number: int, disk: Path) -> int:
-    """A step while something else has filled the disk, and after it is free again; how often it was refused."""
+    """A step while something else has filled the disk, and after it is free again; how often it was
+    refused.
+    """
     with full(disk):
         for refused in range(3):
             try:

@@ -1,5 +1,5 @@
-"""kill -9 of real grabbers and of the one that looks after them, while events flow: what a spool has is in the journal,
-and nothing is there twice.
+"""kill -9 of real grabbers and of the one that looks after them, while events flow: what a spool
+has is in the journal, and nothing is there twice.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ FILM_SECONDS = 120.0
 EVENTS_BETWEEN = 4
 """Stored between two kills, at least."""
 BOX_EVERY = 4
-"""Of the kills one in so many is of the whole box: the one that looks after the grabber, which then ends by itself
-and cleanly, so that the next one goes on with its boot."""
+"""Of the kills one in so many is of the whole box: the one that looks after the grabber, which then
+ends by itself and cleanly, so that the next one goes on with its boot."""
 Numbers = dict[str, list[int]]
 """The events of each boot of a grabber, by number."""
 
@@ -124,7 +124,10 @@ def stored(state: Path) -> Numbers:
 def send_the_rest(path: Path, daemon: Daemon, directory: Path) -> None:
     """What a killed grabber had no time for, as the next one does."""
     spool = Spool(path, "last", 100_000)
-    with contextlib.closing(spool), contextlib.closing(dial(small_config(directory, daemon.endpoint))) as bus:
+    with (
+        contextlib.closing(spool),
+        contextlib.closing(dial(small_config(directory, daemon.endpoint))) as bus,
+    ):
         publisher = Publisher(spool, 100)
         publisher.attach(bus, [CAMERA])
         assert publisher.drained(WAIT_SECONDS)
@@ -154,7 +157,9 @@ def killed(directory: Path, port: int, kills: int) -> None:
     assert len(there) == kills + 1, "a boot for each grabber, as each opens the spool anew"
     for numbers in there.values():
         assert numbers == list(range(1, len(numbers) + 1))
-    print(f"{kills} kills, {sum(map(len, there.values()))} events of {len(there)} boots, 0 lost, none twice")
+    print(
+        f"{kills} kills, {sum(map(len, there.values()))} events of {len(there)} boots, 0 lost, none twice"
+    )
 
 
 @pytest.mark.campaign

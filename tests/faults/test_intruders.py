@@ -1,7 +1,9 @@
-"""Who should not be there: against the real daemon, over mutual TLS, every session in a process of its own.
+"""Who should not be there: against the real daemon, over mutual TLS, every session in a process of
+its own.
 
-Each attack is made twice: with the rules, where it must come to nothing, and by somebody whom the rules allow
-everything (or where there are none), where it must succeed; else the test would prove nothing.
+Each attack is made twice: with the rules, where it must come to nothing, and by somebody whom the
+rules allow everything (or where there are none), where it must succeed; else the test would prove
+nothing.
 """
 
 from __future__ import annotations
@@ -44,7 +46,10 @@ class Puppet:
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, str(PUPPET)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            [sys.executable, str(PUPPET)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
         )
 
     @property
@@ -59,7 +64,10 @@ class Puppet:
         return self._say([name, arguments])["done"]
 
     def hears(self, *expected: str) -> None:
-        wait_for(lambda: set(expected) <= set(self.do("heard")), f"{expected}, not only {set(self.do('heard'))}")
+        wait_for(
+            lambda: set(expected) <= set(self.do("heard")),
+            f"{expected}, not only {set(self.do('heard'))}",
+        )
 
     def close(self) -> None:
         self._process.communicate(timeout=WAIT_SECONDS)
@@ -91,17 +99,25 @@ class Keys:
         other.issue("camera", "cam1", 100)
         Authority.make(folder / "old", "hq", now, 7300, replace=False)
         for name in ("ca.key", "ca.pem"):
-            (folder / "old/authority" / name).write_bytes((folder / "authority" / name).read_bytes())
+            (folder / "old/authority" / name).write_bytes(
+                (folder / "authority" / name).read_bytes()
+            )
         Authority(folder / "old", now - 50 * 86400.0).issue("camera", "cam1", 20)
 
     def tls(self, own: str) -> dict[str, Any]:
-        """Zenoh's settings for the certificate in the folder ``own``, with this site's authority."""
+        """Zenoh's settings for the certificate in the folder ``own``, with this site's
+        authority.
+        """
         folder = self.folder / own
         return rules.mutual_tls(
-            str(self.folder / "authority" / "ca.pem"), str(folder / "certificate.pem"), str(folder / "private.key")
+            str(self.folder / "authority" / "ca.pem"),
+            str(folder / "certificate.pem"),
+            str(folder / "private.key"),
         )
 
-    def bus(self, own: str, endpoint: str = "", listen: str = "", patience: float = 3.0) -> BusSettings:
+    def bus(
+        self, own: str, endpoint: str = "", listen: str = "", patience: float = 3.0
+    ) -> BusSettings:
         folder = self.folder / own
         files = [str(folder / name) for name in ("ca.pem", "certificate.pem", "private.key")]
         tls = TlsSettings(*files, access=str(self.folder / "daemon" / "access.json"))
@@ -131,9 +147,14 @@ class RealDaemon:
         config.write_text(f'[site]\nname = "hq"\n[limits]\nstatus_seconds = 0.1\n{bus}')
         config.chmod(0o600)
         self.process = camtopod(
-            "--config", str(config), "run", "--state", str(folder / "state"),
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )  # fmt: skip
+            "--config",
+            str(config),
+            "run",
+            "--state",
+            str(folder / "state"),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
         self.said: list[str] = []
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
@@ -171,7 +192,9 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
 @pytest.fixture(scope="module")
 def guarded(keys: Keys, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealDaemon]:
     """A daemon with the rules as they are."""
-    daemon = RealDaemon(tmp_path_factory.mktemp("d") / "d", tls_table(keys, keys.folder / "daemon" / "access.json"))
+    daemon = RealDaemon(
+        tmp_path_factory.mktemp("d") / "d", tls_table(keys, keys.folder / "daemon" / "access.json")
+    )
     yield daemon
     daemon.stop()
 
@@ -198,9 +221,11 @@ def puppet(cleanup: contextlib.ExitStack) -> Puppet:
 
 def client(endpoint: str, mode: str = "client") -> dict[str, Any]:
     return rules.quiet(mode) | {
-        "connect/endpoints": [endpoint], "listen/endpoints": [], "connect/timeout_ms": 500,
+        "connect/endpoints": [endpoint],
+        "listen/endpoints": [],
+        "connect/timeout_ms": 500,
         "connect/exit_on_failure": True,
-    }  # fmt: skip
+    }
 
 
 def status(observer: Puppet) -> dict[str, Any]:
@@ -209,7 +234,9 @@ def status(observer: Puppet) -> dict[str, Any]:
 
     def answered() -> bool:
         answers[:] = [
-            one for one in observer.do("ask", key=f"{HQ}/status/daemon?format=application/json") if "{" in one
+            one
+            for one in observer.do("ask", key=f"{HQ}/status/daemon?format=application/json")
+            if "{" in one
         ]
         return bool(answers)
 
@@ -218,26 +245,38 @@ def status(observer: Puppet) -> dict[str, Any]:
     return found
 
 
-# --- a stolen box -----------------------------------------------------------------------------------
+# --- a stolen box
+# -----------------------------------------------------------------------------------
 
 OWN = {f"put {HQ}/event/cam1", f"put {HQ}/status/cam1", f"put {HQ}/alive/grabber/cam1"}
 STOLEN = [
-    ("put", f"{HQ}/event/cam2"), ("put", f"{HQ}/event/*"), ("put", f"{HQ}/event/cam1/x"), ("put", f"{HQ}/topology"),
-    ("put", f"{HQ}/topology/delta"), ("put", f"{HQ}/prediction/cam1"), ("put", f"{HQ}/ack/cam1"),
-    ("put", f"{HQ}/ack/cam2"), ("put", f"{HQ}/status/cam2"),
-    ("delete", f"{HQ}/event/cam1"), ("delete", f"{HQ}/topology"),
-]  # fmt: skip
+    ("put", f"{HQ}/event/cam2"),
+    ("put", f"{HQ}/event/*"),
+    ("put", f"{HQ}/event/cam1/x"),
+    ("put", f"{HQ}/topology"),
+    ("put", f"{HQ}/topology/delta"),
+    ("put", f"{HQ}/prediction/cam1"),
+    ("put", f"{HQ}/ack/cam1"),
+    ("put", f"{HQ}/ack/cam2"),
+    ("put", f"{HQ}/status/cam2"),
+    ("delete", f"{HQ}/event/cam1"),
+    ("delete", f"{HQ}/topology"),
+]
 
 
-def attack(thief: Puppet, observer: Puppet, hears: tuple[str, ...] = ("ack/cam1",), seconds: float = 0.5) -> set[str]:
-    """Everything a stolen box of cam1 might try; returns what of it had an effect. ``hears``: what to wait for;
-    ``seconds``: for an answer, which a question that is not allowed waits out.
+def attack(
+    thief: Puppet, observer: Puppet, hears: tuple[str, ...] = ("ack/cam1",), seconds: float = 0.5
+) -> set[str]:
+    """Everything a stolen box of cam1 might try; returns what of it had an effect. ``hears``: what
+    to wait for; ``seconds``: for an answer, which a question that is not allowed waits out.
     """
     observer.do("subscribe", key=f"{HQ}/**")
     observer.do("watch", key=f"{HQ}/alive/**")
     observer.do("answer", key=f"{HQ}/spool/cam2", payload="the real one")
     observer.do("appear", key=f"{HQ}/alive/grabber/cam3")
-    wait_for(lambda: reaches(thief, observer, f"{HQ}/event/cam1"), "a way from the thief to the observer")
+    wait_for(
+        lambda: reaches(thief, observer, f"{HQ}/event/cam1"), "a way from the thief to the observer"
+    )
     for what, key in STOLEN:
         thief.do(what, key=key)
     for camera in ("cam2", "cam1"):
@@ -250,10 +289,19 @@ def attack(thief: Puppet, observer: Puppet, hears: tuple[str, ...] = ("ack/cam1"
     thief.do("put", key=f"{HQ}/status/cam1")  # the last, so that all before it has been dealt with
     observer.hears(*OWN)
     effects = set()
-    for key in ("ack/cam2", "event/cam2", "prediction/cam2", "topology/delta", "status/cam2", "ack/cam1"):
+    for key in (
+        "ack/cam2",
+        "event/cam2",
+        "prediction/cam2",
+        "topology/delta",
+        "status/cam2",
+        "ack/cam1",
+    ):
         observer.do("put", key=f"{HQ}/{key}", payload="y")
     thief.hears(*(f"put {HQ}/{key}" for key in hears))
-    wait_for(lambda: "from the thief" in observer.do("ask", key=f"{HQ}/spool/cam1"), "its own spool")
+    wait_for(
+        lambda: "from the thief" in observer.do("ask", key=f"{HQ}/spool/cam1"), "its own spool"
+    )
     for key in ("spool/cam2", "topology"):
         if "from the thief" in observer.do("ask", key=f"{HQ}/{key}", seconds=seconds):
             effects.add(f"answered {key}")
@@ -284,7 +332,10 @@ def test_a_stolen_box_can_publish_its_own_events_and_nothing_else(
     refused = status(observer)["refused"]
     assert refused["denied"] >= len(STOLEN)
     assert refused.get("too-large", 0) == 0
-    wait_for(lambda: any("certificate of cam1 does not allow" in line for line in guarded.said), "it to be said")
+    wait_for(
+        lambda: any("certificate of cam1 does not allow" in line for line in guarded.said),
+        "it to be said",
+    )
 
 
 def test_a_stolen_box_that_poses_as_a_router_gains_and_breaks_nothing(
@@ -310,15 +361,22 @@ def test_a_stolen_box_that_poses_as_a_router_gains_and_breaks_nothing(
     observer.hears(f"put {HQ}/event/cam2")
     heard = [line for line in observer.do("heard") if "daemon" not in line]
     assert sorted(heard) == [f"put {HQ}/alive/grabber/cam1", f"put {HQ}/event/cam2"]
-    wait_for(lambda: observer.do("ask", key=f"{HQ}/spool/cam2") == ["the real one"], "the other camera's spool")
+    wait_for(
+        lambda: observer.do("ask", key=f"{HQ}/spool/cam2") == ["the real one"],
+        "the other camera's spool",
+    )
     answers = observer.do("ask", key=f"{HQ}/topology")
-    assert set(answers) - {"Timeout"} == {"nothing has been learned yet"}, "the thief's answer is waited for at most"
+    assert set(answers) - {"Timeout"} == {"nothing has been learned yet"}, (
+        "the thief's answer is waited for at most"
+    )
     observer.do("put", key=f"{HQ}/prediction/cam2")
     assert thief.do("ask", key=f"{HQ}/status/daemon") == []
     assert thief.do("heard") == []
 
 
-def test_the_file_for_a_router_of_its_own_enforces_the_same(keys: Keys, cleanup: contextlib.ExitStack) -> None:
+def test_the_file_for_a_router_of_its_own_enforces_the_same(
+    keys: Keys, cleanup: contextlib.ExitStack
+) -> None:
     with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
         endpoint = bus.endpoint.replace("tcp/", "tls/")  # free again in a moment
     folder = keys.folder / "daemon"
@@ -344,7 +402,9 @@ def test_the_file_for_a_router_of_its_own_enforces_the_same(keys: Keys, cleanup:
 def test_the_same_box_allowed_everything_does_all_of_it(
     keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack
 ) -> None:
-    daemon = RealDaemon(tmp_path / "d", tls_table(keys, keys.allow(tmp_path / "access.json", everything="cam1")))
+    daemon = RealDaemon(
+        tmp_path / "d", tls_table(keys, keys.allow(tmp_path / "access.json", everything="cam1"))
+    )
     cleanup.callback(daemon.stop)
     thief, observer = puppet(cleanup), puppet(cleanup)
     assert thief.open(**client(daemon.endpoint), **keys.tls("camera/cam1"))
@@ -352,36 +412,60 @@ def test_the_same_box_allowed_everything_does_all_of_it(
     hears = ("ack/cam1", "ack/cam2", "event/cam2", "alive/grabber/cam3")
     effects = attack(thief, observer, hears, seconds=WAIT_SECONDS)
     assert effects >= OWN
-    assert effects >= {f"{what} {key}" for what, key in STOLEN if HQ in key and not re.search(r"daemon|\*", key)}
+    assert effects >= {
+        f"{what} {key}" for what, key in STOLEN if HQ in key and not re.search(r"daemon|\*", key)
+    }
     assert effects >= {f"put {HQ}/alive/grabber/cam2", "answered spool/cam2", "answered topology"}
     assert effects >= {f"thief heard put {HQ}/{key}" for key in hears}
     assert effects >= {f"asked {key}" for key in ("topology", "status/daemon", "spool/cam2")}
 
 
-def test_a_reader_reads_and_nothing_else(keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack) -> None:
+def test_a_reader_reads_and_nothing_else(
+    keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack
+) -> None:
     reader, observer = puppet(cleanup), puppet(cleanup)
     assert reader.open(**client(guarded.endpoint), **keys.tls("reader/wall"))
     assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
     readable = ("topology", "topology/delta", "prediction/cam1", "status/cam1")
     observer.do("subscribe", key=f"{HQ}/**")
-    for key in ("topology", "topology/delta", "prediction/*", "status/*", "event/*", "ack/*", "spool/*", "**"):
+    for key in (
+        "topology",
+        "topology/delta",
+        "prediction/*",
+        "status/*",
+        "event/*",
+        "ack/*",
+        "spool/*",
+        "**",
+    ):
         reader.do("subscribe", key=f"{HQ}/{key}")
     reader.do("watch", key=f"{HQ}/alive/daemon/*")
     assert reader.do("ask", key=f"{HQ}/status/daemon?format=application/json")
-    nothing = ["nothing has been learned yet"]  # on a busy machine a question may end late, which is an answer, too
-    wait_for(lambda: reader.do("ask", key=f"{HQ}/topology") == nothing, "the answer about the topology alone")
+    nothing = [
+        "nothing has been learned yet"
+    ]  # on a busy machine a question may end late, which is an answer, too
+    wait_for(
+        lambda: reader.do("ask", key=f"{HQ}/topology") == nothing,
+        "the answer about the topology alone",
+    )
     prediction = f"{HQ}/predict/cam1?zone=cam1/1"
-    wait_for(lambda: reader.do("ask", key=prediction) == nothing, "the answer about a prediction alone")
+    wait_for(
+        lambda: reader.do("ask", key=prediction) == nothing, "the answer about a prediction alone"
+    )
     assert reader.do("ask", key=f"{HQ}/spool/cam1") == []
     for key in (*readable, "event/cam1", "ack/cam1"):
         reader.do("put", key=f"{HQ}/{key}", payload="from the reader")
         reader.do("delete", key=f"{HQ}/{key}")
         observer.do("put", key=f"{HQ}/{key}")
     reader.hears(*(f"put {HQ}/{key}" for key in readable))
-    wait_for(lambda: any("alive/daemon/" in line for line in reader.do("heard")), "the daemon to be seen")
+    wait_for(
+        lambda: any("alive/daemon/" in line for line in reader.do("heard")), "the daemon to be seen"
+    )
     heard = {line for line in reader.do("heard") if "daemon" not in line}
     assert heard == {f"put {HQ}/{key}" for key in readable}
-    assert reader.do("ask", key=f"{HQ}/status/daemon"), "and with it what was put before has been dealt with"
+    assert reader.do("ask", key=f"{HQ}/status/daemon"), (
+        "and with it what was put before has been dealt with"
+    )
     assert [line for line in observer.do("heard") if "daemon" not in line] == [], "from the reader"
 
 
@@ -391,18 +475,26 @@ def test_a_box_whose_certificate_was_withdrawn_has_no_rights(
     thief, observer = puppet(cleanup), puppet(cleanup)
     assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
     before = status(observer)["refused"]["no-rights"]
-    assert thief.open(**client(guarded.endpoint), **keys.tls("camera/gone")), "it is still the authority's"
+    assert thief.open(**client(guarded.endpoint), **keys.tls("camera/gone")), (
+        "it is still the authority's"
+    )
     observer.do("subscribe", key=f"{HQ}/event/*")
     thief.do("put", key=f"{HQ}/event/gone")
-    assert thief.do("ask", key=f"{HQ}/status/daemon") == []  # and with it the put has been dealt with
+    assert (
+        thief.do("ask", key=f"{HQ}/status/daemon") == []
+    )  # and with it the put has been dealt with
     assert observer.do("heard") == []
     assert status(observer)["refused"]["no-rights"] == before + 1
     wait_for(
-        lambda: any("'gone' from" in line and "can do nothing here" in line for line in guarded.said), "it to be said"
+        lambda: any(
+            "'gone' from" in line and "can do nothing here" in line for line in guarded.said
+        ),
+        "it to be said",
     )
 
 
-# --- at the door ------------------------------------------------------------------------------------
+# --- at the door
+# ------------------------------------------------------------------------------------
 
 
 def test_who_is_not_let_in(keys: Keys, guarded: RealDaemon, cleanup: contextlib.ExitStack) -> None:
@@ -410,8 +502,15 @@ def test_who_is_not_let_in(keys: Keys, guarded: RealDaemon, cleanup: contextlib.
     assert observer.open(**client(guarded.endpoint), **keys.tls("daemon"))
     good = client(guarded.endpoint) | keys.tls("camera/cam1")
     own = "transport/link/tls/connect_"
-    nothing = {f"{own}certificate": None, f"{own}private_key": None, "transport/link/tls/enable_mtls": False}
-    plain = {"connect/endpoints": [guarded.endpoint.replace("tls/", "tcp/")], "transport/link/protocols": ["tcp"]}
+    nothing = {
+        f"{own}certificate": None,
+        f"{own}private_key": None,
+        "transport/link/tls/enable_mtls": False,
+    }
+    plain = {
+        "connect/endpoints": [guarded.endpoint.replace("tls/", "tcp/")],
+        "transport/link/protocols": ["tcp"],
+    }
     for reason, wrong in (
         ("no-certificate", nothing),
         ("wrong-authority", _own(keys.tls("other/camera/cam1"))),
@@ -420,9 +519,15 @@ def test_who_is_not_let_in(keys: Keys, guarded: RealDaemon, cleanup: contextlib.
     ):
         before = status(observer)["refused"].get(reason, 0)
         assert not intruder.open(**good | wrong), reason
-        assert status(observer)["refused"].get(reason, 0) > before, (reason, status(observer)["refused"])
+        assert status(observer)["refused"].get(reason, 0) > before, (
+            reason,
+            status(observer)["refused"],
+        )
         wanted = f"not let onto the bus: {reason}"
-        wait_for(lambda wanted=wanted: any(wanted in line for line in guarded.said), f"it to be said: {reason}")
+        wait_for(
+            lambda wanted=wanted: any(wanted in line for line in guarded.said),
+            f"it to be said: {reason}",
+        )
     assert intruder.open(**good), "the control: the same with a good certificate"
 
 
@@ -435,7 +540,9 @@ def test_a_stolen_box_cannot_pass_for_the_daemon(keys: Keys, cleanup: contextlib
     """Whoever answers at the daemon's address has to show the daemon's certificate."""
     for own, accepted in (("camera/cam2", False), ("daemon", True)):
         listening = Config(bus=keys.bus(own, listen="tls/127.0.0.1:0"))
-        listening = msgspec.structs.replace(listening, site=msgspec.structs.replace(listening.site, name="hq"))
+        listening = msgspec.structs.replace(
+            listening, site=msgspec.structs.replace(listening.site, name="hq")
+        )
         with meet(listening) as false_daemon:
             config = msgspec.structs.replace(
                 listening, bus=keys.bus("camera/cam1", false_daemon.endpoint, patience=0.5)
@@ -447,7 +554,8 @@ def test_a_stolen_box_cannot_pass_for_the_daemon(keys: Keys, cleanup: contextlib
                     dial(config)
 
 
-# --- too large --------------------------------------------------------------------------------------
+# --- too large
+# --------------------------------------------------------------------------------------
 
 
 def memory(pid: int) -> int:
@@ -474,27 +582,46 @@ def test_what_is_too_large_neither_arrives_nor_takes_memory(
     assert status(observer)["events"]["received"] == 2
     assert memory(unguarded.process.pid) - before < GROWTH_BYTES_MAX
     flooder.do("put", key=event, payload="x", repeat=rules.EVENT_BYTES_MAX)
-    wait_for(lambda: status(observer)["rejects"].get("too-long") == 1, "what the bus lets pass to be counted")
-    wait_for(lambda: status(observer)["refused"].get("too-large", 0) >= 200, "what the bus drops to be counted")
+    wait_for(
+        lambda: status(observer)["rejects"].get("too-long") == 1,
+        "what the bus lets pass to be counted",
+    )
+    wait_for(
+        lambda: status(observer)["refused"].get("too-large", 0) >= 200,
+        "what the bus drops to be counted",
+    )
 
 
 @pytest.mark.parametrize("guarded", [False, True], ids=["open", "guarded"])
 def test_what_is_dropped_for_its_size_is_named_and_a_late_answer_is_not(
     guarded: bool, keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack
 ) -> None:
-    """The session of a box that does not answer in time says so to the daemon, in a message without a key."""
+    """The session of a box that does not answer in time says so to the daemon, in a message without
+    a key.
+    """
     access = keys.folder / "daemon" / "access.json"
-    daemon = RealDaemon(tmp_path / "d", tls_table(keys, access) if guarded else '[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
+    daemon = RealDaemon(
+        tmp_path / "d",
+        tls_table(keys, access) if guarded else '[bus]\nlisten = ["tcp/127.0.0.1:0"]\n',
+    )
     cleanup.callback(daemon.stop)
     box, observer = puppet(cleanup), puppet(cleanup)
     assert box.open(**client(daemon.endpoint), **(keys.tls("camera/cam1") if guarded else {}))
     assert observer.open(**client(daemon.endpoint), **(keys.tls("daemon") if guarded else {}))
     box.do("hold", key=f"{HQ}/status/cam1")
-    wait_for(lambda: observer.do("ask", key=f"{HQ}/status/cam1") == ["Timeout"], "a question that is not answered")
-    observer.do("ask", key=f"{HQ}/status/cam1")  # by its end the daemon has heard of the first one from the box
+    wait_for(
+        lambda: observer.do("ask", key=f"{HQ}/status/cam1") == ["Timeout"],
+        "a question that is not answered",
+    )
+    observer.do(
+        "ask", key=f"{HQ}/status/cam1"
+    )  # by its end the daemon has heard of the first one from the box
 
     box.do("put", key=f"{HQ}/event/cam1", payload="x", repeat=rules.EVENT_BYTES_MAX + 1)
-    wait_for(lambda: status(observer)["refused"].get("too-large", 0) > 0, "what is too large to be counted")
+    wait_for(
+        lambda: status(observer)["refused"].get("too-large", 0) > 0,
+        "what is too large to be counted",
+    )
     assert status(observer)["refused"]["too-large"] == 1
     whose = f"cam1 on {HQ}/event/cam1" if guarded else r"tcp/127\.0\.0\.1:\d+ on event/\*"
     named = rf"a put from {whose} was dropped at \S+Z: it has more than {rules.EVENT_BYTES_MAX} bytes \(1 so far\)"
@@ -511,14 +638,20 @@ def test_what_a_stolen_box_makes_too_large_is_counted_whatever_its_size(
     for size, count in ((rules.EVENT_BYTES_MAX + 1, 3), (BIG_BYTES, 2), (16 * BIG_BYTES, 1)):
         box.do("put", key=f"{HQ}/event/cam1", payload="x", repeat=size, count=count)
     wanted = before["refused"].get("too-large", 0) + 6
-    wait_for(lambda: status(observer)["refused"].get("too-large", 0) >= wanted, "each to be counted")
+    wait_for(
+        lambda: status(observer)["refused"].get("too-large", 0) >= wanted, "each to be counted"
+    )
     after = status(observer)
     assert after["refused"]["too-large"] == wanted
     assert after["events"]["received"] == before["events"]["received"]
 
 
-def test_no_message_of_any_kind_may_be_that_large(unguarded: RealDaemon, cleanup: contextlib.ExitStack) -> None:
-    """The filter knows the sizes of events; this is the limit of what the daemon puts together from pieces."""
+def test_no_message_of_any_kind_may_be_that_large(
+    unguarded: RealDaemon, cleanup: contextlib.ExitStack
+) -> None:
+    """The filter knows the sizes of events; this is the limit of what the daemon puts together from
+    pieces.
+    """
     flooder, observer = puppet(cleanup), puppet(cleanup)
     assert observer.open(**client(unguarded.endpoint))
     assert flooder.open(**client(unguarded.endpoint))
@@ -533,18 +666,23 @@ def test_without_limits_the_same_arrives(cleanup: contextlib.ExitStack) -> None:
     with meet(Config(bus=BusSettings(listen=("tcp/127.0.0.1:0",)))) as bus:
         endpoint = bus.endpoint  # free again in a moment
     unlimited, flooder = puppet(cleanup), puppet(cleanup)
-    assert unlimited.open(**rules.quiet("router"), **{"listen/endpoints": [endpoint], "connect/endpoints": []})
+    assert unlimited.open(
+        **rules.quiet("router"), **{"listen/endpoints": [endpoint], "connect/endpoints": []}
+    )
     unlimited.do("subscribe", key="**")
     assert flooder.open(**client(endpoint))
     flooder.do("put", key=f"{HQ}/event/cam1", repeat=BIG_BYTES)
     unlimited.hears(f"put {HQ}/event/cam1")
 
 
-# --- what listens, and what is said about it --------------------------------------------------------
+# --- what listens, and what is said about it
+# --------------------------------------------------------
 
 
 def listening(pid: int) -> set[str]:
-    """The addresses, in hexadecimal as the kernel shows them, at which a process waits for others (TCP and UDP)."""
+    """The addresses, in hexadecimal as the kernel shows them, at which a process waits for others
+    (TCP and UDP).
+    """
     links = []
     for fd in Path(f"/proc/{pid}/fd").iterdir():
         with contextlib.suppress(FileNotFoundError):
@@ -569,17 +707,22 @@ def test_nothing_listens_beyond_loopback_and_what_is_open_is_said(
     assert listening(grabber.pid) == set()
 
 
-def test_what_listens_beyond_loopback_is_seen_and_said_loudly(caplog: pytest.LogCaptureFixture) -> None:
+def test_what_listens_beyond_loopback_is_seen_and_said_loudly(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     before = listening(os.getpid())
     with meet(Config(bus=BusSettings(listen=("tcp/0.0.0.0:0",)))):
         assert listening(os.getpid()) - before == {"tcp 00000000"}
     assert "ANYBODY ON THE NETWORK" in caplog.text
 
 
-# --- and those who belong there ---------------------------------------------------------------------
+# --- and those who belong there
+# ---------------------------------------------------------------------
 
 
-def test_an_authenticated_site_works_as_one_without(keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack) -> None:
+def test_an_authenticated_site_works_as_one_without(
+    keys: Keys, tmp_path: Path, cleanup: contextlib.ExitStack
+) -> None:
     authority = keys.authority
     for camera in ("a", "b", "c", "late"):
         if not (keys.folder / "camera" / camera).exists():
@@ -587,7 +730,9 @@ def test_an_authenticated_site_works_as_one_without(keys: Keys, tmp_path: Path, 
     keys.allow(keys.folder / "daemon" / "access.json")
     plain = small_config(tmp_path / "state")
     plain = msgspec.structs.replace(plain, site=msgspec.structs.replace(plain.site, name="hq"))
-    daemon = Daemon(msgspec.structs.replace(plain, bus=keys.bus("daemon", listen="tls/127.0.0.1:0")))
+    daemon = Daemon(
+        msgspec.structs.replace(plain, bus=keys.bus("daemon", listen="tls/127.0.0.1:0"))
+    )
     events = walkers(120)
     spools = {}
     for camera in ("a", "b", "c", "late"):
@@ -599,7 +744,9 @@ def test_an_authenticated_site_works_as_one_without(keys: Keys, tmp_path: Path, 
     daemon.start()
     cleanup.callback(daemon.stop)
     for camera, publisher in publishers.items():
-        bus = dial(msgspec.structs.replace(plain, bus=keys.bus(f"camera/{camera}", daemon.endpoint)))
+        bus = dial(
+            msgspec.structs.replace(plain, bus=keys.bus(f"camera/{camera}", daemon.endpoint))
+        )
         cleanup.callback(bus.close)
         publisher.attach(bus, [camera])
     for event in events[100:]:
@@ -614,8 +761,13 @@ def test_an_authenticated_site_works_as_one_without(keys: Keys, tmp_path: Path, 
     assert view.wait_for(1, WAIT_SECONDS) is not None
     assert daemon.status()["events"]["stored"] == len(events) + 1
     exit_at = {"x": 0.9, "y": 0.5}
-    wait_for(lambda: [key for key, _ in reader.ask("predict/a", exit_at)] == ["predict/a"], "a prediction")
-    wait_for(lambda: "status/daemon" in [key for key, _ in reader.ask("status/*")], "the daemon's status")
+    wait_for(
+        lambda: [key for key, _ in reader.ask("predict/a", exit_at)] == ["predict/a"],
+        "a prediction",
+    )
+    wait_for(
+        lambda: "status/daemon" in [key for key, _ in reader.ask("status/*")], "the daemon's status"
+    )
 
 
 def test_one_certificate_for_the_cameras_of_another_program(
@@ -625,7 +777,9 @@ def test_one_certificate_for_the_cameras_of_another_program(
     keys.allow(keys.folder / "daemon" / "access.json")
     plain = small_config(tmp_path / "state")
     plain = msgspec.structs.replace(plain, site=msgspec.structs.replace(plain.site, name="hq"))
-    daemon = Daemon(msgspec.structs.replace(plain, bus=keys.bus("daemon", listen="tls/127.0.0.1:0")))
+    daemon = Daemon(
+        msgspec.structs.replace(plain, bus=keys.bus("daemon", listen="tls/127.0.0.1:0"))
+    )
     daemon.start()
     cleanup.callback(daemon.stop)
     config = tmp_path / "nvr.toml"
@@ -636,10 +790,24 @@ def test_one_certificate_for_the_cameras_of_another_program(
     )
 
     def ingest(*cameras: str) -> int:
-        lines = [{"camera": camera, "kind": "entry", "t": T0 + n} for n in range(50) for camera in cameras]
+        lines = [
+            {"camera": camera, "kind": "entry", "t": T0 + n}
+            for n in range(50)
+            for camera in cameras
+        ]
         path = tmp_path / "events.jsonl"
         path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-        return main(["--config", str(config), "ingest", "jsonl", str(path), "--state", str(tmp_path / cameras[0])])
+        return main(
+            [
+                "--config",
+                str(config),
+                "ingest",
+                "jsonl",
+                str(path),
+                "--state",
+                str(tmp_path / cameras[0]),
+            ]
+        )
 
     assert ingest("door", "yard") == exits.DONE
     assert daemon.status()["events"]["stored"] == 100

@@ -25,7 +25,9 @@ def test_many_kills(make_site: MakeSite) -> None:
     site.start_all()
     killed = kill_and_restart(site, kills, size("SEED", 1), EVERYBODY, print)
     check(site)
-    print(f"{killed}, {len(site.events)} events, {len(site.versions)} versions, {time.monotonic() - began:.0f} s")
+    print(
+        f"{killed}, {len(site.events)} events, {len(site.versions)} versions, {time.monotonic() - began:.0f} s"
+    )
 
 
 @pytest.mark.campaign

@@ -1,4 +1,6 @@
-"""A daemon that may have so much memory and no more, beside cameras that stay just below what counts as a flood."""
+"""A daemon that may have so much memory and no more, beside cameras that stay just below what
+counts as a flood.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,11 @@ def learned(bus: Bus, events: int) -> bool:
     counts, learner = found.get("events", {}), found.get("learner", {})
     assert isinstance(counts, dict)
     assert isinstance(learner, dict)
-    return counts.get("stored", 0) >= events and not counts["waiting"] and learner["version"] == found["version"]
+    return (
+        counts.get("stored", 0) >= events
+        and not counts["waiting"]
+        and learner["version"] == found["version"]
+    )
 
 
 def crowd(camera: str, until: float, count: int, chance: random.Random) -> list[Event]:
@@ -85,7 +91,8 @@ def test_cameras_just_below_the_flood_limit_end_nothing(cameras: int, tmp_path: 
     wild = [crowd(f"wild{k}", now, size("CROWD_EVENTS", 20_000), chance) for k in range(cameras)]
     flooding = sorted((event for one in wild for event in one), key=lambda event: event.t)
     client = msgspec.structs.replace(
-        small_config(tmp_path, endpoint), bus=BusSettings(connect=(endpoint,), connect_seconds=READY_SECONDS)
+        small_config(tmp_path, endpoint),
+        bus=BusSettings(connect=(endpoint,), connect_seconds=READY_SECONDS),
     )
 
     with (
@@ -99,11 +106,17 @@ def test_cameras_just_below_the_flood_limit_end_nothing(cameras: int, tmp_path: 
         wait_for(lambda: learned(bus, len(known)), "what is known to be learned", 120)
         before = status(bus)["version"]
 
-        for first in range(0, len(flooding), 500):  # a publisher keeps ten thousand at most in memory
+        for first in range(
+            0, len(flooding), 500
+        ):  # a publisher keeps ten thousand at most in memory
             publisher.publish(*flooding[first : first + 500])
-        publisher.publish(Event("a", "entry", now + 61.0), Event("b", "entry", now + 61.0))  # the last tick is over
+        publisher.publish(
+            Event("a", "entry", now + 61.0), Event("b", "entry", now + 61.0)
+        )  # the last tick is over
         total = len(known) + len(flooding) + 2
-        wait_for(lambda: learned(bus, total) or daemon.poll() is not None, "all to be learned", 1200)
+        wait_for(
+            lambda: learned(bus, total) or daemon.poll() is not None, "all to be learned", 1200
+        )
 
         assert daemon.poll() is None
         after = status(bus)
@@ -113,6 +126,8 @@ def test_cameras_just_below_the_flood_limit_end_nothing(cameras: int, tmp_path: 
         assert after["version"] > before
         [child] = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
         peak = peak_megabytes(int(child))
-        print(f"{cameras} cameras: the learner had {peak:.0f} MB at most, version {after['version']}")
+        print(
+            f"{cameras} cameras: the learner had {peak:.0f} MB at most, version {after['version']}"
+        )
         assert peak < LEARNER_MEGABYTES_MAX
         bus.close()

@@ -30,11 +30,14 @@ from camtopod.serve.outbox.spool import Spool, SpoolBatch
 NOW = T0 + 20 * serving.SPAN_SECONDS
 
 
-# --- the decoder -----------------------------------------------------------------------------------
+# --- the decoder
+# -----------------------------------------------------------------------------------
 
 
 def fuzz(count: int, seed: int) -> Counter[str]:
-    """Decode ``count`` damaged messages; what is taken must be a good event. Returns how many by reason."""
+    """Decode ``count`` damaged messages; what is taken must be a good event. Returns how many by
+    reason.
+    """
     chance, good = random.Random(seed), seeds("lobby")
     outcome: Counter[str] = Counter()
     for _ in range(count):
@@ -59,7 +62,9 @@ def fuzz(count: int, seed: int) -> Counter[str]:
 
 def test_damaged_messages_are_events_or_rejected() -> None:
     outcome = fuzz(20_000, 1)
-    assert {"taken", "malformed", "bad-value", "not-utf8", "too-long", "half-position"} <= set(outcome)
+    assert {"taken", "malformed", "bad-value", "not-utf8", "too-long", "half-position"} <= set(
+        outcome
+    )
 
 
 @pytest.mark.campaign
@@ -85,19 +90,25 @@ def test_the_fuzzer_finds_what_a_plain_decoder_lets_through() -> None:
         decode_many()
 
 
-# --- a real session ---------------------------------------------------------------------------------
+# --- a real session
+# ---------------------------------------------------------------------------------
 
 
 class Poisoner:
     """A daemon that has learned something, and one who sends it damaged messages on every key."""
 
     def __init__(self, directory: Path, stack: ExitStack) -> None:
-        self.daemon = Daemon(small_config(directory / "state", pull_seconds=0.05), clock=lambda: NOW)
+        self.daemon = Daemon(
+            small_config(directory / "state", pull_seconds=0.05), clock=lambda: NOW
+        )
         self.daemon.start()
         stack.callback(self.daemon.stop)
         config = small_config(directory, self.daemon.endpoint)
         self.bus = self._dial(stack, config)
-        events = [*numbered(walkers(40)), *(msgspec.structs.replace(closing_event(), camera=c) for c in "de")]
+        events = [
+            *numbered(walkers(40)),
+            *(msgspec.structs.replace(closing_event(), camera=c) for c in "de"),
+        ]
         for event in events:
             self.bus.put(f"event/{event.camera}", event, "event")
         wait_for(lambda: self.state()["stored"] == len(events), "the good events")
@@ -107,7 +118,9 @@ class Poisoner:
         self.spool = Spool(directory / "spool.db", "b1", 1000)
         stack.callback(self.spool.close)
         self.publisher = Publisher(self.spool, 100)
-        self.publisher.attach(self._dial(stack, elsewhere))  # a site without a daemon: nobody acknowledges
+        self.publisher.attach(
+            self._dial(stack, elsewhere)
+        )  # a site without a daemon: nobody acknowledges
         self.publisher.publish(*(Event("lobby", "entry", T0 + n) for n in range(100)))
         self.elsewhere = self._dial(stack, elsewhere)
         self.answers = 0
@@ -119,9 +132,12 @@ class Poisoner:
         digest = None if self.daemon.topology is None else self.daemon.topology.digest
         names = ("stored", "future", "flood", "lost", "waiting")
         return {
-            "version": status["version"], "digest": digest, "state": status["state"],
-            "journal": status["journal"]["entries"], **{name: events[name] for name in names},
-        }  # fmt: skip
+            "version": status["version"],
+            "digest": digest,
+            "state": status["state"],
+            "journal": status["journal"]["entries"],
+            **{name: events[name] for name in names},
+        }
 
     def events(self, count: int, chance: random.Random) -> int:
         """Damaged events that are none; returns how many were sent."""
@@ -170,12 +186,36 @@ class Poisoner:
 
     def questions(self, count: int, chance: random.Random) -> None:
         """Parameters that make no sense."""
-        values = ("", "nan", "inf", "-1", "1e999", "9" * 400, "0.5", "ü", "a/1", "\x00", "None", "0x1", "1_0", "½")
-        asked = ("predict/a", "predict/nobody", "predict/a b", "topology", "status/daemon", "spool/lobby")
+        values = (
+            "",
+            "nan",
+            "inf",
+            "-1",
+            "1e999",
+            "9" * 400,
+            "0.5",
+            "ü",
+            "a/1",
+            "\x00",
+            "None",
+            "0x1",
+            "1_0",
+            "½",
+        )
+        asked = (
+            "predict/a",
+            "predict/nobody",
+            "predict/a b",
+            "topology",
+            "status/daemon",
+            "spool/lobby",
+        )
         for _ in range(count):
             key = chance.choice(asked)
             bus = self.elsewhere if key.startswith("spool") else self.bus
-            names = chance.sample(("x", "y", "t", "zone", "format", "version", "from", "max", "boot", "ü", ""), 3)
+            names = chance.sample(
+                ("x", "y", "t", "zone", "format", "version", "from", "max", "boot", "ü", ""), 3
+            )
             with suppress(QueryError):
                 bus.ask(key, {name: chance.choice(values) for name in names}, seconds=5.0)
 
@@ -191,15 +231,22 @@ def poisoner(tmp_path: Path) -> Iterator[Poisoner]:
 
 
 def poison(one: Poisoner, count: int, seed: int) -> str:
-    """``count`` damaged messages over every key, and a tenth as many questions; afterwards nothing has changed."""
+    """``count`` damaged messages over every key, and a tenth as many questions; afterwards nothing
+    has changed.
+    """
     chance = random.Random(seed)
     before = one.state()
     events = one.events(count * 7 // 10, chance)
     acks = one.acks(count * 3 // 10, chance)
     one.spools(5, random.Random(seed))
     one.questions(count // 10, chance)
-    wait_for(lambda: one.daemon.status()["events"]["received"] >= 162 + events, "the daemon to have seen all of it")
-    wait_for(lambda: one.publisher.rejects.counts.total() >= acks, "the publisher to have seen all of it")
+    wait_for(
+        lambda: one.daemon.status()["events"]["received"] >= 162 + events,
+        "the daemon to have seen all of it",
+    )
+    wait_for(
+        lambda: one.publisher.rejects.counts.total() >= acks, "the publisher to have seen all of it"
+    )
     wait_for(lambda: one.answers >= count // 50, "answers of spools")
     status = one.daemon.status()
     said = status["rejects"]

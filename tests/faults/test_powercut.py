@@ -1,4 +1,6 @@
-"""The power goes between any two operations on the disk: what was said to be durable is there when it comes back."""
+"""The power goes between any two operations on the disk: what was said to be durable is there when
+it comes back.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ class Outcome(NamedTuple):
 
 
 def recorded(make: Open, steps: int, directory: Path, watch: Vfs) -> tuple[Record, list[State]]:
-    """Write ``steps`` steps; the operations, and what was in the file after opening and after each step."""
+    """Write ``steps`` steps; the operations, and what was in the file after opening and after each
+    step.
+    """
     record, states = Record(), []
     directory.mkdir()
     with watch.watching(record):
@@ -66,7 +70,11 @@ def wrong(image: Image, make: Open, states: list[State], directory: Path, goes_o
         found = one.state()
         allowed = states[max(image.done, 0) : max(image.begun, 0) + 1]
         if found not in allowed:
-            return f"is as after step {states.index(found)}" if found in states else "is as never before"
+            return (
+                f"is as after step {states.index(found)}"
+                if found in states
+                else "is as never before"
+            )
         if goes_on:
             one.step(len(states))
             after = one.state()
@@ -79,7 +87,9 @@ def wrong(image: Image, make: Open, states: list[State], directory: Path, goes_o
 
 
 def run(make: Open, steps: int, each: int, base: Path, watch: Vfs, opened: bool = True) -> Outcome:
-    """All images of a file that is written ``steps`` steps; ``opened``: only those after it was opened."""
+    """All images of a file that is written ``steps`` steps; ``opened``: only those after it was
+    opened.
+    """
     record, states = recorded(make, steps, base / "real", watch)
     directory = base / "image"
     directory.mkdir()
@@ -90,7 +100,9 @@ def run(make: Open, steps: int, each: int, base: Path, watch: Vfs, opened: bool 
             counts[image.model] += 1
             problem = wrong(image, make, states, directory, goes_on=number % GOES_ON_EVERY == 0)
             if problem:
-                lost.append(f"{image.model} after operation {image.after_op}, {image.done} steps done: {problem}")
+                lost.append(
+                    f"{image.model} after operation {image.after_op}, {image.done} steps done: {problem}"
+                )
     shutil.rmtree(base / "real")
     shutil.rmtree(directory)
     return Outcome(counts, lost)
@@ -105,7 +117,9 @@ def test_no_power_cut_loses_what_was_durable(name: str, quick_path: Path, disk_w
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_no_power_cut_while_a_file_is_made_needs_help(name: str, quick_path: Path, disk_watch: Vfs) -> None:
+def test_no_power_cut_while_a_file_is_made_needs_help(
+    name: str, quick_path: Path, disk_watch: Vfs
+) -> None:
     outcome = run(FILES[name], 0, 3, quick_path, disk_watch, opened=False)
     assert outcome.lost == []
     assert sum(outcome.images.values()) > 30
@@ -129,16 +143,22 @@ def test_the_harness_sees_that_normal_is_not_enough(quick_path: Path, disk_watch
 @pytest.mark.timeout(1200)
 def test_campaign_of_the_canary(quick_path: Path, disk_watch: Vfs) -> None:
     outcome = run(NormalJournal, CANARY_STEPS, CANARY_EACH, quick_path, disk_watch)
-    print(f"canary, synchronous=NORMAL: {len(outcome.lost)} of {outcome.images.total()} images lost something")
+    print(
+        f"canary, synchronous=NORMAL: {len(outcome.lost)} of {outcome.images.total()} images lost something"
+    )
     assert len(outcome.lost) > outcome.images.total() // 10
 
 
 class _MadeUnderFull(sqlite_file.Connection):
     def execute(self, statement: str, *parameters: Any) -> sqlite3.Cursor:
-        return super().execute(statement.replace("synchronous=EXTRA", "synchronous=FULL"), *parameters)
+        return super().execute(
+            statement.replace("synchronous=EXTRA", "synchronous=FULL"), *parameters
+        )
 
 
-def without_table(make_under_full: bool, base: Path, watch: Vfs, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def without_table(
+    make_under_full: bool, base: Path, watch: Vfs, monkeypatch: pytest.MonkeyPatch
+) -> list[str]:
     """The images, after the table was made durably, in which there is none."""
     schema = "CREATE TABLE IF NOT EXISTS event (id INTEGER PRIMARY KEY)"
     record = Record()
@@ -177,7 +197,9 @@ def test_a_table_that_was_made_stays_and_made_under_full_it_would_not(
 def test_campaign_of_power_cuts(name: str, quick_path: Path, disk_watch: Vfs) -> None:
     steps, each = size("POWERCUT_STEPS", CAMPAIGN_STEPS), size("POWERCUT_EACH", CAMPAIGN_EACH)
     outcome = run(FILES[name], steps, each, quick_path, disk_watch)
-    print(f"{name}: {outcome.images.total()} images {dict(outcome.images)}, {len(outcome.lost)} lost")
+    print(
+        f"{name}: {outcome.images.total()} images {dict(outcome.images)}, {len(outcome.lost)} lost"
+    )
     assert outcome.lost == []
     if (steps, each) == (CAMPAIGN_STEPS, CAMPAIGN_EACH):
         assert outcome.images.total() >= CAMPAIGN_IMAGES_MIN[name]

@@ -54,7 +54,9 @@ def rubbish(state: Path, earlier: Path) -> None:
 def before_and_after(
     damage: Callable[[Path, Path], None], directory: Path, kept_events_max: int
 ) -> tuple[list[tuple[int | None, bytes]], list[tuple[int | None, bytes]], int]:
-    """The journal before ``damage`` and after another daemon went on with it; and how much that one got back."""
+    """The journal before ``damage`` and after another daemon went on with it; and how much that one
+    got back.
+    """
     state, earlier = directory / "state", directory / "earlier"
     spool = Spool(directory / "spool.db", "boot-1", 1000, kept_events_max=kept_events_max)
     publisher = Publisher(spool, 100)
@@ -77,7 +79,9 @@ def before_and_after(
     with Daemon(small_config(state), clock=lambda: T0 + 100) as second:
         bus = buses.dial(small_config(directory, second.endpoint))
         again.attach(bus, ["lobby"])
-        wait_for(lambda: second.status()["events"]["refilled"] > 0, "the journal to be filled again")
+        wait_for(
+            lambda: second.status()["events"]["refilled"] > 0, "the journal to be filled again"
+        )
         publish(again, EVENTS + 1, EVENTS + 2)
         refilled = second.status()["events"]["refilled"]
         bus.close()

@@ -1,4 +1,5 @@
-"""SIGTERM and SIGHUP at any moment of the real programs: they end in time, lose nothing, and no SIGHUP ends them.
+"""SIGTERM and SIGHUP at any moment of the real programs: they end in time, lose nothing, and no
+SIGHUP ends them.
 
 The quick form takes a few moments; the campaign (CAMTOPOD_FAULTS_SIGNALS, 100) many.
 """
@@ -60,17 +61,23 @@ class Under:
         root = Path(__file__).parent.parent.parent
         process = subprocess.Popen(
             [sys.executable, "-m", "camtopod", "--config", str(self.file), command],
-            env={**os.environ, "PYTHONPATH": str(root)}, stderr=self._log,
+            env={**os.environ, "PYTHONPATH": str(root)},
+            stderr=self._log,
             preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
-        )  # fmt: skip
+        )
         self.started.append(process)
         return process
 
     def listens(self, process: subprocess.Popen[bytes]) -> bool:
-        """Whether it has got as far as to catch or ignore SIGHUP; the interpreter's start is not ours."""
+        """Whether it has got as far as to catch or ignore SIGHUP; the interpreter's start is not
+        ours.
+        """
         with contextlib.suppress(OSError):
             for line in Path(f"/proc/{process.pid}/status").read_text().splitlines():
-                if line.startswith(("SigCgt:", "SigIgn:")) and int(line.split()[1], 16) & 1 << signal.SIGHUP - 1:
+                if (
+                    line.startswith(("SigCgt:", "SigIgn:"))
+                    and int(line.split()[1], 16) & 1 << signal.SIGHUP - 1
+                ):
                     return True
         return False
 
@@ -100,14 +107,18 @@ def moments(under: Under, command: str, count: int, chance: random.Random) -> No
         while time.monotonic() < until:
             process.send_signal(signal.SIGHUP)
             time.sleep(chance.uniform(0.0, 0.2))
-        assert process.poll() is None, f"run {number}: SIGHUP ended it: {process.returncode}\n{under.log[-3000:]}"
+        assert process.poll() is None, (
+            f"run {number}: SIGHUP ended it: {process.returncode}\n{under.log[-3000:]}"
+        )
         process.send_signal(signal.SIGTERM)
         if chance.random() < 0.5:
             with contextlib.suppress(ProcessLookupError):
                 process.send_signal(signal.SIGHUP)
         told = time.monotonic()
         status = process.wait(WAIT_SECONDS)
-        assert time.monotonic() - told < STOP_SECONDS_MAX, f"run {number} took too long\n{under.log[-3000:]}"
+        assert time.monotonic() - told < STOP_SECONDS_MAX, (
+            f"run {number} took too long\n{under.log[-3000:]}"
+        )
         # before it catches SIGTERM, and again at the very end, the signal itself ends it
         assert status in (0, -signal.SIGTERM), f"run {number}: {status}\n{under.log[-3000:]}"
     assert "Traceback" not in under.log, under.log[-5000:]
@@ -160,7 +171,11 @@ def daemon_at_many_moments(under: Under, count: int, seed: int) -> None:
     if publisher._bus is not None:
         publisher._bus.close()
     journal = Journal(state, journal_config.keep)
-    rows = [(e.camera, e.boot, e.seq) for _, e in journal.entries() if e is not None and e.kind == "event"]
+    rows = [
+        (e.camera, e.boot, e.seq)
+        for _, e in journal.entries()
+        if e is not None and e.kind == "event"
+    ]
     journal.close()
     assert len(rows) == len(set(rows)) == len(before) + published
     assert [seq for camera, _, seq in rows if camera == "lobby"] == list(range(1, published + 1))
@@ -179,10 +194,22 @@ def test_a_hangup_in_the_first_moment_of_a_camera_s_process(under: Under) -> Non
     """Before the interpreter has begun: it is blocked until the program can take it."""
     child = Child("lobby", CameraSettings("rtsp://127.0.0.1:1/x"), HealthSettings())
     fd = os.open(os.devnull, os.O_RDONLY)
-    line = [sys.executable, "-m", "camtopod", "--config", str(under.file), "grab", "--camera", "lobby", "--beat-fd"]
+    line = [
+        sys.executable,
+        "-m",
+        "camtopod",
+        "--config",
+        str(under.file),
+        "grab",
+        "--camera",
+        "lobby",
+        "--beat-fd",
+    ]
 
     def look() -> None:
-        child.look_after(time.monotonic(), lambda camera, restarts, last_end, beat_fd: [*line, str(beat_fd)], fd)
+        child.look_after(
+            time.monotonic(), lambda camera, restarts, last_end, beat_fd: [*line, str(beat_fd)], fd
+        )
 
     look()
     process = child.process
@@ -232,6 +259,9 @@ def left_behind(under: Under) -> list[int]:
     found = []
     for entry in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
-            if entry.name.isdigit() and str(under.file).encode() in (entry / "cmdline").read_bytes():
+            if (
+                entry.name.isdigit()
+                and str(under.file).encode() in (entry / "cmdline").read_bytes()
+            ):
                 found.append(int(entry.name))
     return found

@@ -1,7 +1,7 @@
 """Programs that subscribe and stop reading: everybody else goes on being told, at once.
 
-The daemon and every reader that stops is a process of its own. The control is a reader in the test's own process: it
-has to hear each prediction, soon after the exit it belongs to.
+The daemon and every reader that stops is a process of its own. The control is a reader in the
+test's own process: it has to hear each prediction, soon after the exit it belongs to.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class Walks:
         """... and to its ack."""
         self._began = time.monotonic()
         self.held_up = 0.0
-        """Seconds by which this process itself was late at most, or a page of its own was late on the disk: the machine
-        has other things to do.
+        """Seconds by which this process itself was late at most, or a page of its own was late on
+        the disk: the machine has other things to do.
         """
         self._seqs = dict.fromkeys(SENDERS, 0)
         reader.subscribe("prediction/*", self._on_prediction)
@@ -64,7 +64,9 @@ class Walks:
             publisher.subscribe(f"ack/{camera}", self._on_ack)
 
     def be_heard(self) -> None:
-        """Until the bus knows that the reader wants to hear of predictions; what was put before that does not count."""
+        """Until the bus knows that the reader wants to hear of predictions; what was put before
+        that does not count.
+        """
 
         def heard() -> bool:
             self._walk(1.01 / self._per_second)
@@ -82,7 +84,9 @@ class Walks:
             late = [(put - self._began, delay) for put, delay in delays if delay >= allowed]
             if late:
                 first, last, most = late[0][0], late[-1][0], max(delay for _, delay in late)
-                said.append(f"{len(late)} {what}, put {first:.2f} to {last:.2f} s in, late by {most:.2f} s")
+                said.append(
+                    f"{len(late)} {what}, put {first:.2f} to {last:.2f} s in, late by {most:.2f} s"
+                )
         return "; ".join(said)
 
     def walk(self, seconds: float) -> None:
@@ -96,7 +100,9 @@ class Walks:
             writer.join()
 
     def _write_pages(self, done: threading.Event) -> None:
-        """What a commit needs of the machine, beside no bus and no reader: what it takes is nobody's fault."""
+        """What a commit needs of the machine, beside no bus and no reader: what it takes is
+        nobody's fault.
+        """
         with tempfile.TemporaryFile(dir=self._folder) as page:
             while not done.is_set():
                 due = time.monotonic() + PAGE_SECONDS
@@ -135,7 +141,9 @@ class Walks:
     def _on_ack(self, key: str, payload: bytes) -> None:
         now, ack = time.monotonic(), codec.read(Ack, payload, pack=True)
         with self._mutex:
-            for camera, seq in [one for one in self._unacknowledged if one[0] == ack.camera and one[1] <= ack.seq]:
+            for camera, seq in [
+                one for one in self._unacknowledged if one[0] == ack.camera and one[1] <= ack.seq
+            ]:
                 put = self._unacknowledged.pop((camera, seq))
                 self.ack_delays.append((put, now - put))
 
@@ -145,7 +153,11 @@ def learned_state(directory: Path) -> None:
     topology = synthetic_topology(SITE_CAMERAS)
     journal = Journal(directory)
     content = codec.to_json(topology)
-    journal.commit([], [StoredVersion(topology.epoch, topology.version, topology.digest, content)], now=time.time())
+    journal.commit(
+        [],
+        [StoredVersion(topology.epoch, topology.version, topology.digest, content)],
+        now=time.time(),
+    )
     journal.close()
 
 
@@ -184,8 +196,8 @@ Scene = Callable[[bool], tuple[Bus, Bus, dict[str, Any], Path]]
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Iterator[Scene]:
-    """Makes a daemon with a large topology, over TLS or not; gives a publisher's session, a reader's, and what those
-    who stop are told, and the daemon's folder.
+    """Makes a daemon with a large topology, over TLS or not; gives a publisher's session, a
+    reader's, and what those who stop are told, and the daemon's folder.
     """
     with contextlib.ExitStack() as stack:
 
@@ -196,7 +208,9 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
                 daemon = RealDaemon(folder, '[bus]\nlisten = ["tcp/127.0.0.1:0"]\n')
                 stack.callback(daemon.stop)
                 buses = [BusSettings(connect=(daemon.endpoint,))] * 2
-                stopping = client(daemon.endpoint) | {"transport/link/tcp/so_rcvbuf": SMALL_BUFFER_BYTES}
+                stopping = client(daemon.endpoint) | {
+                    "transport/link/tcp/so_rcvbuf": SMALL_BUFFER_BYTES
+                }
             else:
                 keys = Keys(tmp_path / "keys")
                 keys.authority.issue("camera", "box", 100, cameras=SENDERS)
@@ -205,14 +219,22 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
                 stack.callback(daemon.stop)
                 buses = [keys.bus(name, daemon.endpoint) for name in ("camera/box", "reader/wall")]
                 stopping = client(daemon.endpoint) | keys.tls("reader/wall")
-            publisher, reader = (stack.enter_context(dial(Config(bus=bus, site=SiteSettings("hq")))) for bus in buses)
+            publisher, reader = (
+                stack.enter_context(dial(Config(bus=bus, site=SiteSettings("hq")))) for bus in buses
+            )
             return publisher, reader, stopping, folder
 
         yield make
 
 
 def walks_beside(
-    scene: Scene, secured: bool, readers: int, questions: int, per_second: float, turns: int, seconds: float
+    scene: Scene,
+    secured: bool,
+    readers: int,
+    questions: int,
+    per_second: float,
+    turns: int,
+    seconds: float,
 ) -> tuple[Walks, Bus]:
     """Exits while readers stop, are killed and come back."""
     publisher, reader, settings, folder = scene(secured)
@@ -235,7 +257,9 @@ def walks_beside(
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "tls"])
 def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene, secured: bool) -> None:
-    walks, reader = walks_beside(scene, secured, readers=4, questions=QUESTIONS, per_second=5, turns=2, seconds=4)
+    walks, reader = walks_beside(
+        scene, secured, readers=4, questions=QUESTIONS, per_second=5, turns=2, seconds=4
+    )
     assert not walks.late()
     assert TopologyView(reader).wait_for(1, 10.0) is not None
 
@@ -243,13 +267,17 @@ def test_readers_that_stop_and_come_back_hold_up_nobody(scene: Scene, secured: b
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "tls"])
 def test_many_that_stop_hold_up_nobody_where_many_walk(scene: Scene, secured: bool) -> None:
     """Also not when the bus gives them up, after its lease of ten seconds."""
-    walks, _ = walks_beside(scene, secured, readers=8, questions=3, per_second=400, turns=1, seconds=14)
+    walks, _ = walks_beside(
+        scene, secured, readers=8, questions=3, per_second=400, turns=1, seconds=14
+    )
     assert not walks.late()
 
 
-def test_closing_the_connections_of_those_who_stopped_takes_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The bus gives them up when their lease is over, while each has more to take than its connection holds, and
-    before the kernel ends a connection by itself.
+def test_closing_the_connections_of_those_who_stopped_takes_no_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The bus gives them up when their lease is over, while each has more to take than its
+    connection holds, and before the kernel ends a connection by itself.
     """
     monkeypatch.setattr(sockets, "STALLED_SECONDS_MAX", 60.0)
     site = SiteSettings("hq")
@@ -263,7 +291,9 @@ def test_closing_the_connections_of_those_who_stopped_takes_no_time(monkeypatch:
             puppet.do("appear", key=f"{HQ}/alive/reader/stopped{number}")
         wait_for(lambda: len(hub.present("reader")) == len(puppets), "the readers")
         with dial(Config(bus=BusSettings(connect=(hub.endpoint,)), site=site)) as healthy:
-            healthy.subscribe("ack/a", lambda key, payload: (came.append(time.monotonic()), heard.set()))
+            healthy.subscribe(
+                "ack/a", lambda key, payload: (came.append(time.monotonic()), heard.set())
+            )
             try:
                 for puppet in puppets:
                     os.kill(puppet.pid, signal.SIGSTOP)

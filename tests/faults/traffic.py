@@ -1,8 +1,10 @@
-"""Made-up traffic for the fault tests, and a publisher of one camera's part that may be killed and started again.
+"""Made-up traffic for the fault tests, and a publisher of one camera's part that may be killed and
+started again.
 
-`traffic.py ENDPOINT SPOOL CAMERA COUNT SPAN SPEED BEGAN` publishes what camera CAMERA sees of `crossings(COUNT, SPAN)`,
-SPEED times faster than it happened, as if the first had happened at BEGAN (Unix seconds); it goes on behind what its
-spool has had, and ends when everything is acknowledged. With SPOOL "-" it has none and just puts.
+`traffic.py ENDPOINT SPOOL CAMERA COUNT SPAN SPEED BEGAN` publishes what camera CAMERA sees of
+`crossings(COUNT, SPAN)`, SPEED times faster than it happened, as if the first had happened at BEGAN
+(Unix seconds); it goes on behind what its spool has had, and ends when everything is acknowledged.
+With SPOOL "-" it has none and just puts.
 """
 
 from __future__ import annotations
@@ -31,16 +33,22 @@ AFTER = "after"
 
 
 def crossings(count: int, seconds: float, seed: int = 1) -> list[Event]:
-    """Objects that cross the view of ``a`` and then that of ``b`` or ``c``; four events each, by time."""
+    """Objects that cross the view of ``a`` and then that of ``b`` or ``c``; four events each, by
+    time.
+    """
     chance = random.Random(seed)
     events = []
     for number in range(count):
         t = T0 + chance.uniform(0, seconds - 60)
         for camera, gap in (("a", 0.0), (chance.choice("bc"), chance.gauss(9, 1))):
             t += gap
-            events.append(Event(camera, "entry", round(t, 3), 0.1 + 0.02 * chance.random(), 0.5, str(number)))
+            events.append(
+                Event(camera, "entry", round(t, 3), 0.1 + 0.02 * chance.random(), 0.5, str(number))
+            )
             t += chance.uniform(3, 6)
-            events.append(Event(camera, "exit", round(t, 3), 0.9 - 0.02 * chance.random(), 0.5, str(number)))
+            events.append(
+                Event(camera, "exit", round(t, 3), 0.9 - 0.02 * chance.random(), 0.5, str(number))
+            )
     return sorted(events, key=lambda event: event.t)
 
 
@@ -58,7 +66,9 @@ def published_so_far(path: Path) -> int:
     return int(row[0]) if row else 0
 
 
-def publish(endpoint: str, spool: str, camera: str, events: list[Event], speed: float, began: float) -> None:
+def publish(
+    endpoint: str, spool: str, camera: str, events: list[Event], speed: float, began: float
+) -> None:
     """Until all of the events are acknowledged, or put if there is no spool."""
     config = Config(bus=BusSettings(connect=(endpoint,)))
     while True:
@@ -78,7 +88,11 @@ def publish(endpoint: str, spool: str, camera: str, events: list[Event], speed: 
         if publisher is not None:
             publisher.publish(*due)
         for seq, event in enumerate(due if publisher is None else (), start=done + 1):
-            bus.put_raw(f"event/{camera}", to_pack(msgspec.structs.replace(event, boot="none", seq=seq)), "event")
+            bus.put_raw(
+                f"event/{camera}",
+                to_pack(msgspec.structs.replace(event, boot="none", seq=seq)),
+                "event",
+            )
         done += len(due)
         time.sleep(0.005)
     if publisher is not None and keep is not None:

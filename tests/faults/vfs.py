@@ -1,7 +1,9 @@
-"""What SQLite does to the disk, seen and spoiled on the way: a VFS over the one that Python's sqlite3 uses.
+"""What SQLite does to the disk, seen and spoiled on the way: a VFS over the one that Python's
+sqlite3 uses.
 
-The program under test runs unchanged. Every method but the few that change files is the system's own; those first
-ask `watch`, which may record the operation, or return a `Fault` to be given instead of doing it.
+The program under test runs unchanged. Every method but the few that change files is the system's
+own; those first ask `watch`, which may record the operation, or return a `Fault` to be given
+instead of doing it.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ _OPEN_JOURNALS = 0x800 | 0x4000 | 0x80000  # main journal, super-journal, write-
 class Op(NamedTuple):
     """``kind``: create, write, truncate (to ``offset``), sync, delete, shm (more shared memory).
 
-    ``directory``: the operation also makes the directory's entries durable, or, for create, its first sync will.
+    ``directory``: the operation also makes the directory's entries durable, or, for create, its
+    first sync will.
     """
 
     kind: str
@@ -50,7 +53,9 @@ class Op(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """Given to SQLite instead of doing the operation; ``short``: after half of the bytes were written."""
+    """Given to SQLite instead of doing the operation; ``short``: after half of the bytes were
+    written.
+    """
 
     code: int
     short: bool = False
@@ -63,11 +68,26 @@ class _IoMethods(ctypes.Structure):
     _fields_ = [("iVersion", c_int)] + [
         (name, c_void_p)
         for name in (
-            "xClose", "xRead", "xWrite", "xTruncate", "xSync", "xFileSize", "xLock", "xUnlock", "xCheckReservedLock",
-            "xFileControl", "xSectorSize", "xDeviceCharacteristics", "xShmMap", "xShmLock", "xShmBarrier",
-            "xShmUnmap", "xFetch", "xUnfetch",
+            "xClose",
+            "xRead",
+            "xWrite",
+            "xTruncate",
+            "xSync",
+            "xFileSize",
+            "xLock",
+            "xUnlock",
+            "xCheckReservedLock",
+            "xFileControl",
+            "xSectorSize",
+            "xDeviceCharacteristics",
+            "xShmMap",
+            "xShmLock",
+            "xShmBarrier",
+            "xShmUnmap",
+            "xFetch",
+            "xUnfetch",
         )
-    ]  # fmt: skip
+    ]
 
 
 class _File(ctypes.Structure):
@@ -85,11 +105,24 @@ class _VfsStruct(ctypes.Structure):
     ] + [
         (name, c_void_p)
         for name in (
-            "xOpen", "xDelete", "xAccess", "xFullPathname", "xDlOpen", "xDlError", "xDlSym", "xDlClose",
-            "xRandomness", "xSleep", "xCurrentTime", "xGetLastError", "xCurrentTimeInt64", "xSetSystemCall",
-            "xGetSystemCall", "xNextSystemCall",
+            "xOpen",
+            "xDelete",
+            "xAccess",
+            "xFullPathname",
+            "xDlOpen",
+            "xDlError",
+            "xDlSym",
+            "xDlClose",
+            "xRandomness",
+            "xSleep",
+            "xCurrentTime",
+            "xGetLastError",
+            "xCurrentTimeInt64",
+            "xSetSystemCall",
+            "xGetSystemCall",
+            "xNextSystemCall",
         )
-    ]  # fmt: skip
+    ]
 
 
 _OPEN = ctypes.CFUNCTYPE(c_int, c_void_p, c_void_p, c_void_p, c_int, POINTER(c_int))
@@ -138,7 +171,8 @@ class Vfs:
         def on_open(_: int, name: int | None, file: int, flags: int, out: Any) -> int:
             path = ctypes.string_at(name).decode() if name else ""
             fresh = bool(path) and (
-                not os.path.exists(path) or (bool(flags & _OPEN_MAIN_DB) and not os.path.getsize(path))
+                not os.path.exists(path)
+                or (bool(flags & _OPEN_MAIN_DB) and not os.path.getsize(path))
             )
             if fresh and flags & _OPEN_CREATE:
                 fault = self._watch(Op("create", path, directory=bool(flags & _OPEN_JOURNALS)))
@@ -193,7 +227,9 @@ class Vfs:
             return int(close(file))
 
         def on_write(file: int, data: int, size: int, offset: int) -> int:
-            fault = self._watch(Op("write", self._paths[file], offset, ctypes.string_at(data, size)))
+            fault = self._watch(
+                Op("write", self._paths[file], offset, ctypes.string_at(data, size))
+            )
             if fault is None:
                 return int(write(file, data, size, offset))
             if fault.short:

@@ -1,4 +1,6 @@
-"""What the storage faults happen to: a journal and a spool that are written step by step, and what is then in them."""
+"""What the storage faults happen to: a journal and a spool that are written step by step, and what
+is then in them.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ State = Hashable
 
 
 class Written(Protocol):
-    """One file that is written in numbered steps, each a transaction; their content depends on the number alone."""
+    """One file that is written in numbered steps, each a transaction; their content depends on the
+    number alone.
+    """
 
     damaged: bool
     """Whether something was set aside on opening."""
@@ -67,7 +71,10 @@ class WrittenJournal:
         entries = tuple(self.journal.entries())
         assert all(entry is not None for _, entry in entries), "damaged"
         versions = self.journal.versions(EPOCH)
-        contents = tuple((number, digest, self.journal.version(EPOCH, number)) for number, digest in versions.items())
+        contents = tuple(
+            (number, digest, self.journal.version(EPOCH, number))
+            for number, digest in versions.items()
+        )
         return (
             entries,
             contents,
@@ -77,7 +84,9 @@ class WrittenJournal:
         )
 
     def last(self) -> int:
-        newest = self.journal._db.execute("SELECT COALESCE(MAX(seq), 0) FROM entry").fetchone()[0] // 10
+        newest = (
+            self.journal._db.execute("SELECT COALESCE(MAX(seq), 0) FROM entry").fetchone()[0] // 10
+        )
         return int(newest + 1 if (newest + 1) % PRUNE_EVERY == PRUNE_AT else newest)
 
     def missing(self, start: int, stop: int) -> list[int]:
@@ -104,8 +113,15 @@ def step_of(number: int, last: int) -> tuple[list[Entry], list[StoredVersion], S
     """The content of a step of the journal which has ``last`` entries."""
     chance = random.Random(number)
     camera = chance.choice(CAMERAS)
-    entries = [Entry("event", camera, "b1", 10 * number + n, chance.randbytes(60)) for n in range(chance.randint(1, 6))]
-    versions = [StoredVersion(EPOCH, number, f"sha256:{number}", chance.randbytes(900))] if number % 7 == 3 else []
+    entries = [
+        Entry("event", camera, "b1", 10 * number + n, chance.randbytes(60))
+        for n in range(chance.randint(1, 6))
+    ]
+    versions = (
+        [StoredVersion(EPOCH, number, f"sha256:{number}", chance.randbytes(900))]
+        if number % 7 == 3
+        else []
+    )
     snapshot = Snapshot(last, EPOCH, chance.randbytes(6000)) if number % 20 == 11 else None
     return entries, versions, snapshot
 
@@ -117,7 +133,9 @@ class WrittenSpool:
 
     def __init__(self, directory: Path) -> None:
         boot = f"boot-{time.monotonic_ns()}" if (directory / "spool.db").exists() else "boot-0"
-        self.spool = Spool(directory / "spool.db", boot, self.events_max, kept_events_max=self.kept_max)
+        self.spool = Spool(
+            directory / "spool.db", boot, self.events_max, kept_events_max=self.kept_max
+        )
         self.damaged = bool(self.spool.statistics()["damaged_files"])
         self._appended: tuple[int, list[Event]] = (0, [])
 
@@ -139,10 +157,18 @@ class WrittenSpool:
 
     def missing(self, start: int, stop: int) -> list[int]:
         looked_at = min(self.events_max - 100, 2000)
-        rows = self.spool._db.execute("SELECT raw FROM event ORDER BY id DESC LIMIT ?", (looked_at,))
+        rows = self.spool._db.execute(
+            "SELECT raw FROM event ORDER BY id DESC LIMIT ?", (looked_at,)
+        )
         times = {codec.event_from_pack(raw).t for (raw,) in rows}
-        first = max(start, int(min(times, default=0.0)) // 10 + 1 if len(times) >= looked_at else start)
-        return [number for number in range(first, stop) if not {event.t for event in events_of(number)} <= times]
+        first = max(
+            start, int(min(times, default=0.0)) // 10 + 1 if len(times) >= looked_at else start
+        )
+        return [
+            number
+            for number in range(first, stop)
+            if not {event.t for event in events_of(number)} <= times
+        ]
 
     def close(self) -> None:
         self.spool.close()
@@ -152,4 +178,7 @@ def events_of(number: int) -> list[Event]:
     """The events of a step of the spool, all of one camera."""
     chance = random.Random(number)
     camera = chance.choice(CAMERAS)
-    return [Event(camera, "entry", 10.0 * number + n, track="x" * 40) for n in range(chance.randint(1, 6))]
+    return [
+        Event(camera, "entry", 10.0 * number + n, track="x" * 40)
+        for n in range(chance.randint(1, 6))
+    ]

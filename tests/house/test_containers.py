@@ -1,4 +1,6 @@
-"""The files for containers: what they start exists, what they confine is confined, and a router runs as they say."""
+"""The files for containers: what they start exists, what they confine is confined, and a router
+runs as they say.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ COMPOSE = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
 KUBERNETES = list(yaml.safe_load_all((DEPLOY / "kubernetes.yaml").read_text()))
 CONTAINERFILE = (DEPLOY / "Containerfile").read_text()
 [USER] = re.findall(r"^USER (\S+)$", CONTAINERFILE, re.MULTILINE)
-[ENTRYPOINT] = [json.loads(line) for line in re.findall(r"^ENTRYPOINT (.*)$", CONTAINERFILE, re.MULTILINE)]
+[ENTRYPOINT] = [
+    json.loads(line) for line in re.findall(r"^ENTRYPOINT (.*)$", CONTAINERFILE, re.MULTILINE)
+]
 
 
 def of_kind(kind: str) -> list[dict[str, Any]]:
@@ -31,7 +35,10 @@ def of_kind(kind: str) -> list[dict[str, Any]]:
 
 
 def containers() -> list[dict[str, Any]]:
-    pods = [document["spec"]["template"]["spec"] for document in of_kind("Deployment") + of_kind("StatefulSet")]
+    pods = [
+        document["spec"]["template"]["spec"]
+        for document in of_kind("Deployment") + of_kind("StatefulSet")
+    ]
     return [container for pod in pods for container in pod["containers"]]
 
 
@@ -50,12 +57,21 @@ def test_compose_confines_every_container() -> None:
     services = COMPOSE["services"]
     assert set(services) == {"router", "daemon", "grabbers", "web"}
     for name, service in services.items():
-        assert (service["user"], service["read_only"], service["cap_drop"]) == (USER, True, ["ALL"]), name
+        assert (service["user"], service["read_only"], service["cap_drop"]) == (
+            USER,
+            True,
+            ["ALL"],
+        ), name
         assert service["security_opt"] == ["no-new-privileges:true"]
         assert not {"privileged", "network_mode", "pid", "ipc"} & set(service)
         assert all(port.startswith("127.0.0.1:") for port in service.get("ports", []))
-        assert all(":/etc/camtopod" not in volume or volume.endswith(":ro") for volume in service["volumes"])
-        assert "healthcheck" in service or name == "grabbers", "which look after their cameras themselves"
+        assert all(
+            ":/etc/camtopod" not in volume or volume.endswith(":ro")
+            for volume in service["volumes"]
+        )
+        assert "healthcheck" in service or name == "grabbers", (
+            "which look after their cameras themselves"
+        )
         assert service["mem_limit"]
         assert service["pids_limit"]
 
@@ -70,7 +86,11 @@ def test_compose_starts_what_there_is() -> None:
             assert args.connect == ["tcp/router:7447"]
             assert service["depends_on"] == {"router": {"condition": "service_healthy"}}
     assert started == {"daemon": "run", "grabbers": "grab", "web": "web"}
-    named = {volume.split(":")[0] for service in COMPOSE["services"].values() for volume in service["volumes"]}
+    named = {
+        volume.split(":")[0]
+        for service in COMPOSE["services"].values()
+        for volume in service["volumes"]
+    }
     assert set(COMPOSE["volumes"]) == {name for name in named if name.isalpha()}
     assert (DEPLOY / "router.json5").is_file()
     extras = re.findall(r"/source\[([a-z,]+)\]", CONTAINERFILE)
@@ -87,12 +107,17 @@ def test_the_page_is_shown_the_pictures_that_init_keeps() -> None:
 
 @pytest.mark.parametrize("service", ["daemon", "web"])
 def test_what_a_health_check_asks_is_listened_to(service: str) -> None:
-    asked = re.findall(r"http://127\.0\.0\.1:([0-9]+)/", " ".join(COMPOSE["services"][service]["healthcheck"]["test"]))
+    asked = re.findall(
+        r"http://127\.0\.0\.1:([0-9]+)/",
+        " ".join(COMPOSE["services"][service]["healthcheck"]["test"]),
+    )
     assert [f"127.0.0.1:{port}:{port}" for port in asked] == COMPOSE["services"][service]["ports"]
     if service == "web":
         assert f"0.0.0.0:{asked[0]}" in COMPOSE["services"][service]["command"]
     else:
-        [said] = re.findall(r"camtopod\.toml <<'END'\n(.*?)END\n", (DEPLOY / "compose.md").read_text(), re.DOTALL)
+        [said] = re.findall(
+            r"camtopod\.toml <<'END'\n(.*?)END\n", (DEPLOY / "compose.md").read_text(), re.DOTALL
+        )
         assert parse(said).health.listen == f"0.0.0.0:{asked[0]}"
 
 
@@ -100,12 +125,17 @@ def test_kubernetes_confines_every_container_and_starts_what_there_is() -> None:
     for container in containers():
         confined = container["securityContext"]
         assert (confined["runAsNonRoot"], confined["readOnlyRootFilesystem"]) == (True, True)
-        assert (confined["allowPrivilegeEscalation"], confined["capabilities"]) == (False, {"drop": ["ALL"]})
+        assert (confined["allowPrivilegeEscalation"], confined["capabilities"]) == (
+            False,
+            {"drop": ["ALL"]},
+        )
         assert confined["runAsUser"] == int(USER.split(":")[0])
         assert "memory" in container["resources"]["limits"]
     [daemon] = [container for container in containers() if container["image"] == "camtopod"]
     parser, _ = parser_of(COMMANDS)
-    args = parser.parse_args([*ENTRYPOINT[1:], *[arg.replace("$(ORDINAL)", "7") for arg in daemon["args"]]])
+    args = parser.parse_args(
+        [*ENTRYPOINT[1:], *[arg.replace("$(ORDINAL)", "7") for arg in daemon["args"]]]
+    )
     assert (args.command, args.shard) == ("run", (7, 8))
     [config_map] = of_kind("ConfigMap")
     listen = parse(config_map["data"]["camtopod.toml"]).health.listen
@@ -120,7 +150,9 @@ def test_kubernetes_confines_every_container_and_starts_what_there_is() -> None:
 
 
 def test_kubernetes_lets_only_the_daemons_reach_the_bus() -> None:
-    [policy], [router], [daemons], [service] = map(of_kind, ("NetworkPolicy", "Deployment", "StatefulSet", "Service"))
+    [policy], [router], [daemons], [service] = map(
+        of_kind, ("NetworkPolicy", "Deployment", "StatefulSet", "Service")
+    )
     spec = policy["spec"]
     assert spec["podSelector"]["matchLabels"] == router["spec"]["template"]["metadata"]["labels"]
     assert (spec["policyTypes"], len(spec["ingress"])) == (["Ingress"], 1)
@@ -132,7 +164,10 @@ def test_kubernetes_lets_only_the_daemons_reach_the_bus() -> None:
 
 
 def test_images_are_pinned() -> None:
-    for image in [COMPOSE["services"]["router"]["image"], *(container["image"] for container in containers())]:
+    for image in [
+        COMPOSE["services"]["router"]["image"],
+        *(container["image"] for container in containers()),
+    ]:
         assert image == "camtopod" or re.fullmatch(r"docker\.io/eclipse/zenoh:1\.10\.[0-9]+", image)
 
 
@@ -148,7 +183,10 @@ def test_a_router_looks_for_nobody(tmp_path: Path) -> None:
         ):
             assert json.loads(config.get_json(path)) == quiet[path], (name, path)
         assert json.loads(config.get_json("listen/endpoints")) == ["tcp/0.0.0.0:7447"]
-        assert json.loads(config.get_json("transport/link/rx/max_message_size")) == Config().bus.message_bytes_max
+        assert (
+            json.loads(config.get_json("transport/link/rx/max_message_size"))
+            == Config().bus.message_bytes_max
+        )
 
 
 def test_events_pass_a_router(tmp_path: Path) -> None:

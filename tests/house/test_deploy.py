@@ -18,13 +18,21 @@ from camtopod.cli.commands.run import LEAVE_SECONDS as RUN_LEAVE_SECONDS
 from camtopod.cli.main import COMMANDS, parser_of
 from camtopod.config.settings import Config, HealthSettings, parse
 
-UNITS = {"camtopod.service": "camtopod.service", "camtopod-grab@.service": "camtopod-grab@lobby.service"}
+UNITS = {
+    "camtopod.service": "camtopod.service",
+    "camtopod-grab@.service": "camtopod-grab@lobby.service",
+}
 """File -> the unit it is started as."""
 OTHERS = {
     "camtopod-shard@.service": "camtopod-shard@2-8.service",
     **{f: f for f in ("camtopod-web.service", "camtopod-bridge.service")},
 }
-DEVICE = ["PrivateDevices=no", "DevicePolicy=closed", "DeviceAllow=char-video4linux rw", "SupplementaryGroups=video"]
+DEVICE = [
+    "PrivateDevices=no",
+    "DevicePolicy=closed",
+    "DeviceAllow=char-video4linux rw",
+    "SupplementaryGroups=video",
+]
 """What lets a camera of this machine in."""
 EXPOSURE_MAX = 2.0
 """Of ten, as `systemd-analyze security` counts; what is left is the network."""
@@ -46,12 +54,16 @@ def test_what_the_configuration_names_is_handed_to_the_service() -> None:
     )
     for file, named in zip(UNITS, (daemons, boxes), strict=True):
         drop_ins = [directives(path) for path in (DEPLOY / f"{file}.d").iterdir()]
-        handed = {value.split(":")[0] for drop_in in drop_ins for value in drop_in["LoadCredential"]}
+        handed = {
+            value.split(":")[0] for drop_in in drop_ins for value in drop_in["LoadCredential"]
+        }
         assert {name.replace("%i", "lobby") for name in handed} == set(named)
 
 
 def test_a_camera_s_file_is_called_as_the_service_is_handed_it() -> None:
-    """So that one folder stands for all services' credentials where `check --probe` runs outside of them."""
+    """So that one folder stands for all services' credentials where `check --probe` runs outside of
+    them.
+    """
     [handed] = directives(DEPLOY / "camtopod-grab@.service.d" / "source.conf")["LoadCredential"]
     name, _, path = handed.partition(":")
     assert (name, Path(path).name) == ("%i", "%i")
@@ -64,14 +76,26 @@ def test_a_camera_s_file_is_called_as_the_service_is_handed_it() -> None:
 def test_a_shard_is_the_daemon_but_for_its_name() -> None:
     """What is mended in one unit is mended in the other."""
     daemon, shard = (
-        (DEPLOY / name).read_text().splitlines() for name in ("camtopod.service", "camtopod-shard@.service")
+        (DEPLOY / name).read_text().splitlines()
+        for name in ("camtopod.service", "camtopod-shard@.service")
     )
     own = [line for line in shard if line not in daemon and not line.startswith("#")]
-    assert [line.partition("=")[0] for line in own] == ["Description", "ExecStart", "StateDirectory"]
+    assert [line.partition("=")[0] for line in own] == [
+        "Description",
+        "ExecStart",
+        "StateDirectory",
+    ]
     gone = [line for line in daemon if line not in shard and not line.startswith("#")]
-    assert [line.partition("=")[0] for line in gone] == ["Description", "ExecStart", "User", "StateDirectory"]
+    assert [line.partition("=")[0] for line in gone] == [
+        "Description",
+        "ExecStart",
+        "User",
+        "StateDirectory",
+    ]
     for drop_in in (DEPLOY / "camtopod.service.d").iterdir():
-        assert (DEPLOY / "camtopod-shard@.service.d" / drop_in.name).read_text() == drop_in.read_text()
+        assert (
+            DEPLOY / "camtopod-shard@.service.d" / drop_in.name
+        ).read_text() == drop_in.read_text()
 
 
 def test_kubernetes_starts_as_many_shards_as_it_says() -> None:
@@ -85,17 +109,25 @@ def test_kubernetes_starts_as_many_shards_as_it_says() -> None:
 
 
 def test_the_page_begins_with_what_services_can_read() -> None:
-    """Their users own nothing in /etc and are in no group of it: `init --credentials` writes no password there."""
+    """Their users own nothing in /etc and are in no group of it: `init --credentials` writes no
+    password there.
+    """
     first, then = README.split("```")[1:4:2]
     assert first.endswith(" -\n"), "what is pasted behind it would be read as cameras"
     parser, _ = parser_of(COMMANDS)
     [init] = [words for line in first.splitlines() for words in invocations(line)]
     args = parser.parse_args(init)
-    assert (args.command, args.credentials, args.out) == ("init", True, Path("/etc/camtopod/camtopod.toml"))
+    assert (args.command, args.credentials, args.out) == (
+        "init",
+        True,
+        Path("/etc/camtopod/camtopod.toml"),
+    )
     assert "deploy/camtopod.toml" not in first + then, "the example has a password in it"
     assert "source.conf" in then
     [extras] = re.findall(r"pip install '\.\[([a-z,]+)\]'", first)
-    assert set(extras.split(",")) >= {"metrics", "terminal", "web"}, "health, watch and the page are used below"
+    assert set(extras.split(",")) >= {"metrics", "terminal", "web"}, (
+        "health, watch and the page are used below"
+    )
 
 
 def test_the_page_s_service_is_shown_the_pictures_that_init_keeps() -> None:
@@ -113,11 +145,19 @@ def test_no_service_shares_its_user_or_gives_up() -> None:
     for file in UNITS:
         unit = directives(DEPLOY / file)
         assert unit["DynamicUser"] == ["yes"]
-        assert "User" not in unit or "@" not in file, "cameras would read each other's keys through /proc"
+        assert "User" not in unit or "@" not in file, (
+            "cameras would read each other's keys through /proc"
+        )
         assert unit["StartLimitIntervalSec"] == ["0"]
         assert unit["RestartPreventExitStatus"] == ["2 78"]
-        assert (unit["NoNewPrivileges"], unit["UMask"], unit["CapabilityBoundingSet"]) == (["yes"], ["0077"], [""])
-        assert float(unit["TimeoutStopSec"][0]) > max(RUN_LEAVE_SECONDS, GRAB_LEAVE_SECONDS + CLOSE_SECONDS)
+        assert (unit["NoNewPrivileges"], unit["UMask"], unit["CapabilityBoundingSet"]) == (
+            ["yes"],
+            ["0077"],
+            [""],
+        )
+        assert float(unit["TimeoutStopSec"][0]) > max(
+            RUN_LEAVE_SECONDS, GRAB_LEAVE_SECONDS + CLOSE_SECONDS
+        )
 
 
 @pytest.mark.parametrize("file", [*UNITS, *OTHERS])
@@ -143,7 +183,9 @@ def test_readers_are_confined_as_the_daemon_is() -> None:
         assert_confined_as_the_daemon_is(reader)
         [keys] = (DEPLOY / f"{reader}.d").iterdir()
         name = reader.removeprefix("camtopod-").removesuffix(".service")
-        assert all(f":/etc/camtopod/keys/{name}/" in value for value in directives(keys)["LoadCredential"])
+        assert all(
+            f":/etc/camtopod/keys/{name}/" in value for value in directives(keys)["LoadCredential"]
+        )
 
 
 def test_grabbers_are_confined_as_the_daemon_is_but_for_a_device_that_is_let_in() -> None:
@@ -169,7 +211,9 @@ def test_systemd_takes_the_units(file: str, name: str, tmp_path: Path) -> None:
 
 
 def assert_taken(unit: Path) -> None:
-    done = subprocess.run(["systemd-analyze", "verify", "--man=no", str(unit)], capture_output=True, text=True)
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", str(unit)], capture_output=True, text=True
+    )
     assert (done.returncode, done.stderr) == (0, "")
     threshold = f"--threshold={round(10 * EXPOSURE_MAX)}"
     security = ["systemd-analyze", "security", "--offline=true", "--no-pager", threshold, str(unit)]
@@ -181,11 +225,15 @@ def assert_taken(unit: Path) -> None:
 
 
 def in_pages() -> list[tuple[str, str]]:
-    """(page, line) wherever a page shows a command: in a block, or between backquotes with more than its name."""
+    """(page, line) wherever a page shows a command: in a block, or between backquotes with more
+    than its name.
+    """
     found = []
     for page in sorted(DEPLOY.glob("*.md")):
         text = page.read_text()
-        shown = "".join(block for language, block in FENCED.findall(text) if language in ("", "ini"))
+        shown = "".join(
+            block for language, block in FENCED.findall(text) if language in ("", "ini")
+        )
         lines = re.sub(r"<<'END'\n.*?^END$", "", shown, flags=re.DOTALL | re.MULTILINE).splitlines()
         lines += re.findall(r"`(camtopod \w+ [^`]+)`", text)
         found += [(page.name, line) for line in lines]
@@ -198,20 +246,32 @@ def test_every_command_of_the_pages_exists() -> None:
     for page, line in in_pages():
         for arguments in invocations(line):
             try:
-                parsed = parser.parse_args([argument.replace("I/N", "0/8") for argument in arguments])
+                parsed = parser.parse_args(
+                    [argument.replace("I/N", "0/8") for argument in arguments]
+                )
             except SystemExit:
                 pytest.fail(f"{page}: {line}")
             seen.add((page, parsed.command))
     assert {page for page, _ in seen} == {path.name for path in DEPLOY.glob("*.md")}
-    assert {command for _, command in seen} >= {"bridge", "check", "grab", "init", "keys", "run", "watch", "web"} - {
-        "grab"
-    }
+    assert {command for _, command in seen} >= {
+        "bridge",
+        "check",
+        "grab",
+        "init",
+        "keys",
+        "run",
+        "watch",
+        "web",
+    } - {"grab"}
 
 
 def test_every_file_of_the_pages_exists() -> None:
     for page in DEPLOY.glob("*.md"):
         for name in re.findall(r"deploy/([\w@.-]+)", page.read_text()):
-            assert name.startswith(("site", "*")) or list(DEPLOY.glob(f"{name}*")), (page.name, name)
+            assert name.startswith(("site", "*")) or list(DEPLOY.glob(f"{name}*")), (
+                page.name,
+                name,
+            )
 
 
 def test_the_commands_of_the_units_exist() -> None:
@@ -220,4 +280,6 @@ def test_the_commands_of_the_units_exist() -> None:
         [line] = directives(path)["ExecStart"]
         arguments = [word.replace("%I", "2/8").replace("%i", "lobby") for word in line.split()]
         assert arguments[0] == "/opt/camtopod/bin/camtopod"
-        assert parser.parse_args(arguments[1:]).command in path.name.replace("camtopod.", "run").replace("shard", "run")
+        assert parser.parse_args(arguments[1:]).command in path.name.replace(
+            "camtopod.", "run"
+        ).replace("shard", "run")

@@ -13,7 +13,9 @@ Documented = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def unsaid(node: ast.Module | Documented, name: str) -> list[str]:
-    """Names of what has no docstring: this, or something public in it, wherever it is defined in a module or class."""
+    """Names of what has no docstring: this, or something public in it, wherever it is defined in a
+    module or class.
+    """
     found = [] if ast.get_docstring(node) else [name]
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
         return found  # what is inside belongs to nobody else

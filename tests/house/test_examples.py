@@ -1,4 +1,6 @@
-"""The examples for authors of trackers, with the real packages: a film of people in, right event lines out."""
+"""The examples for authors of trackers, with the real packages: a film of people in, right event
+lines out.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from camtopod.records import Event
 
 SCALE, FPS = 3, 10.0
 LONGEST_LINES = 10
-"""What a tracker needs to plug in, without imports; a line of comment counts, an empty one does not."""
+"""What a tracker needs to plug in, without imports; a line of comment counts, an empty one does
+not.
+"""
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +41,17 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("package", ["supervision", "norfair"])
 def test_the_example_sees_who_comes_and_goes(package: str, film: Path) -> None:
-    pytest.importorskip(package, reason=f"needs {package}, see tests/examples/README.md", exc_type=ImportError)
+    pytest.importorskip(
+        package, reason=f"needs {package}, see tests/examples/README.md", exc_type=ImportError
+    )
     command = [sys.executable, str(EXAMPLES / f"with_{package}.py"), str(film)]
     done = subprocess.run(command, capture_output=True, timeout=100, check=True)
     events = [event_from_json(text) for text in done.stdout.splitlines()]
     assert_near(events, "entry", [(3.75, 0.0, 0.5), (9.75, 1.0, 0.9)])
     assert_near(events, "exit", [(11.25, 1.0, 0.5), (17.25, 0.0, 0.9)])
-    passages = {tuple(e.kind for e in events if e.track == track) for track in {e.track for e in events}}
+    passages = {
+        tuple(e.kind for e in events if e.track == track) for track in {e.track for e in events}
+    }
     assert passages == {("entry", "exit")}
 
 

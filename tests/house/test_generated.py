@@ -23,12 +23,17 @@ def test_it_is_current(path: Path) -> None:
 def test_the_manual_has_every_command_and_every_option() -> None:
     page = (DEPLOY / "camtopod.1").read_text().replace(r"\-", "-")
     parser, _ = parser_of(COMMANDS)
-    [commands] = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    [commands] = [
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    ]
     for name, command in commands.choices.items():
         assert f"\n.SS camtopod {name}" in page
         for action in command._actions:
             if action.help != argparse.SUPPRESS and not isinstance(action, argparse._HelpAction):
-                assert all(rf"\fB{option}\fR" in page for option in action.option_strings), (name, action.dest)
+                assert all(rf"\fB{option}\fR" in page for option in action.option_strings), (
+                    name,
+                    action.dest,
+                )
     assert "--beat-fd" not in page, "it is for a camera's process only"
 
 

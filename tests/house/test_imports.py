@@ -1,7 +1,7 @@
 """Imports go one way, and through the packages' doors.
 
-`FLOORS` lists the packages from the ground up: a module imports from its own package and from lower ones. From outside,
-a package is used through its door: the names in its ``__all__``.
+`FLOORS` lists the packages from the ground up: a module imports from its own package and from lower
+ones. From outside, a package is used through its door: the names in its ``__all__``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ MODULES = sorted(
     for path in PACKAGE.rglob("*.py")
     if path.parent != PACKAGE or path.name != "__init__.py"
 )
-PACKAGES = sorted(module.removesuffix(".__init__") for module in MODULES if module.endswith(".__init__"))
+PACKAGES = sorted(
+    module.removesuffix(".__init__") for module in MODULES if module.endswith(".__init__")
+)
 
 FLOORS = (
     "records arrays lazy redact visible soundness codec event_time publishers mqtt",
@@ -59,8 +61,21 @@ FLOORS = (
 )
 FLOOR = {f"camtopod.{name}": number for number, line in enumerate(FLOORS) for name in line.split()}
 PURE = ("topology", "predict", "learn", "sharding", "adapt")
-"""Packages without I/O, clocks, threads and randomness of their own: what goes in is all that matters."""
-NOT_PURE = {"logging", "threading", "socket", "time", "random", "sqlite3", "zenoh", "cv2", "subprocess", "os"}
+"""Packages without I/O, clocks, threads and randomness of their own: what goes in is all that
+matters.
+"""
+NOT_PURE = {
+    "logging",
+    "threading",
+    "socket",
+    "time",
+    "random",
+    "sqlite3",
+    "zenoh",
+    "cv2",
+    "subprocess",
+    "os",
+}
 HOMES = {
     "zenoh": ("serve.bus.session", "serve.bus.refusals"),
     "paho": ("mqtt",),
@@ -75,7 +90,9 @@ HOMES = {
 
 
 def imports(source: str) -> list[tuple[str, str | None]]:
-    """Every (module, name) that a source text imports, wherever in it; of plain ``import`` no name."""
+    """Every (module, name) that a source text imports, wherever in it; of plain ``import`` no
+    name.
+    """
     found: list[tuple[str, str | None]] = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
@@ -118,7 +135,10 @@ def problems(module: str, source: str) -> list[str]:
         known_in = HOMES.get(target.partition(".")[0])
         if known_in and not any(below(module, f"camtopod.{home}") for home in known_in):
             wrong.append(target)
-        if any(below(module, f"camtopod.{package}") for package in PURE) and target.partition(".")[0] in NOT_PURE:
+        if (
+            any(below(module, f"camtopod.{package}") for package in PURE)
+            and target.partition(".")[0] in NOT_PURE
+        ):
             wrong.append(target)
         if not below(target, "camtopod"):
             continue
@@ -129,7 +149,10 @@ def problems(module: str, source: str) -> list[str]:
         from_submodule = f"{target}.{name}" in MODULES or f"{target}.{name}" in PACKAGES
         used = f"{target}.{name}" if from_submodule and f"{target}.{name}" in FLOOR else target
         inside = package_of(target) == here or below(here, package_of(target))
-        settings = target in ("camtopod.learn", "camtopod.vision") and name in ("Settings", "VisionSettings")
+        settings = target in ("camtopod.learn", "camtopod.vision") and name in (
+            "Settings",
+            "VisionSettings",
+        )
         if not settings and not inside and floor_of(used) >= floor_of(module):
             wrong.append(f"{used} is not below")
         if inside or (target not in PACKAGES and target.count(".") == 1):
@@ -147,7 +170,13 @@ def wall_clock_reads(source: str) -> list[int]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             name = f"{node.value.id}.{node.attr}"
-            if name in ("time.time", "time.time_ns", "datetime.now", "datetime.utcnow", "date.today"):
+            if name in (
+                "time.time",
+                "time.time_ns",
+                "datetime.now",
+                "datetime.utcnow",
+                "date.today",
+            ):
                 lines.append(node.lineno)
         if isinstance(node, ast.ImportFrom) and node.module == "time":
             lines += [node.lineno for alias in node.names if alias.name in ("time", "time_ns")]
@@ -166,11 +195,27 @@ def test_imports_go_one_way_and_through_doors(module: str) -> None:
     ("module", "source", "wrong"),
     [
         ("camtopod.learn.x", "import zenoh", ["zenoh", "zenoh"]),
-        ("camtopod.learn.x", "from camtopod.serve.bus import Bus", ["camtopod.serve.bus is not below"]),
-        ("camtopod.learn.x", "from camtopod.sharding import Part", ["camtopod.sharding is not below"]),
-        ("camtopod.learn.zones.x", "from camtopod.learn.links import LinkTable", ["camtopod.learn.links is not below"]),
+        (
+            "camtopod.learn.x",
+            "from camtopod.serve.bus import Bus",
+            ["camtopod.serve.bus is not below"],
+        ),
+        (
+            "camtopod.learn.x",
+            "from camtopod.sharding import Part",
+            ["camtopod.sharding is not below"],
+        ),
+        (
+            "camtopod.learn.zones.x",
+            "from camtopod.learn.links import LinkTable",
+            ["camtopod.learn.links is not below"],
+        ),
         ("camtopod.records", "from camtopod import config", ["camtopod.config is not below"]),
-        ("camtopod.vision.x", "def f():\n    from camtopod.config import Config", ["camtopod.config is not below"]),
+        (
+            "camtopod.vision.x",
+            "def f():\n    from camtopod.config import Config",
+            ["camtopod.config is not below"],
+        ),
         ("camtopod.serve.x", "import prometheus_client", ["prometheus_client"]),
         ("camtopod.cli.x", "from rich import print", ["rich"]),
         ("camtopod.adapt.x", "import time", ["time"]),
@@ -198,7 +243,9 @@ def test_the_guard_sees_the_wall_clock() -> None:
 
 
 def test_every_module_is_seen() -> None:
-    assert {"camtopod.records", "camtopod.learn.learner", "camtopod.serve.bus.session"} <= set(MODULES)
+    assert {"camtopod.records", "camtopod.learn.learner", "camtopod.serve.bus.session"} <= set(
+        MODULES
+    )
 
 
 @pytest.mark.parametrize("package", [name for name in PACKAGES if name.count(".")])
@@ -214,6 +261,8 @@ def test_a_package_is_small_and_has_a_door(package: str) -> None:
 
 @pytest.mark.parametrize("module", ["camtopod.predict", "camtopod.client", "camtopod.serve.daemon"])
 def test_programs_that_only_predict_do_not_load_scipy(module: str) -> None:
-    """SciPy takes 50 MB and most of a second; the daemon's own process and every tracker would have it."""
+    """SciPy takes 50 MB and most of a second; the daemon's own process and every tracker would have
+    it.
+    """
     code = f"import sys, {module}; sys.exit(any(name.split('.')[0] == 'scipy' for name in sys.modules))"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -1,4 +1,6 @@
-"""What README shows is there: its commands, its lines of Python, the tests, files and extras it names."""
+"""What README shows is there: its commands, its lines of Python, the tests, files and extras it
+names.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ BLOCKS = [block for language, block in FENCED.findall(README) if language == "py
 
 
 def lines() -> list[str]:
-    """Every line that is set as code, and every command between backquotes that has more than its name."""
+    """Every line that is set as code, and every command between backquotes that has more than its
+    name.
+    """
     prose = FENCED.sub("", README)
     shown = [line.strip() for line in prose.splitlines() if line.startswith("    ")]
     quoted = [" ".join(text.split()) for text in re.findall(r"`([^`]+)`", prose)]
@@ -59,7 +63,9 @@ def test_every_command_exists() -> None:
             except SystemExit:
                 pytest.fail(line)
     assert stood_for == set(PLACEHOLDERS)
-    assert set(COMMANDS) - seen == {"doctor"}, "named without an argument, as are those in the table"
+    assert set(COMMANDS) - seen == {"doctor"}, (
+        "named without an argument, as are those in the table"
+    )
     named = set(re.findall(r"`camtopod (\w+)`", README))
     assert named <= set(COMMANDS)
     assert seen | named == set(COMMANDS)
@@ -93,11 +99,15 @@ def test_every_test_file_and_extra_exists() -> None:
     assert named - tests == set()
     for path in re.findall(r"\b((?:tests|deploy|bench)/[\w./-]*\w)", README):
         assert (ROOT / path).exists(), path
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
     asked = {extra for some in re.findall(r"'\.\[([\w,]+)\]'", README) for extra in some.split(",")}
     assert asked == {"test", "web", "keys", "bench"}
     assert asked <= set(extras)
-    assert set(re.findall(r"`\[(\w+)\]`", README.split("\n## Packages\n")[1].split("\n## ")[0])) == set(extras)
+    assert set(
+        re.findall(r"`\[(\w+)\]`", README.split("\n## Packages\n")[1].split("\n## ")[0])
+    ) == set(extras)
 
 
 def test_the_line_that_is_all_of_a_camera() -> None:
@@ -105,7 +115,8 @@ def test_the_line_that_is_all_of_a_camera() -> None:
     assert event_from_json(line) == Event("lobby", "entry", 1700000000.25, 0.31, 0.88, "17")
 
 
-# --- the lines of Python: those of the client and of the bus are in test_client_examples ---------------
+# --- the lines of Python: those of the client and of the bus are in test_client_examples
+# ---------------
 
 
 def test_there_are_four_blocks() -> None:

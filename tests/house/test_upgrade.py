@@ -1,7 +1,7 @@
 """What version 0.1 wrote and says goes on: its state directory, its topology file, its grabbers.
 
-``written_by_0_1.zip`` is a state directory that its daemon and its grabber of camera ``a`` left behind, with one event
-that was not acknowledged, and the topology they had learned.
+``written_by_0_1.zip`` is a state directory that its daemon and its grabber of camera ``a`` left
+behind, with one event that was not acknowledged, and the topology they had learned.
 """
 
 from __future__ import annotations
@@ -38,9 +38,14 @@ def written(tmp_path: Path) -> Path:
 
 def test_its_state_directory_goes_on(written: Path) -> None:
     config = small_config(written / "state")
-    with Daemon(config, clock=lambda: NOW) as daemon, buses.dial(small_config(written, daemon.endpoint)) as bus:
+    with (
+        Daemon(config, clock=lambda: NOW) as daemon,
+        buses.dial(small_config(written, daemon.endpoint)) as bus,
+    ):
         assert daemon.topology is not None
-        assert (daemon.topology.version, daemon.topology.digest) == (VERSION, DIGEST), "answered at once"
+        assert (daemon.topology.version, daemon.topology.digest) == (VERSION, DIGEST), (
+            "answered at once"
+        )
         wait_for(lambda: len(bus.ask("predict/a", {"zone": "a/1", "t": T0})) == 1, "a prediction")
         assert daemon.status()["learner"]["accepted"] == EVENTS
 
@@ -55,11 +60,15 @@ def test_its_state_directory_goes_on(written: Path) -> None:
         assert epoch == daemon.topology.epoch, "what was learned is gone on with"
 
 
-def test_its_topology_file_is_predicted_with(written: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_its_topology_file_is_predicted_with(
+    written: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     events = written / "events.jsonl"
     events.write_bytes(b"".join(codec.to_json(event) + b"\n" for event in walkers(5)))
     assert main(["predict", str(written / "topology.json"), str(events)]) == 0
-    predictions = [codec.read(Prediction, line) for line in capfd.readouterr().out.encode().splitlines()]
+    predictions = [
+        codec.read(Prediction, line) for line in capfd.readouterr().out.encode().splitlines()
+    ]
     assert len(predictions) == 10
     assert codec.read(Topology, (written / "topology.json").read_bytes()).digest == DIGEST
 
@@ -99,7 +108,9 @@ def test_its_grabbers_talk_to_this_daemon(tmp_path: Path) -> None:
         buses.dial(small_config(tmp_path, daemon.endpoint)) as bus,
     ):
         bus.answer("spool/a", answer, "spool")
-        bus.subscribe("ack/a", lambda key, raw: acks.append(msgspec.msgpack.decode(raw, type=OldAck)))
+        bus.subscribe(
+            "ack/a", lambda key, raw: acks.append(msgspec.msgpack.decode(raw, type=OldAck))
+        )
         bus.appear("grabber", "a")
         for event in (events[0], events[1], events[4]):  # two are lost on the way
             bus.put_raw("event/a", spool[event.seq or 0], "event")
@@ -112,7 +123,10 @@ def test_events_of_before_the_upgrade_count_once(written: Path) -> None:
         Daemon(small_config(written / "state"), clock=lambda: NOW) as daemon,
         buses.dial(small_config(written, daemon.endpoint)) as bus,
     ):
-        first = min((e for e in [*walkers(60), closing_event()] if e.camera == "a"), key=lambda event: event.t)
+        first = min(
+            (e for e in [*walkers(60), closing_event()] if e.camera == "a"),
+            key=lambda event: event.t,
+        )
         bus.put("event/a", msgspec.structs.replace(first, boot="01BOOT", seq=1), "event")
         wait_for(lambda: daemon.status()["events"]["duplicate"] == 1, "the duplicate")
         assert daemon.status()["events"]["contradicted"] == 0

@@ -1,4 +1,6 @@
-"""The authority of a site: what it makes, what it refuses, who can read it; and the rules it stands for."""
+"""The authority of a site: what it makes, what it refuses, who can read it; and the rules it stands
+for.
+"""
 
 from __future__ import annotations
 
@@ -49,27 +51,45 @@ def run(*arguments: str) -> int:
     return main.main(["keys", *arguments])
 
 
-# --- what is made -----------------------------------------------------------------------------------
+# --- what is made
+# -----------------------------------------------------------------------------------
 
 
 def test_certificates_say_who_and_for_what(authority: Authority) -> None:
-    daemon, camera = certificate(authority.folder / "daemon"), certificate(authority.folder / "camera" / "lobby")
-    names = [cert.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value for cert in (daemon, camera)]
+    daemon, camera = (
+        certificate(authority.folder / "daemon"),
+        certificate(authority.folder / "camera" / "lobby"),
+    )
+    names = [
+        cert.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value
+        for cert in (daemon, camera)
+    ]
     assert names == ["daemon", "lobby"]
     assert isinstance(camera.public_key(), ec.EllipticCurvePublicKey)
-    uses = [list(cert.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value) for cert in (daemon, camera)]
+    uses = [
+        list(cert.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value)
+        for cert in (daemon, camera)
+    ]
     assert uses[0] == [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
     assert uses[1] == [ExtendedKeyUsageOID.CLIENT_AUTH], "a stolen box must not pass for the daemon"
     hosts = daemon.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert hosts.get_values_for_type(x509.DNSName) == ["hub.example", "localhost"]
-    assert [str(a) for a in hosts.get_values_for_type(x509.IPAddress)] == ["192.0.2.1", "127.0.0.1", "::1"]
+    assert [str(a) for a in hosts.get_values_for_type(x509.IPAddress)] == [
+        "192.0.2.1",
+        "127.0.0.1",
+        "::1",
+    ]
     assert camera.not_valid_after_utc.timestamp() == NOW + 1825 * DAY
     assert camera.not_valid_before_utc.timestamp() < NOW, "the clock of a box may be behind"
 
 
-def test_the_chain_verifies_and_another_authority_does_not(authority: Authority, tmp_path: Path) -> None:
+def test_the_chain_verifies_and_another_authority_does_not(
+    authority: Authority, tmp_path: Path
+) -> None:
     other = Authority.make(tmp_path / "other", "hq", NOW, 7300, replace=False)
-    trusted = x509.load_pem_x509_certificate((authority.folder / "camera/lobby/ca.pem").read_bytes())
+    trusted = x509.load_pem_x509_certificate(
+        (authority.folder / "camera/lobby/ca.pem").read_bytes()
+    )
     foreign = x509.load_pem_x509_certificate((other.folder / "authority/ca.pem").read_bytes())
     name = x509.DNSName("hub.example")
     leaf = certificate(authority.folder / "daemon")
@@ -77,7 +97,10 @@ def test_the_chain_verifies_and_another_authority_does_not(authority: Authority,
     builder = PolicyBuilder().time(later)
     chain = builder.store(Store([trusted])).build_server_verifier(name).verify(leaf, [])
     assert chain == [leaf, trusted]
-    for store, host in ((Store([foreign]), name), (Store([trusted]), x509.DNSName("other.example"))):
+    for store, host in (
+        (Store([foreign]), name),
+        (Store([trusted]), x509.DNSName("other.example")),
+    ):
         with pytest.raises(VerificationError):
             builder.store(store).build_server_verifier(host).verify(leaf, [])
 
@@ -101,7 +124,8 @@ def test_a_folder_that_was_open_is_closed(tmp_path: Path) -> None:
     assert {stat.S_IMODE(path.stat().st_mode) for path in [folder, folder / "camera"]} == {0o700}
 
 
-# --- nothing is overwritten -------------------------------------------------------------------------
+# --- nothing is overwritten
+# -------------------------------------------------------------------------
 
 
 def test_nothing_is_overwritten_unless_told(authority: Authority) -> None:
@@ -113,7 +137,9 @@ def test_nothing_is_overwritten_unless_told(authority: Authority) -> None:
             authority.issue(role, name, 10)
     assert {path: path.read_bytes() for path in authority.folder.rglob("*.key")} == before
     Authority.make(authority.folder, "hq", NOW, 7300, replace=True)
-    assert (authority.folder / "authority/ca.key").read_bytes() != before[authority.folder / "authority/ca.key"]
+    assert (authority.folder / "authority/ca.key").read_bytes() != before[
+        authority.folder / "authority/ca.key"
+    ]
     assert not (authority.folder / "camera/lobby").exists(), "certificates of no authority"
 
 
@@ -131,7 +157,9 @@ def test_a_replaced_certificate_has_a_name_never_used_before(authority: Authorit
         authority.revoke("reader", "nobody")
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "a b", "*", "lobby~2", "daemon", "x" * 65, "..", "ü", "a\n"])
+@pytest.mark.parametrize(
+    "name", ["", "a/b", "a b", "*", "lobby~2", "daemon", "x" * 65, "..", "ü", "a\n"]
+)
 def test_bad_camera_names(authority: Authority, name: str) -> None:
     before = sorted(authority.folder.rglob("*"))
     with pytest.raises(KeysError, match=r"name|taken"):
@@ -174,7 +202,9 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
 
 def test_a_new_certificate_of_the_daemon_is_good_for_the_same_hosts(authority: Authority) -> None:
     def hosts() -> list[str]:
-        names = certificate(authority.folder / "daemon").extensions.get_extension_for_class(x509.SubjectAlternativeName)
+        names = certificate(authority.folder / "daemon").extensions.get_extension_for_class(
+            x509.SubjectAlternativeName
+        )
         return [str(name.value) for name in names.value]
 
     before = hosts()
@@ -184,7 +214,8 @@ def test_a_new_certificate_of_the_daemon_is_good_for_the_same_hosts(authority: A
     assert hosts() == ["other.example", "localhost", "127.0.0.1", "::1"]
 
 
-# --- the command ------------------------------------------------------------------------------------
+# --- the command
+# ------------------------------------------------------------------------------------
 
 
 def test_from_nothing_to_a_site(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -204,17 +235,27 @@ def test_from_nothing_to_a_site(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert run("--keys", keys, "list") == exits.DONE
     out, err = capsys.readouterr()
     assert [line.split()[:2] for line in out.splitlines()[1:]] == [
-        ["daemon", "daemon"], ["lobby", "camera"], ["hall", "camera"], ["wall", "reader"],
-    ]  # fmt: skip
+        ["daemon", "daemon"],
+        ["lobby", "camera"],
+        ["hall", "camera"],
+        ["wall", "reader"],
+    ]
     assert "EXPIRES SOON" in out.splitlines()[2]
     assert "withdrawn" in out.splitlines()[3]
     assert "warning: camera lobby: expires soon" in err
-    assert [c.name for c in rules.read_access(Path(keys, "daemon/access.json").read_bytes()).certificates] == [
-        "daemon", "lobby", "reader:wall",
-    ]  # fmt: skip
+    assert [
+        c.name
+        for c in rules.read_access(Path(keys, "daemon/access.json").read_bytes()).certificates
+    ] == [
+        "daemon",
+        "lobby",
+        "reader:wall",
+    ]
 
 
-def test_a_mistake_in_the_middle_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mistake_in_the_middle_changes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     keys = str(tmp_path / "keys")
     for wrong in (["--host", "a b"], ["--days", "20", "--authority-days", "10"]):
         assert run("--keys", keys, "init", *wrong) == exits.FAILED
@@ -223,11 +264,16 @@ def test_a_mistake_in_the_middle_changes_nothing(tmp_path: Path, capsys: pytest.
     assert run("--keys", keys, "camera", "lobby", "hall") == exits.DONE
     before = {path: path.read_bytes() for path in Path(keys).rglob("*") if path.is_file()}
     for wrong in (
-        ["camera", "new", "bad/name"], ["camera", "new", "lobby"], ["camera", "new", "new"],
-        ["revoke", "camera", "lobby", "nobody"], ["revoke", "camera", "lobby", "lobby"],
-    ):  # fmt: skip
+        ["camera", "new", "bad/name"],
+        ["camera", "new", "lobby"],
+        ["camera", "new", "new"],
+        ["revoke", "camera", "lobby", "nobody"],
+        ["revoke", "camera", "lobby", "lobby"],
+    ):
         assert run("--keys", keys, *wrong) == exits.FAILED, wrong
-        assert {path: path.read_bytes() for path in Path(keys).rglob("*") if path.is_file()} == before, wrong
+        assert {
+            path: path.read_bytes() for path in Path(keys).rglob("*") if path.is_file()
+        } == before, wrong
     assert "nobody" in capsys.readouterr().err
 
 
@@ -264,11 +310,14 @@ def test_the_examples_it_writes_are_right_where_they_are_copied_to(tmp_path: Pat
             assert config.cameras[name].source == "rtsp://u:hunter2@192.0.2.7/x"
             assert "hunter2" not in redact.redact("it was hunter2")
         access.check_files(config)
-        assert config.dials == (("tls/127.0.0.1:7447",) if name == "daemon" else ("tls/hub.example:7447",))
+        assert config.dials == (
+            ("tls/127.0.0.1:7447",) if name == "daemon" else ("tls/hub.example:7447",)
+        )
     assert access.read_access(load(tmp_path / "box-daemon/camtopod.toml"), lambda: NOW) is not None
 
 
-# --- the rules --------------------------------------------------------------------------------------
+# --- the rules
+# --------------------------------------------------------------------------------------
 
 
 def test_rules_name_exact_keys_only(authority: Authority) -> None:
@@ -277,17 +326,32 @@ def test_rules_name_exact_keys_only(authority: Authority) -> None:
     assert {rule["permission"] for rule in control["rules"]} == {"allow"}
     of_camera = [rule for rule in control["rules"] if rule["id"].startswith("lobby ")]
     keys = {key for rule in of_camera for key in rule["key_exprs"]}
-    assert keys == {f"camtopo/hq/{key}" for key in (
-        "event/lobby", "status/lobby", "spool/lobby", "ack/lobby", "alive/grabber/lobby", "status/*")}  # fmt: skip
+    assert keys == {
+        f"camtopo/hq/{key}"
+        for key in (
+            "event/lobby",
+            "status/lobby",
+            "spool/lobby",
+            "ack/lobby",
+            "alive/grabber/lobby",
+            "status/*",
+        )
+    }
     [asked] = [rule for rule in of_camera if "camtopo/hq/status/*" in rule["key_exprs"]]
-    assert (asked["flows"], asked["messages"]) == (["egress"], ["query"]), "what all are asked; it answers for itself"
+    assert (asked["flows"], asked["messages"]) == (["egress"], ["query"]), (
+        "what all are asked; it answers for itself"
+    )
     said = {m for rule in of_camera if "ingress" in rule["flows"] for m in rule["messages"]}
     assert said == {"put", "declare_queryable", "reply", "declare_subscriber", "liveliness_token"}
     of_reader = [rule for rule in control["rules"] if rule["id"].startswith("reader:wall ")]
     assert not {"put", "delete", "declare_queryable"} & {
         m for rule in of_reader if "ingress" in rule["flows"] for m in rule["messages"]
     }
-    assert [subject["cert_common_names"] for subject in control["subjects"]] == [["daemon"], ["lobby"], ["reader:wall"]]
+    assert [subject["cert_common_names"] for subject in control["subjects"]] == [
+        ["daemon"],
+        ["lobby"],
+        ["reader:wall"],
+    ]
 
 
 def test_one_certificate_for_several_cameras(authority: Authority) -> None:
@@ -310,7 +374,9 @@ def test_one_certificate_for_several_cameras(authority: Authority) -> None:
     assert authority.access.certificates[-1].cameras == ["hall"]
 
 
-def test_a_certificate_for_several_cameras_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_certificate_for_several_cameras_by_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     keys = str(tmp_path / "keys")
     assert run("--keys", keys, "init") == exits.DONE
     assert run("--keys", keys, "camera", "nvr", "other", "--for", "hall") == exits.FAILED
@@ -337,7 +403,9 @@ def test_the_router_s_file_has_the_same_rules(authority: Authority) -> None:
 
 
 def test_the_bus_opens_at_once(tmp_path: Path) -> None:
-    """With nobody to look for there is nobody to wait for, which zenoh does for half a second all the same."""
+    """With nobody to look for there is nobody to wait for, which zenoh does for half a second all
+    the same.
+    """
     took = []
     for _ in range(3):
         began = time.monotonic()
@@ -348,7 +416,9 @@ def test_the_bus_opens_at_once(tmp_path: Path) -> None:
 
 def test_the_largest_valid_event_fits_everywhere() -> None:
     wide = "\N{CAMERA}"  # four bytes
-    event = Event("c" * 64, "entry", 1.7e9 + 0.123456, 0.1, 0.2, wide * 128, wide * 64, 2**63 - 1, 0.3)
+    event = Event(
+        "c" * 64, "entry", 1.7e9 + 0.123456, 0.1, 0.2, wide * 128, wide * 64, 2**63 - 1, 0.3
+    )
     size = len(codec.to_pack(event))
     assert codec.event_from_pack(codec.to_pack(event)) == event
     assert size + 64 < rules.SPOOLED_BYTES_MAX, "with what a spool's answer adds"
@@ -358,22 +428,31 @@ def test_the_largest_valid_event_fits_everywhere() -> None:
 
 def test_what_expires_is_known_in_advance(authority: Authority) -> None:
     def names(days: float) -> list[str]:
-        return [certificate.name for certificate, _ in rules.expiring(authority.access, NOW + days * DAY)]
+        return [
+            certificate.name
+            for certificate, _ in rules.expiring(authority.access, NOW + days * DAY)
+        ]
 
     assert names(0) == ["reader:wall"]  # its 30 days are fewer than the warning's 60
     assert names(1764) == ["reader:wall"]
     assert names(1766) == ["daemon", "lobby", "reader:wall"]
 
 
-# --- the configuration ------------------------------------------------------------------------------
+# --- the configuration
+# ------------------------------------------------------------------------------
 
 
 def test_tls_is_whole_or_not_at_all() -> None:
     with pytest.raises(ConfigError) as caught:
-        parse('[bus]\nlisten = ["tcp/0.0.0.0:7447"]\n[bus.tls]\nca = "ca.pem"\ncertifcate = "c.pem"\n')
+        parse(
+            '[bus]\nlisten = ["tcp/0.0.0.0:7447"]\n[bus.tls]\nca = "ca.pem"\ncertifcate = "c.pem"\n'
+        )
     assert [(p.line, p.what) for p in caught.value.problems] == [
         (2, "bus.listen: 'tcp/0.0.0.0:7447' is not a tls/ endpoint, but [bus.tls] is set"),
-        (3, "bus.tls: access is missing: a daemon that is the meeting point has to know who may do what"),
+        (
+            3,
+            "bus.tls: access is missing: a daemon that is the meeting point has to know who may do what",
+        ),
         (3, "bus.tls: certificate is missing; ca, certificate and private_key go together"),
         (3, "bus.tls: private_key is missing; ca, certificate and private_key go together"),
         (5, "bus.tls.certifcate: no such key; did you mean 'certificate'?"),
@@ -384,7 +463,9 @@ def test_tls_is_whole_or_not_at_all() -> None:
     assert parse(f'[bus.tls]\n{files}access = "d"\n').listens == ("tls/127.0.0.1:7447",)
 
 
-def test_paths_are_relative_to_the_file_and_hold_variables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_are_relative_to_the_file_and_hold_variables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", "/run/credentials/x")
     path = tmp_path / "c.toml"
     path.write_text(
@@ -395,7 +476,10 @@ def test_paths_are_relative_to_the_file_and_hold_variables(tmp_path: Path, monke
     (tmp_path / "s/a").write_text("rtsp://u:pw@h/x\nsecond line\n")
     config = load(path).for_camera("a")
     assert config.bus.tls.ca == str(tmp_path / "keys/a/ca.pem")
-    assert (config.bus.tls.certificate, config.bus.tls.private_key) == ("/etc/c.pem", "/run/credentials/x/key")
+    assert (config.bus.tls.certificate, config.bus.tls.private_key) == (
+        "/etc/c.pem",
+        "/run/credentials/x/key",
+    )
     assert config.cameras["a"].source == "rtsp://u:pw@h/x"
     assert load(path).cameras["a"].source == "", "who does not grab does not need the secret"
     for content in ("", "\n", b"\xff"):
@@ -405,16 +489,26 @@ def test_paths_are_relative_to_the_file_and_hold_variables(tmp_path: Path, monke
 
 
 def test_a_camera_has_one_source() -> None:
-    with pytest.raises(ConfigError, match=r":3: cameras\.a\.source: give source or source_file, not both"):
+    with pytest.raises(
+        ConfigError, match=r":3: cameras\.a\.source: give source or source_file, not both"
+    ):
         parse('[cameras.a]\nsource_file = "x"\nsource = "0"\n')
     with pytest.raises(ConfigError, match=r"cameras\.a: source is missing"):
         parse("[cameras.a]\nspeed = 2\n")
 
 
-def test_secrets_that_others_can_read_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_secrets_that_others_can_read_are_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "c.toml"
     path.write_text('[cameras.a]\nsource = "rtsp://u:pw@h/x"\n')
-    for mode, warned in ((0o600, False), (0o640, False), (0o644, True), (0o602, True), (0o660, True)):
+    for mode, warned in (
+        (0o600, False),
+        (0o640, False),
+        (0o644, True),
+        (0o602, True),
+        (0o660, True),
+    ):
         path.chmod(mode)
         assert main.main(["check", str(path)]) == exits.DONE
         assert ("holds a secret" in capsys.readouterr().err) == warned, oct(mode)
@@ -425,7 +519,9 @@ def test_secrets_that_others_can_read_are_warned_of(tmp_path: Path, capsys: pyte
     assert secret_files.exposed([tmp_path / "none"]) == []
 
 
-def test_a_camera_s_process_leaves_warnings_to_the_one_above(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_camera_s_process_leaves_warnings_to_the_one_above(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     path = tmp_path / "c.toml"
     path.write_text('[cameras.a]\nsource = "rtsp://u:pw@h/x"\n')
     path.chmod(0o644)
@@ -440,16 +536,21 @@ def test_a_camera_s_process_leaves_warnings_to_the_one_above(tmp_path: Path, cap
 
 def test_a_plain_endpoint_beside_certificates_is_said(tmp_path: Path) -> None:
     path = tmp_path / "c.toml"
-    path.write_text('[bus]\nconnect = ["tls/h:1"]\n[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\n')
+    path.write_text(
+        '[bus]\nconnect = ["tls/h:1"]\n[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\n'
+    )
     args = argparse.Namespace(config=path, site=None, connect=["tls/h:2", "tcp/h:1"])
-    with pytest.raises(CommandError, match=r"--connect 'tcp/h:1': write tls/\.\.\., as \[bus.tls\] is set") as caught:
+    with pytest.raises(
+        CommandError, match=r"--connect 'tcp/h:1': write tls/\.\.\., as \[bus.tls\] is set"
+    ) as caught:
         configuration(args)
     assert caught.value.status == exits.USAGE
     args.connect = ["tls/h:2"]
     assert configuration(args).dials == ("tls/h:2",)
 
 
-# --- what is open is said ---------------------------------------------------------------------------
+# --- what is open is said
+# ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -457,13 +558,16 @@ def test_a_plain_endpoint_beside_certificates_is_said(tmp_path: Path) -> None:
     [
         ("", "every program of this machine"),
         ('[bus]\nlisten = ["tcp/localhost:1", "tcp/[::1]:2"]', "every program of this machine"),
-        ('[bus]\nlisten = ["tcp/127.0.0.1:1", "tcp/0.0.0.0:7447"]', "NETWORK who reaches tcp/0.0.0.0:7447 can"),
+        (
+            '[bus]\nlisten = ["tcp/127.0.0.1:1", "tcp/0.0.0.0:7447"]',
+            "NETWORK who reaches tcp/0.0.0.0:7447 can",
+        ),
         ('[bus]\nlisten = ["tcp/[::]:7447"]', "ANYBODY ON THE NETWORK"),
         ('[bus]\nlisten = ["tls/hub.example:7447"]', "ANYBODY ON THE NETWORK"),
         ('[bus]\nconnect = ["tcp/hub:7447"]', "whoever reaches the bus at tcp/hub:7447"),
         ('[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\naccess = "d"', None),
     ],
-)  # fmt: skip
+)
 def test_what_is_open_is_said(text: str, said: str | None) -> None:
     found = access.openness(parse(text))
     if said is None:
@@ -482,7 +586,9 @@ def test_a_private_key_is_no_text_for_people() -> None:
 
 def test_the_access_list_is_checked(tmp_path: Path, authority: Authority) -> None:
     path = tmp_path / "c.toml"
-    path.write_text('[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\naccess = "access.json"\n')
+    path.write_text(
+        '[bus.tls]\nca = "a"\ncertificate = "b"\nprivate_key = "c"\naccess = "access.json"\n'
+    )
     for content, why in (
         (None, "cannot read who may do what"),
         (b"{}", "no access list"),

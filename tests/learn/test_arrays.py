@@ -39,5 +39,8 @@ def test_every_key_has_its_row(key: list[int], many: bool) -> None:
 @given(LABELS, st.integers(0, 10**6))
 def test_sums_of_each_group(group: list[int], seed: int) -> None:
     rows = np.random.default_rng(seed).random((len(group), 3))
-    slow = [[sum(rows[k, c] for k, own in enumerate(group) if own == g) for c in range(3)] for g in range(GROUPS)]
+    slow = [
+        [sum(rows[k, c] for k, own in enumerate(group) if own == g) for c in range(3)]
+        for g in range(GROUPS)
+    ]
     assert summed(rows, np.array(group, np.int64), GROUPS) == pytest.approx(np.array(slow))

@@ -1,4 +1,6 @@
-"""The whole learner: what comes out depends on the events alone, whatever they are like and however they come."""
+"""The whole learner: what comes out depends on the events alone, whatever they are like and however
+they come.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def topology_of(events: Iterable[Event], settings: Settings = AT_THE_END) -> Top
 
 
 def walk(n: int, seed: int = 0, start: float = 1_700_000_000.0) -> list[Event]:
-    """n objects through cameras a and b, 8 s apart; some are only seen in one. One comes every 20 s on average."""
+    """n objects through cameras a and b, 8 s apart; some are only seen in one. One comes every 20 s
+    on average.
+    """
     rng = np.random.default_rng(seed)
     events = []
     places = {"a": (0.1, 0.5, 0.9, 0.5), "b": (0.2, 0.8, 0.7, 0.4)}
@@ -50,7 +54,9 @@ def walk(n: int, seed: int = 0, start: float = 1_700_000_000.0) -> list[Event]:
             if rng.random() < 0.9:
                 noise = 0.02 * rng.standard_normal(4)
                 stay = float(rng.uniform(3, 6))
-                x0, y0, x1, y1 = (float(v) for v in np.clip(np.array([x0, y0, x1, y1]) + noise, 0, 1))
+                x0, y0, x1, y1 = (
+                    float(v) for v in np.clip(np.array([x0, y0, x1, y1]) + noise, 0, 1)
+                )
                 events.append(Event(camera, "entry", round(t, 3), x0, y0, str(k)))
                 events.append(Event(camera, "exit", round(t + stay, 3), x1, y1, str(k)))
                 t += stay
@@ -73,23 +79,33 @@ def recordings(draw: st.DrawFn) -> list[Event]:
     chance = draw(st.randoms(use_true_random=False))
     return [
         Event(
-            chance.choice("abc"), chance.choice(["entry", "exit"]), 1e9 + t, x, x, chance.choice([None, "1", "2"]),
-            boot="x", seq=k,
+            chance.choice("abc"),
+            chance.choice(["entry", "exit"]),
+            1e9 + t,
+            x,
+            x,
+            chance.choice([None, "1", "2"]),
+            boot="x",
+            seq=k,
         )
         for k, t in enumerate(sorted(seconds))
         for x in [chance.choice([None, 0.25, 0.75])]
-    ]  # fmt: skip
+    ]
 
 
 @settings(max_examples=25, deadline=None)
 @given(recordings(), st.randoms(use_true_random=False), st.integers(0, 5), st.booleans())
-def test_any_order_within_the_lateness(events: list[Event], chance: random.Random, lateness: int, told: bool) -> None:
+def test_any_order_within_the_lateness(
+    events: list[Event], chance: random.Random, lateness: int, told: bool
+) -> None:
     """Also with every event twice and time told in between, to the digest of every version."""
     rules = msgspec.structs.replace(QUICK, lateness_seconds=float(lateness))
     plain, mixed = Learner(rules), Learner(rules)
     for event in events:
         assert plain.receive(event) == "accepted"
-    arrivals = [(e.t + chance.randint(0, lateness), chance.random(), e) for e in events for _ in range(2)]
+    arrivals = [
+        (e.t + chance.randint(0, lateness), chance.random(), e) for e in events for _ in range(2)
+    ]
     for at, _, event in sorted(arrivals, key=lambda arrival: arrival[:2]):
         assert mixed.receive(event) in ("accepted", "duplicate")
         if told:
@@ -177,7 +193,11 @@ def test_the_moment_of_the_recording_does_not_matter() -> None:
         learner = learn(walk(100, start=start), QUICK)
         found.append(
             [
-                (round(v.as_of - start, 3), v.events, [(link.from_, link.to, link.relation) for link in v.links])
+                (
+                    round(v.as_of - start, 3),
+                    v.events,
+                    [(link.from_, link.to, link.relation) for link in v.links],
+                )
                 for v in learner.updates()
             ]
         )
@@ -276,11 +296,16 @@ def test_what_is_too_old_is_forgotten() -> None:
         (link.relation, link.from_[0], link.to[0]) for link in fresh.topology.links
     }
     assert both.topology.events == len(old) + len(new)
-    assert not {z.id for z in both.topology.zones} & {z.id for z in fresh.topology.zones}  # other places, other numbers
+    assert not {z.id for z in both.topology.zones} & {
+        z.id for z in fresh.topology.zones
+    }  # other places, other numbers
 
 
 def test_a_camera_that_is_gone_has_no_zones() -> None:
-    events = [*(Event("b", "entry", 10.0 * k, 0.5, 0.5) for k in range(30)), *walk(100, start=100_000.0)]
+    events = [
+        *(Event("b", "entry", 10.0 * k, 0.5, 0.5) for k in range(30)),
+        *walk(100, start=100_000.0),
+    ]
     events = [e for e in events if e.camera != "b" or e.t < 1000]
     topology = topology_of(events, Settings(version_seconds=10.0, window_hours=2.0))
     cameras = {camera.id: camera.zones for camera in topology.cameras}
@@ -292,7 +317,8 @@ def test_a_camera_that_is_gone_has_no_zones() -> None:
 def test_a_zone_that_returns_has_its_number_back() -> None:
     day, night = walk(60, start=0.0), walk(60, start=200_000.0)
     learner = learn(
-        [*day, *elsewhere(walk(60, start=100_000.0)), *night], Settings(version_seconds=600.0, window_hours=2.0)
+        [*day, *elsewhere(walk(60, start=100_000.0)), *night],
+        Settings(version_seconds=600.0, window_hours=2.0),
     )
     versions = learner.updates()
     first = next(v for v in reversed(versions) if v.as_of < 50_000)
@@ -345,14 +371,23 @@ ODD = {
     ],
     "far past": walk(60, start=-9.9e10),
     "far future": walk(60, start=9.9e10),
-    "from one end of time to the other": [Event("a", "entry", -1e11), *walk(60), Event("b", "exit", 1e11)],
+    "from one end of time to the other": [
+        Event("a", "entry", -1e11),
+        *walk(60),
+        Event("b", "exit", 1e11),
+    ],
     "exits before entries": [
         msgspec.structs.replace(e, kind="entry" if e.kind == "exit" else "exit") for e in walk(60)
     ],
     "machines": [
         Event(camera, kind, 20.0 * k + dt, 0.5, 0.5, str(k))  # type: ignore[arg-type]
         for k in range(100)
-        for camera, kind, dt in (("a", "entry", 0.0), ("a", "exit", 4.0), ("b", "entry", 12.0), ("b", "exit", 15.0))
+        for camera, kind, dt in (
+            ("a", "entry", 0.0),
+            ("a", "exit", 4.0),
+            ("b", "entry", 12.0),
+            ("b", "exit", 15.0),
+        )
     ],
     "one track for all": changed(track="1"),
     "a wide clock": [msgspec.structs.replace(e, clock_sd=1e6) for e in walk(60)],
@@ -371,7 +406,9 @@ def test_odd_recordings(name: str) -> None:
         predictor = learner.predictor()
         for event in events[-10:]:
             prediction = predictor.predict(event)
-            assert prediction.leave + sum(n.probability for n in prediction.next_) == pytest.approx(1.0)
+            assert prediction.leave + sum(n.probability for n in prediction.next_) == pytest.approx(
+                1.0
+            )
             predictor.observe(event)
 
 
@@ -392,7 +429,11 @@ def check(topology: Topology) -> None:
     assert len(set(keys)) == len(keys)
     assert not set(keys) & {(link.from_, link.to) for link in weak}
     for source in zones:
-        out = [link for link in [*topology.links, *weak] if link.from_ == source and link.relation != "visible"]
+        out = [
+            link
+            for link in [*topology.links, *weak]
+            if link.from_ == source and link.relation != "visible"
+        ]
         assert sum(link.probability for link in out) <= 1.02
     for pair in topology.pairs:
         assert pair.cameras[0] < pair.cameras[1]
@@ -418,13 +459,18 @@ def test_a_walk_is_found() -> None:
 
 @pytest.mark.parametrize("track", ["as they are", None])
 def test_passages_through_a_view_with_and_without_tracks(track: str | None) -> None:
-    topology = topology_of([msgspec.structs.replace(e, track=e.track if track else None) for e in walk(300)])
+    topology = topology_of(
+        [msgspec.structs.replace(e, track=e.track if track else None) for e in walk(300)]
+    )
     through = [link for link in topology.links if link.relation == "visible"]
     zones = {zone.id: zone for zone in topology.zones}
     assert sorted((zones[v.from_].x, zones[v.to].x) for v in through) == [
-        pytest.approx((0.1, 0.9), abs=0.02), pytest.approx((0.2, 0.7), abs=0.02)
-    ]  # fmt: skip
-    assert all(v.transit.q50 == pytest.approx(4.5, abs=0.4) and v.probability > 0.9 for v in through)
+        pytest.approx((0.1, 0.9), abs=0.02),
+        pytest.approx((0.2, 0.7), abs=0.02),
+    ]
+    assert all(
+        v.transit.q50 == pytest.approx(4.5, abs=0.4) and v.probability > 0.9 for v in through
+    )
 
 
 def test_without_tracks_nobody_is_there_before_coming() -> None:
@@ -436,10 +482,12 @@ def test_without_tracks_nobody_is_there_before_coming() -> None:
 # --- made-up networks ---
 
 
-@pytest.mark.parametrize(("seed", "hours", "recall"), [(1, 1.0, 0.9), (5, 0.7, 0.9), (2, 1.5, 0.95)])
+@pytest.mark.parametrize(
+    ("seed", "hours", "recall"), [(1, 1.0, 0.9), (5, 0.7, 0.9), (2, 1.5, 0.95)]
+)
 def test_finds_a_made_up_network(seed: int, hours: float, recall: float) -> None:
-    """Six cameras, 4,000 to 9,000 events; on some other seeds recall is 0.86, as rare ways are walked a few times
-    only."""
+    """Six cameras, 4,000 to 9,000 events; on some other seeds recall is 0.86, as rare ways are
+    walked a few times only."""
     events, truth = simulate(SimSettings(cameras=6, hours=hours, seed=seed))
     topology = topology_of(events)
     check(topology)
@@ -456,14 +504,18 @@ def unrelated(seed: int, rhythm: float) -> list[Event]:
     """Six cameras, each from a network of its own; they share at most a rhythm."""
     events = []
     for k in range(6):
-        own, _ = simulate(SimSettings(cameras=6, hours=2.0, seed=seed + k, rhythm=rhythm, rhythm_hours=6.0))
+        own, _ = simulate(
+            SimSettings(cameras=6, hours=2.0, seed=seed + k, rhythm=rhythm, rhythm_hours=6.0)
+        )
         events += [event for event in own if event.camera == f"cam{k + 1:02d}"]
     return sorted(events, key=lambda event: event.t)
 
 
 @pytest.mark.parametrize(("seed", "rhythm"), [(0, 0.0), (0, 0.9), (100, 0.0), (100, 0.9)])
 def test_no_links_where_there_are_none(seed: int, rhythm: float) -> None:
-    """Who comes back to the same camera has a link to it; between the cameras there is nothing to find."""
+    """Who comes back to the same camera has a link to it; between the cameras there is nothing to
+    find.
+    """
     topology = topology_of(unrelated(seed, rhythm))
     assert topology.pairs == []
     assert len(topology.cameras) == 6

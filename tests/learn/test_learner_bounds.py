@@ -1,7 +1,7 @@
 """No step of the learner takes more than a gigabyte or a minute, whatever the valid events.
 
-Each crowd is learned in a process of its own, which says what it took. A quarter of each runs with the other tests; the
-whole is behind the marker ``campaign``.
+Each crowd is learned in a process of its own, which says what it took. A quarter of each runs with
+the other tests; the whole is behind the marker ``campaign``.
 """
 
 from __future__ import annotations
@@ -27,9 +27,16 @@ QUICK_SCALE = 0.25
 
 
 def passages(
-    cameras: int, count: int, apart: float, tracked: bool = True, placed: bool = True, zones: int = 0
+    cameras: int,
+    count: int,
+    apart: float,
+    tracked: bool = True,
+    placed: bool = True,
+    zones: int = 0,
 ) -> Iterator[Event]:
-    """Entries and exits by turns in each of some cameras, ``apart`` seconds, at random places or in few ``zones``."""
+    """Entries and exits by turns in each of some cameras, ``apart`` seconds, at random places or in
+    few ``zones``.
+    """
     chance = random.Random(1)
     for number in range(count):
         for camera in range(cameras):
@@ -73,8 +80,9 @@ def main(name: str, scale: float) -> None:
     """Learn a crowd; print the longest step in seconds of processor time, and the most memory."""
     learner, longest, versions = Learner(), 0.0, 0
     steps: list[Callable[[], object]] = [
-        *(lambda event=event: learner.receive(event) for event in CROWDS[name](scale)), learner.flush,  # type: ignore[misc]
-    ]  # fmt: skip
+        *(lambda event=event: learner.receive(event) for event in CROWDS[name](scale)),
+        learner.flush,  # type: ignore[misc]
+    ]
     for step in steps:
         began = time.process_time()
         step()
@@ -84,15 +92,20 @@ def main(name: str, scale: float) -> None:
 
 
 def most_megabytes() -> float:
-    """The most memory of this process so far; `resource.getrusage` begins with that of the process which started it."""
+    """The most memory of this process so far; `resource.getrusage` begins with that of the process
+    which started it.
+    """
     return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
 
 
 def took(name: str, scale: float) -> dict[str, float]:
     found = subprocess.run(
-        [sys.executable, __file__, name, str(scale)], capture_output=True, check=True, cwd=ROOT,
+        [sys.executable, __file__, name, str(scale)],
+        capture_output=True,
+        check=True,
+        cwd=ROOT,
         env={"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+    )
     return msgspec.json.decode(found.stdout, type=dict[str, float])
 
 
@@ -109,7 +122,9 @@ def test_a_quarter_of_a_crowd(name: str) -> None:
 @pytest.mark.parametrize("name", CROWDS)
 def test_a_whole_crowd(name: str) -> None:
     found = took(name, 1.0)
-    print(f"{name}: {found['megabytes']:.0f} MB, a step {found['seconds']:.1f} s, {found['versions']:.0f} versions")
+    print(
+        f"{name}: {found['megabytes']:.0f} MB, a step {found['seconds']:.1f} s, {found['versions']:.0f} versions"
+    )
     assert found["versions"] > 0
     assert found["megabytes"] < MEGABYTES_MAX
     assert found["seconds"] < STEP_SECONDS_MAX

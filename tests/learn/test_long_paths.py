@@ -1,4 +1,6 @@
-"""Long ways: looked for in the correlograms of cameras, learned around their lag, foretold and drawn there."""
+"""Long ways: looked for in the correlograms of cameras, learned around their lag, foretold and
+drawn there.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +27,20 @@ LAG_MAX = 180.0
 STAY_SECONDS = 6.0
 
 
-def site(seed: int, lags: dict[tuple[str, str], tuple[float, float]], alone: str = "abc") -> list[Event]:
-    """Walks by the first camera of each pair and then the second, ``lags`` (mean, sd) seconds after; as many again pass
-    each of the cameras ``alone`` and no other.
+def site(
+    seed: int, lags: dict[tuple[str, str], tuple[float, float]], alone: str = "abc"
+) -> list[Event]:
+    """Walks by the first camera of each pair and then the second, ``lags`` (mean, sd) seconds
+    after; as many again pass each of the cameras ``alone`` and no other.
     """
     chance, events, track = np.random.default_rng(seed), list[Event](), itertools.count()
 
     def passage(camera: str, t: float) -> float:
         name = str(next(track))
         left = t + chance.uniform(0.5, 1.5) * STAY_SECONDS
-        events.extend((Event(camera, "entry", t, track=name), Event(camera, "exit", left, track=name)))
+        events.extend(
+            (Event(camera, "entry", t, track=name), Event(camera, "exit", left, track=name))
+        )
         return left
 
     for source, target in lags:
@@ -48,7 +54,11 @@ def site(seed: int, lags: dict[tuple[str, str], tuple[float, float]], alone: str
 
 
 def between(topology: Topology) -> dict[tuple[str, str], Link]:
-    return {(one.from_, one.to): one for one in topology.links if one.relation != "visible" and one.from_ != one.to}
+    return {
+        (one.from_, one.to): one
+        for one in topology.links
+        if one.relation != "visible" and one.from_ != one.to
+    }
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +76,9 @@ def test_a_way_of_five_minutes_is_found_beside_one_of_seconds(far_and_near: Topo
     assert far.mode == pytest.approx(300.0, abs=4.0)
     assert far.q10 == pytest.approx(300.0 - 1.28 * 6.0, abs=5.0)
     assert far.q90 == pytest.approx(300.0 + 1.28 * 6.0, abs=10.0), "unrelated arrivals among them"
-    assert links["a/1", "b/1"].probability == pytest.approx(0.5, abs=0.1), "half of those at a came alone"
+    assert links["a/1", "b/1"].probability == pytest.approx(0.5, abs=0.1), (
+        "half of those at a came alone"
+    )
     [pair] = [one for one in far_and_near.pairs if one.cameras == ("a", "b")]
     assert pair.relation == "unseen_path"
 
@@ -100,7 +112,9 @@ def test_who_arrives_in_time_is_probably_the_one_who_left(far_and_near: Topology
     assert odds.argmax() == 2
     assert odds[2] > 0.0
     assert (odds[[0, 1, 3]] < 0.0).all()
-    assert gate.gate("a/1", exit_at, "b", exit_at + 300.0) > gate.gate("a/1", exit_at, "b", exit_at + 320.0)
+    assert gate.gate("a/1", exit_at, "b", exit_at + 300.0) > gate.gate(
+        "a/1", exit_at, "b", exit_at + 320.0
+    )
     assert gate.gate_gone("a/1", 200.0) > gate.gate_gone("a/1", 400.0)
 
 
@@ -129,12 +143,17 @@ def ends(events: list[Event], cameras: str = "abc") -> tuple[Departures, Arrival
     sides = []
     for kind in ("exit", "entry"):
         some = [event for event in events if event.kind == kind]
-        t, camera = np.array([e.t for e in some]), np.array([cameras.index(e.camera) for e in some], np.int32)
+        t, camera = (
+            np.array([e.t for e in some]),
+            np.array([cameras.index(e.camera) for e in some], np.int32),
+        )
         sides.append((t, camera))
     (left, source), (came, target) = sides
     unknown = np.full(len(left), np.nan)
     departures = Departures.untold(left, source, source, left - STAY_SECONDS, unknown)
-    return departures, Arrivals(came, target, target, np.ones(len(came)), np.full(len(came), np.nan))
+    return departures, Arrivals(
+        came, target, target, np.ones(len(came)), np.full(len(came), np.nan)
+    )
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -143,8 +162,12 @@ def test_cameras_that_have_nothing_to_do_with_each_other_have_no_long_way(seed: 
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_where_nobody_walks_anywhere_nothing_is_linked_not_even_a_view_with_itself(seed: int) -> None:
-    assert [link for link in learned_from(site(seed, {}, "abc" * 2)).links if link.relation != "visible"] == []
+def test_where_nobody_walks_anywhere_nothing_is_linked_not_even_a_view_with_itself(
+    seed: int,
+) -> None:
+    assert [
+        link for link in learned_from(site(seed, {}, "abc" * 2)).links if link.relation != "visible"
+    ] == []
 
 
 @pytest.mark.parametrize("seconds", [75.0, 150.0, 300.0, 600.0])
@@ -177,7 +200,10 @@ def test_a_group_that_walks_along_once_makes_no_link() -> None:
     events = site(6, {}, "abc")
     for k in range(12):
         for camera, t in (("a", T0 + 500.0 + 0.2 * k), ("b", T0 + 900.0 + 0.2 * k)):
-            events += [Event(camera, "entry", t - 5.0, track=f"g{k}"), Event(camera, "exit", t, track=f"g{k}")]
+            events += [
+                Event(camera, "entry", t - 5.0, track=f"g{k}"),
+                Event(camera, "exit", t, track=f"g{k}"),
+            ]
     assert not between(learned_from(sorted(events, key=lambda event: event.t)))
 
 

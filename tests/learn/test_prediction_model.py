@@ -1,4 +1,6 @@
-"""What prediction reads off a version: the posterior, as it has changed since, without what is negligible."""
+"""What prediction reads off a version: the posterior, as it has changed since, without what is
+negligible.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ NAMES = ["a", "b", "c"]
 
 @pytest.fixture(scope="module")
 def learned() -> tuple[Scene, Posterior]:
-    """From a, six in ten go on to b, 8 s after; three in ten to c. All have a known block and entry."""
+    """From a, six in ten go on to b, 8 s after; three in ten to c. All have a known block and
+    entry.
+    """
     rng = np.random.default_rng(0)
     views = Views([0, 1, 2])
     for t in rng.uniform(0, 40_000, 800):
@@ -35,10 +39,16 @@ def learned() -> tuple[Scene, Posterior]:
     found = find_candidates(departures, arrivals, BINS, 3)
     none = np.zeros(0, np.int32)
     scene = Scene(
-        [ZoneRef(k, 1, None) for k in range(3)], departures, arrivals, Passages(none, none, none * 1.0, none * 1.0),
-        np.bincount(arrivals.zone, minlength=3), np.bincount(departures.zone, minlength=3), np.ones(3, bool), 0.0,
+        [ZoneRef(k, 1, None) for k in range(3)],
+        departures,
+        arrivals,
+        Passages(none, none, none * 1.0, none * 1.0),
+        np.bincount(arrivals.zone, minlength=3),
+        np.bincount(departures.zone, minlength=3),
+        np.ones(3, bool),
+        0.0,
         float(departures.t[-1]),
-    )  # fmt: skip
+    )
     return scene, fit_posterior(departures, arrivals, found, BINS, 3, scene.last, LINKED)
 
 
@@ -51,7 +61,9 @@ def made(learned: tuple[Scene, Posterior | None], changes: list[Change] | None =
 def topology_of(model: Model) -> Topology:
     zones = [Zone(f"{name}/1", name, 100, 100) for name in NAMES]
     cameras = [Camera(name, [f"{name}/1"]) for name in NAMES]
-    return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 600, "", cameras, zones, [], [], model=model)
+    return Topology(
+        TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 600, "", cameras, zones, [], [], model=model
+    )
 
 
 def chances(model: Model, known: bool) -> dict[str, float]:
@@ -69,30 +81,47 @@ def test_the_posterior_as_it_is(learned: tuple[Scene, Posterior], known: bool) -
     assert [row.zone for row in model.onward or []] == ["a/1", "b/1", "c/1"]
     found = chances(model, known)
     assert (found["b"], found["c"], found[""]) == pytest.approx((0.6, 0.3, 0.1), abs=0.05)
-    assert {(row.entry, row.block) for row in model.contexts or [] if row.zone == "a/1"} >= {("a/1", 5), (None, 5)}
+    assert {(row.entry, row.block) for row in model.contexts or [] if row.zone == "a/1"} >= {
+        ("a/1", 5),
+        (None, 5),
+    }
     assert model.zones[0].stay == pytest.approx([4.0] * 11)
     assert [(c.camera, c.share, c.last_event) for c in model.cameras] == [
-        ("a", 0.333333, 0.0), ("b", 0.333333, 1e-6), ("c", 0.333333, 2e-6)
-    ]  # fmt: skip
+        ("a", 0.333333, 0.0),
+        ("b", 0.333333, 1e-6),
+        ("c", 0.333333, 2e-6),
+    ]
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_a_way_that_has_closed_is_not_expected(learned: tuple[Scene, Posterior], known: bool) -> None:
+def test_a_way_that_has_closed_is_not_expected(
+    learned: tuple[Scene, Posterior], known: bool
+) -> None:
     """The others share what it had, whatever is known of the departure."""
     found = chances(made(learned, [Change(0, 1, 20_000.0, 0.9, 0.0, 50.0)]), known)
     assert "b" not in found
     assert found["c"] == pytest.approx(0.3 / 0.4, abs=0.07)
 
 
-def test_where_every_way_has_closed_no_context_has_fewer_departures_than_none(learned: tuple[Scene, Posterior]) -> None:
-    """Transitions are counted in single precision, and may come to more than the departures they are of."""
+def test_where_every_way_has_closed_no_context_has_fewer_departures_than_none(
+    learned: tuple[Scene, Posterior],
+) -> None:
+    """Transitions are counted in single precision, and may come to more than the departures they
+    are of.
+    """
     scene, posterior = learned
     levels = [
-        level._replace(departures=np.ones(len(level.departures)), transitions=np.full(len(level.transitions), 1 + 1e-6))
+        level._replace(
+            departures=np.ones(len(level.departures)),
+            transitions=np.full(len(level.transitions), 1 + 1e-6),
+        )
         for level in posterior.levels
     ]
     c = posterior.fit.candidates
-    closed = [Change(int(u), int(v), 20_000.0, 0.9, 0.0, 50.0) for u, v in zip(c.source, c.target, strict=True)]
+    closed = [
+        Change(int(u), int(v), 20_000.0, 0.9, 0.0, 50.0)
+        for u, v in zip(c.source, c.target, strict=True)
+    ]
     rows = made((scene, posterior._replace(levels=levels)), closed).contexts or []
     assert rows
     assert min(row.departures for row in rows) == 0.0
@@ -124,14 +153,19 @@ def test_contexts_that_are_not_known_are_no_contexts(learned: tuple[Scene, Poste
     scene, _ = learned
     d, a = scene.departures, scene.arrivals
     half = np.arange(len(d.t)) % 2 == 0
-    d = d._replace(own=np.where(half, -1, d.own).astype(np.int32), block=np.where(half, -1, d.block).astype(np.int32))
+    d = d._replace(
+        own=np.where(half, -1, d.own).astype(np.int32),
+        block=np.where(half, -1, d.block).astype(np.int32),
+    )
     found = fit_posterior(d, a, find_candidates(d, a, BINS, 3), BINS, 3, scene.last, LINKED)
     rows = made((scene, found)).contexts or []
     assert all(row.entry or row.block is not None or row.previous for row in rows)
     assert {row.block for row in rows if row.zone == "a/1"} == {None, 5}
 
 
-def test_only_so_many_outcomes_are_kept(learned: tuple[Scene, Posterior], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_so_many_outcomes_are_kept(
+    learned: tuple[Scene, Posterior], monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert OUTCOMES_PER_ZONE_MAX >= 3
     monkeypatch.setattr("camtopod.learn.prediction_model.OUTCOMES_PER_ZONE_MAX", 1)
     first = (made(learned).onward or [])[0]

@@ -11,7 +11,15 @@ import pytest
 import bench.quality as quality
 from bench.baselines.findings import Ranked
 from bench.regimes import REGIMES
-from bench.support.measure import TRAIN_SHARE, Record, baselines, by_their_clocks, measure, network_figures, serve
+from bench.support.measure import (
+    TRAIN_SHARE,
+    Record,
+    baselines,
+    by_their_clocks,
+    measure,
+    network_figures,
+    serve,
+)
 from bench.support.table import mean_and_error, tables
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
@@ -42,7 +50,9 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Small:
     return regime
 
 
-def test_a_run_goes_on_where_it_was_left(small: Small, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_goes_on_where_it_was_left(
+    small: Small, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "results.jsonl"
     asked = ["--seeds", "2", "--jobs", "1", "--json", str(path), "--methods", "batch"]
     assert quality.main(asked) == 0
@@ -65,15 +75,33 @@ def test_everything_is_in_the_table(small: Small, capsys: pytest.CaptureFixture[
     assert quality.main(["--seeds", "1", "--jobs", "1", "--scale", "0.5"]) == 0
     shown = capsys.readouterr().out
     for name in (
-        "online", "live", "zones right", "links, F1", "told chain", "log loss", "clock offsets",
+        "online",
+        "live",
+        "zones right",
+        "links, F1",
+        "told chain",
+        "log loss",
+        "clock offsets",
         "calibration error, first guess",
-        "events a second", "Var(d) <= 1", "Makris", "Tieu", "transfer entropy", "anonymous Markov", "Hawkes",
-        "k-means", "HDBSCAN", "mean shift", "plain DaSpec", "most frequent next camera",
-    ):  # fmt: skip
+        "events a second",
+        "Var(d) <= 1",
+        "Makris",
+        "Tieu",
+        "transfer entropy",
+        "anonymous Markov",
+        "Hawkes",
+        "k-means",
+        "HDBSCAN",
+        "mean shift",
+        "plain DaSpec",
+        "most frequent next camera",
+    ):
         assert name in shown
 
 
-def test_an_unknown_regime_is_a_usage_error(small: Small, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_regime_is_a_usage_error(
+    small: Small, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert quality.main(["--regimes", "nowhere"]) == 2
     assert "no regime nowhere" in capsys.readouterr().err
 
@@ -129,9 +157,14 @@ def test_what_the_truth_does_not_know_is_not_scored() -> None:
     assert "f1" not in figures
     assert figures["relation_right"] is not None
     assert figures["top1"] is not None
-    assert {r.method.split(":")[0] for r in baselines("blind", 0, events, blind)} == {"next", "links"}
+    assert {r.method.split(":")[0] for r in baselines("blind", 0, events, blind)} == {
+        "next",
+        "links",
+    }
     unknown = msgspec.structs.replace(blind, pairs=[])
-    assert {r.method for r in baselines("blind", 0, events, unknown)} == {"next: most frequent next camera"}
+    assert {r.method for r in baselines("blind", 0, events, unknown)} == {
+        "next: most frequent next camera"
+    }
 
 
 def test_without_true_zones_pairs_of_cameras_are_found() -> None:
@@ -144,7 +177,9 @@ def test_without_true_zones_pairs_of_cameras_are_found() -> None:
     assert network_figures(fewer, blind, events)["pair_f1"] < 1
     figures: dict[str, float | None] = {**network_figures(topology, blind, events)}
     records = [Record("hall", 0, "batch", 1.0, figures), *baselines("hall", 0, events, blind)]
-    line = next(line for line in tables(records, ["hall"]) if line.startswith("  hall, pairs of cameras"))
+    line = next(
+        line for line in tables(records, ["hall"]) if line.startswith("  hall, pairs of cameras")
+    )
     assert line.split()[4:7] == ["-", "-", "1.000"]  # live and online were not asked for
     assert max(float(f1) for f1 in line.split()[7:]) > 0.8
 
@@ -154,7 +189,12 @@ def test_figures_of_a_perfect_topology() -> None:
 
     events, truth = simulate(SimSettings(cameras=4, hours=0.3))
     figures = network_figures(topology_of(truth), truth, events)
-    assert (figures["zones_right"], figures["f1"], figures["relation_right"], figures["silent"]) == (1, 1, 1, 1)
+    assert (
+        figures["zones_right"],
+        figures["f1"],
+        figures["relation_right"],
+        figures["silent"],
+    ) == (1, 1, 1, 1)
     assert figures["median_error"] == 0
     assert figures["recorded_median_error"] > 0  # so few walkers have another median than all
     assert "clock_error" not in figures
@@ -168,7 +208,9 @@ def test_transit_times_are_held_against_those_by_the_cameras_own_clocks() -> Non
     assert network_figures(topology_of(by_their_clocks(truth)), truth, events)["median_error"] == 0
     link = next(link for link in truth.links if link.relation == "unseen")
     offset = [truth.clock_offsets[zone.split("/")[0]] for zone in (link.from_, link.to)]
-    shifted = next(one for one in by_their_clocks(truth).links if (one.from_, one.to) == (link.from_, link.to))
+    shifted = next(
+        one for one in by_their_clocks(truth).links if (one.from_, one.to) == (link.from_, link.to)
+    )
     assert shifted.transit.q50 == pytest.approx(link.transit.q50 + offset[1] - offset[0])
     assert shifted.transit.sd == link.transit.sd
 
@@ -180,17 +222,28 @@ def test_means_have_standard_errors() -> None:
 
 
 def test_targets_are_judged_by_their_means() -> None:
-    records = [Record("sparse", seed, "online", 1.0, {"f1": f1}) for seed, f1 in enumerate((0.97, 0.996))]
-    records += [Record("sparse", seed, "batch", 1.0, {"f1": f1}) for seed, f1 in enumerate((0.97, 0.98))]
-    line = next(line for line in tables(records, ["sparse"]) if line.startswith("sparse: links, F1"))
+    records = [
+        Record("sparse", seed, "online", 1.0, {"f1": f1}) for seed, f1 in enumerate((0.97, 0.996))
+    ]
+    records += [
+        Record("sparse", seed, "batch", 1.0, {"f1": f1}) for seed, f1 in enumerate((0.97, 0.98))
+    ]
+    line = next(
+        line for line in tables(records, ["sparse"]) if line.startswith("sparse: links, F1")
+    )
     assert line.split()[-6:] == ["0.983", "±0.013", "yes", "0.975", "±0.005", "NO"]
 
 
 def test_baselines_have_their_own_threshold_and_one_for_all() -> None:
     def record(regime: str, scores: list[float]) -> Record:
-        return Record(regime, 0, "links: x", 1.0, ranked={"v": Ranked(1, scores, [2, 0], [0.1, -1.0])})
+        return Record(
+            regime, 0, "links: x", 1.0, ranked={"v": Ranked(1, scores, [2, 0], [0.1, -1.0])}
+        )
 
     shown = tables([record("one", [10.0, 5.0]), record("two", [3.0, 2.0])], ["one", "two"])
     rows = [line.split() for line in shown if line.startswith("  x, v")]
     assert [row[2] for row in rows] == ["1.000", "1.000"]
-    assert sorted(row[-2] for row in rows) == ["0.667", "1.000"]  # 3.0 for both: one false link in the first
+    assert sorted(row[-2] for row in rows) == [
+        "0.667",
+        "1.000",
+    ]  # 3.0 for both: one false link in the first

@@ -1,4 +1,6 @@
-"""Cameras that have left are forgotten in all respects; those that return have their zones' numbers back."""
+"""Cameras that have left are forgotten in all respects; those that return have their zones' numbers
+back.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +39,13 @@ def passages(start: float, cameras: Iterable[str] = PLACES, number: int = 200) -
     for k in range(number):
         for camera in cameras:
             places = PLACES[camera]
-            for kind, at, later in (("entry", places[k % len(places)], 0.0), ("exit", places[-1 - k % 2], 4.0)):
-                x, y = (float(v) for v in np.clip(np.array(at) + 0.01 * rng.standard_normal(2), 0, 1))
+            for kind, at, later in (
+                ("entry", places[k % len(places)], 0.0),
+                ("exit", places[-1 - k % 2], 4.0),
+            ):
+                x, y = (
+                    float(v) for v in np.clip(np.array(at) + 0.01 * rng.standard_normal(2), 0, 1)
+                )
                 events.append(Event(camera, kind, start + 20.0 * k + later, x, y, str(k)))  # type: ignore[arg-type]
     return sorted(events, key=lambda event: event.t)
 
@@ -53,7 +60,9 @@ def told(learner: Learner, events: Iterable[Event]) -> list[Topology]:
 def zones_of(topology: Topology, camera: str) -> dict[str, tuple[float, float]]:
     """The zones' places, to a tenth."""
     return {
-        zone.id: (round(zone.x or 0.0, 1), round(zone.y or 0.0, 1)) for zone in topology.zones if zone.camera == camera
+        zone.id: (round(zone.x or 0.0, 1), round(zone.y or 0.0, 1))
+        for zone in topology.zones
+        if zone.camera == camera
     }
 
 
@@ -62,7 +71,12 @@ def names_known(learner: Learner) -> set[str]:
     state = learner.save()
     assert len(state.cameras) <= len(state.window.cameras) == len(state.window.seen)
     assert len(state.clocks.offset) <= len(state.window.cameras)
-    intake = {*state.intake.cameras, *state.intake.newest, *state.intake.behind, *(row[0] for row in state.intake.seen)}
+    intake = {
+        *state.intake.cameras,
+        *state.intake.newest,
+        *state.intake.behind,
+        *(row[0] for row in state.intake.seen),
+    }
     return {*state.window.cameras, *intake, *(event.camera for event in state.intake.held)}
 
 
@@ -71,7 +85,9 @@ def names_known(learner: Learner) -> set[str]:
 
 def test_names_that_have_left_take_no_places() -> None:
     learner = Learner(Settings(cameras_max=50))
-    verdicts = Counter(learner.receive(entry(f"name{k}", T0 + k, boot="b", seq=1)) for k in range(60))
+    verdicts = Counter(
+        learner.receive(entry(f"name{k}", T0 + k, boot="b", seq=1)) for k in range(60)
+    )
     assert verdicts == {"accepted": 50, "refused": 10}
     told(learner, [entry("name0", T0 + day * DAY) for day in range(1, 400)])
     assert learner.receive(entry("new", T0 + 400 * DAY)) == "accepted"
@@ -84,8 +100,12 @@ def test_names_that_have_left_take_no_places() -> None:
 
 @pytest.mark.parametrize(("window_days", "days"), [(1.0, 7), (10.0, 10)])
 def test_a_camera_without_events_stays_for_a_while(window_days: float, days: int) -> None:
-    """Also when others are so busy that none of its events is in the window any more: it is listed without zones."""
-    learner = Learner(Settings(window_hours=24.0 * window_days, window_events=50, window_camera_events=1, **RARE))
+    """Also when others are so busy that none of its events is in the window any more: it is listed
+    without zones.
+    """
+    learner = Learner(
+        Settings(window_hours=24.0 * window_days, window_events=50, window_camera_events=1, **RARE)
+    )
     told(learner, passages(T0, ["yard"], 20))
     told(learner, [entry("hall", T0 + HOUR * hour) for hour in range(1, 24 * days)])
     assert learner.topology is not None
@@ -151,7 +171,10 @@ def test_a_camera_that_returns_has_its_zones_back(days: float) -> None:
             assert ("hall" in names_known(learner)) == (days < 14)
         told(learner, passages(back, ["yard", "hall"]))
         assert {camera: zones_of(learner.topology, camera) for camera in PLACES} == before
-        told(learner, [msgspec.structs.replace(e, x=e.y, y=e.x) for e in passages(back + 20 * DAY, ["hall"])])
+        told(
+            learner,
+            [msgspec.structs.replace(e, x=e.y, y=e.x) for e in passages(back + 20 * DAY, ["hall"])],
+        )
         assert not before["hall"].keys() - {"hall/1", "hall/2"}
 
 
@@ -224,7 +247,9 @@ def test_saved_and_loaded_in_between_the_versions_are_the_same(cameras_max: int,
             broken.load(unpack(saved))
         assert len(names_known(straight)) <= cameras_max
     made += told(broken, [])
-    assert [(v.version, v.digest) for v in made] == [(v.version, v.digest) for v in told(straight, [])]
+    assert [(v.version, v.digest) for v in made] == [
+        (v.version, v.digest) for v in told(straight, [])
+    ]
     assert pack(unpack(pack(broken.save()))) == pack(unpack(pack(straight.save())))
     newest = {event.camera: event.t for event in events}
     lately = {camera for camera, t in newest.items() if t >= events[-1].t - 7 * DAY}
@@ -272,7 +297,9 @@ print(most() - before)
 
 
 def test_ten_thousand_names_take_little_memory() -> None:
-    run = subprocess.run([sys.executable, "-c", TEN_THOUSAND], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", TEN_THOUSAND], capture_output=True, text=True, check=True
+    )
     learned, names, fitted = (int(figure) for figure in run.stdout.split())
     assert names > 9_000
     assert learned < 100, "MB while they are learned"

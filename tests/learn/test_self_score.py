@@ -1,4 +1,6 @@
-"""The learner's marks for its own predictions: right where who is who is plain, near the truth where it is not."""
+"""The learner's marks for its own predictions: right where who is who is plain, near the truth
+where it is not.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,14 @@ import numpy as np
 import pytest
 
 from camtopod.learn.learner import Learner
-from camtopod.learn.self_score import EXITS_PER_VERSION, PROBABILITY_FLOOR, SCORED_MAX, Guess, Scorer, marks
+from camtopod.learn.self_score import (
+    EXITS_PER_VERSION,
+    PROBABILITY_FLOOR,
+    SCORED_MAX,
+    Guess,
+    Scorer,
+    marks,
+)
 from camtopod.learn.settings import Settings
 from camtopod.records import Event, SelfScore
 from camtopod.sim.score import next_entries
@@ -34,17 +43,26 @@ def test_leaving_is_an_outcome() -> None:
 def test_a_doubtful_outcome_counts_in_parts() -> None:
     mark = marks(GUESS, {"b": 0.5, "e": 0.3})
     assert (mark.followed, mark.top1, mark.top3) == (0.8, 0.5, 0.5)
-    assert mark.loss == pytest.approx(-0.5 * math.log(0.5) - 0.3 * math.log(0.04) - 0.2 * math.log(0.2))
+    assert mark.loss == pytest.approx(
+        -0.5 * math.log(0.5) - 0.3 * math.log(0.04) - 0.2 * math.log(0.2)
+    )
 
 
 def test_the_score_is_over_the_newest() -> None:
     scorer = Scorer()
     assert scorer.score() is None
     for version in range(2 * SCORED_MAX):
-        scorer.note(GUESS._replace(version=version), {"b": 1.0} if version >= SCORED_MAX else {"c": 1.0})
+        scorer.note(
+            GUESS._replace(version=version), {"b": 1.0} if version >= SCORED_MAX else {"c": 1.0}
+        )
     score = scorer.score()
     assert score is not None
-    assert (score.exits, score.since_version, score.top1, score.baseline_top1) == (SCORED_MAX, SCORED_MAX, 1.0, 0.0)
+    assert (score.exits, score.since_version, score.top1, score.baseline_top1) == (
+        SCORED_MAX,
+        SCORED_MAX,
+        1.0,
+        0.0,
+    )
 
 
 class Told(Scorer):
@@ -65,7 +83,9 @@ class Told(Scorer):
 @pytest.fixture(scope="module")
 def marked() -> tuple[list[Event], Learner, Told]:
     events, truth = simulate(
-        SimSettings(cameras=5, hours=0.8, seed=4, missed=0.05, clutter=0.05, objects_per_second=0.06)
+        SimSettings(
+            cameras=5, hours=0.8, seed=4, missed=0.05, clutter=0.05, objects_per_second=0.06
+        )
     )
     following = next_entries(events, truth)
     told = Told(
@@ -110,7 +130,9 @@ def test_a_version_publishes_the_score(marked: tuple[list[Event], Learner, Told]
     assert made[-1].score.exits <= EXITS_PER_VERSION * 2 * len(made)
 
 
-def test_it_is_the_same_from_any_order_of_arrival(marked: tuple[list[Event], Learner, Told]) -> None:
+def test_it_is_the_same_from_any_order_of_arrival(
+    marked: tuple[list[Event], Learner, Told],
+) -> None:
     events = marked[0][:400]
     shuffled = sorted(events, key=lambda event: event.t + 2 * np.sin(event.t * 1e3))
     one, other = Learner(Settings(refit_share=0.5)), Learner(Settings(refit_share=0.5))

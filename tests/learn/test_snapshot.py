@@ -21,11 +21,20 @@ SETTINGS = Settings(refit_share=0.3, window_events_max=2500)
 NETWORKS = {
     "usual": SimSettings(seed=3, cameras=5, hours=0.8, objects_per_second=0.1),
     "hard": SimSettings(
-        seed=4, cameras=5, hours=0.8, objects_per_second=0.1, clock_max=20.0, clock_share=0.4,
-        moved=(("cam02", 1200.0),), lost=(("cam03", 900.0, 1500.0),), platoons=0.5,
+        seed=4,
+        cameras=5,
+        hours=0.8,
+        objects_per_second=0.1,
+        clock_max=20.0,
+        clock_share=0.4,
+        moved=(("cam02", 1200.0),),
+        lost=(("cam03", 900.0, 1500.0),),
+        platoons=0.5,
     ),
-    "bare": SimSettings(seed=5, cameras=4, hours=0.8, objects_per_second=0.1, positions=False, tracks=False),
-}  # fmt: skip
+    "bare": SimSettings(
+        seed=5, cameras=4, hours=0.8, objects_per_second=0.1, positions=False, tracks=False
+    ),
+}
 
 
 @lru_cache
@@ -52,8 +61,9 @@ def learned(
     left_at: int = -1,
     left: list[bytes] | None = None,
 ) -> list[tuple[int, str]]:
-    """(version, digest) of all that is learned to the end, by a learner that is replaced by its snapshot at each of
-    ``points``. At ``left_at`` a snapshot of its double goes to ``left``, from which so much can be learned again.
+    """(version, digest) of all that is learned to the end, by a learner that is replaced by its
+    snapshot at each of ``points``. At ``left_at`` a snapshot of its double goes to ``left``, from
+    which so much can be learned again.
     """
     made = []
     for number, event in enumerate(events):
@@ -108,7 +118,9 @@ def test_restored_anywhere_the_versions_are_the_same(name: str) -> None:
 
 
 def test_restored_with_screening_the_versions_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is followed of each zone depends on when it was last looked at: only a few are in each fit."""
+    """What is followed of each zone depends on when it was last looked at: only a few are in each
+    fit.
+    """
     monkeypatch.setattr(screening, "LOOKS_MIN", 1)
     monkeypatch.setattr(screening, "LOOKS_PER_EVENT", 3)
     rules, events = msgspec.structs.replace(SETTINGS, candidates_max=20_000), events_of("usual")
@@ -117,7 +129,9 @@ def test_restored_with_screening_the_versions_are_the_same(monkeypatch: pytest.M
         """Once more a snapshot after two thirds."""
         with monkeypatch.context() as patch:
             patch.setattr(Learner, "load", forgetting if forgetful else Learner.load)
-            return learned(restored(left[0], rules=rules), events[half:], {2 * len(events) // 3 - half}, rules)
+            return learned(
+                restored(left[0], rules=rules), events[half:], {2 * len(events) // 3 - half}, rules
+            )
 
     def forgetting(learner: Learner, state: LearnerState) -> None:
         state.followed = {}
@@ -138,10 +152,14 @@ def test_a_thousand_restores() -> None:
     for name in NETWORKS:
         for seed in range(17):
             points = set(random.Random(seed).sample(range(len(events_of(name))), 20))
-            assert learned(Learner(SETTINGS, "s", "e"), events_of(name), points) == expected(name), (name, seed)
+            assert learned(Learner(SETTINGS, "s", "e"), events_of(name), points) == expected(
+                name
+            ), (name, seed)
 
 
-@pytest.mark.parametrize("part", ["intake", "window", "scorer", "cameras", "alarms", "since_fit", "learned"])
+@pytest.mark.parametrize(
+    "part", ["intake", "window", "scorer", "cameras", "alarms", "since_fit", "learned"]
+)
 def test_nothing_in_a_snapshot_is_without_effect(part: str) -> None:
     events, name = events_of("hard"), "hard"
     tail = events[int(0.9 * len(events)) :]
@@ -156,8 +174,13 @@ def test_nothing_in_a_snapshot_is_without_effect(part: str) -> None:
 
 def test_every_field_of_the_state_is_saved_by_a_learner_that_has_learned() -> None:
     empty, full = Learner(SETTINGS, "s", "e").save(), unpack(late("hard"))
-    same = [name for name in LearnerState.__struct_fields__ if _packed(full, name) == _packed(empty, name)]
-    # Nothing is followed of so few cameras, none has left, and what is moved or doubled is said at once.
+    same = [
+        name
+        for name in LearnerState.__struct_fields__
+        if _packed(full, name) == _packed(empty, name)
+    ]
+    # Nothing is followed of so few cameras, none has left, and what is moved or doubled is said at
+    # once.
     assert sorted(same) == ["doubled", "epoch", "followed", "left", "moved", "settings", "site"]
 
 

@@ -1,4 +1,6 @@
-"""In place of `camtopod.serve.learner_process.worker`: a learner to which an event does what its track says."""
+"""In place of `camtopod.serve.learner_process.worker`: a learner to which an event does what its
+track says.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""In place of `camtopod.serve.learner_process.worker`: a learner of which the first two versions of epoch E come at once."""
+"""In place of `camtopod.serve.learner_process.worker`: a learner of which the first two versions of
+epoch E come at once.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""In place of `camtopod.serve.learner_process.worker`: the same of a later release, with another format of the snapshot."""
+"""In place of `camtopod.serve.learner_process.worker`: the same of a later release, with another
+format of the snapshot.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What is worked out ahead for a prediction at the exit, against the longer way and against what it was taken from."""
+"""What is worked out ahead for a prediction at the exit, against the longer way and against what it
+was taken from.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +22,23 @@ from camtopod.records import Event
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**6))
 def test_at_the_exit_odds_and_windows_are_those_of_the_longer_way(seed: int) -> None:
-    """Whatever the clocks, the passage, and what has come; the longer way is the one of who is asked later."""
+    """Whatever the clocks, the passage, and what has come; the longer way is the one of who is
+    asked later.
+    """
     rng = np.random.default_rng(seed)
     topology = any_topology(rng)
     offsets = rng.choice([0.0, 3.0, -2.0], 3) * (rng.random() < 0.7)
-    cameras = [replace(c, clock_offset=float(o)) for c, o in zip(topology.cameras, offsets, strict=True)]
+    cameras = [
+        replace(c, clock_offset=float(o)) for c, o in zip(topology.cameras, offsets, strict=True)
+    ]
     predictor = Predictor(replace(topology, cameras=cameras))
     in_step = rng.random() < 0.3  # cameras that look once a second
     for t in np.sort(rng.uniform(0, 45, int(rng.integers(0, 40)))):
         t = np.floor(t) if in_step else t
         kind, track = "exit" if rng.random() < 0.3 else "entry", str(rng.integers(0, 4))
-        event = Event(str(rng.choice(list("abc"))), kind, float(t), float(rng.choice([0.2, 0.8])), 0.55, track)
+        event = Event(
+            str(rng.choice(list("abc"))), kind, float(t), float(rng.choice([0.2, 0.8])), 0.55, track
+        )
         predictor.observe(event)
     for zone, name in enumerate(zone.camera for zone in predictor.zones):
         ready = predictor._ready.of(zone)
@@ -41,12 +49,20 @@ def test_at_the_exit_odds_and_windows_are_those_of_the_longer_way(seed: int) -> 
         mass = predictor._odds(zone, ready, left, passage, observed=False)
         assert known.odds == pytest.approx(mass.sum(axis=1).tolist(), rel=1e-9)
         some = np.flatnonzero(mass.sum(axis=1) > 1e-9).tolist()
-        pace = predictor._paces.of_passage(passage and passage.entry, zone, passage and left - passage.t)
+        pace = predictor._paces.of_passage(
+            passage and passage.entry, zone, passage and left - passage.t
+        )
         lags = quantiles(mass[some], predictor._hazards.bins.edges)
-        assert [ready._lags(k, known) for k in some] == [pytest.approx(one, abs=1e-6) for one in lags]
-        assert [ready._lags(k, known) for k in some] == [pytest.approx(one, abs=1e-6) for one in lags], "asked again"
+        assert [ready._lags(k, known) for k in some] == [
+            pytest.approx(one, abs=1e-6) for one in lags
+        ]
+        assert [ready._lags(k, known) for k in some] == [
+            pytest.approx(one, abs=1e-6) for one in lags
+        ], "asked again"
         slowly = [ready.window(k, pace, usual) for k, usual in zip(some, lags, strict=True)]
-        assert ready.windows(some, pace, known) == [pytest.approx(one, abs=0.0011) for one in slowly]
+        assert ready.windows(some, pace, known) == [
+            pytest.approx(one, abs=0.0011) for one in slowly
+        ]
 
 
 @given(
@@ -84,4 +100,6 @@ def test_arrivals_by_zone_are_those_of_the_columns(came: list[tuple[int, int]]) 
                 newest = [(float(s), k) for k, (s, v) in enumerate(came[: n + 1]) if v == one][-7:]
                 known = [(s, k) for s, k in heard if k >= counts]
                 assert known == sorted((s, k) for s, k in newest if k > n - 7)
-                assert [arrivals.rate[k - arrivals.dropped] for _, k in known] == [k for _, k in known]
+                assert [arrivals.rate[k - arrivals.dropped] for _, k in known] == [
+                    k for _, k in known
+                ]

@@ -1,4 +1,6 @@
-"""Asked again after the exit: what has not come by then shifts the odds to the rest, what has may have been it."""
+"""Asked again after the exit: what has not come by then shifts the odds to the rest, what has may
+have been it.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,17 @@ from test_predictor import (
 from camtopod.predict import predictor as module
 from camtopod.predict import recent_events
 from camtopod.predict.predictor import Predictor
-from camtopod.records import Event, Histogram, Link, Onward, Outcome, Pace, Prediction, Topology, Way
+from camtopod.records import (
+    Event,
+    Histogram,
+    Link,
+    Onward,
+    Outcome,
+    Pace,
+    Prediction,
+    Topology,
+    Way,
+)
 from camtopod.sim.score import PredictionScore, score_predictions
 from camtopod.topology.lag_bins import LagBins
 from camtopod.topology.shared_constants import LEAVE_FLOOR
@@ -68,7 +80,9 @@ def test_who_came_when_due_was_it() -> None:
     came = later(14.0, [AT_B])
     assert chances(came)["b/1"] > 0.98
     assert 7.0 < came.next_[0].q10 <= 8.0 <= came.next_[0].q90 < 9.0
-    assert chances(later(14.0, [replace(AT_B, t=1002.0)])).get("b/1", 0.0) < 0.01, "too early for it"
+    assert chances(later(14.0, [replace(AT_B, t=1002.0)])).get("b/1", 0.0) < 0.01, (
+        "too early for it"
+    )
     back = Event("a", "entry", 1030.0, 0.9, 0.5, "5")
     assert chances(later(40.0, [back]))["a/2"] > 0.97, "at the same camera"
     twice = chances(later(25.0, [AT_B, replace(AT_B, camera="c", t=1020.0)]))
@@ -97,7 +111,9 @@ def test_at_the_exit_the_answer_is_that_of_the_exit(topology: Topology) -> None:
     predictor.observe(EXIT)
     again = predictor.predict(EXIT, EXIT.t)
     assert chances(again) == pytest.approx(chances(at_exit), abs=1e-3)
-    assert [(n.q10, n.q50, n.q90) for n in again.next_] == [(n.q10, n.q50, n.q90) for n in at_exit.next_]
+    assert [(n.q10, n.q50, n.q90) for n in again.next_] == [
+        (n.q10, n.q50, n.q90) for n in at_exit.next_
+    ]
 
 
 def test_an_exit_does_not_compete_with_itself() -> None:
@@ -118,22 +134,32 @@ def test_an_exit_does_not_compete_with_itself() -> None:
 
 
 def test_clocks_are_taken_as_they_are() -> None:
-    """That of b is 5 s ahead: who came there by right time after 8 s has not been heard of before 13 s."""
-    ahead = replace(THREE, cameras=[replace(c, clock_offset=5.0 * (c.id == "b")) for c in THREE.cameras])
+    """That of b is 5 s ahead: who came there by right time after 8 s has not been heard of before
+    13 s.
+    """
+    ahead = replace(
+        THREE, cameras=[replace(c, clock_offset=5.0 * (c.id == "b")) for c in THREE.cameras]
+    )
     assert chances(later(11.0, [], THREE)).get("b/1", 0.0) < 0.05
     waiting = later(11.0, [], ahead)
     assert chances(waiting)["b/1"] > 0.45
     assert 11.0 <= waiting.next_[0].q10 <= waiting.next_[0].q50 == pytest.approx(13.0, abs=1.0)
     assert chances(later(19.0, [], ahead)).get("b/1", 0.0) < 0.01
     came = replace(AT_B, t=1013.0)
-    assert chances(later(12.9, [came], ahead)) == pytest.approx(chances(later(12.9, [], ahead)), abs=1e-3)
+    assert chances(later(12.9, [came], ahead)) == pytest.approx(
+        chances(later(12.9, [], ahead)), abs=1e-3
+    )
     assert chances(later(13.1, [came], ahead))["b/1"] > 0.98
 
 
 def test_who_was_slow_is_awaited_for_longer() -> None:
-    """Three times as long in this view as usual, and the next way takes as much longer: 8 s are 24 s."""
+    """Three times as long in this view as usual, and the next way takes as much longer: 8 s are 24
+    s.
+    """
     pace = Pace(1.0, 1.0, 0.3, [Way("a/2", "a/1", 10.0)])
-    walk = replace(a_topology([link("a/1", "b/1", 0.8, 8.0)]), model=replace(THREE.model, pace=pace))
+    walk = replace(
+        a_topology([link("a/1", "b/1", 0.8, 8.0)]), model=replace(THREE.model, pace=pace)
+    )
     entered = replace(ENTERED, x=0.9, y=0.5)
     usual, slow = [entered], [replace(entered, t=970.0)]
     assert chances(later(15.0, usual, walk)).get("b/1", 0.0) < 0.02
@@ -154,7 +180,9 @@ def an_onward(leave: float, doubt: float) -> Topology:
 
 
 def test_what_may_as_well_have_been_chance_is_gone_from_the_exit_on() -> None:
-    """Nine in ten never were on their way to b; when the tenth does not come either they are still gone."""
+    """Nine in ten never were on their way to b; when the tenth does not come either they are still
+    gone.
+    """
     assert chances(later(0.0, [], an_onward(0.05, 0.9)))["b/1"] == pytest.approx(0.095, abs=0.001)
     halfway = later(8.0, [], an_onward(0.05, 0.9))
     assert 0.02 < chances(halfway)["b/1"] < 0.08
@@ -163,7 +191,9 @@ def test_what_may_as_well_have_been_chance_is_gone_from_the_exit_on() -> None:
 
 def test_who_can_only_come_and_does_not_is_gone() -> None:
     assert later(9.5, [], an_onward(0.0, 0.0)).leave == 1.0
-    assert later(7.0, [], an_onward(0.0, 0.0)).leave == pytest.approx(LEAVE_FLOOR / (LEAVE_FLOOR + 0.95), rel=0.01)
+    assert later(7.0, [], an_onward(0.0, 0.0)).leave == pytest.approx(
+        LEAVE_FLOOR / (LEAVE_FLOOR + 0.95), rel=0.01
+    )
 
 
 def test_arrivals_that_are_forgotten_may_have_been_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,7 +212,9 @@ def test_arrivals_that_are_forgotten_may_have_been_it(monkeypatch: pytest.Monkey
 def test_nobody_is_asked_about_before_leaving(now: float) -> None:
     predictor = Predictor(THREE)
     for event in (EXIT, replace(EXIT, camera="unknown"), replace(EXIT, camera="d", x=0.5)):
-        with pytest.raises(ValueError, match=r"now is .*: give the time of the exit, 1000\.0, or a later one"):
+        with pytest.raises(
+            ValueError, match=r"now is .*: give the time of the exit, 1000\.0, or a later one"
+        ):
             predictor.predict(event, now)
     with pytest.raises(ValueError, match="now is"):
         predictor.predict_from(0, 1000.0, now=now)
@@ -214,7 +246,9 @@ def test_on_a_made_up_network_more_is_known_later() -> None:
                 del waiting[0]
             predictor.observe(event)
             if event.kind == "exit" and k < cut:
-                said.append(Prediction(event.camera, None, event.t, None, 1, 1.0, []))  # does not count
+                said.append(
+                    Prediction(event.camera, None, event.t, None, 1, 1.0, [])
+                )  # does not count
             elif event.kind == "exit":
                 waiting.append(event)
         said += [predictor.predict(event, event.t + seconds) for event in waiting]

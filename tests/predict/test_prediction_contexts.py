@@ -1,4 +1,6 @@
-"""What a context says about where the object goes: backed off as by hand, and read off what was learned."""
+"""What a context says about where the object goes: backed off as by hand, and read off what was
+learned.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,16 @@ from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.predict.contexts import Surroundings
 from camtopod.predict.hazards import Outcomes
-from camtopod.records import TOPOLOGY_SCHEMA, Camera, Context, Event, Model, Prediction, Topology, Zone
+from camtopod.records import (
+    TOPOLOGY_SCHEMA,
+    Camera,
+    Context,
+    Event,
+    Model,
+    Prediction,
+    Topology,
+    Zone,
+)
 from camtopod.topology.grid import BLOCKS_ACROSS, POSITION_ONE, block_of, blocks_of
 from camtopod.topology.shared_constants import BACK_OFF_DEPARTURES, LEAVE_FLOOR, MULTIPLIER_MAX
 
@@ -23,30 +34,47 @@ def topology_with(contexts: list[Context] | None) -> Topology:
     zones = [Zone(name, name[0], 10, 10) for name in NAMES]
     cameras = [Camera(name, [zone.id for zone in zones if zone.camera == name]) for name in "abc"]
     model = Model(4.0, 0.1, -20.0, 120.0, [], [], contexts=contexts)
-    return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 80, "", cameras, zones, [], [], model=model)
+    return Topology(
+        TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 80, "", cameras, zones, [], [], model=model
+    )
 
 
 def outcomes(share: list[float], leave: float) -> Outcomes:
     """From a/1 to b/1 and c/1."""
-    return Outcomes([2, 3], np.array(share), leave, np.zeros((2, 1)), np.ones(1), np.zeros(2), np.zeros(2))
+    return Outcomes(
+        [2, 3], np.array(share), leave, np.zeros((2, 1)), np.ones(1), np.zeros(2), np.zeros(2)
+    )
 
 
 SHARES = st.just(0.0) | st.floats(1e-4, 0.5)
 COUNTS = st.tuples(*[st.just(0.0) | st.floats(1e-4, 50)] * 3)
 SURE = st.just(0.0) | st.floats(1e-4, 1.2)
 KEYS: list[tuple[str | None, int | None, str | None]] = [
-    ("a/2", None, None), (None, 5, None), ("a/2", 5, None), (None, None, "c"),
-]  # fmt: skip
+    ("a/2", None, None),
+    (None, 5, None),
+    ("a/2", 5, None),
+    (None, None, "c"),
+]
 
 
 @given(
-    st.lists(st.none() | COUNTS, min_size=4, max_size=4), SHARES, SHARES, SHARES,
-    st.booleans(), st.booleans(), SURE | st.none(),
-)  # fmt: skip
+    st.lists(st.none() | COUNTS, min_size=4, max_size=4),
+    SHARES,
+    SHARES,
+    SHARES,
+    st.booleans(),
+    st.booleans(),
+    SURE | st.none(),
+)
 def test_multipliers_equal_their_slow_twin(
-    counts: list[tuple[float, float, float] | None], b: float, c: float, leave: float, entered: bool, placed: bool,
+    counts: list[tuple[float, float, float] | None],
+    b: float,
+    c: float,
+    leave: float,
+    entered: bool,
+    placed: bool,
     sure: float | None,
-) -> None:  # fmt: skip
+) -> None:
     rows, steps = [], []
     told = [entered, placed, entered and placed, sure is not None]
     for key, count, asked in zip(KEYS, counts, told, strict=True):
@@ -55,37 +83,54 @@ def test_multipliers_equal_their_slow_twin(
             entry, block, previous = key
             rows.append(Context("a/1", n, {"b/1": to_b, "c/1": to_c}, entry, block, previous))
         if asked:
-            steps.append((n, {2: to_b, 3: to_c}, min(sure, 1.0) if key[2] and sure is not None else 1.0))
+            steps.append(
+                (n, {2: to_b, 3: to_c}, min(sure, 1.0) if key[2] and sure is not None else 1.0)
+            )
     surroundings = Surroundings(topology_with(rows))
     fast, leaving = surroundings.multipliers(
-        0, outcomes([b, c], leave), 5 if placed else None, 1 if entered else None, "c" if sure is not None else None,
+        0,
+        outcomes([b, c], leave),
+        5 if placed else None,
+        1 if entered else None,
+        "c" if sure is not None else None,
         sure or 0.0,
-    )  # fmt: skip
+    )
     if not rows:
         assert (fast, leaving) == ([1.0, 1.0], leave)
         return
-    slow, stays = naive.surroundings({2: b, 3: c}, leave, steps, BACK_OFF_DEPARTURES, MULTIPLIER_MAX, LEAVE_FLOOR)
+    slow, stays = naive.surroundings(
+        {2: b, 3: c}, leave, steps, BACK_OFF_DEPARTURES, MULTIPLIER_MAX, LEAVE_FLOOR
+    )
     assert fast == [pytest.approx(slow[2]), pytest.approx(slow[3])]
     assert leaving == pytest.approx(stays)
 
 
 @pytest.mark.parametrize("contexts", [None, [], [Context("b/1", 30.0, {"c/1": 30.0}, block=5)]])
 def test_a_zone_without_contexts_knows_nothing_more(contexts: list[Context] | None) -> None:
-    likelier, leave = Surroundings(topology_with(contexts)).multipliers(0, outcomes([0.4, 0.4], 0.2), 5, 1, "c", 1.0)
+    likelier, leave = Surroundings(topology_with(contexts)).multipliers(
+        0, outcomes([0.4, 0.4], 0.2), 5, 1, "c", 1.0
+    )
     assert likelier == [1.0, 1.0]
     assert leave == 0.2
 
 
 def test_without_a_model_too() -> None:
     plain = Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 0, "", [], [], [], [])
-    assert Surroundings(plain).multipliers(0, outcomes([0.4, 0.4], 0.2), 5, 1, "c", 1.0)[0] == [1.0, 1.0]
+    assert Surroundings(plain).multipliers(0, outcomes([0.4, 0.4], 0.2), 5, 1, "c", 1.0)[0] == [
+        1.0,
+        1.0,
+    ]
 
 
 def test_a_context_never_seen_says_nothing_and_a_rare_one_little() -> None:
-    rows = [Context("a/1", 0.5, {"b/1": 0.5}, block=7), Context("a/1", 500.0, {"b/1": 500.0}, block=8)]
+    rows = [
+        Context("a/1", 0.5, {"b/1": 0.5}, block=7),
+        Context("a/1", 500.0, {"b/1": 500.0}, block=8),
+    ]
     known = Surroundings(topology_with(rows))
     never, rare, often = (
-        known.multipliers(0, outcomes([0.4, 0.4], 0.2), block, None, None, 0.0)[0][0] for block in (6, 7, 8)
+        known.multipliers(0, outcomes([0.4, 0.4], 0.2), block, None, None, 0.0)[0][0]
+        for block in (6, 7, 8)
     )
     assert never == 1.0
     assert rare == pytest.approx(1.0, abs=0.2)
@@ -109,7 +154,9 @@ def test_no_position_no_block() -> None:
 
 
 def road(seed: int, vehicles: int) -> list[Event]:
-    """Five cameras in a row without positions; half of the vehicles go up the road, half go down."""
+    """Five cameras in a row without positions; half of the vehicles go up the road, half go
+    down.
+    """
     rng = np.random.default_rng(seed)
     events = []
     for k, t in enumerate(rng.uniform(0, 60.0 * vehicles, vehicles)):
@@ -136,8 +183,14 @@ def asked(events: list[Event], cut: int) -> list[tuple[Event, Prediction]]:
 
 
 def right(answers: list[tuple[Event, Prediction]], goes_to: dict[tuple[str, str], str]) -> float:
-    """Share of the answers whose likeliest next camera is right, of those that go on (by camera and track)."""
-    known = [(p, goes_to[e.camera, str(e.track)]) for e, p in answers if (e.camera, str(e.track)) in goes_to]
+    """Share of the answers whose likeliest next camera is right, of those that go on (by camera and
+    track).
+    """
+    known = [
+        (p, goes_to[e.camera, str(e.track)])
+        for e, p in answers
+        if (e.camera, str(e.track)) in goes_to
+    ]
     return float(np.mean([bool(p.next_) and p.next_[0].camera == camera for p, camera in known]))
 
 
@@ -147,21 +200,30 @@ def test_on_a_road_the_camera_before_says_which_way() -> None:
     goes_to = {
         (camera, str(k)): following
         for k in range(300)
-        for camera, following in (zip("bcd", "cde", strict=True) if k % 2 else zip("dcb", "cba", strict=True))
+        for camera, following in (
+            zip("bcd", "cde", strict=True) if k % 2 else zip("dcb", "cba", strict=True)
+        )
     }
     answers = asked(events, 2 * len(events) // 3)
     assert right(answers, goes_to) > 0.93
     forgetful = [Event(e.camera, e.kind, e.t) for e in events]  # no tracks: no direction
     by_time = {
-        (e.camera, str(e.t)): goes_to[e.camera, str(e.track)] for e in events if (e.camera, str(e.track)) in goes_to
+        (e.camera, str(e.t)): goes_to[e.camera, str(e.track)]
+        for e in events
+        if (e.camera, str(e.track)) in goes_to
     }
-    blind = [(Event(e.camera, e.kind, e.t, track=str(e.t)), p) for e, p in asked(forgetful, 2 * len(events) // 3)]
+    blind = [
+        (Event(e.camera, e.kind, e.t, track=str(e.t)), p)
+        for e, p in asked(forgetful, 2 * len(events) // 3)
+    ]
     assert 0.3 < right(blind, by_time) < 0.7
 
 
 @pytest.mark.parametrize("known", ["entry", "block"])
 def test_in_a_hall_where_they_came_in_or_left_says_where_they_go(known: str) -> None:
-    """Hall a has one way out. Who came in on the left, or leaves at its upper end, goes to b, the others to c."""
+    """Hall a has one way out. Who came in on the left, or leaves at its upper end, goes to b, the
+    others to c.
+    """
     rng = np.random.default_rng(1)
     events, goes_to = [], {}
     for k, t in enumerate(rng.uniform(0, 12_000, 400)):
@@ -172,7 +234,16 @@ def test_in_a_hall_where_they_came_in_or_left_says_where_they_go(known: str) -> 
         else:
             way_out = float(rng.uniform(0.35, 0.48) if left else rng.uniform(0.52, 0.65))
             y = 0.1
-        events.append(Event("a", "entry", t, float(np.clip(x, 0, 1)), float(y) if known == "block" else 0.9, str(k)))
+        events.append(
+            Event(
+                "a",
+                "entry",
+                t,
+                float(np.clip(x, 0, 1)),
+                float(y) if known == "block" else 0.9,
+                str(k),
+            )
+        )
         events.append(Event("a", "exit", t + 5, 0.5 + float(rng.normal(0, 0.02)), way_out, str(k)))
         goes_to["a", str(k)] = camera = "b" if left else "c"
         events.append(Event(camera, "entry", t + 15 + float(rng.normal(0, 1)), 0.5, 0.5, str(k)))

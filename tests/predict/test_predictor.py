@@ -56,28 +56,53 @@ STAY = [float(k) for k in range(11)]
 """Deciles of passages of 0 to 10 s."""
 
 
-def link(from_: str, to: str, probability: float, median: float, histogram: Histogram | None = None) -> Link:
+def link(
+    from_: str, to: str, probability: float, median: float, histogram: Histogram | None = None
+) -> Link:
     transit = Transit(median, median, 1.0, median - 1.0, median, median + 1.0)
     relation = "overlapped" if median < 0 else "unseen"
     return Link(from_, to, relation, probability, 100 * probability, transit, 0.0, 0.1, histogram)
 
 
-def a_topology(links: list[Link], weak: list[Link] | None = None, stay: list[float] | None = None) -> Topology:
+def a_topology(
+    links: list[Link], weak: list[Link] | None = None, stay: list[float] | None = None
+) -> Topology:
     """Cameras a (two zones), b, c, d, each with a quarter of the events."""
     zones = [
-        Zone("a/1", "a", 100, 100, 0.1, 0.5, COV), Zone("a/2", "a", 100, 100, 0.9, 0.5, COV),
+        Zone("a/1", "a", 100, 100, 0.1, 0.5, COV),
+        Zone("a/2", "a", 100, 100, 0.9, 0.5, COV),
         *(Zone(f"{name}/1", name, 100, 100, 0.5, 0.5, COV) for name in "bcd"),
-    ]  # fmt: skip
+    ]
     model = Model(
-        4.0, 0.1, -20.0, 120.0,
+        4.0,
+        0.1,
+        -20.0,
+        120.0,
         [ZoneModel(zone.id, 100, 0.001, STAY if stay is None else stay) for zone in zones],
         [CameraModel(name, 0.25, 0.0) for name in "abcd"],
-    )  # fmt: skip
+    )
     cameras = [Camera(name, [zone.id for zone in zones if zone.camera == name]) for name in "abcd"]
-    return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 7, 0.0, 800, "", cameras, zones, links, [], weak or [], [], model)
+    return Topology(
+        TOPOLOGY_SCHEMA,
+        "hq",
+        "01J",
+        7,
+        0.0,
+        800,
+        "",
+        cameras,
+        zones,
+        links,
+        [],
+        weak or [],
+        [],
+        model,
+    )
 
 
-THREE = a_topology([link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.3, 20.0)], [link("a/1", "a/2", 0.1, 30.0)])
+THREE = a_topology(
+    [link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.3, 20.0)], [link("a/1", "a/2", 0.1, 30.0)]
+)
 EXIT = Event("a", "exit", 1000.0, 0.1, 0.5, "17")
 
 
@@ -102,9 +127,18 @@ def sound(prediction: Prediction) -> None:
 def test_without_further_knowledge_the_learned_shares() -> None:
     prediction = Predictor(THREE).predict(EXIT)
     sound(prediction)
-    assert (prediction.camera, prediction.zone, prediction.t, prediction.track) == ("a", "a/1", 1000.0, "17")
+    assert (prediction.camera, prediction.zone, prediction.t, prediction.track) == (
+        "a",
+        "a/1",
+        1000.0,
+        "17",
+    )
     assert prediction.version == 7
-    assert [(found.camera, found.zone) for found in prediction.next_] == [("b", "b/1"), ("c", "c/1"), ("a", "a/2")]
+    assert [(found.camera, found.zone) for found in prediction.next_] == [
+        ("b", "b/1"),
+        ("c", "c/1"),
+        ("a", "a/2"),
+    ]
     assert chances(prediction) == pytest.approx({"b/1": 0.5, "c/1": 0.3, "a/2": 0.1}, abs=0.001)
     assert prediction.leave == pytest.approx(0.1, abs=0.001)
     for found, median in zip(prediction.next_, (8.0, 20.0, 30.0), strict=True):
@@ -122,7 +156,9 @@ def test_a_histogram_says_more_than_quantiles() -> None:
     (found,) = Predictor(a_topology([two])).predict(EXIT).next_
     assert found.q10 == pytest.approx(8.0, abs=3.0)
     assert found.q90 == pytest.approx(40.0, abs=15.0)
-    beyond = link("a/1", "b/1", 0.5, 20.0, Histogram(10_000, [1.0]))  # bins this range does not have
+    beyond = link(
+        "a/1", "b/1", 0.5, 20.0, Histogram(10_000, [1.0])
+    )  # bins this range does not have
     assert Predictor(a_topology([beyond])).predict(EXIT).next_ == []
 
 
@@ -153,9 +189,13 @@ def test_a_zone_without_shape_is_the_last_choice() -> None:
 
 
 def test_zones_as_narrow_as_a_line() -> None:
-    """Foot points on the lower edge of the image have no spread in y; x still tells the zones apart."""
+    """Foot points on the lower edge of the image have no spread in y; x still tells the zones
+    apart.
+    """
     line = [[0.0004, 0.0], [0.0, 0.0]]
-    zones = [replace(z, y=1.0, cov=line, entries=100 + 50 * k) for k, z in enumerate(THREE.zones[:2])]
+    zones = [
+        replace(z, y=1.0, cov=line, entries=100 + 50 * k) for k, z in enumerate(THREE.zones[:2])
+    ]
     predictor = Predictor(replace(THREE, zones=[*zones, *THREE.zones[2:]]))
     assert [predictor.predict(replace(EXIT, x=x, y=1.0)).zone for x in (0.1, 0.9)] == ["a/1", "a/2"]
 
@@ -176,12 +216,16 @@ def test_a_topology_that_has_only_what_the_contract_asks() -> None:
 
 
 def test_links_to_zones_that_are_not_there_are_left_out() -> None:
-    odd = a_topology([link("a/1", "b/1", 0.5, 8.0), link("a/1", "z/1", 0.4, 8.0), link("z/1", "a/1", 0.4, 8.0)])
+    odd = a_topology(
+        [link("a/1", "b/1", 0.5, 8.0), link("a/1", "z/1", 0.4, 8.0), link("z/1", "a/1", 0.4, 8.0)]
+    )
     assert list(chances(Predictor(odd).predict(EXIT))) == ["b/1"]
 
 
 def test_hardly_likely_outcomes_are_left_out() -> None:
-    rare = a_topology([link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.1 * NEXT_PROBABILITY_MIN, 8.0)])
+    rare = a_topology(
+        [link("a/1", "b/1", 0.5, 8.0), link("a/1", "c/1", 0.1 * NEXT_PROBABILITY_MIN, 8.0)]
+    )
     prediction = Predictor(rare).predict(EXIT)
     sound(prediction)
     assert list(chances(prediction)) == ["b/1"]
@@ -212,7 +256,9 @@ def test_who_has_been_seen_in_the_overlapping_view_is_there() -> None:
 
 
 def test_who_has_not_been_seen_there_is_not() -> None:
-    """The share of the overlapped view, 0.4, is gone; the others are as likely beside each other as before."""
+    """The share of the overlapped view, 0.4, is gone; the others are as likely beside each other as
+    before.
+    """
     prediction = after([ENTERED])
     assert chances(prediction).get("d/1", 0.0) < 0.01
     assert chances(prediction)["b/1"] == pytest.approx(0.3 / 0.6, abs=0.01)
@@ -243,7 +289,9 @@ def test_without_a_track_the_usual_stays_count() -> None:
 def test_others_who_may_be_the_one_seen_lower_the_chance() -> None:
     """Another object leaving at the same time, or still in the view, may be the one seen at d."""
     alone = chances(after([ENTERED, THERE]))["d/1"]
-    two = chances(after([ENTERED, replace(ENTERED, track="18"), THERE, replace(EXIT, t=999.9, track="18")]))["d/1"]
+    two = chances(
+        after([ENTERED, replace(ENTERED, track="18"), THERE, replace(EXIT, t=999.9, track="18")])
+    )["d/1"]
     inside = chances(after([ENTERED, replace(ENTERED, track="18"), THERE]))["d/1"]
     crowd = [replace(ENTERED, track=str(k)) for k in range(100, 160)]
     crowded = chances(after([ENTERED, *crowd, THERE]))["d/1"]
@@ -261,7 +309,9 @@ def test_an_event_that_comes_late_hides_nobody_who_was_heard_of_before_it() -> N
 def test_a_silent_camera_is_not_where_they_appear() -> None:
     talk = [Event(camera, "entry", 900.0 + k, 0.5, 0.5) for k in range(30) for camera in "abd"]
     silent = after(talk, THREE)
-    assert chances(silent)["b/1"] == pytest.approx(chances(Predictor(THREE).predict(EXIT))["b/1"], rel=0.5)
+    assert chances(silent)["b/1"] == pytest.approx(
+        chances(Predictor(THREE).predict(EXIT))["b/1"], rel=0.5
+    )
     assert chances(silent).get("c/1", 0.0) < 1e-3
     heard = after([*talk, Event("c", "exit", 950.0)], THREE)
     assert chances(heard)["c/1"] == pytest.approx(0.3, abs=0.01)
@@ -286,7 +336,12 @@ def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes["in view"] = sum(map(len, predictor._under_way._in_view.values()))
     state = predictor.save()
     assert (
-        max(sizes.values()) == sizes["in view"] == sizes["_ended"] == len(state.under_way) == len(state.arrivals) == 7
+        max(sizes.values())
+        == sizes["in view"]
+        == sizes["_ended"]
+        == len(state.under_way)
+        == len(state.arrivals)
+        == 7
     )
     assert len(predictor._exits.after(-math.inf)[0]) == 7
     assert len(predictor._arrivals.t) == len(predictor._exits.t) == 14
@@ -294,14 +349,21 @@ def test_what_is_remembered_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_newer_version_remembers_what_has_been_seen() -> None:
     predictor = Predictor(OVERLAP)
-    events = [ENTERED, THERE, replace(EXIT, t=999.0, track="9"), *(Event("b", "entry", 995.0, 0.5, 0.5) for _ in "xy")]
+    events = [
+        ENTERED,
+        THERE,
+        replace(EXIT, t=999.0, track="9"),
+        *(Event("b", "entry", 995.0, 0.5, 0.5) for _ in "xy"),
+    ]
     for event in events:
         predictor.observe(event)
     reordered = replace(OVERLAP, version=8, zones=OVERLAP.zones[::-1])
     followed = predictor.follow(reordered)
     assert replace(followed.predict(EXIT), version=7) == predictor.predict(EXIT)
     gone = replace(OVERLAP, version=8, zones=[z for z in OVERLAP.zones if z.camera != "d"])
-    gone = replace(gone, model=replace(gone.model, zones=[z for z in gone.model.zones if z.zone != "d/1"]))
+    gone = replace(
+        gone, model=replace(gone.model, zones=[z for z in gone.model.zones if z.zone != "d/1"])
+    )
     prediction = predictor.follow(gone).predict(EXIT)
     sound(prediction)
     assert list(chances(prediction)) == ["b/1"]
@@ -313,7 +375,9 @@ def test_what_a_newer_version_remembers_is_as_if_it_had_come_again(left: int, co
     rng = np.random.default_rng(count)
     before, expected = recent_events.RecentArrivals(), recent_events.RecentArrivals()
     exits, exits_expected = recent_events.Recent(), recent_events.Recent()
-    for t in np.round(np.arange(count) / 10 + rng.normal(size=count), 1).tolist():  # not quite by time, some at once
+    for t in np.round(
+        np.arange(count) / 10 + rng.normal(size=count), 1
+    ).tolist():  # not quite by time, some at once
         before.append(t, int(rng.integers(5)), float(rng.random()))
         exits.append(t, int(rng.integers(5)))
     moved = dict(zip(range(5 - left, 5), rng.permutation(7).tolist(), strict=False))
@@ -327,8 +391,14 @@ def test_what_a_newer_version_remembers_is_as_if_it_had_come_again(left: int, co
     take_over_arrivals(arrivals, before, moved)
     take_over_exits(exits_now, exits, moved)
     for one, wanted in ((arrivals, expected), (exits_now, exits_expected)):
-        assert {name: np.asarray(value).tolist() for name, value in vars(one).items() if name != "of_zone"} == {
-            name: np.asarray(value).tolist() for name, value in vars(wanted).items() if name != "of_zone"
+        assert {
+            name: np.asarray(value).tolist()
+            for name, value in vars(one).items()
+            if name != "of_zone"
+        } == {
+            name: np.asarray(value).tolist()
+            for name, value in vars(wanted).items()
+            if name != "of_zone"
         }
     assert arrivals.of_zone == expected.of_zone
 
@@ -351,9 +421,11 @@ def test_an_old_version_is_gone_without_a_collector() -> None:
 
 def test_a_camera_that_is_new_in_a_version_has_not_been_silent() -> None:
     small = replace(
-        THREE, zones=[z for z in THREE.zones if z.camera != "c"], links=THREE.links[:1],
+        THREE,
+        zones=[z for z in THREE.zones if z.camera != "c"],
+        links=THREE.links[:1],
         model=replace(THREE.model, zones=[z for z in THREE.model.zones if z.zone != "c/1"]),
-    )  # fmt: skip
+    )
     predictor = Predictor(small)
     for k in range(60):
         predictor.observe(Event("abd"[k % 3], "entry", 900.0, 0.5, 0.5))
@@ -364,21 +436,31 @@ def test_a_camera_that_is_new_in_a_version_has_not_been_silent() -> None:
 
 NAMES = ["a/1", "a/2", "b/1", "c/1", "d/1"]
 LINKS = st.lists(
-    st.builds(link, st.sampled_from(NAMES), st.sampled_from(NAMES), st.floats(0, 1), st.floats(-19, 110)),
-    max_size=8, unique_by=lambda item: (item.from_, item.to),
-)  # fmt: skip
+    st.builds(
+        link, st.sampled_from(NAMES), st.sampled_from(NAMES), st.floats(0, 1), st.floats(-19, 110)
+    ),
+    max_size=8,
+    unique_by=lambda item: (item.from_, item.to),
+)
 EVENTS = st.lists(
     st.builds(
-        Event, st.sampled_from("abcde"), st.sampled_from(["entry", "exit"]), st.floats(0, 60), st.just(0.4),
-        st.just(0.5), st.sampled_from([None, "1", "2"]),
+        Event,
+        st.sampled_from("abcde"),
+        st.sampled_from(["entry", "exit"]),
+        st.floats(0, 60),
+        st.just(0.4),
+        st.just(0.5),
+        st.sampled_from([None, "1", "2"]),
     ),
     max_size=30,
-)  # fmt: skip
+)
 
 
 @settings(max_examples=60)
 @given(LINKS, LINKS, st.sampled_from([[], STAY, [0.0] * 11]), EVENTS)
-def test_every_prediction_is_sound(links: list[Link], weak: list[Link], stay: list[float], events: list[Event]) -> None:
+def test_every_prediction_is_sound(
+    links: list[Link], weak: list[Link], stay: list[float], events: list[Event]
+) -> None:
     weak = [w for w in weak if (w.from_, w.to) not in {(x.from_, x.to) for x in links}]
     predictor = Predictor(a_topology(links, weak, stay))
     for event in sorted(events, key=lambda e: e.t):
@@ -389,15 +471,26 @@ def test_every_prediction_is_sound(links: list[Link], weak: list[Link], stay: li
 # --- the whole of it, against its slow twin ---
 
 CONSTANTS = (
-    BACK_OFF_DEPARTURES, MULTIPLIER_MAX, LEAVE_FLOOR, module.DEAD_PRIOR, NEXT_PROBABILITY_MIN, module.RATE_MIN,
-    STAY_SECONDS_MIN, SLOWNESS_MAX,
-)  # fmt: skip
+    BACK_OFF_DEPARTURES,
+    MULTIPLIER_MAX,
+    LEAVE_FLOOR,
+    module.DEAD_PRIOR,
+    NEXT_PROBABILITY_MIN,
+    module.RATE_MIN,
+    STAY_SECONDS_MIN,
+    SLOWNESS_MAX,
+)
 SMALL = LagBins(-20.0, 60.0)
 
 
 def any_pace(rng: np.random.Generator, names: list[str]) -> Pace | None:
     """How slow somebody is persists, as far as ways through a view are known."""
-    ways = [Way(a, b, float(rng.uniform(1, 30))) for a in names for b in names if a[0] == b[0] and rng.random() < 0.7]
+    ways = [
+        Way(a, b, float(rng.uniform(1, 30)))
+        for a in names
+        for b in names
+        if a[0] == b[0] and rng.random() < 0.7
+    ]
     return Pace(1.0, float(rng.random()), 0.3, ways) if rng.random() < 0.7 else None
 
 
@@ -406,37 +499,66 @@ def any_topology(rng: np.random.Generator) -> Topology:
 
     def histogram(low: int, high: int, mass: float) -> Histogram:
         first = int(rng.integers(low, high - 3))
-        return Histogram(first, (mass * rng.dirichlet(np.ones(int(rng.integers(1, high - first))))).tolist())
+        return Histogram(
+            first, (mass * rng.dirichlet(np.ones(int(rng.integers(1, high - first))))).tolist()
+        )
 
     names = ["a/1", "a/2", "b/1", "c/1"]
-    zones = [Zone(n, n[0], 50, int(rng.integers(1, 90)), 0.2 if n != "a/2" else 0.8, 0.5, COV) for n in names]
+    zones = [
+        Zone(n, n[0], 50, int(rng.integers(1, 90)), 0.2 if n != "a/2" else 0.8, 0.5, COV)
+        for n in names
+    ]
     onward, entered, contexts = [], [], []
     for name in names:
         targets = [n for n in names if rng.random() < 0.7]
         share = rng.dirichlet(np.ones(len(targets) + 1))
         if targets:
             following = [
-                Outcome(n, s, histogram(-24, 34, s), rng.random()) for n, s in zip(targets, share, strict=False)
+                Outcome(n, s, histogram(-24, 34, s), rng.random())
+                for n, s in zip(targets, share, strict=False)
             ]
             onward.append(Onward(name, max(float(share[-1]), 0.02), following))
         else:
             onward.append(Onward(name, 1.0, []))
         entered += [
-            EntryKernel(name, n, histogram(0, 34, 0.5)) for n in names if n[0] != name[0] and rng.random() < 0.5
+            EntryKernel(name, n, histogram(0, 34, 0.5))
+            for n in names
+            if n[0] != name[0] and rng.random() < 0.5
         ]
-        for entry, block, previous in (("a/2", None, None), (None, 19, None), ("a/2", 19, None), (None, None, "b")):
+        for entry, block, previous in (
+            ("a/2", None, None),
+            (None, 19, None),
+            ("a/2", 19, None),
+            (None, None, "b"),
+        ):
             if rng.random() < 0.5:
                 counts = {n: float(rng.uniform(0, 9)) for n in targets}
-                contexts.append(Context(name, sum(counts.values()) * 1.2, counts, entry, block, previous))
-    stay = [[0.0, *np.sort(rng.uniform(0, 30, 9)).tolist(), 100.0] if rng.random() < 0.7 else [] for _ in names]
+                contexts.append(
+                    Context(name, sum(counts.values()) * 1.2, counts, entry, block, previous)
+                )
+    stay = [
+        [0.0, *np.sort(rng.uniform(0, 30, 9)).tolist(), 100.0] if rng.random() < 0.7 else []
+        for _ in names
+    ]
     model = Model(
-        SMALL.scale, SMALL.step, SMALL.lag_min, SMALL.lag_max,
-        [ZoneModel(n, 50, float(rng.uniform(0, 0.05)), s) for n, s in zip(names, stay, strict=True)],
+        SMALL.scale,
+        SMALL.step,
+        SMALL.lag_min,
+        SMALL.lag_max,
+        [
+            ZoneModel(n, 50, float(rng.uniform(0, 0.05)), s)
+            for n, s in zip(names, stay, strict=True)
+        ],
         [CameraModel(c, float(rng.uniform(0.1, 0.5)), 0.0) for c in "abc"],
-        onward=onward, entered=entered, contexts=contexts, pace=any_pace(rng, names),
-    )  # fmt: skip
+        onward=onward,
+        entered=entered,
+        contexts=contexts,
+        pace=any_pace(rng, names),
+    )
     cameras = [Camera(c, [n for n in names if n[0] == c]) for c in "abc"]
-    return Topology(TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 800, "", cameras, zones, [], [], model=model)
+    return Topology(
+        TOPOLOGY_SCHEMA, "hq", "01J", 1, 0.0, 800, "", cameras, zones, [], [], model=model
+    )
 
 
 @settings(max_examples=60, deadline=None)
@@ -445,10 +567,16 @@ def test_odds_equal_their_slow_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     topology = any_topology(rng)
     seen = [
-        Event(str(rng.choice(list("abc"))), "exit" if rng.random() < 0.4 else "entry", float(t),
-              float(rng.choice([0.2, 0.8])), 0.55, str(rng.integers(0, 4)) if rng.random() < 0.8 else None)
+        Event(
+            str(rng.choice(list("abc"))),
+            "exit" if rng.random() < 0.4 else "entry",
+            float(t),
+            float(rng.choice([0.2, 0.8])),
+            0.55,
+            str(rng.integers(0, 4)) if rng.random() < 0.8 else None,
+        )
         for t in np.sort(rng.uniform(0, 45, int(rng.integers(0, 30))))
-    ]  # fmt: skip
+    ]
     exit_ = Event(str(rng.choice(list("abc"))), "exit", 46.0, 0.2, 0.55, str(rng.integers(0, 4)))
     predictor = Predictor(topology)
     for event in seen:
@@ -465,15 +593,29 @@ def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
     """Whether the exit has been observed or not, and whatever has been since."""
     rng = np.random.default_rng(seed)
     topology = any_topology(rng)
-    exit_ = Event(str(rng.choice(list("abc"))), "exit", 20.0, 0.2, 0.55, "its" if rng.random() < 0.8 else None)
+    exit_ = Event(
+        str(rng.choice(list("abc"))), "exit", 20.0, 0.2, 0.55, "its" if rng.random() < 0.8 else None
+    )
     seen = [
-        Event(str(rng.choice(list("abc"))), "exit" if rng.random() < 0.4 else "entry", float(t),
-              float(rng.choice([0.2, 0.8])), 0.55, str(rng.integers(0, 4)) if rng.random() < 0.8 else None)
+        Event(
+            str(rng.choice(list("abc"))),
+            "exit" if rng.random() < 0.4 else "entry",
+            float(t),
+            float(rng.choice([0.2, 0.8])),
+            0.55,
+            str(rng.integers(0, 4)) if rng.random() < 0.8 else None,
+        )
         for t in rng.uniform(0, 45, int(rng.integers(0, 30)))
-    ]  # fmt: skip
+    ]
     if exit_.track is not None and rng.random() < 0.8:
-        seen.append(replace(exit_, kind="entry", t=float(rng.uniform(0, 20)), x=float(rng.choice([0.2, 0.8]))))
-    now = float(rng.choice([20.0, rng.uniform(20, 23), rng.uniform(20, 60), seen[0].t if seen else 20.0]))
+        seen.append(
+            replace(
+                exit_, kind="entry", t=float(rng.uniform(0, 20)), x=float(rng.choice([0.2, 0.8]))
+            )
+        )
+    now = float(
+        rng.choice([20.0, rng.uniform(20, 23), rng.uniform(20, 60), seen[0].t if seen else 20.0])
+    )
     now = max(now, 20.0)
     for events in (seen, [*seen, exit_]):
         ordered = sorted(events, key=lambda event: event.t)
@@ -483,12 +625,16 @@ def test_odds_asked_for_later_equal_their_slow_twin(seed: int) -> None:
         fast = predictor.predict(exit_, now)
         slow = naive.predicted(topology, ordered, exit_, predictor.zone_of, CONSTANTS, now)
         assert fast.leave == pytest.approx(slow.pop(None), rel=1e-6)
-        assert chances(fast) == pytest.approx({topology.zones[v].id: p for v, p in slow.items()}, rel=1e-6)
+        assert chances(fast) == pytest.approx(
+            {topology.zones[v].id: p for v, p in slow.items()}, rel=1e-6
+        )
         sound(fast)
 
 
 def a_made_up_network() -> tuple[list[Event], Truth, int, Learner]:
-    """Events, truth, the number of the events that are learned from, and who has learned from them in one fit."""
+    """Events, truth, the number of the events that are learned from, and who has learned from them
+    in one fit.
+    """
     events, truth = simulate(SimSettings(cameras=6, hours=1.2, seed=2))
     cut = 3 * len(events) // 4
     learner = Learner(Settings(version_seconds=1e6))
@@ -499,22 +645,33 @@ def a_made_up_network() -> tuple[list[Event], Truth, int, Learner]:
 
 
 def test_predictions_on_a_made_up_network() -> None:
-    """Learned from the first three quarters, asked about the rest; chance would be right for one camera in six."""
+    """Learned from the first three quarters, asked about the rest; chance would be right for one
+    camera in six.
+    """
     events, truth, cut, learner = a_made_up_network()
     predictor, predictions = learner.predictor(), []
     for k, event in enumerate(events):
         if event.kind == "exit" and k < cut:
-            predictions.append(Prediction(event.camera, None, event.t, None, 1, 1.0, []))  # does not count
+            predictions.append(
+                Prediction(event.camera, None, event.t, None, 1, 1.0, [])
+            )  # does not count
         elif event.kind == "exit":
             predictions.append(predictor.predict(event))
             sound(predictions[-1])
         predictor.observe(event)
     scored = score_predictions(predictions, events, truth, since=events[cut].t)
     blind = [
-        replace(p, leave=0.2, next_=[replace(n, probability=0.8 / max(len(p.next_), 1)) for n in p.next_])
+        replace(
+            p,
+            leave=0.2,
+            next_=[replace(n, probability=0.8 / max(len(p.next_), 1)) for n in p.next_],
+        )
         for p in predictions
     ]
     assert scored.top1 > 0.6
     assert scored.top3 > 0.85
-    assert scored.log_loss < score_predictions(blind, events, truth, since=events[cut].t).log_loss - 0.3
+    assert (
+        scored.log_loss
+        < score_predictions(blind, events, truth, since=events[cut].t).log_loss - 0.3
+    )
     assert math.isfinite(scored.log_loss)

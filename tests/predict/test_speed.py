@@ -23,7 +23,11 @@ ZONES = [Zone("a/1", "a", 9, 9), Zone("a/2", "a", 9, 9)]
 def paces(pace: Pace | None) -> Paces:
     model = Model(4.0, 0.1, -20.0, 120.0, [], [], pace=pace)
     cameras = [Camera("a", ["a/1", "a/2"])]
-    return Paces(Topology("camtopod/topology/1", "s", "e", 1, 0.0, 9, "", cameras, ZONES, [], [], model=model))
+    return Paces(
+        Topology(
+            "camtopod/topology/1", "s", "e", 1, 0.0, 9, "", cameras, ZONES, [], [], model=model
+        )
+    )
 
 
 def test_without_a_pace_windows_stay() -> None:
@@ -34,8 +38,12 @@ def test_who_took_twice_as_long_is_expected_later() -> None:
     site = paces(Pace(1.0, 0.6, 0.3, [Way("a/1", "a/2", 5.0)]))
     usual, slow = (site.window(0, 1, stay, 100.0, 8.0, 10.0, 12.0) for stay in (5.0, 10.0))
     assert usual[1] == pytest.approx(10.0)
-    assert slow[1] == pytest.approx(10.0 * 2**0.8)  # the next view's slowness is expected to be 0.6 of this one's
-    assert [late / early for late, early in zip(slow, usual, strict=True)] == pytest.approx([2**0.8] * 3)
+    assert slow[1] == pytest.approx(
+        10.0 * 2**0.8
+    )  # the next view's slowness is expected to be 0.6 of this one's
+    assert [late / early for late, early in zip(slow, usual, strict=True)] == pytest.approx(
+        [2**0.8] * 3
+    )
 
 
 def test_an_unknown_pace_widens_the_window() -> None:
@@ -63,7 +71,9 @@ def test_usual_stays_are_medians_of_ways_often_taken() -> None:
     source, target = np.array([0] * 5 + [1] * 4, np.int32), np.array([1] * 9, np.int32)
     stays = usual_stays(source, target, np.array([1.0, 2.0, 4.0, 8.0, 90.0] + [3.0] * 4))
     assert stays == {(0, 1): pytest.approx(4.0)}
-    even = usual_stays(np.zeros(6, np.int32), np.ones(6, np.int32), np.array([1.0, 1.0, 2.0, 8.0, 9.0, 9.0]))
+    even = usual_stays(
+        np.zeros(6, np.int32), np.ones(6, np.int32), np.array([1.0, 1.0, 2.0, 8.0, 9.0, 9.0])
+    )
     assert even[0, 1] == pytest.approx(math.sqrt(2.0 * 8.0))
 
 
@@ -87,7 +97,9 @@ def test_windows_hold_what_they_say() -> None:
                 entry = events[following[index]]
                 zone = predictor.zones[predictor.zone_of(entry) or 0].id
                 lag = entry.t - event.t
-                inside += [n.q10 <= lag <= n.q90 for n in predictor.predict(event).next_ if n.zone == zone]
+                inside += [
+                    n.q10 <= lag <= n.q90 for n in predictor.predict(event).next_ if n.zone == zone
+                ]
             predictor.observe(event)
         shares.append(float(np.mean(inside)))
     assert 0.72 < shares[0] < 0.9

@@ -1,4 +1,6 @@
-"""What takes long and nobody waits for is done in little pieces, and what is let go of goes bit by bit."""
+"""What takes long and nobody waits for is done in little pieces, and what is let go of goes bit by
+bit.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,13 @@ from camtopod.learn.learner import Learner
 from camtopod.predict.predictor import Predictor
 from camtopod.records import Event, Prediction, Topology
 from camtopod.serve.live_predictions import Live
-from camtopod.serve.runtime.background_work import PAUSE_SECONDS_MAX, PAUSE_TIMES, WORK_SECONDS, Leisure, let_go
+from camtopod.serve.runtime.background_work import (
+    PAUSE_SECONDS_MAX,
+    PAUSE_TIMES,
+    WORK_SECONDS,
+    Leisure,
+    let_go,
+)
 
 EVENTS = [*numbered(walkers(60)), closing_event()]
 
@@ -53,8 +61,12 @@ def test_there_is_a_pause_after_a_little_work_and_longer_than_it() -> None:
     assert rests == pytest.approx([PAUSE_TIMES * 1.2 * WORK_SECONDS, PAUSE_SECONDS_MAX])
 
 
-@pytest.mark.parametrize("make", [Predictor, lambda topology, pause: Predictor(topology).make_ready(bool, pause)])
-def test_making_a_predictor_gives_way_at_every_zone(make: Callable[[Topology, Calls], object]) -> None:
+@pytest.mark.parametrize(
+    "make", [Predictor, lambda topology, pause: Predictor(topology).make_ready(bool, pause)]
+)
+def test_making_a_predictor_gives_way_at_every_zone(
+    make: Callable[[Topology, Calls], object],
+) -> None:
     topology, pause = learned(), Calls()
     make(topology, pause)
     assert pause.number >= len(topology.zones)

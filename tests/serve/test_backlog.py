@@ -20,7 +20,9 @@ from camtopod.serve.storage.journal import Entry
 
 
 def at(camera: str, *times: float) -> list[Received]:
-    return [Received(Entry("event", camera, "b", int(t), b""), Event(camera, "entry", t)) for t in times]
+    return [
+        Received(Entry("event", camera, "b", int(t), b""), Event(camera, "entry", t)) for t in times
+    ]
 
 
 def release(merge: Merge, ready: list[Received], now: float, most: int = 100) -> list[Received]:
@@ -35,7 +37,9 @@ def test_live_events_go_straight_through() -> None:
     merge = Merge(100)
     assert release(merge, at("a", 5.0, 4.0), 0.0) == at("a", 5.0, 4.0)
     merge.answered("a", [5.5], False, 0.0)
-    assert release(merge, at("a", 5.5), 0.0) == at("a", 5.5), "one event that got lost on the way is no backlog"
+    assert release(merge, at("a", 5.5), 0.0) == at("a", 5.5), (
+        "one event that got lost on the way is no backlog"
+    )
 
 
 def test_backlogs_are_merged_by_time() -> None:
@@ -66,7 +70,9 @@ def test_a_backlog_that_is_late_anyway_is_not_waited_for() -> None:
     merge = Merge(100)
     release(merge, at("a", 100.0), 0.0)
     merge.answered("b", [5.0, 20.0], True, 0.0)
-    assert release(merge, at("b", 5.0, 20.0) + at("a", 101.0), 0.0) == at("b", 5.0, 20.0) + at("a", 101.0)
+    assert release(merge, at("b", 5.0, 20.0) + at("a", 101.0), 0.0) == at("b", 5.0, 20.0) + at(
+        "a", 101.0
+    )
 
 
 def test_nobody_waits_for_ever_nor_does_too_much() -> None:
@@ -112,7 +118,9 @@ def test_what_has_no_time_keeps_its_place() -> None:
 
 
 def test_after_an_outage_of_the_daemon_nothing_is_late(tmp_path: Path) -> None:
-    """Three grabbers with an hour of events each; the learner allows for five seconds of disorder."""
+    """Three grabbers with an hour of events each; the learner allows for five seconds of
+    disorder.
+    """
     config = small_config(tmp_path / "state", pull_events_max=200)
     config = msgspec.structs.replace(config, learn=Settings())
     chance = random.Random(1)
@@ -126,7 +134,10 @@ def test_after_an_outage_of_the_daemon_nothing_is_late(tmp_path: Path) -> None:
             publishers.append((publisher, spool))
         for publisher, _ in publishers:
             publisher.attach(bus)
-        wait_for(lambda: all(publisher.drained(0.0) for publisher, _ in publishers), "everything to be stored")
+        wait_for(
+            lambda: all(publisher.drained(0.0) for publisher, _ in publishers),
+            "everything to be stored",
+        )
         wait_for(lambda: daemon.status()["learner"]["accepted"] == 2100, "everything to be learned")
         assert daemon.status()["learner"]["late"] == 0
         for _, spool in publishers:

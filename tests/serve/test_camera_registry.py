@@ -1,4 +1,6 @@
-"""Clocks that are wrong, floods, and too many cameras: who is believed, who waits, who is refused."""
+"""Clocks that are wrong, floods, and too many cameras: who is believed, who waits, who is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,11 @@ def test_an_event_that_is_early_waits_and_so_does_what_its_camera_sends_after_it
     assert cameras.in_time([early, behind, other], T0, 100.0) == [other]
     assert cameras.waiting == 2
     assert cameras.in_time([], T0 + 48, 148.9) == []
-    assert cameras.in_time([received(at("b", T0 + 49))], T0 + 49, 149.0) == [early, behind, received(at("b", T0 + 49))]
+    assert cameras.in_time([received(at("b", T0 + 49))], T0 + 49, 149.0) == [
+        early,
+        behind,
+        received(at("b", T0 + 49)),
+    ]
     assert cameras.waiting == 0
     assert cameras.in_time([received(at("a", T0 + 51))], T0 + 50, 150.0) == [
         received(at("a", T0 + 50 + EARLY_SECONDS_MAX))
@@ -78,7 +84,9 @@ def test_an_early_event_waits_by_the_clock_that_does_not_step() -> None:
     early = received(at("a", T0 + 30))
     assert cameras.in_time([early], T0, 0.0) == []
     assert cameras.in_time([], T0 - 86_400, 28.0) == []
-    assert cameras.in_time([], T0 - 86_400, 29.0) == [early], "although the clock was set back by a day"
+    assert cameras.in_time([], T0 - 86_400, 29.0) == [early], (
+        "although the clock was set back by a day"
+    )
 
 
 def test_no_more_wait_than_may() -> None:
@@ -117,11 +125,17 @@ def test_the_cameras_of_one_box_have_one_vote_and_the_box_is_named(boxes: dict[s
         cameras.admit(name, 0.0)
     assert not any(cameras.is_future(at(name, T0), T0, 0.0, True, name) for name in good)
     for year in (62.0, 64.0, 66.0):  # in a minute in which nobody else speaks
-        ahead = [cameras.is_future(at(name, T0 + 365 * DAY), T0 + year, year, True, "a box") for name in wild]
+        ahead = [
+            cameras.is_future(at(name, T0 + 365 * DAY), T0 + year, year, True, "a box")
+            for name in wild
+        ]
         assert ahead == [True] * 3
         assert cameras.clock_behind == 0.0
     said = cameras.wild(66.0)
-    assert f"the clock of cameras gate, shed, yard (one box: {boxes.get('gate', 'a box')}) is about 315359" in said
+    assert (
+        f"the clock of cameras gate, shed, yard (one box: {boxes.get('gate', 'a box')}) is about 315359"
+        in said
+    )
     assert not any(cameras.is_future(at(name, T0 + 67), T0 + 67, 67.0, True, name) for name in good)
     assert cameras.wild(67.0 + LEADS_SECONDS) == "", "only while it sends"
 
@@ -130,7 +144,9 @@ def test_a_camera_that_two_programs_publish_is_named_for_a_while() -> None:
     cameras = admitted("a", "b")
     for n in range(8):
         for camera, boot in (("a", f"boot-{n % 2}"), ("b", f"boot-{n}")):
-            cameras.is_future(Event(camera, "entry", T0 + n, boot=boot, seq=n), T0 + n, float(n), True)
+            cameras.is_future(
+                Event(camera, "entry", T0 + n, boot=boot, seq=n), T0 + n, float(n), True
+            )
     assert "two programs at the same time publish camera a:" in cameras.doubled(8.0)
     assert cameras.doubled(8.0 + DOUBLED_SECONDS) == ""
 
@@ -148,7 +164,10 @@ def test_event_time_that_is_ahead_is_taken_back_when_that_has_lasted() -> None:
     assert cameras.rewind_to(None, T0, 0.0) is None
     assert cameras.rewind_to(T0 + 60, T0, 0.0) is None, "that much is usual"
     assert cameras.rewind_to(T0 + DAY, T0, 1.0) is None
-    assert cameras.rewind_to(T0 + DAY, T0 + REWIND_SECONDS, 1.0 + REWIND_SECONDS) == T0 + REWIND_SECONDS
+    assert (
+        cameras.rewind_to(T0 + DAY, T0 + REWIND_SECONDS, 1.0 + REWIND_SECONDS)
+        == T0 + REWIND_SECONDS
+    )
     assert cameras.rewind_to(T0 + DAY, T0 + 20, 20.0) is None, "once"
 
 
@@ -172,7 +191,9 @@ def test_a_clock_that_was_set_back_is_noticed_however_few_the_cameras_are() -> N
         future = [cameras.is_future(at(camera, T0 + 1), T0 - 3599, 1.0, True) for camera in names]
         assert future == [False] * len(names), "not even the first event after it"
         assert cameras.clock_behind == 3600.0
-        assert cameras.is_future(at("a", T0 + 200), T0 - 3598, 2.0, False), "but no more than it was set back"
+        assert cameras.is_future(at("a", T0 + 200), T0 - 3598, 2.0, False), (
+            "but no more than it was set back"
+        )
         assert not cameras.is_future(at("a", T0 + 3), T0 + 3, 3.0, True)
         assert cameras.clock_behind == 0.0, "and is right again"
 
@@ -186,7 +207,9 @@ def test_a_clock_that_was_wrong_and_is_set_back_to_the_right_time_is_believed() 
 
 
 @pytest.mark.parametrize("names", ["a", "ab", "abcd"])
-def test_cameras_that_share_a_clock_which_jumps_forward_do_not_take_event_time_along(names: str) -> None:
+def test_cameras_that_share_a_clock_which_jumps_forward_do_not_take_event_time_along(
+    names: str,
+) -> None:
     """Event time only rises: everything after it would be late, for as long as the jump was."""
     cameras = admitted(*names)
     assert not any(cameras.is_future(at(name, T0), T0, 0.0, True) for name in names)
@@ -195,7 +218,9 @@ def test_cameras_that_share_a_clock_which_jumps_forward_do_not_take_event_time_a
         assert all(cameras.is_future(at(name, wall), wall, now, True) for name in names)
         assert (cameras.clock_ahead, cameras.clock_behind) == (DAY, -DAY)
     wall = T0 + 121
-    assert cameras.is_future(at(names[0], wall + DAY), wall, 121.0, True), "one that was still under way"
+    assert cameras.is_future(at(names[0], wall + DAY), wall, 121.0, True), (
+        "one that was still under way"
+    )
     for now in (121.0, 123.0, 200.0):
         assert not any(cameras.is_future(at(name, T0 + now), T0 + now, now, True) for name in names)
         assert (cameras.clock_ahead, cameras.clock_behind) == (0.0, 0.0)
@@ -207,9 +232,14 @@ def test_those_still_under_way_when_a_clock_is_right_again_do_not_say_that_it_is
         for name in "abcd":
             cameras.is_future(at(name, T0 + step + now), T0 + step + now, now, True, name)
     for now in (2.0, 4.0, 6.0):
-        assert all(cameras.is_future(at(name, T0 + DAY + 1), T0 + now, now, True, name) for name in "abcd")
+        assert all(
+            cameras.is_future(at(name, T0 + DAY + 1), T0 + now, now, True, name) for name in "abcd"
+        )
     for later in (7.0 + LEADS_SECONDS, 9.0 + LEADS_SECONDS):
-        future = [cameras.is_future(at(name, T0 + 3600 + later), T0 + later, later, True, name) for name in "abcd"]
+        future = [
+            cameras.is_future(at(name, T0 + 3600 + later), T0 + later, later, True, name)
+            for name in "abcd"
+        ]
     assert future == [False] * 4, "not for ever"
 
 
@@ -335,13 +365,22 @@ def test_setting_the_clock_forward_does_not_move_event_time(tmp_path: Path) -> N
     steady, step = 0.0, 0.0
     journal = Journal(tmp_path)
     receiver = Receiver(
-        journal, Nowhere(), Limits(), lambda: T0 + steady + step,  # type: ignore[arg-type]
-        lambda batch: None, lambda: 1000, lambda version: None, lambda *seen: None, steady=lambda: steady,
-    )  # fmt: skip
+        journal,
+        Nowhere(),
+        Limits(),
+        lambda: T0 + steady + step,  # type: ignore[arg-type]
+        lambda batch: None,
+        lambda: 1000,
+        lambda version: None,
+        lambda *seen: None,
+        steady=lambda: steady,
+    )
 
     def advances() -> list[float]:
         receiver._round([])
-        return [one.advance for one in receiver._ready.take(10, 0.0, 0.0) if one.advance is not None]
+        return [
+            one.advance for one in receiver._ready.take(10, 0.0, 0.0) if one.advance is not None
+        ]
 
     receiver._round([Message("a", to_pack(at("a", T0)))])
     receiver.on_deadline(T0 + 5.0)
@@ -365,9 +404,16 @@ def test_learning_goes_on_after_a_jump_forward_and_a_replay_learns_the_same(tmp_
                 live.receive(one.event)
 
     receiver = Receiver(
-        journal, Nowhere(), Limits(), lambda: T0 + steady + step,  # type: ignore[arg-type]
-        learn, lambda: 1000, lambda version: None, lambda *seen: None, steady=lambda: steady,
-    )  # fmt: skip
+        journal,
+        Nowhere(),
+        Limits(),
+        lambda: T0 + steady + step,  # type: ignore[arg-type]
+        learn,
+        lambda: 1000,
+        lambda version: None,
+        lambda *seen: None,
+        steady=lambda: steady,
+    )
     for second in range(900):
         steady, step = float(second), DAY if 300 <= second < 420 else 0.0
         camera = "abc"[second % 3]
@@ -378,7 +424,9 @@ def test_learning_goes_on_after_a_jump_forward_and_a_replay_learns_the_same(tmp_
     statistics = live.statistics()
     assert (statistics["accepted"], statistics["late"]) == (780, 0)
     kinds = [entry.kind for _, entry in journal.entries() if entry is not None]
-    assert (kinds.count("event"), kinds.count("future"), len(kinds)) == (780, 120, 900), "nothing is lost"
+    assert (kinds.count("event"), kinds.count("future"), len(kinds)) == (780, 120, 900), (
+        "nothing is lost"
+    )
     again = Learner(Settings(), "site", "epoch")
     for _, entry in journal.entries():
         if entry is not None and entry.kind == "event":
@@ -411,8 +459,13 @@ def test_too_many_cameras_are_refused_until_one_has_been_silent_for_long() -> No
 
 
 def test_a_camera_whose_grabber_was_seen_takes_the_place_of_a_name_that_merely_sends() -> None:
-    """That of the one with the fewest events; it never loses its own to such a one before all of these."""
-    cameras, grabbers = admitted("good", "busy", "one", "two", cameras_max=4), {"good", "new", "newer"}
+    """That of the one with the fewest events; it never loses its own to such a one before all of
+    these.
+    """
+    cameras, grabbers = (
+        admitted("good", "busy", "one", "two", cameras_max=4),
+        {"good", "new", "newer"},
+    )
     for name, events in (("busy", 5), ("one", 1), ("two", 2)):
         for second in range(events):
             cameras.note(at(name, T0 + second))
@@ -421,12 +474,19 @@ def test_a_camera_whose_grabber_was_seen_takes_the_place_of_a_name_that_merely_s
     assert ("one" in cameras, "good" in cameras) == (False, True)
     cameras.in_time([received(at("two", T0 + 50))], T0, 1.0)
     assert cameras.admit("newer", 2.0, grabbers)
-    assert ("two" in cameras, "busy" in cameras) == (True, False), "of one something waits for its time"
-    assert not cameras.admit("late", 2.0, {*grabbers, "late", "two"}), "all that are left have a grabber"
+    assert ("two" in cameras, "busy" in cameras) == (True, False), (
+        "of one something waits for its time"
+    )
+    assert not cameras.admit("late", 2.0, {*grabbers, "late", "two"}), (
+        "all that are left have a grabber"
+    )
     assert cameras.admit("other", IDLE_SECONDS + 0.5, grabbers)
     assert {name for name in ("good", "new", "newer", "two", "other") if name in cameras} == {
-        "other", "new", "newer", "two",
-    }  # fmt: skip
+        "other",
+        "new",
+        "newer",
+        "two",
+    }
 
 
 def test_who_takes_the_places_is_said_as_long_as_a_camera_is_refused() -> None:
@@ -450,10 +510,14 @@ def test_who_takes_the_places_is_said_as_long_as_a_camera_is_refused() -> None:
 
 
 def test_a_refusal_is_quick_however_many_cameras_there_are() -> None:
-    """A refused name may send thousands of events: it is not looked each time which camera has been silent for long."""
+    """A refused name may send thousands of events: it is not looked each time which camera has been
+    silent for long.
+    """
     cameras = admitted(*(f"name{k}" for k in range(3)), cameras_max=3)
     assert not cameras.admit("other", 10.0)
-    cameras._cameras["name1"].heard = -IDLE_SECONDS  # nobody's clock goes back: so it would not be looked at
+    cameras._cameras[
+        "name1"
+    ].heard = -IDLE_SECONDS  # nobody's clock goes back: so it would not be looked at
     assert not cameras.admit("other", IDLE_SECONDS - 1.0)
     assert cameras.admit("other", IDLE_SECONDS)
 
@@ -503,14 +567,22 @@ def meeting_point(tmp_path: Path) -> Iterator[buses.Bus]:
 def test_more_cameras_than_the_learner_takes_are_said(tmp_path: Path) -> None:
     """They are stored and acknowledged, so that nothing else tells that they are not learned."""
     config = small_config(tmp_path)
-    config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, cameras_max=2))
-    with Daemon(config) as daemon, buses.dial(small_config(tmp_path / "other", daemon.endpoint)) as bus:
+    config = msgspec.structs.replace(
+        config, learn=msgspec.structs.replace(config.learn, cameras_max=2)
+    )
+    with (
+        Daemon(config) as daemon,
+        buses.dial(small_config(tmp_path / "other", daemon.endpoint)) as bus,
+    ):
         for camera in "ab":
             bus.put(f"event/{camera}", at(camera, T0), "event")
         wait_for(lambda: daemon.status()["learner"]["accepted"] == 2, "two cameras to be learned")
         assert daemon.unready() == []
         bus.put("event/c", at("c", T0), "event")
-        wait_for(lambda: "more cameras than learn.cameras_max" in daemon.status()["reason"], "the third to be missed")
+        wait_for(
+            lambda: "more cameras than learn.cameras_max" in daemon.status()["reason"],
+            "the third to be missed",
+        )
         assert daemon.unready() == [daemon.status()["reason"]]
         assert daemon.status()["events"]["stored"] == 3
     with Daemon(config) as daemon:
@@ -528,11 +600,15 @@ def test_a_daemon_does_not_start_beside_another(meeting_point: buses.Bus, tmp_pa
         assert after.status()["reason"] == ""
 
 
-def test_two_that_find_each_other_later_both_say_so(meeting_point: buses.Bus, tmp_path: Path) -> None:
+def test_two_that_find_each_other_later_both_say_so(
+    meeting_point: buses.Bus, tmp_path: Path
+) -> None:
     with Daemon(small_config(tmp_path / "one", meeting_point.endpoint)) as daemon:
         other = Rivals(meeting_point, "other")
         other.appear()
-        wait_for(lambda: "another daemon (other)" in daemon.status()["reason"], "the first to see it")
+        wait_for(
+            lambda: "another daemon (other)" in daemon.status()["reason"], "the first to see it"
+        )
         wait_for(lambda: other.reason != "", "the second to see it")
         assert daemon.status()["state"] == "degraded"
 

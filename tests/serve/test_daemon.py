@@ -45,7 +45,9 @@ class Site:
         self._open: list[Any] = []
 
     def daemon(self, bus: Bus | None = None, **limits: float) -> Daemon:
-        daemon = Daemon(small_config(self.directory / "state", **limits), bus, clock=lambda: self.now)
+        daemon = Daemon(
+            small_config(self.directory / "state", **limits), bus, clock=lambda: self.now
+        )
         daemon.start()
         self._open.append(daemon.stop)
         return daemon
@@ -128,7 +130,10 @@ def test_a_daemon_whose_learner_is_killed_fails_and_goes_on_where_it_was(site: S
     events = [*numbered(walkers(40)), closing_event()]
     put(site.client(daemon), *events[:100])
     wait_for(
-        lambda: daemon.status()["events"]["stored"] == 100 and not daemon.status()["events"]["waiting"], "learning"
+        lambda: (
+            daemon.status()["events"]["stored"] == 100 and not daemon.status()["events"]["waiting"]
+        ),
+        "learning",
     )
     assert daemon._process is not None
     os.kill(daemon._process.pid, signal.SIGKILL)
@@ -139,7 +144,10 @@ def test_a_daemon_whose_learner_is_killed_fails_and_goes_on_where_it_was(site: S
     assert again.epoch == daemon.epoch
     put(site.client(again), *events[100:])
     expected = learned(events)
-    wait_for(lambda: again.topology is not None and again.topology.version == expected.version, "the last version")
+    wait_for(
+        lambda: again.topology is not None and again.topology.version == expected.version,
+        "the last version",
+    )
     assert again.topology is not None
     assert again.topology.digest == expected.digest
 
@@ -160,7 +168,9 @@ def test_a_restart_replays_the_journal_to_the_same_version(site: Site) -> None:
     assert again.topology == before
     assert again.epoch == daemon.epoch
     put(site.client(again), *events[:10])
-    wait_for(lambda: again.status()["events"]["duplicate"] == 10, "duplicates of what was stored before")
+    wait_for(
+        lambda: again.status()["events"]["duplicate"] == 10, "duplicates of what was stored before"
+    )
 
 
 def test_other_settings_begin_a_new_epoch(site: Site) -> None:
@@ -169,12 +179,19 @@ def test_other_settings_begin_a_new_epoch(site: Site) -> None:
     wait_for(lambda: daemon.topology is not None and daemon.topology.version >= 2, "a version")
     daemon.stop()
     config = small_config(site.directory / "state")
-    config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, publish_q_max=0.5))
-    config = msgspec.structs.replace(config, learn=msgspec.structs.replace(config.learn, version_seconds=17.0))
+    config = msgspec.structs.replace(
+        config, learn=msgspec.structs.replace(config.learn, publish_q_max=0.5)
+    )
+    config = msgspec.structs.replace(
+        config, learn=msgspec.structs.replace(config.learn, version_seconds=17.0)
+    )
     with Daemon(config, clock=lambda: site.now) as again:
         assert again.epoch > daemon.epoch
         assert again.topology is not None, "the last version holds until there is another"
-        wait_for(lambda: again.topology is not None and again.topology.epoch == again.epoch, "a version of the epoch")
+        wait_for(
+            lambda: again.topology is not None and again.topology.epoch == again.epoch,
+            "a version of the epoch",
+        )
         assert again.topology.version == 1
         assert len(again.topology.zones) > 0
 
@@ -185,7 +202,9 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
     events = [*numbered(walkers(40)), closing_event()]
     last = learned(events).version
     put(bus, *events)
-    wait_for(lambda: daemon.topology is not None and daemon.topology.version == last, "the last version")
+    wait_for(
+        lambda: daemon.topology is not None and daemon.topology.version == last, "the last version"
+    )
 
     def asked(**parameters: object) -> Topology:
         return codec.read(Topology, bus.ask("topology", parameters)[0][1], pack=True)
@@ -206,7 +225,9 @@ def test_old_versions_can_be_asked_for(site: Site) -> None:
 
 
 def asked_of(site: Site, daemon: Daemon, version: int) -> Topology:
-    return codec.read(Topology, site.client(daemon).ask("topology", {"version": version})[0][1], pack=True)
+    return codec.read(
+        Topology, site.client(daemon).ask("topology", {"version": version})[0][1], pack=True
+    )
 
 
 def test_epochs_sort_by_time_whatever_the_clock_does() -> None:
@@ -225,7 +246,9 @@ def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
     assert daemon.topology is not None
     assert len(daemon.topology.links) > 0
     predictions: list[Prediction] = []
-    bus.subscribe("prediction/*", lambda key, raw: predictions.append(codec.read(Prediction, raw, pack=True)))
+    bus.subscribe(
+        "prediction/*", lambda key, raw: predictions.append(codec.read(Prediction, raw, pack=True))
+    )
     t = T0 + 11 * serving.SPAN_SECONDS
     put(bus, Event("a", "exit", t, 0.9, 0.5, "x1"), Event("a", "entry", t + 1, 0.1, 0.5))
     put(bus, Event("a", "exit", t + 2, 0.9, 0.5))
@@ -234,7 +257,9 @@ def test_every_exit_is_predicted_and_questions_are_answered(site: Site) -> None:
     assert daemon.topology is not None
     assert predictions[0].version == daemon.topology.version
     assert {following.camera for following in predictions[0].next_} <= {"b", "c", "a"}
-    assert sum(following.probability for following in predictions[0].next_) + predictions[0].leave == pytest.approx(1)
+    assert sum(following.probability for following in predictions[0].next_) + predictions[
+        0
+    ].leave == pytest.approx(1)
 
     [(key, raw)] = bus.ask("predict/a", {"x": 0.9, "y": 0.5, "t": t})
     asked = codec.read(Prediction, raw, pack=True)
@@ -260,7 +285,9 @@ def asked_again(bus: Bus, daemon: Daemon, t: float) -> None:
         return codec.read(Prediction, bus.ask("predict/a", {"t": t, **parameters})[0][1], pack=True)
 
     def at(prediction: Prediction, camera: str) -> float:
-        return sum(following.probability for following in prediction.next_ if following.camera == camera)
+        return sum(
+            following.probability for following in prediction.next_ if following.camera == camera
+        )
 
     place = {"x": 0.9, "y": 0.5}
     at_exit = said(**place)
@@ -295,7 +322,9 @@ def test_nothing_learned_yet_is_an_answer(site: Site) -> None:
 def test_status_is_published(site: Site) -> None:
     daemon = site.daemon()
     seen: list[dict[str, Any]] = []
-    site.client(daemon).subscribe("status/daemon", lambda key, raw: seen.append(msgspec.msgpack.decode(raw)))
+    site.client(daemon).subscribe(
+        "status/daemon", lambda key, raw: seen.append(msgspec.msgpack.decode(raw))
+    )
     wait_for(lambda: bool(seen), "a status")
     assert seen[0]["site"] == "site"
     assert seen[0]["epoch"] == daemon.epoch
@@ -313,7 +342,9 @@ def test_time_goes_on_without_events(site: Site) -> None:
     site.now += 4 * serving.SPAN_SECONDS
     wait_for(lambda: daemon.topology is not None, "a version")
     assert daemon.topology is not None
-    wait_for(lambda: daemon.status()["learner"]["learned"] == len(events), "every event to be learned")
+    wait_for(
+        lambda: daemon.status()["learner"]["learned"] == len(events), "every event to be learned"
+    )
     wait_for(lambda: all_out(daemon, len(events)), "its versions")
     before = daemon.topology
     daemon.stop()
@@ -323,7 +354,9 @@ def test_time_goes_on_without_events(site: Site) -> None:
 # --- what does not fit ----------------------------------------------------------------------------
 
 
-def test_garbage_is_counted_quoted_once_and_survived(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+def test_garbage_is_counted_quoted_once_and_survived(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
     daemon = site.daemon()
     bus = site.client(daemon)
     chance = random.Random(7)
@@ -331,7 +364,11 @@ def test_garbage_is_counted_quoted_once_and_survived(site: Site, caplog: pytest.
         for _ in range(300):
             bus.put_raw("event/lobby", chance.randbytes(chance.randrange(0, 80)), "event")
         bus.put_raw("event/lobby", b"\xff" * 5000, "event")
-        bus.put_raw("event/lobby", b'{"camera":"lobby","kind":"entry","t":1,"track":"rtsp://u:p@ss@h"', "event")
+        bus.put_raw(
+            "event/lobby",
+            b'{"camera":"lobby","kind":"entry","t":1,"track":"rtsp://u:p@ss@h"',
+            "event",
+        )
         put(bus, Event("hall", "entry", T0))
         bus.put("event/lobby", Event("hall", "entry", T0), "event")
         good = Event("lobby", "entry", T0)
@@ -352,7 +389,9 @@ def test_garbage_is_counted_quoted_once_and_survived(site: Site, caplog: pytest.
 def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
     daemon = site.daemon(future_seconds_max=60)
     bus = site.client(daemon)
-    first, wild, third = numbered([Event("lobby", "entry", t) for t in (NOW - 5, NOW + 3600, NOW + 50)])
+    first, wild, third = numbered(
+        [Event("lobby", "entry", t) for t in (NOW - 5, NOW + 3600, NOW + 50)]
+    )
     acks: list[Ack] = []
     bus.subscribe("ack/lobby", lambda key, raw: acks.append(codec.read(Ack, raw, pack=True)))
     put(bus, first, wild, third)
@@ -371,7 +410,9 @@ def test_an_event_from_the_future_is_set_aside(site: Site) -> None:
 
 
 def test_an_event_time_that_is_ahead_of_the_clock_is_said_with_what_to_do(site: Site) -> None:
-    """This clock is before what was stored last: as long as no camera says which is wrong, nothing is dropped."""
+    """This clock is before what was stored last: as long as no camera says which is wrong, nothing
+    is dropped.
+    """
     first = site.daemon()
     put(site.client(first), *(Event(camera, "entry", NOW) for camera in "ab"))
     wait_for(lambda: first.status()["learner"].get("accepted") == 2, "the events to be learned")
@@ -379,7 +420,10 @@ def test_an_event_time_that_is_ahead_of_the_clock_is_said_with_what_to_do(site: 
     first.stop()
     site.now = NOW - 86_400.0
     again = site.daemon()
-    wait_for(lambda: again.status()["reason"] != "" and not again.status()["events"]["waiting"], "the reason")
+    wait_for(
+        lambda: again.status()["reason"] != "" and not again.status()["events"]["waiting"],
+        "the reason",
+    )
     status, ahead = again.status(), 86_400.0 - 2 * serving.SPAN_SECONDS
     assert status["state"] == "degraded"
     assert f"event time is {ahead:.0f} s ahead of this machine's clock" in status["reason"]
@@ -390,14 +434,23 @@ def test_an_event_time_that_is_ahead_of_the_clock_is_said_with_what_to_do(site: 
     assert (again.status()["reason"], again.unready()) == ("", [])
 
 
-def test_event_time_that_a_wrong_clock_took_along_comes_back(site: Site, caplog: pytest.LogCaptureFixture) -> None:
-    """As three cameras of one box, a day ahead, did to an older program: all other events were late from then on."""
+def test_event_time_that_a_wrong_clock_took_along_comes_back(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As three cameras of one box, a day ahead, did to an older program: all other events were late
+    from then on.
+    """
     good = [*numbered(walkers(120)), *numbered(walkers(40, seed=2), "b2")]
     ahead = [
-        Event(camera, "entry", NOW + 86_400.0 + n, boot="w", seq=n) for n in range(20) for camera in ("x", "y", "z")
+        Event(camera, "entry", NOW + 86_400.0 + n, boot="w", seq=n)
+        for n in range(20)
+        for camera in ("x", "y", "z")
     ]
     journal = Journal(site.directory / "state")
-    entries = [Entry("event", e.camera, e.boot, e.seq, codec.to_pack(e)) for e in [*sorted_by_time(good), *ahead]]
+    entries = [
+        Entry("event", e.camera, e.boot, e.seq, codec.to_pack(e))
+        for e in [*sorted_by_time(good), *ahead]
+    ]
     journal.commit(entries, now=NOW)
     journal.close()
 
@@ -411,14 +464,22 @@ def test_event_time_that_a_wrong_clock_took_along_comes_back(site: Site, caplog:
     wait_for(lambda: daemon.status()["learner"]["watermark"] == site.now, "that to be learned")
     assert "is dropped, and event time goes on from that clock" in caplog.text
     assert daemon.status()["learner"]["window"] == len(good), "everything else is kept"
-    wait_for(lambda: daemon.topology is not None and daemon.topology.epoch == daemon.epoch, "a version of it")
+    wait_for(
+        lambda: daemon.topology is not None and daemon.topology.epoch == daemon.epoch,
+        "a version of it",
+    )
     assert daemon.topology is not None
     assert {camera.id for camera in daemon.topology.cameras} >= set("abc")
 
-    later = [msgspec.structs.replace(e, t=e.t - T0 + site.now, boot="b3") for e in numbered(walkers(20))]
+    later = [
+        msgspec.structs.replace(e, t=e.t - T0 + site.now, boot="b3") for e in numbered(walkers(20))
+    ]
     site.now += 1300.0
     put(bus, *sorted_by_time(later))
-    wait_for(lambda: daemon.status()["learner"]["accepted"] >= len(good) + len(later), "them to be learned")
+    wait_for(
+        lambda: daemon.status()["learner"]["accepted"] >= len(good) + len(later),
+        "them to be learned",
+    )
     assert daemon.status()["learner"]["late"] == 0
     assert daemon.status()["reason"] == ""
     version, epoch = daemon.status()["version"], daemon.epoch
@@ -443,12 +504,16 @@ def test_a_publisher_without_spool_loses_only_what_was_lost(site: Site) -> None:
 # --- nothing is lost ------------------------------------------------------------------------------
 
 
-def test_what_the_network_lost_is_pulled_from_the_spool(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_network_lost_is_pulled_from_the_spool(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
     daemon = site.daemon()
     bus = site.client(daemon)
     publisher, spool = site.publisher(bus)
     deliver, chance = bus.put_raw, random.Random(3)
-    monkeypatch.setattr(bus, "put_raw", lambda *given: deliver(*given) if chance.random() < 0.5 else None)
+    monkeypatch.setattr(
+        bus, "put_raw", lambda *given: deliver(*given) if chance.random() < 0.5 else None
+    )
     events = walkers(50)
     for event in events:
         publisher.publish(event)
@@ -503,11 +568,16 @@ def test_poison_in_a_spool_does_not_stop_the_stream(site: Site) -> None:
     assert daemon.status()["rejects"] == {"malformed": 1}
     daemon.stop()
     assert [(kind, seq) for kind, _, _, seq in journal_of(site)] == [
-        ("event", 1), ("refused", 2), ("event", 3), ("event", 4),
-    ]  # fmt: skip
+        ("event", 1),
+        ("refused", 2),
+        ("event", 3),
+        ("event", 4),
+    ]
 
 
-def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
     daemon = site.daemon()
     publisher, _ = site.publisher(site.client(daemon))
     full = True
@@ -529,7 +599,9 @@ def test_a_disk_that_is_full_stops_the_acks_and_nothing_else(site: Site, monkeyp
     stored(daemon, 20)
 
 
-def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
     daemon = site.daemon()
     bus = site.client(daemon)
     put(bus, *numbered(walkers(40)), closing_event())
@@ -544,7 +616,9 @@ def test_a_disk_that_cannot_be_read_for_a_while_ends_nothing(site: Site, monkeyp
         for name in ("size", "version"):
             disk.setattr(daemon._journal, name, unreadable)
         # The disk is read beside the status, which says what was found last.
-        wait_for(lambda: daemon.status()["journal"].get("reason") == "disk I/O error", "what is wrong")
+        wait_for(
+            lambda: daemon.status()["journal"].get("reason") == "disk I/O error", "what is wrong"
+        )
         assert not daemon.wait(1.0), "no part of it has failed"
         with pytest.raises(QueryError, match="disk I/O error"):
             bus.ask("topology", older)
@@ -567,15 +641,21 @@ def test_what_waits_for_other_backlogs_is_in_the_status(site: Site) -> None:
 
 def test_nobody_there_is_said_with_what_to_do(tmp_path: Path) -> None:
     config = small_config(tmp_path, "tcp/127.0.0.1:1")
-    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, connect_seconds=0.3))
-    with pytest.raises(BusError, match=r"cannot reach the bus at tcp/127.0.0.1:1: is `camtopod run` running"):
+    config = msgspec.structs.replace(
+        config, bus=msgspec.structs.replace(config.bus, connect_seconds=0.3)
+    )
+    with pytest.raises(
+        BusError, match=r"cannot reach the bus at tcp/127.0.0.1:1: is `camtopod run` running"
+    ):
         buses.dial(config)
 
 
 def test_a_second_daemon_at_the_same_endpoint_is_refused(site: Site, tmp_path: Path) -> None:
     daemon = site.daemon()
     config = small_config(tmp_path / "other")
-    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, listen=(daemon.endpoint,)))
+    config = msgspec.structs.replace(
+        config, bus=msgspec.structs.replace(config.bus, listen=(daemon.endpoint,))
+    )
     with pytest.raises(BusError, match="another daemon may be running there"):
         Daemon(config).start()
     other = Daemon(small_config(tmp_path / "other"))
@@ -583,16 +663,23 @@ def test_a_second_daemon_at_the_same_endpoint_is_refused(site: Site, tmp_path: P
     other.stop()
 
 
-def test_what_nobody_takes_for_its_size_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_nobody_takes_for_its_size_is_said_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     config = small_config(tmp_path)
-    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, message_bytes_max=1000))
+    config = msgspec.structs.replace(
+        config, bus=msgspec.structs.replace(config.bus, message_bytes_max=1000)
+    )
     with buses.meet(config) as bus:
         bus.answer("topology", lambda key, parameters: "y" * 2000, "topology")
         for size in (990, 1500, 1600):
             bus.put_raw("part/1", b"x" * size, "part")
         bus.ask("topology")
     said = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
-    assert [line.partition(",")[0] for line in said] == ["part/1 has 1500 bytes", "topology has 2003 bytes"]
+    assert [line.partition(",")[0] for line in said] == [
+        "part/1 has 1500 bytes",
+        "topology has 2003 bytes",
+    ]
 
 
 def test_a_daemon_on_a_given_bus_leaves_it_open(site: Site) -> None:
@@ -629,7 +716,10 @@ def test_a_view_fetches_the_whole_after_a_gap_and_in_a_new_epoch(site: Site) -> 
 
     view = View(client)
     assert view.wait_for(1, 10) == versions[0]
-    wait_for(lambda: bool(told), "the view to have been told of the daemon, on which it fetches the whole")
+    wait_for(
+        lambda: bool(told),
+        "the view to have been told of the daemon, on which it fetches the whole",
+    )
     wait_for(lambda: view.update() is None and not view._stale, "the view to rest")
     fetched = view.fetched
 
@@ -680,7 +770,9 @@ def test_a_daemon_that_comes_back_while_a_view_asks_is_asked_again(epoch: str) -
     wait_for(lambda: view.update() == new, "the whole to be fetched again", 5.0)
 
 
-def test_a_view_whose_delta_was_lost_fetches_the_whole_when_the_status_names_a_newer_version() -> None:
+def test_a_view_whose_delta_was_lost_fetches_the_whole_when_the_status_names_a_newer_version() -> (
+    None
+):
     versions: list[Topology] = []
     learner = Learner(small_config(Path()).learn, site="site", epoch="01A")
     for event in [*walkers(40), closing_event()]:

@@ -1,4 +1,6 @@
-"""Healthy means making progress: marks of loops, the health pages, systemd's watchdog, another configuration."""
+"""Healthy means making progress: marks of loops, the health pages, systemd's watchdog, another
+configuration.
+"""
 
 from __future__ import annotations
 
@@ -138,7 +140,8 @@ def test_a_bus_that_is_dead_is_noticed(tmp_path: Path, monkeypatch: pytest.Monke
         assert (daemon.failing(), daemon.unready()) == ([], [])
         daemon.bus._session.close()  # type: ignore[no-untyped-call]
         wait_for(
-            lambda: any(reason.startswith("bus has not got on") for reason in daemon.failing()), "it to be noticed"
+            lambda: any(reason.startswith("bus has not got on") for reason in daemon.failing()),
+            "it to be noticed",
         )
 
 
@@ -177,18 +180,26 @@ def test_a_long_refit_has_its_own_limit(tmp_path: Path) -> None:
         *(("_journal", "commit", "store"), ("_receiver", "_store", "store")),
     ],
 )
-def test_each_loop_is_watched(part: str, name: str, loop: str, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_loop_is_watched(
+    part: str, name: str, loop: str, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
     let_go = stuck_in(getattr(daemon, part), name, monkeypatch)
     put(daemon, Event("lobby", "entry", T0))
-    wait_for(lambda: [reason.split()[0] for reason in daemon.failing()] == [loop], f"{loop} to be named")
+    wait_for(
+        lambda: [reason.split()[0] for reason in daemon.failing()] == [loop], f"{loop} to be named"
+    )
     let_go()
     wait_for(lambda: daemon.failing() == [], "it to go on")
 
 
-def test_a_question_to_a_spool_that_never_ends_is_seen(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_question_to_a_spool_that_never_ends_is_seen(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
     let_go = stuck_in(daemon._bus, "ask", monkeypatch)
     daemon._puller.on_alive("lobby", True)
-    wait_for(lambda: [reason.split()[0] for reason in daemon.failing()] == ["pull"], "pull to be named")
+    wait_for(
+        lambda: [reason.split()[0] for reason in daemon.failing()] == ["pull"], "pull to be named"
+    )
     let_go()
     daemon._puller.on_alive("lobby", False)
     wait_for(lambda: daemon.failing() == [], "it to go on")
@@ -211,8 +222,14 @@ class HangingSession:
 def test_a_publication_that_hangs_is_in_the_status_and_makes_it_unhealthy(daemon: Daemon) -> None:
     bus = daemon.bus
     session = bus._session = HangingSession(bus._session)  # type: ignore[assignment]
-    wait_for(lambda: "publishing on status/daemon takes" in daemon.status()["reason"], "the status to say so")
-    wait_for(lambda: any("status/daemon has taken" in reason for reason in daemon.failing()), "it to be unhealthy")
+    wait_for(
+        lambda: "publishing on status/daemon takes" in daemon.status()["reason"],
+        "the status to say so",
+    )
+    wait_for(
+        lambda: any("status/daemon has taken" in reason for reason in daemon.failing()),
+        "it to be unhealthy",
+    )
     session.go.set()
     wait_for(lambda: (daemon.failing(), daemon.status()["reason"]) == ([], ""), "it to go on")
 
@@ -253,7 +270,10 @@ def test_a_daemon_that_dials_is_ready_while_it_reaches_the_bus(tmp_path: Path) -
     with Daemon(small_config(tmp_path / "state", meeting.endpoint)) as daemon:
         assert daemon.unready() == []
         meeting.close()
-        wait_for(lambda: daemon.unready() == [f"the bus at {meeting.endpoint} is not reached"], "not ready")
+        wait_for(
+            lambda: daemon.unready() == [f"the bus at {meeting.endpoint} is not reached"],
+            "not ready",
+        )
         assert daemon.failing() == []
 
 
@@ -308,7 +328,10 @@ def test_pages(pages: Pages) -> None:
     assert pages.ask("/healthz") == (200, {"status": "ok", "reasons": []})
     assert pages.ask("/readyz?x=1") == (200, {"status": "ok", "reasons": []})
     pages.failing, pages.unready = ["learn has not got on"], ["replaying"] * 100
-    assert pages.ask("/healthz") == (503, {"status": "failing", "reasons": ["learn has not got on"]})
+    assert pages.ask("/healthz") == (
+        503,
+        {"status": "failing", "reasons": ["learn has not got on"]},
+    )
     status, body = pages.ask("/readyz")
     assert (status, len(body["reasons"])) == (503, 20)
     assert pages.ask("/healthz", "HEAD") == (503, b"")
@@ -319,7 +342,9 @@ def test_nothing_but_get_and_head(pages: Pages, method: str) -> None:
     assert pages.ask("/healthz", method)[0] == 501
 
 
-@pytest.mark.parametrize("path", ["/", "/healthz/", "/../etc/passwd", "/status", "//healthz", "/%68ealthz/x"])
+@pytest.mark.parametrize(
+    "path", ["/", "/healthz/", "/../etc/passwd", "/status", "//healthz", "/%68ealthz/x"]
+)
 def test_no_other_page(pages: Pages, path: str) -> None:
     assert pages.ask(path)[0] == 404 or path == "//healthz"
 
@@ -349,7 +374,10 @@ def test_slow_clients_hold_nobody_up(pages: Pages, monkeypatch: pytest.MonkeyPat
     began = time.monotonic()
     assert pages.ask("/healthz")[0] == 200
     assert time.monotonic() - began < 3.0
-    assert sum(thread.name.startswith("Thread-") for thread in threading.enumerate()) < health.CONNECTIONS_MAX + 10
+    assert (
+        sum(thread.name.startswith("Thread-") for thread in threading.enumerate())
+        < health.CONNECTIONS_MAX + 10
+    )
     stop.set()
     dripping.join()
     for client in clients:
@@ -513,7 +541,9 @@ def test_the_daemon_under_systemd_from_start_to_end(program: Program) -> None:
 
 
 def test_a_grabber_under_systemd_and_one_that_is_stopped(program: Program) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts and says nothing: the loop gets on all the same
+    with socket.create_server(
+        ("127.0.0.1", 0)
+    ) as silent:  # accepts and says nothing: the loop gets on all the same
         program.configure(
             f'[vision]\nopen_timeout_seconds = 1\n[cameras.lobby]\nsource = "rtsp://127.0.0.1:{silent.getsockname()[1]}/x"\n'
         )
@@ -540,8 +570,12 @@ def test_a_grabber_under_systemd_and_one_that_is_stopped(program: Program) -> No
 
 def test_what_changes_while_it_runs_and_what_needs_a_restart(tmp_path: Path) -> None:
     config = small_config(tmp_path)
-    limits = msgspec.structs.replace(config.limits, ack_seconds=0.9, pull_seconds=77.0, learn_events_max=7)
-    new = msgspec.structs.replace(config, limits=limits, health=HealthSettings(listen="127.0.0.1:1"))
+    limits = msgspec.structs.replace(
+        config.limits, ack_seconds=0.9, pull_seconds=77.0, learn_events_max=7
+    )
+    new = msgspec.structs.replace(
+        config, limits=limits, health=HealthSettings(listen="127.0.0.1:1")
+    )
     obeyed, waiting = changes(config, new)
     assert waiting == ["limits.learn_events_max", "health.listen"]
     assert (obeyed.ack_seconds, obeyed.learn_events_max) == (0.9, config.limits.learn_events_max)

@@ -1,4 +1,6 @@
-"""The journal: what is committed stays, once, in order; damage is noticed; what is old is forgotten, no more."""
+"""The journal: what is committed stays, once, in order; damage is noticed; what is old is
+forgotten, no more.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,14 @@ from serving import Failing
 from camtopod.config.settings import KeepSettings
 from camtopod.serve.storage import journal as journals
 from camtopod.serve.storage import sqlite_file
-from camtopod.serve.storage.journal import BOOTS_KEPT_MAX, DAY_SECONDS, Entry, Journal, Snapshot, StoredVersion
+from camtopod.serve.storage.journal import (
+    BOOTS_KEPT_MAX,
+    DAY_SECONDS,
+    Entry,
+    Journal,
+    Snapshot,
+    StoredVersion,
+)
 from camtopod.serve.storage.journal_writer import Storing
 from camtopod.serve.storage.sqlite_file import Damaged, StateError
 
@@ -53,7 +62,11 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 
 def test_it_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: Path) -> None:
     journal.commit([entry(1), entry(2)])
-    journal.commit([entry(3), Entry("advance", "", None, None, b"12.5")], [version(1)], Snapshot(3, "E", b"state"))
+    journal.commit(
+        [entry(3), Entry("advance", "", None, None, b"12.5")],
+        [version(1)],
+        Snapshot(3, "E", b"state"),
+    )
     expected = [entry(1), entry(2), entry(3), Entry("advance", "", None, None, b"12.5")]
     assert [one for _, one in journal.entries()] == expected
     journal.close()
@@ -68,7 +81,9 @@ def test_it_gives_back_what_was_committed_in_order(journal: Journal, tmp_path: P
         assert len(again) == 4
 
 
-def test_more_entries_than_are_read_at_a_time(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_entries_than_are_read_at_a_time(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(journals, "CHUNK_ENTRIES", 7)
     journal.commit([entry(n) for n in range(1, 51)])
     assert kept(journal) == list(range(1, 51))
@@ -109,7 +124,9 @@ def test_a_damaged_entry_is_noticed_and_left_where_it_is(journal: Journal, colum
     assert journal._db.execute("SELECT COUNT(*) FROM entry").fetchone() == (3,)
 
 
-def test_other_damaged_rows_are_reported_and_not_used(journal: Journal, caplog: pytest.LogCaptureFixture) -> None:
+def test_other_damaged_rows_are_reported_and_not_used(
+    journal: Journal, caplog: pytest.LogCaptureFixture
+) -> None:
     journal.set_meta("epoch", "E")
     for position in (1, 2):
         journal.commit([entry(position)], [version(position)], Snapshot(position, "E", b"state"))
@@ -135,7 +152,9 @@ def test_a_file_that_is_no_database_is_set_aside(tmp_path: Path) -> None:
 def test_what_can_be_read_of_a_damaged_journal_goes_on(journal: Journal, tmp_path: Path) -> None:
     journal.set_meta("epoch", "E")
     for number in range(1, 400):
-        journal.commit([entry(number)], [version(number)], Snapshot(number, "E", b"state %d" % number))
+        journal.commit(
+            [entry(number)], [version(number)], Snapshot(number, "E", b"state %d" % number)
+        )
     journal.close()
     with closing(sqlite3.connect(tmp_path / "journal.db")) as file:
         pages = dict(file.execute("SELECT name, rootpage FROM sqlite_schema"))
@@ -150,7 +169,9 @@ def test_what_can_be_read_of_a_damaged_journal_goes_on(journal: Journal, tmp_pat
         assert [one for _, one in anew.entries()] == [entry(n) for n in range(1, 400)]
         assert anew.snapshots()[0] == Snapshot(399, "E", b"state 399")
         assert len(anew.versions("E")) == 399
-        assert (anew.meta("epoch"), anew.meta("epoch before")) == (None, "E"), "a later line of versions begins"
+        assert (anew.meta("epoch"), anew.meta("epoch before")) == (None, "E"), (
+            "a later line of versions begins"
+        )
         assert anew.damaged_files() == [anew.set_aside]
         assert anew.streams() == {}, "publishers are asked for what they still have"
         anew.commit([entry(400)])
@@ -189,7 +210,13 @@ def test_a_damaged_journal_is_read_out_though_the_first_try_fails(
 def test_entries_that_are_missing_are_noticed(journal: Journal) -> None:
     journal.commit([entry(n) for n in range(1, 7)])
     journal._db.execute("DELETE FROM entry WHERE id IN (1, 3, 4)")
-    assert list(journal.entries()) == [(2, entry(2)), (3, None), (4, None), (5, entry(5)), (6, entry(6))]
+    assert list(journal.entries()) == [
+        (2, entry(2)),
+        (3, None),
+        (4, None),
+        (5, entry(5)),
+        (6, entry(6)),
+    ]
     assert [number for number, _ in journal.entries(after=3)] == [4, 5, 6]
 
 
@@ -208,7 +235,8 @@ def test_the_first_format_is_migrated(tmp_path: Path) -> None:
         for number in range(1, 4):
             raw = entry(number).raw
             old.execute(
-                "INSERT INTO entry VALUES (?, 'event', 'lobby', 'b1', ?, ?, ?)", (number, number, raw, zlib.crc32(raw))
+                "INSERT INTO entry VALUES (?, 'event', 'lobby', 'b1', ?, ?, ?)",
+                (number, number, raw, zlib.crc32(raw)),
             )
         old.execute("UPDATE entry SET crc = 0 WHERE id = 2")
     for _ in range(2):
@@ -217,7 +245,11 @@ def test_the_first_format_is_migrated(tmp_path: Path) -> None:
             assert journal.streams() == {("lobby", "b1"): 3}
             assert journal.versions("E") == {1: "d1", 2: "d2"}
             assert journal.version("E", 2) is None  # only its digest was kept
-            assert (journal.meta("epoch"), journal.meta("format"), journal.set_aside) == ("E", "2", None)
+            assert (journal.meta("epoch"), journal.meta("format"), journal.set_aside) == (
+                "E",
+                "2",
+                None,
+            )
     with closing(Journal(tmp_path)) as journal:
         journal.commit([entry(4)])
         assert kept(journal) == [1, 2, 3, 4]
@@ -268,7 +300,9 @@ def test_entries_are_forgotten_by_age_behind_both_snapshots(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("variables_max", [32_766, 999])
-def test_a_transaction_of_any_size_is_there_as_it_was_given(tmp_path: Path, variables_max: int) -> None:
+def test_a_transaction_of_any_size_is_there_as_it_was_given(
+    tmp_path: Path, variables_max: int
+) -> None:
     """Rows are inserted many at a time; an older SQLite takes fewer variables."""
     with closing(Journal(tmp_path)) as journal:
         journal._db.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, variables_max)
@@ -293,7 +327,9 @@ def test_the_file_stays_within_its_size(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def versions_left(journal: Journal, clocks: list[tuple[float, float]]) -> list[int]:
-    """How many versions the journal has after each look at what is old, at such times (wall clock, steady clock)."""
+    """How many versions the journal has after each look at what is old, at such times (wall clock,
+    steady clock).
+    """
     told, left = [clocks[0]], []
     storing = Storing(journal, lambda: told[-1][0], lambda: told[-1][1], lambda _: None)
     for wall_and_steady in clocks:
@@ -310,7 +346,10 @@ def test_a_clock_that_is_wrong_for_a_while_makes_nothing_old(journal: Journal) -
         journal.commit([entry(day)], [version(day)], now=NOW + day * DAY_SECONDS)
     today, years, hour = NOW + 50 * DAY_SECONDS, 3650 * DAY_SECONDS, 3600
     assert (
-        versions_left(journal, [(today, 0), (today + years, 60), (today + 120, 120), (today + years, 130)]) == [50] * 4
+        versions_left(
+            journal, [(today, 0), (today + years, 60), (today + 120, 120), (today + years, 130)]
+        )
+        == [50] * 4
     )
     wrong_from_the_start = [(today + years + n * hour, n * hour) for n in range(12)]
     assert versions_left(journal, wrong_from_the_start) == [50] * 12
@@ -322,7 +361,9 @@ def test_a_clock_that_runs_evenly_for_a_day_is_believed(journal: Journal) -> Non
     for day in range(50):
         journal.commit([entry(day)], [version(day)], now=NOW + day * DAY_SECONDS)
     later = NOW + 400 * DAY_SECONDS
-    assert versions_left(journal, [(later + n * DAY_SECONDS / 2, n * DAY_SECONDS / 2) for n in range(4)]) == [
+    assert versions_left(
+        journal, [(later + n * DAY_SECONDS / 2, n * DAY_SECONDS / 2) for n in range(4)]
+    ) == [
         50,
         50,
         1,
@@ -330,7 +371,9 @@ def test_a_clock_that_runs_evenly_for_a_day_is_believed(journal: Journal) -> Non
     ]
 
 
-def test_what_is_left_to_forget_is_said_whatever_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_left_to_forget_is_said_whatever_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(journals, "PRUNED_ROWS_MAX", 10)
     with closing(Journal(tmp_path, KeepSettings(journal_days=2.0))) as journal:
         journal.commit([entry(n) for n in range(1, 61)], now=NOW)
@@ -352,7 +395,12 @@ def test_history_is_bounded_by_bytes_and_by_days(tmp_path: Path) -> None:
             content = bytes(range(256)) * (day + 1)
             journal.commit([], [version(day, content)], now=NOW + day * DAY_SECONDS)
         journal.prune(NOW + 8 * DAY_SECONDS)
-        assert sum(len(zlib.compress(journal.version("E", n) or b"", 3)) for n in journal.versions("E")) <= 3000
+        assert (
+            sum(
+                len(zlib.compress(journal.version("E", n) or b"", 3)) for n in journal.versions("E")
+            )
+            <= 3000
+        )
         assert max(journal.versions("E")) == 7
         before = len(journal.versions("E"))
         assert before > 3
@@ -362,7 +410,9 @@ def test_history_is_bounded_by_bytes_and_by_days(tmp_path: Path) -> None:
         assert journal.version("E") == bytes(range(256)) * 8, "the newest stays whatever its age"
 
 
-def test_how_far_made_up_cameras_had_come_is_forgotten(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_how_far_made_up_cameras_had_come_is_forgotten(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(journals, "STREAMS_KEPT_MAX", 10)
     for number in range(30):
         journal.commit([Entry("event", f"name{number}", "b1", 1, b"raw")])

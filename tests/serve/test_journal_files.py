@@ -1,5 +1,5 @@
-"""The journal's files are not the ones that are open any more: that is noticed before anything counts as stored; and
-the witness beside it says what a journal had that has come back older.
+"""The journal's files are not the ones that are open any more: that is noticed before anything
+counts as stored; and the witness beside it says what a journal had that has come back older.
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ def harm(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], None]:
 # --- what is noticed ------------------------------------------------------------------------------
 
 
-def test_it_is_noticed_though_there_is_nothing_to_store(journal: Journal, harm: Callable[[], None]) -> None:
+def test_it_is_noticed_though_there_is_nothing_to_store(
+    journal: Journal, harm: Callable[[], None]
+) -> None:
     journal.commit([])
     harm()
     for _ in range(2):
@@ -92,9 +94,13 @@ def test_it_is_noticed_though_there_is_nothing_to_store(journal: Journal, harm: 
 
 
 class Harmed:
-    """A connection to whose files something happens just before a COMMIT takes effect, or just after it."""
+    """A connection to whose files something happens just before a COMMIT takes effect, or just
+    after it.
+    """
 
-    def __init__(self, connection: sqlite3.Connection, harm: Callable[[], None], after: bool) -> None:
+    def __init__(
+        self, connection: sqlite3.Connection, harm: Callable[[], None], after: bool
+    ) -> None:
         self._connection, self._harm, self._after = connection, harm, after
 
     def __getattr__(self, name: str) -> Any:
@@ -122,7 +128,11 @@ def test_what_is_committed_into_a_file_that_is_gone_is_not_stored(
 
 def test_what_was_committed_counts_when_the_file_is_back(journal: Journal, tmp_path: Path) -> None:
     path, moved = tmp_path / "journal.db", tmp_path / "moved"
-    everything = (entries(4, 5), [StoredVersion("E", 1, "sha256:1", b"{}")], Snapshot(5, "E", b"state"))
+    everything = (
+        entries(4, 5),
+        [StoredVersion("E", 1, "sha256:1", b"{}")],
+        Snapshot(5, "E", b"state"),
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(journal, "_db", Harmed(journal._db, lambda: path.rename(moved), True))
         for _ in range(3):
@@ -136,11 +146,12 @@ def test_what_was_committed_counts_when_the_file_is_back(journal: Journal, tmp_p
 
 
 def in_another_process(statement: str, path: Path) -> None:
-    code = (
-        "import sqlite3, sys; db = sqlite3.connect(sys.argv[1]); print(db.execute(sys.argv[2]).fetchall()); db.commit()"
-    )
+    code = "import sqlite3, sys; db = sqlite3.connect(sys.argv[1]); print(db.execute(sys.argv[2]).fetchall()); db.commit()"
     subprocess.run(
-        [sys.executable, "-c", code, str(path), statement], check=True, timeout=60, stdout=subprocess.DEVNULL
+        [sys.executable, "-c", code, str(path), statement],
+        check=True,
+        timeout=60,
+        stdout=subprocess.DEVNULL,
     )
 
 
@@ -153,7 +164,9 @@ def in_another_process(statement: str, path: Path) -> None:
         "VACUUM INTO 'TARGET'",
     ],
 )
-def test_another_program_may_read_it_and_fold_its_log_in(journal: Journal, tmp_path: Path, statement: str) -> None:
+def test_another_program_may_read_it_and_fold_its_log_in(
+    journal: Journal, tmp_path: Path, statement: str
+) -> None:
     """As `sqlite3` does, or what makes a backup of a database in use."""
     for number in range(4, 400, 3):
         journal.commit(entries(number, number + 1, number + 2))
@@ -167,13 +180,17 @@ def test_another_program_may_read_it_and_fold_its_log_in(journal: Journal, tmp_p
     assert len(kept(journal)) == len(journal) == 399
 
 
-def test_entries_of_another_program_are_no_reason_to_count_ones_own_as_stored(journal: Journal, tmp_path: Path) -> None:
+def test_entries_of_another_program_are_no_reason_to_count_ones_own_as_stored(
+    journal: Journal, tmp_path: Path
+) -> None:
     """As many as are to be stored: one's own may be there after a transaction that failed."""
     (tmp_path / "journal.lock").rename(tmp_path / "lock")
     with closing(Journal(tmp_path)) as other:
         other.commit(entries(10, 11))
     (tmp_path / "lock").rename(tmp_path / "journal.lock")
-    with pytest.raises(Displaced, match="was changed by another program, its last entry is 5 and was 3"):
+    with pytest.raises(
+        Displaced, match="was changed by another program, its last entry is 5 and was 3"
+    ):
         journal.commit(entries(4, 5))
 
 
@@ -184,7 +201,9 @@ def test_any_database_can_be_asked(tmp_path: Path) -> None:
         connection.execute("INSERT INTO one VALUES (1)")
         connection.check()
         (tmp_path / "one.db").unlink()
-        with pytest.raises(Displaced, match=r"one\.db is gone while it is in use \(No such file or directory\)"):
+        with pytest.raises(
+            Displaced, match=r"one\.db is gone while it is in use \(No such file or directory\)"
+        ):
             connection.check()
 
 
@@ -202,11 +221,16 @@ def test_a_journal_that_is_gone_leaves_its_log_to_be_looked_at(
         assert (len(again), again.missing) == (0, 3)
         assert (killed / "journal.db.damaged-1-wal").read_bytes() == content
         again.commit(entries(1, 2, 3))
-    assert "journal.db is damaged: it is empty or was missing, and its log is still there" in caplog.text
+    assert (
+        "journal.db is damaged: it is empty or was missing, and its log is still there"
+        in caplog.text
+    )
     assert "has come back older than it was: it had 3 entries and has 0" in caplog.text
 
 
-def test_a_spool_that_is_gone_leaves_its_log_to_be_looked_at(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_spool_that_is_gone_leaves_its_log_to_be_looked_at(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     (tmp_path / "spool").mkdir()
     with closing(Spool(tmp_path / "spool" / "spool.db", "boot-1", 1000)):
         killed = copy_of(tmp_path / "spool", tmp_path / "killed")
@@ -239,7 +263,10 @@ def test_a_journal_that_came_back_older_begins_a_later_epoch(
     journal.close()
     as_it_was(tmp_path, earlier)
     with closing(Journal(tmp_path)) as again:
-        assert (again.meta("epoch"), again.meta("epoch before")) == (None, "F" if lost == "epoch" else "E")
+        assert (again.meta("epoch"), again.meta("epoch before")) == (
+            None,
+            "F" if lost == "epoch" else "E",
+        )
         assert (again.meta("name"), again.missing) == ("N", 2 if lost == "entries" else 0)
         assert again.status()["missing"] == again.missing
     assert caplog.text.count("has come back older than it was") == 1
@@ -255,7 +282,11 @@ def test_everything_but_the_witness_is_lost(journal: Journal, tmp_path: Path) ->
     for path in tmp_path.glob("journal.db*"):
         path.unlink()
     with closing(Journal(tmp_path)) as again:
-        assert (again.meta("name"), again.meta("epoch"), again.meta("epoch before")) == ("N", None, "E")
+        assert (again.meta("name"), again.meta("epoch"), again.meta("epoch before")) == (
+            "N",
+            None,
+            "E",
+        )
         assert (len(again), again.missing) == (0, 3)
 
 
@@ -269,7 +300,12 @@ def test_a_witness_that_cannot_be_read_says_nothing(
     content[19] ^= 1  # how many entries
     (tmp_path / "journal.lock").write_bytes(content if line is None else line)
     with closing(Journal(tmp_path)) as again:
-        assert (len(again), again.missing, again.meta("epoch"), again.meta("name")) == (3, 0, "E", "N")
+        assert (len(again), again.missing, again.meta("epoch"), again.meta("name")) == (
+            3,
+            0,
+            "E",
+            "N",
+        )
         again.commit(entries(4))
     for path in tmp_path.glob("journal.db*"):
         path.unlink()

@@ -1,4 +1,6 @@
-"""The learner's process: it learns what the plain learner does, and lives and ends with the daemon."""
+"""The learner's process: it learns what the plain learner does, and lives and ends with the
+daemon.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +102,9 @@ def test_what_is_more_than_is_kept_in_memory_is_learned_from_the_journal(
     with contextlib.closing(Installation(tmp_path)) as one:
 
         def beat() -> None:
-            """After each step, so that there is always something to come: twice as much as is learned in a step."""
+            """After each step, so that there is always something to come: twice as much as is
+            learned in a step.
+            """
             if more := next(waiting, None):
                 one.learning.feed(one.store(more))
                 came.append(one.learning._behind)
@@ -114,7 +118,9 @@ def test_what_is_more_than_is_kept_in_memory_is_learned_from_the_journal(
     assert set(came) == {queued < 10**6} if queued in (0, 10**6) else {True, False}
 
 
-def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(process: LearnerProcess) -> None:
+def test_what_the_terminal_and_systemd_tell_the_group_is_not_for_it(
+    process: LearnerProcess,
+) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(process.pid, number)
     assert isinstance(process.ask(Teach(0, [event("1")])), Taught)
@@ -138,14 +144,18 @@ def test_what_a_snapshot_took_is_given_back(monkeypatch: pytest.MonkeyPatch) -> 
     assert done == ["Taught", "Saved", "given back"]
 
 
-def test_what_is_printed_there_is_no_answer(process: LearnerProcess, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_is_printed_there_is_no_answer(
+    process: LearnerProcess, capfd: pytest.CaptureFixture[str]
+) -> None:
     answer = process.ask(Teach(0, [event("prints")]))
     assert isinstance(answer, Taught)
     assert answer.position == 1
 
 
 def test_what_cannot_be_read_teaches_nothing_and_is_counted(process: LearnerProcess) -> None:
-    answer = process.ask(Teach(0, [b"{}", None, T0, event("1"), b'{"camera":"a","kind":"exit","t":1700000000.0}']))
+    answer = process.ask(
+        Teach(0, [b"{}", None, T0, event("1"), b'{"camera":"a","kind":"exit","t":1700000000.0}'])
+    )
     assert isinstance(answer, Taught)
     assert (answer.position, answer.unreadable) == (5, 1)
     assert answer.statistics["accepted"] == 2
@@ -162,7 +172,10 @@ def all_said(process: LearnerProcess, question: Question) -> list[Answer]:
 
 def test_of_what_was_stored_before_a_shard_tells_the_newest_alone() -> None:
     """A long journal that is learned again has thousands of versions, and each has its parts."""
-    portion, lessons = Portion(Sharding(districts=2), (0, 1)), Teach(0, [to_pack(one) for one in EVENTS])
+    portion, lessons = (
+        Portion(Sharding(districts=2), (0, 1)),
+        Teach(0, [to_pack(one) for one in EVENTS]),
+    )
     made: list[Made] = []
     for _ in range(2):
         stored = {one.version: one.digest for one in made[:-1]}
@@ -193,7 +206,9 @@ import numpy.f2py, numpy.testing
 numpy.testing.assert_array_equal(numpy.zeros(2), [0.0, 0.0])
 numpy.f2py.get_include()
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == ([] if spared else ["testing", "f2py"])
     assert start.__name__ == PROGRAM
 
@@ -216,7 +231,9 @@ def test_a_question_that_takes_too_long_ends_it(process: LearnerProcess) -> None
     assert ended.value.at == 2
 
 
-def test_an_endless_step_holds_up_no_stop_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_endless_step_holds_up_no_stop_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(feeder, "FINISH_SECONDS", 0.3)
     stop = threading.Event()
     with contextlib.closing(Installation(tmp_path, program=FAULTY)) as one:
@@ -257,7 +274,9 @@ def test_it_ends_with_the_daemon_even_in_the_middle_of_a_step(busy: bool) -> Non
     )
     here = os.pathsep.join(map(str, (ROOT, TESTS, SUPPORT, TESTS / "serve")))
     above = subprocess.Popen(
-        [sys.executable, "-c", script], stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": here}
+        [sys.executable, "-c", script],
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": here},
     )
     with above:
         assert above.stdout is not None
@@ -289,9 +308,13 @@ def test_a_daemon_of_a_script_from_standard_input_without_a_main_guard(tmp_path:
     """Nothing of the script runs a second time."""
     script = EMBEDDED.format(tests=str(SUPPORT), state=str(tmp_path / "state"))
     ended = subprocess.run(
-        [sys.executable, "-"], input=script, text=True, capture_output=True, timeout=60,
+        [sys.executable, "-"],
+        input=script,
+        text=True,
+        capture_output=True,
+        timeout=60,
         cwd=ROOT,
-    )  # fmt: skip
+    )
     assert ended.returncode == 0, ended.stderr
     version, pid = map(int, ended.stdout.split())
     assert version > 0

@@ -86,7 +86,11 @@ print(resident_bytes() - before)
 def measured(program: str) -> dict[str, int]:
     """What the program prints with the arenas limited, and with as many as glibc likes: bytes."""
     return {
-        how: int(subprocess.run([sys.executable, "-c", program, how], capture_output=True, check=True).stdout)
+        how: int(
+            subprocess.run(
+                [sys.executable, "-c", program, how], capture_output=True, check=True
+            ).stdout
+        )
         for how in ("limited", "as it is")
     }
 
@@ -125,7 +129,9 @@ def test_what_is_large_leaves_no_holes_behind() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
 def test_what_is_in_the_journal_does_not_stay_in_memory(tmp_path: Path) -> None:
-    ran = subprocess.run([sys.executable, "-c", JOURNAL, str(tmp_path)], capture_output=True, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", JOURNAL, str(tmp_path)], capture_output=True, check=True
+    )
     assert int(ran.stdout) < 10e6
 
 
@@ -173,7 +179,9 @@ def test_a_program_that_does_not_collect_goes_on_without() -> None:
 def test_the_collector_does_not_go_through_events_on_their_way() -> None:
     """In a flood that would take longer than to decode them."""
     event, entry = Event("a", "exit", 1.0), Entry("event", "a", None, None, b"raw")
-    assert not any(gc.is_tracked(one) for one in (event, entry, Received(entry, event), Message("a", b"raw")))
+    assert not any(
+        gc.is_tracked(one) for one in (event, entry, Received(entry, event), Message("a", b"raw"))
+    )
 
 
 def test_the_collector_looks_seldom(threshold: None) -> None:

@@ -1,4 +1,6 @@
-"""What Prometheus scrapes is what the status says: a real daemon, a real grabber's answer, Prometheus's own parser."""
+"""What Prometheus scrapes is what the status says: a real daemon, a real grabber's answer,
+Prometheus's own parser.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,16 @@ import msgspec
 import pytest
 import yaml
 from paths import DEPLOY
-from serving import WAIT_SECONDS, all_out, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+from serving import (
+    WAIT_SECONDS,
+    all_out,
+    closing_event,
+    free_endpoint,
+    numbered,
+    small_config,
+    wait_for,
+    walkers,
+)
 
 from camtopod.cli.main import main
 from camtopod.config.settings import Config, StateSettings, parse
@@ -24,7 +35,9 @@ from camtopod.serve.bus import session as buses
 from camtopod.serve.daemon import Daemon
 from camtopod.serve.monitoring import health, metrics
 
-parser = pytest.importorskip("prometheus_client.parser", reason="needs prometheus-client (camtopod[metrics])")
+parser = pytest.importorskip(
+    "prometheus_client.parser", reason="needs prometheus-client (camtopod[metrics])"
+)
 
 Samples = dict[tuple[str, str], float]
 """(name, camera) -> value; camera "" is the site's."""
@@ -111,7 +124,9 @@ def test_the_figures_are_those_of_the_status(daemon: Daemon, tmp_path: Path) -> 
         assert samples["camtopod_events_total", camera] == counters["events"]
         assert samples["camtopod_event_timestamp_seconds", camera] == counters["newest"]
         assert samples["camtopod_camera_alive", camera] == 0
-    assert sum(value for (name, _), value in samples.items() if name == "camtopod_events_total") == len(events)
+    assert sum(
+        value for (name, _), value in samples.items() if name == "camtopod_events_total"
+    ) == len(events)
     assert samples["camtopod_learner_process_resident_memory_bytes", ""] > 1e6
     assert samples["process_resident_memory_bytes", ""] > 1e6
 
@@ -134,8 +149,16 @@ def test_every_metric_of_the_site_is_there_from_the_start(idle: set[str]) -> Non
 
 def test_the_cameras_processes_are_asked(daemon: Daemon, tmp_path: Path) -> None:
     def status(camera: str) -> Any:
-        return {"camera": camera, "state": "running", "restarts": 2, "frames_grabbed": 70, "unacknowledged": 3,
-                "last_frame_t": 5.5, "frames_analysed": "many", "reason": "x" * 9}  # fmt: skip
+        return {
+            "camera": camera,
+            "state": "running",
+            "restarts": 2,
+            "frames_grabbed": 70,
+            "unacknowledged": 3,
+            "last_frame_t": 5.5,
+            "frames_analysed": "many",
+            "reason": "x" * 9,
+        }
 
     with buses.dial(small_config(tmp_path, daemon.endpoint)) as bus:
         bus.answer("status/lobby", lambda key, parameters: status("lobby"), "status")
@@ -163,41 +186,62 @@ def test_with_certificates_the_cameras_are_asked_all_the_same(tmp_path: Path) ->
     def of(folder: Path, bus: str) -> Config:
         files = {"ca": "ca.pem", "certificate": "certificate.pem", "private_key": "private.key"}
         tls = "\n".join(f'{name} = "{folder / file}"' for name, file in files.items())
-        return parse(f'[bus]\n{bus} = ["{endpoint}"]\n[bus.tls]\n{tls}\naccess = "{keys}/daemon/access.json"\n')
+        return parse(
+            f'[bus]\n{bus} = ["{endpoint}"]\n[bus.tls]\n{tls}\naccess = "{keys}/daemon/access.json"\n'
+        )
 
     with contextlib.ExitStack() as stack:
         state = StateSettings(str(tmp_path))
-        daemon = stack.enter_context(Daemon(msgspec.structs.replace(of(keys / "daemon", "listen"), state=state)))
+        daemon = stack.enter_context(
+            Daemon(msgspec.structs.replace(of(keys / "daemon", "listen"), state=state))
+        )
         for camera in ("lobby", "hall"):
             bus = stack.enter_context(buses.dial(of(keys / "camera" / camera, "connect")))
             bus.answer(f"status/{camera}", lambda key, parameters: {"state": "running"}, "status")
-            bus.answer("status/yard", lambda key, parameters: {"state": "running"}, "status")  # not its own
+            bus.answer(
+                "status/yard", lambda key, parameters: {"state": "running"}, "status"
+            )  # not its own
         reader = stack.enter_context(buses.dial(of(keys / "reader" / "wall", "connect")))
         wait_for(lambda: len(metrics.grabbers(daemon.bus)) == 2, "the answers")
         assert set(metrics.grabbers(daemon.bus)) == {"lobby", "hall"}
-        answering = {"status/daemon", "status/lobby", "status/hall"}  # the reader may not know of all at once
-        wait_for(lambda: {key for key, _ in reader.ask("status/*")} == answering, "all of them to answer the reader")
+        answering = {
+            "status/daemon",
+            "status/lobby",
+            "status/hall",
+        }  # the reader may not know of all at once
+        wait_for(
+            lambda: {key for key, _ in reader.ask("status/*")} == answering,
+            "all of them to answer the reader",
+        )
 
 
 def test_the_number_of_cameras_has_a_limit(daemon: Daemon, tmp_path: Path) -> None:
     with buses.dial(small_config(tmp_path, daemon.endpoint)) as bus:
         for number in range(20):
             bus.put(f"event/c{number:02}", Event(f"c{number:02}", "entry", 1.0), "event")
-            bus.answer(f"status/c{number:02}", lambda key, parameters: {"state": "running"}, "status")
+            bus.answer(
+                f"status/c{number:02}", lambda key, parameters: {"state": "running"}, "status"
+            )
         wait_for(lambda: len(daemon.status()["cameras"]) == 20, "the cameras")
         wait_for(lambda: len(metrics.grabbers(daemon.bus)) == 20, "the answers")
         samples = scraped(daemon, 5)
     assert {camera for _, camera in samples} == {"", "c00", "c01", "c02", "c03", "c04"}
 
 
-def test_what_found_no_room_is_counted_by_camera(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_found_no_room_is_counted_by_camera(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
     said = daemon.status()
     said["cameras"] = {"lobby": {"events": 4, "newest": 1.0, "ahead": None, "alive": True}}
     said["dropped"] = {"lobby": 7, "gone": 2, "": 1}
     said["refused"] = {"expired": 2, "no-rights": 1, "denied": 5, "too-large": 6}
     monkeypatch.setattr(daemon, "status", lambda: msgspec.json.decode(msgspec.json.encode(said)))
     samples = scraped(daemon)
-    dropped = {camera: value for (name, camera), value in samples.items() if name == "camtopod_events_dropped_total"}
+    dropped = {
+        camera: value
+        for (name, camera), value in samples.items()
+        if name == "camtopod_events_dropped_total"
+    }
     assert dropped == {"lobby": 7, "": 3}
     refused = ("connections_refused", "messages_denied", "messages_oversized")
     assert [samples[f"camtopod_{name}_total", ""] for name in refused] == [3, 5, 6]
@@ -255,17 +299,28 @@ def expressions() -> list[str]:
     """Everything the rules and the board ask Prometheus for."""
     found = [rule["expr"] for rule in rules()]
     found += [target["expr"] for panel in board()["panels"] for target in panel.get("targets", [])]
-    found += [one["query"]["query"] for one in board()["templating"]["list"] if isinstance(one["query"], dict)]
+    found += [
+        one["query"]["query"]
+        for one in board()["templating"]["list"]
+        if isinstance(one["query"], dict)
+    ]
     return found + [one["expr"] for one in board()["annotations"]["list"]]
 
 
 def test_rules_and_board_ask_for_what_there_is(idle: set[str]) -> None:
     there = (
-        idle | {"up"} | {f"{metrics.PREFIX}{one.name}" for one in (*metrics.SITE, *metrics.CAMERA, *metrics.GRABBER)}
+        idle
+        | {"up"}
+        | {
+            f"{metrics.PREFIX}{one.name}"
+            for one in (*metrics.SITE, *metrics.CAMERA, *metrics.GRABBER)
+        }
     )
     functions = r"(?!\s*\()"
     asked = {
-        name for one in expressions() for name in re.findall(rf"\b(?:camtopod|process)_\w+|\bup\b{functions}", one)
+        name
+        for one in expressions()
+        for name in re.findall(rf"\b(?:camtopod|process)_\w+|\bup\b{functions}", one)
     }
     assert len(asked) > 40
     assert asked - there == set()
@@ -291,7 +346,11 @@ def test_the_board_is_laid_out() -> None:
     cells: set[tuple[int, int]] = set()
     for panel in board()["panels"]:
         at = panel["gridPos"]
-        mine = {(x, y) for x in range(at["x"], at["x"] + at["w"]) for y in range(at["y"], at["y"] + at["h"])}
+        mine = {
+            (x, y)
+            for x in range(at["x"], at["x"] + at["w"])
+            for y in range(at["y"], at["y"] + at["h"])
+        }
         assert not cells & mine, panel["title"]
         assert max(x for x, _ in mine) < 24
         cells |= mine

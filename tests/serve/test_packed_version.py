@@ -39,7 +39,11 @@ def predicted(topology: Topology) -> list[object]:
 def test_the_head_of_what_is_packed_is_that_of_the_whole(learned: Topology) -> None:
     head = head_of(to_pack(learned))
     assert head == head_of(learned)
-    assert (head.digest, head.zones, head.links) == (learned.digest, len(learned.zones), len(learned.links))
+    assert (head.digest, head.zones, head.links) == (
+        learned.digest,
+        len(learned.zones),
+        len(learned.links),
+    )
     assert head.zones
     assert head.links
 

@@ -1,4 +1,6 @@
-"""Publishers, daemon and subscribers as separate processes, and what is left when one of them is killed."""
+"""Publishers, daemon and subscribers as separate processes, and what is left when one of them is
+killed.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ from camtopod.serve.storage.journal import Journal
 
 
 class Installation:
-    """A daemon's process, on a port of its own, and the others'. Everything it started is ended with it."""
+    """A daemon's process, on a port of its own, and the others'. Everything it started is ended
+    with it.
+    """
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -67,11 +71,16 @@ class Installation:
 
     def subscriber(self) -> Subscriber:
         script = SUPPORT / "subscribe.py"
-        environment = {**os.environ, "PYTHONPATH": f"{script.parent.parent}{os.pathsep}{script.parent}"}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": f"{script.parent.parent}{os.pathsep}{script.parent}",
+        }
         process = subprocess.Popen(
             [sys.executable, str(script), self.endpoint],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+        )
         self._started.append(process)
         return Subscriber(process)
 
@@ -82,11 +91,19 @@ class Installation:
 
     def status(self, bus: Bus) -> dict[str, Any]:
         answers = bus.ask("status/daemon", one=True)
-        return msgspec.msgpack.decode(answers[0][1]) if answers else {"events": {"stored": -1}, "version": -1}
+        return (
+            msgspec.msgpack.decode(answers[0][1])
+            if answers
+            else {"events": {"stored": -1}, "version": -1}
+        )
 
     def rows(self) -> list[tuple[str, str | None, int | None]]:
         journal = Journal(self.directory / "state")
-        rows = [(e.camera, e.boot, e.seq) for _, e in journal.entries() if e is not None and e.kind == "event"]
+        rows = [
+            (e.camera, e.boot, e.seq)
+            for _, e in journal.entries()
+            if e is not None and e.kind == "event"
+        ]
         journal.close()
         return rows
 
@@ -130,7 +147,9 @@ def installation(tmp_path: Path) -> Iterator[Installation]:
     one.close()
 
 
-def test_three_publishers_one_daemon_two_subscribers_and_a_late_one(installation: Installation) -> None:
+def test_three_publishers_one_daemon_two_subscribers_and_a_late_one(
+    installation: Installation,
+) -> None:
     events = walkers(60)
     learner = Learner(small_config(Path()).learn, site="site", epoch="any")
     for event in [*events, closing_event()]:
@@ -140,9 +159,13 @@ def test_three_publishers_one_daemon_two_subscribers_and_a_late_one(installation
 
     daemon = installation.daemon()
     subscribers = [installation.subscriber() for _ in range(2)]
-    publishers = [installation.ingest(camera, [e for e in events if e.camera == camera]) for camera in "abc"]
+    publishers = [
+        installation.ingest(camera, [e for e in events if e.camera == camera]) for camera in "abc"
+    ]
     for publisher in publishers:
-        assert publisher.wait(serving.WAIT_SECONDS) == 0, "ends when all of its events are acknowledged"
+        assert publisher.wait(serving.WAIT_SECONDS) == 0, (
+            "ends when all of its events are acknowledged"
+        )
     bus = installation.client()
     bus.put("event/late", closing_event(), "event")
     for subscriber in subscribers:
@@ -150,7 +173,9 @@ def test_three_publishers_one_daemon_two_subscribers_and_a_late_one(installation
     late = installation.subscriber()
     wait_for(lambda: late.newest == expected, "the last version at the late joiner")
     assert len(late.versions) == 1, "it got the whole, not every version"
-    assert {v["epoch"] for s in (*subscribers, late) for v in s.versions} == {late.versions[0]["epoch"]}
+    assert {v["epoch"] for s in (*subscribers, late) for v in s.versions} == {
+        late.versions[0]["epoch"]
+    }
     assert installation.status(bus)["events"]["stored"] == len(events) + 1
 
     started = time.monotonic()
@@ -160,12 +185,17 @@ def test_three_publishers_one_daemon_two_subscribers_and_a_late_one(installation
     rows = installation.rows()
     assert len(rows) == len(set(rows)) == len(events) + 1
     for camera in "abc":
-        assert sum(where == camera for where, _, _ in rows) == sum(e.camera == camera for e in events)
+        assert sum(where == camera for where, _, _ in rows) == sum(
+            e.camera == camera for e in events
+        )
 
     again = installation.daemon()
     for subscriber in (*subscribers, late):
         assert subscriber.newest == expected
-    wait_for(lambda: installation.status(bus)["version"] == expected[0], "the daemon to be back at its version")
+    wait_for(
+        lambda: installation.status(bus)["version"] == expected[0],
+        "the daemon to be back at its version",
+    )
     again.send_signal(signal.SIGINT)
     assert again.wait(serving.WAIT_SECONDS) == 0
 
@@ -190,12 +220,16 @@ def test_a_killed_daemon_has_lost_nothing_it_acknowledged(installation: Installa
     try:
         for _ in range(2):
             safe = published
-            wait_for(lambda before=safe: published - publisher.unacknowledged > before + 200, "acks")  # type: ignore[misc]
+            wait_for(
+                lambda before=safe: published - publisher.unacknowledged > before + 200, "acks"
+            )  # type: ignore[misc]
             killed = installation._started[-1]
             killed.kill()
             killed.wait()
             gone = published
-            wait_for(lambda before=gone: published > before + 200, "events while there is no daemon")  # type: ignore[misc]
+            wait_for(
+                lambda before=gone: published > before + 200, "events while there is no daemon"
+            )  # type: ignore[misc]
             installation.daemon()
     finally:
         stop.set()
@@ -223,11 +257,15 @@ def test_commands_say_that_the_bus_is_not_there(installation: Installation) -> N
 
 def test_watch_shows_the_state(installation: Installation) -> None:
     installation.daemon()
-    assert installation.ingest("all", [*walkers(60), closing_event()]).wait(serving.WAIT_SECONDS) == 0
+    assert (
+        installation.ingest("all", [*walkers(60), closing_event()]).wait(serving.WAIT_SECONDS) == 0
+    )
     bus = installation.client()
     wait_for(lambda: installation.status(bus)["version"] >= 2, "a version")
     wait_for(lambda: installation.status(bus)["events"]["waiting"] == 0, "the learner")
-    out, _ = installation.start("watch", "--once", stdout=subprocess.PIPE).communicate(timeout=serving.WAIT_SECONDS)
+    out, _ = installation.start("watch", "--once", stdout=subprocess.PIPE).communicate(
+        timeout=serving.WAIT_SECONDS
+    )
     text = out.decode()
     assert "site site: daemon running, 241 events stored" in text
     assert "topology: version" in text
@@ -237,6 +275,8 @@ def test_watch_shows_the_state(installation: Installation) -> None:
 
 def test_a_bus_that_is_gone_is_an_error_not_a_hang(tmp_path: Path) -> None:
     config = small_config(tmp_path, "tcp/127.0.0.1:1")
-    config = msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, connect_seconds=0.1))
+    config = msgspec.structs.replace(
+        config, bus=msgspec.structs.replace(config.bus, connect_seconds=0.1)
+    )
     with pytest.raises(BusError):
         dial(config)

@@ -1,4 +1,6 @@
-"""The page's server and the bridge under systemd: one that hangs no longer feeds the watchdog, and is started again."""
+"""The page's server and the bridge under systemd: one that hangs no longer feeds the watchdog, and
+is started again.
+"""
 
 from __future__ import annotations
 
@@ -38,13 +40,19 @@ def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Systemd]:
 def started(
     module: Any, arguments: list[str], folder: Path, told: Systemd, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[str]:
-    """The command in a thread, until the end of the block; yields what it says of itself when it is ready."""
+    """The command in a thread, until the end of the block; yields what it says of itself when it is
+    ready.
+    """
     stop, status, endpoint = threading.Event(), [-1], free_endpoint()
     monkeypatch.setattr(module, "until_signal", lambda: contextlib.nullcontext(stop))
     settings = folder / "c.toml"
-    settings.write_text(f'[bus]\nconnect = ["{endpoint}"]\n[health]\nstall_seconds = {STALL_SECONDS}\n')
+    settings.write_text(
+        f'[bus]\nconnect = ["{endpoint}"]\n[health]\nstall_seconds = {STALL_SECONDS}\n'
+    )
     config = msgspec.structs.replace(small_config(folder), bus=BusSettings(listen=(endpoint,)))
-    thread = threading.Thread(target=lambda: status.insert(0, main(["--config", str(settings), *arguments])))
+    thread = threading.Thread(
+        target=lambda: status.insert(0, main(["--config", str(settings), *arguments]))
+    )
     with contextlib.closing(buses.meet(config)):
         thread.start()
         try:
@@ -86,7 +94,12 @@ def hangs_and_gets_on(told: Systemd, part: str, let_go: Callable[[], None]) -> N
     [("versions", TopologyView, "update"), ("messages", Feed, "_look"), ("page", Feed, "hello")],
 )
 def test_a_page_that_hangs_does_not_feed_the_watchdog(
-    part: str, owner: type, name: str, told: Systemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    part: str,
+    owner: type,
+    name: str,
+    told: Systemd,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with started(web, ["web", "--listen", "127.0.0.1:0"], tmp_path, told, monkeypatch) as said:
         address = said.removeprefix("STATUS=the page is at ")

@@ -1,4 +1,6 @@
-"""The receiver without a bus: what is acknowledged is stored, whatever fails when; nothing waits without a limit."""
+"""The receiver without a bus: what is acknowledged is stored, whatever fails when; nothing waits
+without a limit.
+"""
 
 from __future__ import annotations
 
@@ -44,16 +46,25 @@ class Acks:
 class Bench:
     """A receiver on a journal; time stands still at `T0`."""
 
-    def __init__(self, directory: Path, owns: Callable[[str], bool] = everything, **limits: float) -> None:
+    def __init__(
+        self, directory: Path, owns: Callable[[str], bool] = everything, **limits: float
+    ) -> None:
         self.journal, self.bus = Journal(directory), Acks()
         self.learned: list[Received] = []
         self.seen: list[Received] = []
         self.published: list[Version] = []
         self.receiver = Receiver(
-            self.journal, self.bus, Limits(**limits), lambda: T0,  # type: ignore[arg-type]
-            self.learned.extend, lambda: 10_000, self.published.append, lambda batch, _: self.seen.extend(batch),
-            steady=lambda: 0.0, owns=owns,
-        )  # fmt: skip
+            self.journal,
+            self.bus,
+            Limits(**limits),
+            lambda: T0,  # type: ignore[arg-type]
+            self.learned.extend,
+            lambda: 10_000,
+            self.published.append,
+            lambda batch, _: self.seen.extend(batch),
+            steady=lambda: 0.0,
+            owns=owns,
+        )
         self.stopping = threading.Event()
 
     def hear(self, *events: Event) -> None:
@@ -103,7 +114,11 @@ class Mouth:
         except queue.Empty:
             return []
         self._over = events is None
-        return None if events is None else [(f"event/{event.camera}", to_pack(event)) for event in events]
+        return (
+            None
+            if events is None
+            else [(f"event/{event.camera}", to_pack(event)) for event in events]
+        )
 
     def close(self) -> None:
         self._said.put(None)
@@ -115,7 +130,10 @@ class Mouth:
 def test_what_is_heard_is_put_in_order_by_the_thread_that_hears_it(bench: Bench) -> None:
     """To be handed to another would take it longer than to be predicted for."""
     mouth, seen_by = Mouth(events(2, 2), events(1, 1)), set()
-    bench.receiver._see = lambda batch, _: (bench.seen.extend(batch), seen_by.add(threading.get_ident()))  # type: ignore[assignment]
+    bench.receiver._see = lambda batch, _: (
+        bench.seen.extend(batch),
+        seen_by.add(threading.get_ident()),
+    )  # type: ignore[assignment]
     bench.receiver.ear = mouth  # type: ignore[assignment]
     mouth.close()
     bench.receiver.listen()
@@ -185,7 +203,9 @@ def test_predictions_end_when_so_much_comes_meanwhile_that_they_would_be_late(be
 def test_what_could_not_be_stored_at_the_end_is_not_acknowledged_with_what_could(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An ack says that everything up to its seq is stored; a disk may take the last event and not those before."""
+    """An ack says that everything up to its seq is stored; a disk may take the last event and not
+    those before.
+    """
     commit, refused = bench.journal.commit, [False]
 
     def full(entries: Any, *rest: Any) -> None:
@@ -206,7 +226,9 @@ def test_what_could_not_be_stored_at_the_end_is_not_acknowledged_with_what_could
 
 
 class Disk:
-    """Some commits succeed; then they do, fail, or fail and are durable all the same; at the last failure all stops."""
+    """Some commits succeed; then they do, fail, or fail and are durable all the same; at the last
+    failure all stops.
+    """
 
     def __init__(self, bench: Bench, chance: random.Random, failures: int) -> None:
         self._bench, self._chance, self._failures = bench, chance, failures
@@ -236,19 +258,28 @@ def test_whatever_the_disk_does_until_the_end_what_is_acknowledged_is_there_once
     chance = random.Random(seed)
     bench = Bench(tmp_path, commit_events_max=1, ack_seconds=1e-9)
     monkeypatch.setattr(bench.journal, "commit", Disk(bench, chance, chance.randint(1, 6)).commit)
-    coming = [event for camera in "ab" for event in events(1, 250, camera) for _ in range(chance.choice((1, 1, 2)))]
+    coming = [
+        event
+        for camera in "ab"
+        for event in events(1, 250, camera)
+        for _ in range(chance.choice((1, 1, 2)))
+    ]
     chance.shuffle(coming)
     coming.sort(key=lambda event: event.t + chance.uniform(0, 9))
     bench.hear(*coming)
     receiver = bench.receiver
-    bench.work(lambda: None if len(receiver._inbox) or receiver._ready.waiting else bench.stopping.set())
+    bench.work(
+        lambda: None if len(receiver._inbox) or receiver._ready.waiting else bench.stopping.set()
+    )
     entries = [entry for _, entry in bench.journal.entries()]
     stored = [(entry.camera, entry.seq) for entry in entries if entry is not None]
     assert len(set(stored)) == len(stored)
     assert bench.bus.seen
     for ack in bench.bus.seen:
         assert {(ack.camera, seq) for seq in range(1, ack.seq + 1)} <= set(stored)
-    assert [one.entry for one in bench.learned] == entries[: len(bench.learned)], "learned in the journal's order"
+    assert [one.entry for one in bench.learned] == entries[: len(bench.learned)], (
+        "learned in the journal's order"
+    )
     bench.journal.close()
 
 
@@ -280,7 +311,9 @@ def test_a_version_that_could_not_be_stored_at_the_end_is_stored_before_a_snapsh
     assert list(bench.journal.versions("E")) == [1]
 
 
-def test_the_last_snapshot_handed_over_is_stored_though_nothing_was_learned_since(bench: Bench) -> None:
+def test_the_last_snapshot_handed_over_is_stored_though_nothing_was_learned_since(
+    bench: Bench,
+) -> None:
     bench.receiver.storing.on_snapshot(Snapshot(0, "E", b"state"))
     bench.receiver.storing.last_words(None)
     assert len(bench.journal.snapshots()) == 1
@@ -305,12 +338,18 @@ def test_what_is_about_to_be_stored_is_seen_before_the_disk_has_it_and_once(
     assert seen_by_then == [4]
     bench.hear(*events(1, 6))
     bench.round()
-    assert [one.entry.seq for one in bench.seen] == [1, 2, 3, 4, 5, 6], "6 waited for 5; nothing twice"
+    assert [one.entry.seq for one in bench.seen] == [1, 2, 3, 4, 5, 6], (
+        "6 waited for 5; nothing twice"
+    )
     assert [one.entry for one in bench.seen] == [one.entry for one in bench.learned]
-    assert [one.entry.seq for one in bench.seen if one.event is None] == [4], "no event to be predicted"
+    assert [one.entry.seq for one in bench.seen if one.event is None] == [4], (
+        "no event to be predicted"
+    )
 
 
-def test_a_disk_that_does_not_answer_holds_up_no_prediction_and_bounds_what_waits(tmp_path: Path) -> None:
+def test_a_disk_that_does_not_answer_holds_up_no_prediction_and_bounds_what_waits(
+    tmp_path: Path,
+) -> None:
     bench = Bench(tmp_path, commit_events_max=10)
     for first in range(1, 100, 10):
         bench.hear(*events(first, first + 9))
@@ -330,13 +369,23 @@ def test_predictions_that_would_come_late_are_skipped_and_counted() -> None:
     live = Live(made.append)
     batch = [Received(Entry("event", "a", None, None, b""), event) for event in walkers(5)]
     live.see(batch, seconds_max=1.0)
-    assert (made, live.counts["predictions"], live.counts["predictions_skipped"]) == ([], 0, 0), "nothing learned yet"
+    assert (made, live.counts["predictions"], live.counts["predictions_skipped"]) == ([], 0, 0), (
+        "nothing learned yet"
+    )
     assert learner.topology is not None
     live.use(learner.topology)
     live.see(batch, seconds_max=60.0)
-    assert (len(made), live.counts["predictions"], live.counts["predictions_skipped"]) == (10, 10, 0)
+    assert (len(made), live.counts["predictions"], live.counts["predictions_skipped"]) == (
+        10,
+        10,
+        0,
+    )
     live.see(batch, seconds_max=0.0)
-    assert (len(made), live.counts["predictions"], live.counts["predictions_skipped"]) == (10, 10, 10)
+    assert (len(made), live.counts["predictions"], live.counts["predictions_skipped"]) == (
+        10,
+        10,
+        10,
+    )
 
 
 # --- limits ---------------------------------------------------------------------------------------
@@ -350,7 +399,9 @@ def test_early_events_of_a_publisher_without_a_count_wait_within_the_limit(bench
     assert bench.receiver.counts["held_full"] == 1000 - bench.receiver.cameras.waiting
 
 
-def test_an_answer_that_begins_beyond_all_measure_is_counted_as_far_as_counts_go(bench: Bench) -> None:
+def test_an_answer_that_begins_beyond_all_measure_is_counted_as_far_as_counts_go(
+    bench: Bench,
+) -> None:
     """A status that cannot be written would end the daemon."""
     for boot in "abc":
         bench.hear(*events(1, 1, boot=boot))
@@ -373,7 +424,9 @@ def test_what_another_shards_camera_sent_unheard_is_not_lost(tmp_path: Path) -> 
     bench.journal.close()
 
 
-def test_a_camera_whose_place_was_given_away_may_still_have_something_under_way(tmp_path: Path) -> None:
+def test_a_camera_whose_place_was_given_away_may_still_have_something_under_way(
+    tmp_path: Path,
+) -> None:
     """Held behind a gap for long, and then given up: it is stored."""
     bench = Bench(tmp_path, cameras_max=1, gap_seconds=0.001)
     bench.hear(*events(5, 6))
@@ -415,7 +468,9 @@ def test_a_camera_with_a_grabber_is_stored_beside_any_number_of_names(tmp_path: 
     bench.receiver.with_spool.add("lobby")
     bench.hear(*events(1, 3, "lobby"))
     bench.round()
-    assert [received.entry.seq for received in bench.learned if received.entry.camera == "lobby"] == [1, 2, 3]
+    assert [
+        received.entry.seq for received in bench.learned if received.entry.camera == "lobby"
+    ] == [1, 2, 3]
     assert bench.receiver.rejects.counts == {"too-many-cameras": 5}
     bench.journal.close()
 
@@ -476,7 +531,10 @@ def test_what_waits_is_no_larger_than_an_event_may_be(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("batch", "what"),
     [
-        (SpoolBatch("lobby", "b", 1, 0, False, [(1, b""), (2, b""), (3, b"")]), "3 events, asked for 2"),
+        (
+            SpoolBatch("lobby", "b", 1, 0, False, [(1, b""), (2, b""), (3, b"")]),
+            "3 events, asked for 2",
+        ),
         (SpoolBatch("lobby", "b", 1, 0, False, [(2, b""), (2, b"")]), "not by rising seq"),
         (SpoolBatch("lobby", "b", 2, 0, False, [(1, b"")]), "begins behind"),
         (SpoolBatch("hall", "b", 1, 0, False, []), "camera 'hall'"),

@@ -47,17 +47,28 @@ def learn(recording: Path, site: Path, state: Path, *more: str) -> int:
 
 
 def daemon_on(state: Path, events: list[Event]) -> Daemon:
-    """A daemon that has had the events on the bus and made of them all the versions there are to make."""
+    """A daemon that has had the events on the bus and made of them all the versions there are to
+    make.
+    """
     daemon = Daemon(replace(small_config(state), learn=LEARN), clock=lambda: T0 + 20 * SPAN_SECONDS)
     daemon.start()
     bus = buses.dial(small_config(state, daemon.endpoint))
     try:
         for event in events:
             bus.put(f"event/{event.camera}", event, "event")
-        wait_for(lambda: sum(daemon.status()["events"][name] for name in ("stored", "duplicate")) == len(events), "all")
+        wait_for(
+            lambda: (
+                sum(daemon.status()["events"][name] for name in ("stored", "duplicate"))
+                == len(events)
+            ),
+            "all",
+        )
         wait_for(lambda: not daemon.status()["events"]["waiting"], "learning")
         learned = daemon.status()["learner"]["version"]
-        wait_for(lambda: daemon.newest is not None and daemon.newest.head.version == learned, "the newest version")
+        wait_for(
+            lambda: daemon.newest is not None and daemon.newest.head.version == learned,
+            "the newest version",
+        )
     finally:
         bus.close()
     return daemon
@@ -89,7 +100,9 @@ def test_a_daemon_goes_on_from_a_recording(recording: Path, site: Path, tmp_path
     daemon = daemon_on(state, [*LATER, closing_event()])
     daemon.stop()
     with closing(Journal(state)) as journal:
-        assert journal.versions(first.epoch) == {1: first.digest} | {one.version: one.digest for one in expected}
+        assert journal.versions(first.epoch) == {1: first.digest} | {
+            one.version: one.digest for one in expected
+        }
 
 
 def test_events_of_the_recording_count_once(recording: Path, site: Path, tmp_path: Path) -> None:
@@ -137,7 +150,9 @@ def test_ended_half_way_the_daemon_learns_what_is_there(
     for event in [*RECORDED, closing_event()]:
         plain.receive(event)
     with closing(Journal(tmp_path / "state")) as journal:
-        assert journal.versions(daemon.epoch) == {one.version: one.digest for one in plain.updates()}
+        assert journal.versions(daemon.epoch) == {
+            one.version: one.digest for one in plain.updates()
+        }
 
 
 def test_a_recording_too_short_to_learn_is_kept_for_the_daemon(

@@ -37,10 +37,16 @@ EVENTS = [*sorted(numbered(walkers(60)), key=lambda event: event.t), closing_eve
 
 
 class Installation:
-    """A journal and the learning of a daemon on it, without the bus: stored, learned, stopped, started again."""
+    """A journal and the learning of a daemon on it, without the bus: stored, learned, stopped,
+    started again.
+    """
 
     def __init__(
-        self, directory: Path, settings: Settings = SETTINGS, snapshot_events: int = 10**9, program: str = PROGRAM
+        self,
+        directory: Path,
+        settings: Settings = SETTINGS,
+        snapshot_events: int = 10**9,
+        program: str = PROGRAM,
     ) -> None:
         self.journal = Journal(directory)
         self.process = LearnerProcess(program)
@@ -57,9 +63,16 @@ class Installation:
         recovered = recover(self.journal, self.process, settings, "s", self.new_epoch)
         self.started_at = recovered.position
         self.learning = Learning(
-            recovered, self.process, self.journal, 10**6, snapshot_events,
-            lambda version, _: self._versions.append(version), self._snapshot.append, lambda _: None, self.new_epoch,
-        )  # fmt: skip
+            recovered,
+            self.process,
+            self.journal,
+            10**6,
+            snapshot_events,
+            lambda version, _: self._versions.append(version),
+            self._snapshot.append,
+            lambda _: None,
+            self.new_epoch,
+        )
 
     def new_epoch(self) -> str:
         epoch = next(self._epochs)
@@ -69,7 +82,9 @@ class Installation:
 
     def store(self, events: list[Event]) -> list[Received]:
         """As the receiver does: first into the journal."""
-        received = [Received(Entry("event", e.camera, e.boot, e.seq, to_pack(e)), e) for e in events]
+        received = [
+            Received(Entry("event", e.camera, e.boot, e.seq, to_pack(e)), e) for e in events
+        ]
         self.journal.commit([one.entry for one in received])
         return received
 
@@ -107,7 +122,9 @@ Start = Callable[..., Installation]
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Start an installation on the same directory again, as after a kill: what was not stored is gone."""
+    """Start an installation on the same directory again, as after a kill: what was not stored is
+    gone.
+    """
     running: list[Installation] = []
 
     def again(**given: Any) -> Installation:
@@ -148,7 +165,9 @@ def test_a_version_that_was_not_stored_is_made_again(start: Start) -> None:
     assert before
     one.learning.feed(one.store(EVENTS[100:]))
     stop = threading.Event()
-    one.learning.work(stop, lambda: stop.set() if not one.learning.waiting else None)  # and killed: nothing is stored
+    one.learning.work(
+        stop, lambda: stop.set() if not one.learning.waiting else None
+    )  # and killed: nothing is stored
     again = start()
     again.run()
     assert before + again.published == uninterrupted()
@@ -177,7 +196,9 @@ def test_a_damaged_entry_begins_an_epoch_with_what_is_left(start: Start) -> None
     again.run()
     assert again.learning.damaged == 41
     assert {epoch for epoch, _, _ in again.published} == {"F"}
-    assert [version for _, version, _ in again.published] == list(range(1, len(again.published) + 1))
+    assert [version for _, version, _ in again.published] == list(
+        range(1, len(again.published) + 1)
+    )
 
 
 def test_other_settings_begin_an_epoch_with_what_is_known(start: Start) -> None:
@@ -210,14 +231,21 @@ def test_without_a_snapshot_and_the_oldest_events_an_epoch_begins(start: Start) 
     ],
 )
 def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
-    what: str, status: int, times: int, start: Start, caplog: pytest.LogCaptureFixture,
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    what: str,
+    status: int,
+    times: int,
+    start: Start,
+    caplog: pytest.LogCaptureFixture,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Where it is of no use to leave out more."""
     monkeypatch.setattr(corrections, "LEAVE_OUTS_MAX", 0)
     one = start()
     one.learn(EVENTS[:120])
-    one.store([*EVENTS[120:130], msgspec.structs.replace(EVENTS[130], track=what), *EVENTS[131:160]])
+    one.store(
+        [*EVENTS[120:130], msgspec.structs.replace(EVENTS[130], track=what), *EVENTS[131:160]]
+    )
     for _ in range(times):
         failing = start(program="learners.faulty")
         assert failing.started_at == 120
@@ -240,11 +268,18 @@ def test_a_learner_that_fails_at_an_entry_again_and_again_begins_anew_behind_it(
 def test_of_a_learner_that_fails_again_and_again_the_events_of_one_camera_are_left_out(
     what: str, times: int, start: Start, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Of the entry's camera; where memory may have run out, first of the one with the most events."""
+    """Of the entry's camera; where memory may have run out, first of the one with the most
+    events.
+    """
     one = start()
     one.learn(EVENTS[:120])
     poison = next(k for k in range(125, 160) if EVENTS[k].camera == "b")
-    one.store([msgspec.structs.replace(e, track=what) if k == poison else e for k, e in enumerate(EVENTS)][120:160])
+    one.store(
+        [
+            msgspec.structs.replace(e, track=what) if k == poison else e
+            for k, e in enumerate(EVENTS)
+        ][120:160]
+    )
     for _ in range(times):
         failing = start(program="learners.faulty")
         assert failing.started_at == 120
@@ -260,20 +295,27 @@ def test_of_a_learner_that_fails_again_and_again_the_events_of_one_camera_are_le
     out = set(again.learning.left_out)
     kept = [e for k, e in enumerate(EVENTS) if not (120 <= k < 160 and e.camera in out)]
     forgotten = [e for e in kept if what != "fails" and e.camera in out and e in EVENTS[:120]]
-    assert again.learning.statistics["window"] >= len(kept) - len(forgotten) - 2, "but for those that wait"
+    assert again.learning.statistics["window"] >= len(kept) - len(forgotten) - 2, (
+        "but for those that wait"
+    )
     epochs = {epoch for epoch, _, _ in again.published}
     assert len(epochs) == 1
     assert min(epochs) > "E"
 
     published = dict(again.journal.versions(again.learning.epoch))
     later = start()
-    assert (later.learning.epoch, later.journal.versions(later.learning.epoch)) == (again.learning.epoch, published)
+    assert (later.learning.epoch, later.journal.versions(later.learning.epoch)) == (
+        again.learning.epoch,
+        published,
+    )
     later.journal._db.execute("DELETE FROM snapshot")
     later.journal.commit([], snapshot=snapshot)
     replayed = start()
     assert replayed.started_at == 120
     replayed.run()
-    assert (replayed.learning.epoch, replayed.published) == (again.learning.epoch, []), "the same versions again"
+    assert (replayed.learning.epoch, replayed.published) == (again.learning.epoch, []), (
+        "the same versions again"
+    )
 
 
 def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> None:
@@ -287,7 +329,9 @@ def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> Non
     one.run()
     assert (one.learning.epoch, one.learning.statistics["watermark"]) == ("F", to)
     one.learn(EVENTS[120:])
-    assert one.learning.statistics["late"] <= 30, "of what a wild clock had made late nothing is made good"
+    assert one.learning.statistics["late"] <= 30, (
+        "of what a wild clock had made late nothing is made good"
+    )
     assert {epoch for epoch, _, _ in one.published} == {"E", "F"}
     versions = {epoch: one.journal.versions(epoch) for epoch in "EF"}
 
@@ -311,7 +355,9 @@ def test_a_rewind_is_replayed_like_an_event(start: Start, tmp_path: Path) -> Non
         assert {epoch: anew.journal.versions(epoch) for epoch in "EF"} == versions
 
 
-def test_a_disk_that_fails_is_no_failure_of_the_learner(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_fails_is_no_failure_of_the_learner(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Or what was learned would be thrown away for it."""
     one = start(snapshot_events=50)
     one.learn(EVENTS[:120])
@@ -348,14 +394,18 @@ def test_a_version_that_is_not_kept_any_more_does_not_come_after_newer_ones(star
 
 
 def test_of_an_epoch_that_has_ended_no_version_comes(start: Start) -> None:
-    """Several versions made in one step, the first of them another than was published: so are those after it."""
+    """Several versions made in one step, the first of them another than was published: so are those
+    after it.
+    """
     one = start()
     one.learn(EVENTS)
     assert len(one.published) > 2
     one.journal._db.execute("DELETE FROM snapshot")
     rows = one.journal._db.execute("SELECT * FROM version WHERE version = 1").fetchone()
     changed = (*rows[:4], "another digest", *rows[5:7])
-    one.journal._db.execute("UPDATE version SET digest = ?, crc = ? WHERE version = 1", (changed[4], crc(*changed)))
+    one.journal._db.execute(
+        "UPDATE version SET digest = ?, crc = ? WHERE version = 1", (changed[4], crc(*changed))
+    )
     again = start(program="learners.hoarding")
     again.run()
     assert {epoch for epoch, _, _ in again.published} == {"F"}
@@ -381,7 +431,9 @@ def test_what_a_damaged_log_has_lost_may_have_been_published(tmp_path: Path) -> 
         assert later.learning.epoch == "F"
 
 
-def test_a_journal_without_entries_and_snapshots_but_with_versions_begins_an_epoch(start: Start) -> None:
+def test_a_journal_without_entries_and_snapshots_but_with_versions_begins_an_epoch(
+    start: Start,
+) -> None:
     one = start()
     one.learn(EVENTS)
     for table in ("snapshot", "entry"):
@@ -399,7 +451,9 @@ def test_an_event_that_cannot_be_read_any_more_holds_no_start_up(start: Start) -
     again = start()
     again.run()
     last = EVENTS[49].t
-    assert recovery.recent_events(again.journal) == [e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS]
+    assert recovery.recent_events(again.journal) == [
+        e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS
+    ]
 
 
 def test_what_a_newer_program_has_learned_is_not_thrown_away(start: Start) -> None:
@@ -421,7 +475,9 @@ def test_what_predictions_remember(start: Start) -> None:
     one = start()
     one.learn(EVENTS[:50])
     last = EVENTS[49].t
-    assert recovery.recent_events(one.journal) == [e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS]
+    assert recovery.recent_events(one.journal) == [
+        e for e in EVENTS[:50] if e.t > last - recovery.RECENT_SECONDS
+    ]
     one.learn(EVENTS[50:])
     newest = recovery.newest_topology(one.journal, one.process)
     assert newest is not None

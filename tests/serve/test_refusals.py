@@ -48,7 +48,10 @@ def test_what_is_not_allowed_is_counted_and_said_once(caplog: pytest.LogCaptureF
     assert refusals.counts == {"denied": 5}
     with caplog.at_level(logging.INFO):
         refusals.hear(denied(17))
-    assert caplog.text.count("the certificate of lobby does not allow Put on camtopo/hq/event/hall") == 1
+    assert (
+        caplog.text.count("the certificate of lobby does not allow Put on camtopo/hq/event/hall")
+        == 1
+    )
 
 
 def test_what_is_over_a_limit_and_dropped_is_too_large(caplog: pytest.LogCaptureFixture) -> None:
@@ -56,9 +59,7 @@ def test_what_is_over_a_limit_and_dropped_is_too_large(caplog: pytest.LogCapture
     for line in (allowed(16), over_limit(16), denied(17), dropped(16), dropped(17)):
         refusals.hear(line)
     assert refusals.counts == {"denied": 1, "too-large": 1}
-    said = (
-        "a put from lobby on camtopo/hq/event/lobby was dropped at 2026-11-21T19:07:34Z: it has more than 16384 bytes"
-    )
+    said = "a put from lobby on camtopo/hq/event/lobby was dropped at 2026-11-21T19:07:34Z: it has more than 16384 bytes"
     assert said in caplog.text
 
 
@@ -82,7 +83,9 @@ def test_without_certificates_it_is_said_from_where_and_over_which_limit(
     assert expected in caplog.text
 
 
-def test_a_question_that_is_not_answered_in_time_is_no_message_too_large(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_question_that_is_not_answered_in_time_is_no_message_too_large(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """Whose session says so says it without a key: nothing else is written of it."""
     refusals = Refusals()
     for line in (dropped(18), allowed(18), over_limit(16), dropped(18), dropped(16), dropped(16)):
@@ -98,13 +101,22 @@ def test_what_may_not_go_out_to_somebody_is_nothing_to_count() -> None:
 
 
 ACTIONS = (
-    "Query", "Reply", "Put", "Delete", "Declare/Undeclare Subscriber", "Declare/Undeclare Queryable",
-    "Declare/Undeclare Liveliness Token", "Liveliness Query", "Declare Liveliness Subscriber",
-)  # fmt: skip
+    "Query",
+    "Reply",
+    "Put",
+    "Delete",
+    "Declare/Undeclare Subscriber",
+    "Declare/Undeclare Queryable",
+    "Declare/Undeclare Liveliness Token",
+    "Liveliness Query",
+    "Declare Liveliness Subscriber",
+)
 
 
 def declares(refusals: Refusals, key: str, allowed_are: str) -> None:
-    """What zenoh says when a session declares a key: of each kind of message whether it would be allowed."""
+    """What zenoh says when a session declares a key: of each kind of message whether it would be
+    allowed.
+    """
     control = f"{STAMP.format(16)}::access_control:"
     for way in ("ingress", "egress"):
         refusals.hear(f"{control} ACL ({way}): caching permissions for `{key}` ...")
@@ -113,11 +125,15 @@ def declares(refusals: Refusals, key: str, allowed_are: str) -> None:
             refusals.hear(f"{control} {SUBJECT} is {allowed} to {action} ({way}) on {key}")
 
 
-def test_what_would_not_be_allowed_is_no_refusal_until_it_comes(caplog: pytest.LogCaptureFixture) -> None:
+def test_what_would_not_be_allowed_is_no_refusal_until_it_comes(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     refusals = Refusals()
     control = f"{STAMP.format(16)}::access_control:"
     declares(refusals, "camtopo/hq/status/lobby", "Put")
-    refusals.hear(f"{control} Using cached result: a7fa79 is authorized to Put (ingress) on camtopo/hq/status/lobby")
+    refusals.hear(
+        f"{control} Using cached result: a7fa79 is authorized to Put (ingress) on camtopo/hq/status/lobby"
+    )
     assert refusals.counts == {}
     declares(refusals, "camtopo/hq/event/hall", "none")
     for _ in range(3):
@@ -161,9 +177,17 @@ def test_of_what_is_received_only_what_is_too_large_is_heard(
     receiver = "\x1b[35mTRACE\x1b[0m rx-0 \x1b[2mzenoh_transport::unicast::universal::rx\x1b[0m"
     long = "120, " * LINE_BYTES_MAX
     with caplog.at_level(logging.INFO), standard_output_heard():
-        os.write(1, f"{receiver}: Received: Frame {{ payload: [{long}] }}\nWARN something else\n".encode())
-        os.write(1, f"{receiver}: Defragmentation buffer full: 1523494 bytes. Capacity: 1500000. at src\n".encode())
+        os.write(
+            1,
+            f"{receiver}: Received: Frame {{ payload: [{long}] }}\nWARN something else\n".encode(),
+        )
+        os.write(
+            1,
+            f"{receiver}: Defragmentation buffer full: 1523494 bytes. Capacity: 1500000. at src\n".encode(),
+        )
         os.write(1, f"{receiver}: First fragment received without start marker.\n".encode())
     assert refusals.counts == {"too-large": 1}
     assert "a message of more than 1523494 bytes was dropped: the bus takes 1500000" in caplog.text
-    assert [message for message in caplog.messages if message.startswith("zenoh:")] == ["zenoh: WARN something else"]
+    assert [message for message in caplog.messages if message.startswith("zenoh:")] == [
+        "zenoh: WARN something else"
+    ]

@@ -11,7 +11,10 @@ KEY = ("lobby", "b1")
 
 
 def streams(
-    held: int = 100, streams_max: int = 10, stored: dict[tuple[str, str], int] | None = None, boots_max: int = 4
+    held: int = 100,
+    streams_max: int = 10,
+    stored: dict[tuple[str, str], int] | None = None,
+    boots_max: int = 4,
 ) -> Streams[int]:
     return Streams(stored or {}, held, streams_max, boots_max, lambda camera: camera != "other's")
 
@@ -103,7 +106,9 @@ def test_limits() -> None:
 
 @given(st.permutations(range(1, 12)), st.lists(st.integers(1, 11), max_size=10))
 @settings(max_examples=200, deadline=None)
-def test_any_order_with_repetitions_comes_out_once_in_order(order: list[int], again: list[int]) -> None:
+def test_any_order_with_repetitions_comes_out_once_in_order(
+    order: list[int], again: list[int]
+) -> None:
     one = streams()
     out: list[int] = []
     for seq in [*order, *again]:
@@ -115,7 +120,9 @@ def test_any_order_with_repetitions_comes_out_once_in_order(order: list[int], ag
 @given(st.data())
 @settings(max_examples=200, deadline=None)
 def test_losses_with_pulls_lose_nothing(data: st.DataObject) -> None:
-    """Some puts get lost, some are repeated; now and then the spool answers from what is wanted on."""
+    """Some puts get lost, some are repeated; now and then the spool answers from what is wanted
+    on.
+    """
     one = streams(held=3)
     total = 20
     out: list[int] = []
@@ -184,7 +191,9 @@ def test_a_seq_too_far_ahead_is_no_gap() -> None:
     order = streams(stored={KEY: 4})
     assert order.offer(KEY, 2**62, 0, 0.0) == ("jump", [])
     assert order.offer(KEY, 5 + JUMP_MAX, 0, 0.0) == ("held", [])
-    assert streams().offer(KEY, 2**62, 0, 0.0) == ("held", []), "a stream never seen may begin anywhere"
+    assert streams().offer(KEY, 2**62, 0, 0.0) == ("held", []), (
+        "a stream never seen may begin anywhere"
+    )
 
 
 def test_of_many_boots_those_heard_last_are_followed() -> None:
@@ -205,7 +214,11 @@ def test_of_many_boots_those_heard_last_are_followed() -> None:
 
 def test_what_is_held_is_counted_by_camera() -> None:
     order = streams(held=2)
-    assert [order.offer(("lobby", f"b{n}"), 5, n, 0.0)[0] for n in range(3)] == ["held", "held", "dropped"]
+    assert [order.offer(("lobby", f"b{n}"), 5, n, 0.0)[0] for n in range(3)] == [
+        "held",
+        "held",
+        "dropped",
+    ]
     assert order.offer(("hall", "b1"), 5, 5, 0.0)[0] == "held"
     order.begins_at(("lobby", "b0"), 5, 0.0)
     assert order.offer(("lobby", "b3"), 5, 5, 0.0)[0] == "held"

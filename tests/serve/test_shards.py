@@ -1,4 +1,6 @@
-"""Several daemons share a site: who hears whom, and their parts become one topology with one version line."""
+"""Several daemons share a site: who hears whom, and their parts become one topology with one
+version line.
+"""
 
 from __future__ import annotations
 
@@ -102,14 +104,23 @@ THIRD, HALF = len(EVENTS) // 3, len(EVENTS) // 2
 def course(count: int, districts: int = SHARDING.districts) -> Course:
     """Of shards of a site that is dealt out into so many districts."""
     sharding = msgspec.structs.replace(SHARDING, districts=districts)
-    learners = [ShardLearner(SETTINGS, sharding, (number, count), "hq", "e") for number in range(count)]
-    versions, steps, early, after = list[Topology](), list[list[Told]](), list[Told](), dict[int, list[Told]]()
+    learners = [
+        ShardLearner(SETTINGS, sharding, (number, count), "hq", "e") for number in range(count)
+    ]
+    versions, steps, early, after = (
+        list[Topology](),
+        list[list[Told]](),
+        list[Told](),
+        dict[int, list[Told]](),
+    )
     for number, event in enumerate(EVENTS, 1):
         for learner in learners:
             learner.receive(event)
         made = [learner.updates() for learner in learners]
         if any(made):
-            steps.append([Told(*learner.shard, learner.reached(), learner.parts()) for learner in learners])
+            steps.append(
+                [Told(*learner.shard, learner.reached(), learner.parts()) for learner in learners]
+            )
         if not early:
             early = [told(learner) for learner, its in zip(learners, made, strict=True) if its]
         versions += made[0]
@@ -131,9 +142,15 @@ class Site:
     def __init__(self, folder: Path, shards: int, sharding: Sharding = SHARDING) -> None:
         self.versions: list[Version] = []
         self.merger = Merger(
-            folder, KeepSettings(), SETTINGS, "hq", sharding, shards, lambda: NOON,
+            folder,
+            KeepSettings(),
+            SETTINGS,
+            "hq",
+            sharding,
+            shards,
+            lambda: NOON,
             lambda version: self.versions.append(version),
-        )  # fmt: skip
+        )
         self.stopping = threading.Event()
         self.thread = threading.Thread(target=self.merger.work, args=(self.stopping,))
         self.thread.start()
@@ -155,16 +172,26 @@ def content(topology: Topology) -> object:
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])
-def test_shards_together_have_the_versions_of_one(count: int, tmp_path: Path, alone: list[Topology]) -> None:
+def test_shards_together_have_the_versions_of_one(
+    count: int, tmp_path: Path, alone: list[Topology]
+) -> None:
     with Site(tmp_path, count) as site:
         made = 0
         for step in course(count).steps:
             for one in step:
                 site.say(one)
-            made = len([version for version in alone if version.as_of <= min(one.reached or 0 for one in step)])
+            made = len(
+                [
+                    version
+                    for version in alone
+                    if version.as_of <= min(one.reached or 0 for one in step)
+                ]
+            )
         wait_for(lambda: len(site.versions) >= made, f"{made} versions")
     assert made > 3
-    assert [content(version.newest.topology) for version in site.versions] == [content(one) for one in alone[:made]]
+    assert [content(version.newest.topology) for version in site.versions] == [
+        content(one) for one in alone[:made]
+    ]
     assert all(version.delta is not None for version in site.versions[1:])
 
 
@@ -193,7 +220,9 @@ def test_no_version_has_two_contents_if_the_newest_snapshot_is_damaged(tmp_path:
             wait_for(lambda site=site: bool(site.versions), "a version")  # type: ignore[misc]
         published += [version.newest.topology for version in site.versions]
         if events == 2 * THIRD:
-            with contextlib.closing(sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)) as journal:
+            with contextlib.closing(
+                sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)
+            ) as journal:
                 journal.execute(
                     "UPDATE snapshot SET state = x'00' WHERE position = (SELECT MAX(position) FROM snapshot)"
                 )
@@ -207,8 +236,12 @@ def test_a_new_epoch_begins_with_what_is_known_though_nobody_says_anything(tmp_p
             site.say(course(1).after[events][0])
             wait_for(lambda site=site: bool(site.versions), "a version")  # type: ignore[misc]
     before = site.versions[-1].newest.topology
-    with contextlib.closing(sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)) as journal:
-        journal.execute("UPDATE snapshot SET state = x'00' WHERE position = (SELECT MAX(position) FROM snapshot)")
+    with contextlib.closing(
+        sqlite3.connect(tmp_path / "site" / "journal.db", isolation_level=None)
+    ) as journal:
+        journal.execute(
+            "UPDATE snapshot SET state = x'00' WHERE position = (SELECT MAX(position) FROM snapshot)"
+        )
     with Site(tmp_path, 1) as site:
         wait_for(lambda: bool(site.versions), "a version of what is known")
     first = site.versions[0]
@@ -239,10 +272,14 @@ def test_no_version_has_two_contents_if_the_journal_comes_back_older(
 def test_a_merger_whose_journal_is_gone_says_so(tmp_path: Path) -> None:
     with Site(tmp_path, 1) as site:
         (tmp_path / "site" / "journal.db").unlink()
-        wait_for(lambda: "journal.db is gone while it is in use" in site.merger.reason, "it to notice")
+        wait_for(
+            lambda: "journal.db is gone while it is in use" in site.merger.reason, "it to notice"
+        )
 
 
-def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shard_that_is_away_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(mergers, "PATIENCE_SECONDS", 0.3)
     first, second = course(2).after[len(EVENTS)]
     with Site(tmp_path, 2) as site:
@@ -253,12 +290,17 @@ def test_a_shard_that_is_away_is_not_waited_for(tmp_path: Path, monkeypatch: pyt
         site.say(first)
         site.say(second)
         wait_for(
-            lambda: {camera.id for camera in site.versions[-1].newest.topology.cameras} == {e.camera for e in EVENTS},
+            lambda: (
+                {camera.id for camera in site.versions[-1].newest.topology.cameras}
+                == {e.camera for e in EVENTS}
+            ),
             "both shards' cameras",
         )
 
 
-def test_who_gets_on_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: list[Topology]) -> None:
+def test_who_gets_on_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: list[Topology]
+) -> None:
     """Though something always waits: one shard says everything a while after the other."""
     now, said, made = [0.0], course(2).steps, list[Version]()
     monkeypatch.setattr(mergers, "time", SimpleNamespace(monotonic=lambda: now[0]))
@@ -273,7 +315,9 @@ def test_who_gets_on_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             one_round(merger)
             now[0] += 0.6 * mergers.PATIENCE_SECONDS
     assert len(made) > 5
-    assert [content(version.newest.topology) for version in made] == [content(one) for one in alone[: len(made)]]
+    assert [content(version.newest.topology) for version in made] == [
+        content(one) for one in alone[: len(made)]
+    ]
 
 
 def one_round(merger: Merger) -> None:
@@ -281,7 +325,9 @@ def one_round(merger: Merger) -> None:
     merger.work(stopping, stopping.set)
 
 
-def test_a_journal_that_cannot_be_read_is_closed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_journal_that_cannot_be_read_is_closed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fails(_: mergers.Journal) -> None:
         raise sqlite3.OperationalError("disk I/O error")
 
@@ -293,7 +339,9 @@ def test_a_journal_that_cannot_be_read_is_closed_again(tmp_path: Path, monkeypat
         assert site.merger.topology is None
 
 
-def test_a_site_that_is_dealt_out_anew_has_every_camera_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_site_that_is_dealt_out_anew_has_every_camera_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Also while some shards have not heard of it."""
     [before], [after] = course(1).after[2 * THIRD], course(1, districts=2).after[len(EVENTS)]
     with Site(tmp_path, 1) as site:
@@ -304,7 +352,10 @@ def test_a_site_that_is_dealt_out_anew_has_every_camera_once(tmp_path: Path, cap
         site.say(before)
         site.say(after)
         newest = max(part.topology.as_of for part in after.parts)
-        wait_for(lambda: bool(site.versions) and site.versions[-1].newest.topology.as_of == newest, "the newest parts")
+        wait_for(
+            lambda: bool(site.versions) and site.versions[-1].newest.topology.as_of == newest,
+            "the newest parts",
+        )
     new = site.versions[-1].newest.topology
     assert (new.epoch, new.version) > (old.epoch, old.version)
     assert [camera.id for camera in new.cameras] == sorted({event.camera for event in EVENTS})
@@ -312,7 +363,9 @@ def test_a_site_that_is_dealt_out_anew_has_every_camera_once(tmp_path: Path, cap
     assert "the same [shards] settings" in caplog.text
 
 
-def test_of_what_waits_too_long_the_newest_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_what_waits_too_long_the_newest_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Though the answer to a question may be older than what was said meanwhile."""
     monkeypatch.setattr(mergers, "INBOX_MAX", 1)
     [newest], made = course(1).after[len(EVENTS)], list[Version]()
@@ -331,7 +384,9 @@ def test_too_much_at_a_time_costs_versions_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: list[Topology]
 ) -> None:
     monkeypatch.setattr(mergers, "INBOX_MAX", 2)
-    merger = Merger(tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 2, lambda: NOON, lambda version: None)
+    merger = Merger(
+        tmp_path, KeepSettings(), SETTINGS, "hq", SHARDING, 2, lambda: NOON, lambda version: None
+    )
     for step in [*course(2).steps, course(2).rest]:
         for one in step:
             merger.tell(one)
@@ -339,7 +394,10 @@ def test_too_much_at_a_time_costs_versions_and_nothing_else(
     worker = threading.Thread(target=merger.work, args=(stopping,))
     worker.start()
     try:
-        wait_for(lambda: merger.topology is not None and merger.topology.digest == alone[-1].digest, "the end")
+        wait_for(
+            lambda: merger.topology is not None and merger.topology.digest == alone[-1].digest,
+            "the end",
+        )
         assert merger.topology is not None
         assert merger.topology.version < alone[-1].version
     finally:
@@ -355,7 +413,9 @@ def test_nonsense_changes_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixtu
         site.merger.on_part("part/1", codec.to_pack(Told(0, 2, 5.0)))
         site.merger.on_part("part/1", b"rubbish")
         assert site.merger.topology is None
-    assert [record.levelname for record in caplog.records if record.levelno > logging.INFO] == ["ERROR"] * 4
+    assert [record.levelname for record in caplog.records if record.levelno > logging.INFO] == [
+        "ERROR"
+    ] * 4
 
 
 def test_what_a_shard_hears() -> None:
@@ -366,7 +426,10 @@ def test_what_a_shard_hears() -> None:
     assert 40 < len(own) < 110
     assert all(share.hears(camera, NOON) for camera in cameras)  # none of them is known yet
     share.strangers = frozenset(cameras)
-    heard = [{camera for camera in cameras if share.hears(camera, NOON + hour * 3600.0)} for hour in range(6)]
+    heard = [
+        {camera for camera in cameras if share.hears(camera, NOON + hour * 3600.0)}
+        for hour in range(6)
+    ]
     assert all(own <= one for one in heard)
     assert set.union(*heard) == set(cameras)
     assert max(map(len, heard)) < 0.7 * len(cameras)
@@ -385,9 +448,13 @@ def test_subscriptions_follow_turns_and_neighbours() -> None:
     bus, now, said = FakeBus(), [NOON], list[tuple[str, bool]]()
     share = Share(Sharding(districts=16, guest_turns=12), (0, 16))
     hearing = Hearing(
-        bus, share, lambda: now[0], lambda key, raw: None,  # type: ignore[arg-type]
-        lambda camera, alive: said.append((camera, alive)), 10_000,
-    )  # fmt: skip
+        bus,
+        share,
+        lambda: now[0],
+        lambda key, raw: None,  # type: ignore[arg-type]
+        lambda camera, alive: said.append((camera, alive)),
+        10_000,
+    )
     few = [f"c{number}" for number in range(SMALL_CAMERAS_MAX)]
     hearing.know(few)
     hearing.look()
@@ -402,13 +469,17 @@ def test_subscriptions_follow_turns_and_neighbours() -> None:
     assert sorted(bus.keys) == sorted(f"event/{camera}" for camera in before)
     assert len(before) < 300
     ended = {camera for camera, alive in said if not alive}
-    assert {camera for camera, alive in said if alive} - ended == {c for c in before if c.startswith("cam")}
+    assert {camera for camera, alive in said if alive} - ended == {
+        c for c in before if c.startswith("cam")
+    }
     said.clear()
     now[0] += 6 * 3600.0
     hearing.look()
     gone = before - hearing.heard
     assert len(gone) > 20
-    assert {camera for camera, alive in said if not alive} == {camera for camera in gone if camera.startswith("cam")}
+    assert {camera for camera, alive in said if not alive} == {
+        camera for camera in gone if camera.startswith("cam")
+    }
     assert all(share.hears(camera, now[0]) for camera in hearing.heard)
     hearing.on_alive("no/camera", True)
     assert "no/camera" not in hearing.heard
@@ -442,7 +513,9 @@ def shared_config(state: Path, connect: str | None = None) -> Config:
 def a_day() -> list[Event]:
     """Some walkers, and at the end of each camera something that lets time go on."""
     events = walkers(150)
-    return numbered([*events, *(Event(camera, "entry", T0 + 20 * 1200.0, 0.5, 0.5) for camera in "abc")])
+    return numbered(
+        [*events, *(Event(camera, "entry", T0 + 20 * 1200.0, 0.5, 0.5) for camera in "abc")]
+    )
 
 
 @contextlib.contextmanager
@@ -451,7 +524,9 @@ def site_of(folder: Path, count: int) -> Iterator[list[Daemon]]:
     with contextlib.ExitStack() as stack:
         daemons = [stack.enter_context(Daemon(shared_config(folder), shard=(0, count)))]
         daemons += [
-            stack.enter_context(Daemon(shared_config(folder, daemons[0].endpoint), shard=(number, count)))
+            stack.enter_context(
+                Daemon(shared_config(folder, daemons[0].endpoint), shard=(number, count))
+            )
             for number in range(1, count)
         ]
         yield daemons
@@ -470,7 +545,9 @@ def published(folder: Path, endpoint: str, events: list[Event]) -> Iterator[tupl
         spool.close()
 
 
-def test_daemons_that_share_a_site_have_one_topology(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_daemons_that_share_a_site_have_one_topology(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As one learner of all districts has it; predictions come once, from the camera's owner."""
     monkeypatch.setattr(mergers, "PATIENCE_SECONDS", WAIT_SECONDS)  # the machine may be busy
     events = a_day()
@@ -483,8 +560,13 @@ def test_daemons_that_share_a_site_have_one_topology(tmp_path: Path, monkeypatch
         site_of(tmp_path / "state", 2) as daemons,
         published(tmp_path, daemons[0].endpoint, events[:-3]) as (bus, publisher),
     ):
-        for daemon in daemons:  # what lets time go on may not overtake anything on the way to the other shard
-            wait_for(lambda daemon=daemon: daemon.status()["events"]["stored"] == len(events) - 3, "all events")  # type: ignore[misc]
+        for daemon in (
+            daemons
+        ):  # what lets time go on may not overtake anything on the way to the other shard
+            wait_for(
+                lambda daemon=daemon: daemon.status()["events"]["stored"] == len(events) - 3,
+                "all events",
+            )  # type: ignore[misc]
         publisher.publish(*events[-3:])
         seen = TopologyView(bus)
         seen.wait_for(len(expected), WAIT_SECONDS)
@@ -493,11 +575,15 @@ def test_daemons_that_share_a_site_have_one_topology(tmp_path: Path, monkeypatch
         wait_for(lambda: daemons[1].topology == seen.topology, "the other shard to know it, too")
         said = [daemon.status() for daemon in daemons]
         assert [status["shard"] for status in said] == ["0/2", "1/2"]
-        assert {(one["epoch"], one["version"]) for one in said} == {(seen.topology.epoch, seen.topology.version)}
+        assert {(one["epoch"], one["version"]) for one in said} == {
+            (seen.topology.epoch, seen.topology.version)
+        }
 
         predictions: list[str] = []
         bus.subscribe("prediction/*", lambda key, payload: predictions.append(key))
-        later = [Event(camera, "exit", T0 + 30_000.0, 0.9, 0.5, boot="b2", seq=1) for camera in "abc"]
+        later = [
+            Event(camera, "exit", T0 + 30_000.0, 0.9, 0.5, boot="b2", seq=1) for camera in "abc"
+        ]
         for event in later:
             bus.put(f"event/{event.camera}", event, "event")
         wait_for(lambda: len(predictions) >= 3, "a prediction for each exit")
@@ -540,10 +626,17 @@ def test_a_shard_that_was_away_goes_on(tmp_path: Path) -> None:
 
 def test_a_shard_does_not_start_beside_itself_or_alone(tmp_path: Path) -> None:
     """All three try at once: each looks for a while whether the other goes."""
-    with Daemon(shared_config(tmp_path / "one"), shard=(0, 2)) as first, ThreadPoolExecutor() as at_once:
+    with (
+        Daemon(shared_config(tmp_path / "one"), shard=(0, 2)) as first,
+        ThreadPoolExecutor() as at_once,
+    ):
         others = [(0, 2), (1, 3), None]
         tried = [
-            at_once.submit(Daemon(shared_config(tmp_path / f"other-{number}", first.endpoint), shard=shard).start)
+            at_once.submit(
+                Daemon(
+                    shared_config(tmp_path / f"other-{number}", first.endpoint), shard=shard
+                ).start
+            )
             for number, shard in enumerate(others)
         ]
         for one in tried:
@@ -556,7 +649,10 @@ def test_what_a_shard_of_many_cameras_has_learned_is_not_too_large(
 ) -> None:
     """Each camera takes some 60 kB; that it came is seen here by that it makes no sense."""
     config = shared_config(tmp_path / "state")
-    with Daemon(config, shard=(0, 2)) as first, dial(shared_config(tmp_path, first.endpoint)) as bus:
+    with (
+        Daemon(config, shard=(0, 2)) as first,
+        dial(shared_config(tmp_path, first.endpoint)) as bus,
+    ):
         bus.put_raw("part/1", b"x" * (config.bus.message_bytes_max // 2), "part")
         wait_for(lambda: "part/1 cannot be read" in caplog.text, "the part")
 
@@ -574,7 +670,11 @@ def test_a_refusal_in_a_shards_place_ends_nothing(
 
 
 def test_shards_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    for given, said in (("2/2", "is not a shard"), ("x", "is not a shard"), ("1/99", "cannot share the 16")):
+    for given, said in (
+        ("2/2", "is not a shard"),
+        ("x", "is not a shard"),
+        ("1/99", "cannot share the 16"),
+    ):
         with contextlib.suppress(SystemExit):
             assert main.main(["run", "--shard", given, "--state", str(tmp_path)]) == exits.USAGE
         assert said in capsys.readouterr().err

@@ -51,7 +51,9 @@ def test_the_spool_counts_each_camera_without_gaps(spool: Spool) -> None:
     assert (batch.boot, batch.first, batch.more, batch.dropped) == ("boot-1", 1, False, 0)
 
 
-def test_what_is_acknowledged_is_gone_and_the_next_opening_counts_anew(spool: Spool, tmp_path: Path) -> None:
+def test_what_is_acknowledged_is_gone_and_the_next_opening_counts_anew(
+    spool: Spool, tmp_path: Path
+) -> None:
     spool.append([event(n) for n in range(5)])
     spool.ack("lobby", "boot-1", 3)
     assert len(spool) == 2
@@ -64,11 +66,15 @@ def test_what_is_acknowledged_is_gone_and_the_next_opening_counts_anew(spool: Sp
     again = Spool(tmp_path / "spool.db", "boot-2", events_max=1000)
     assert len(again) == 0
     assert [(one.boot, one.seq) for one in again.append([event(6)])] == [("boot-2", 1)]
-    assert [seq for seq, _ in again.batch("lobby", "boot-1", 6, 10).events] == [1], "of the boot that waits"
+    assert [seq for seq, _ in again.batch("lobby", "boot-1", 6, 10).events] == [1], (
+        "of the boot that waits"
+    )
     again.close()
 
 
-def test_a_file_that_comes_back_as_it_was_gives_no_number_twice(spool: Spool, tmp_path: Path) -> None:
+def test_a_file_that_comes_back_as_it_was_gives_no_number_twice(
+    spool: Spool, tmp_path: Path
+) -> None:
     given = spool.append([event(n) for n in range(5)])
     spool.close()
     shutil.copytree(tmp_path, tmp_path.parent / f"{tmp_path.name}-image")
@@ -81,7 +87,9 @@ def test_a_file_that_comes_back_as_it_was_gives_no_number_twice(spool: Spool, tm
     assert len({(one.camera, one.boot, one.seq) for one in given}) == len(given) == 20
 
 
-def test_more_acknowledged_than_given_is_not_taken_and_another_boot_begins(spool: Spool, tmp_path: Path) -> None:
+def test_more_acknowledged_than_given_is_not_taken_and_another_boot_begins(
+    spool: Spool, tmp_path: Path
+) -> None:
     spool.append([event(1), event(2)])
     assert not spool.ack("lobby", "boot-1", 10**9)
     assert len(spool) == 2
@@ -99,7 +107,12 @@ def test_more_acknowledged_than_given_is_not_taken_and_another_boot_begins(spool
 @pytest.mark.parametrize(
     ("daemon", "endpoint", "kept"),
     [
-        *(("anna", "tcp/here", 3), ("anna", "tcp/there", 3), ("berta", "tcp/here", 3), ("berta", "tcp/there", 0)),
+        *(
+            ("anna", "tcp/here", 3),
+            ("anna", "tcp/there", 3),
+            ("berta", "tcp/here", 3),
+            ("berta", "tcp/there", 0),
+        ),
         *(("", "tcp/here", 3), ("", "tcp/there", 0)),
     ],
 )
@@ -168,7 +181,9 @@ def test_an_event_with_its_own_boot_and_seq_keeps_them_and_is_spooled_once(spool
     assert len(spool) == 1
 
 
-def test_a_full_spool_drops_the_oldest_and_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_full_spool_drops_the_oldest_and_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     spool = Spool(tmp_path / "small.db", "b", events_max=10)
     spool.append([event(n) for n in range(8)])
     spool.append([event(n) for n in range(8)])
@@ -222,8 +237,12 @@ def test_what_was_dropped_is_still_known_after_a_restart(tmp_path: Path) -> None
     assert (again.dropped, again.batch("lobby", "b", 0, 10).dropped) == (7, 7)
     again.append([event(1)])
     assert again.statistics() == {
-        "unacknowledged": 10, "kept": 0, "dropped": 8, "damaged_events": 0, "damaged_files": 0,
-    }  # fmt: skip
+        "unacknowledged": 10,
+        "kept": 0,
+        "dropped": 8,
+        "damaged_events": 0,
+        "damaged_files": 0,
+    }
     again.close()
 
 
@@ -301,7 +320,9 @@ def test_a_spool_that_cannot_be_read_is_closed_again(
     Spool(path, "boot-3", events_max=10).close()  # nothing holds its lock
 
 
-def test_a_spool_that_was_killed_begins_a_new_boot_with_what_was_in_it(spool: Spool, tmp_path: Path) -> None:
+def test_a_spool_that_was_killed_begins_a_new_boot_with_what_was_in_it(
+    spool: Spool, tmp_path: Path
+) -> None:
     spool.append([event(1), event(2)])
     again = Spool(copy_of(tmp_path / "spool.db", tmp_path / "killed"), "boot-2", events_max=1000)
     assert again.boot == "boot-2", "what the disk lost of its count nobody knows"
@@ -318,7 +339,9 @@ def test_other_events_after_an_append_that_raised_get_numbers_of_their_own(spool
         spool.append([event(1), event(2, "hall")])
     assert [one.seq for one in spool.append([event(3), event(4)])] == [2, 3]
     assert [one.seq for one in spool.append([event(5, "hall")])] == [2]
-    assert [codec.event_from_pack(raw).t for _, raw in spool.batch("lobby", None, 0, 10).events] == [1, 3, 4]
+    assert [
+        codec.event_from_pack(raw).t for _, raw in spool.batch("lobby", None, 0, 10).events
+    ] == [1, 3, 4]
     assert len(spool) == 5
 
 
@@ -354,7 +377,9 @@ def test_a_spool_of_the_first_format_goes_on(tmp_path: Path) -> None:
         connection.executescript(FORMAT_1)
         connection.executemany("INSERT INTO event VALUES (NULL, ?, ?, ?, ?)", rows)
     spool = Spool(tmp_path / "spool.db", "new", events_max=10)
-    assert [codec.event_from_pack(raw) for _, raw in spool.batch("lobby", "old", 0, 10).events] == events
+    assert [
+        codec.event_from_pack(raw) for _, raw in spool.batch("lobby", "old", 0, 10).events
+    ] == events
     assert [(one.boot, one.seq) for one in spool.append([event(10)])] == [("new", 1)]
     spool.close()
     Spool(tmp_path / "spool.db", "new", events_max=10).close()
@@ -369,7 +394,9 @@ def test_a_spool_of_a_newer_format_is_refused_and_left_alone(spool: Spool, tmp_p
     assert sqlite_file.damaged_files(tmp_path / "spool.db") == []
 
 
-def test_a_damaged_spool_is_set_aside_and_what_can_be_read_goes_on(tmp_path: Path, caplog: Any) -> None:
+def test_a_damaged_spool_is_set_aside_and_what_can_be_read_goes_on(
+    tmp_path: Path, caplog: Any
+) -> None:
     path = tmp_path / "spool.db"
     spool = Spool(path, "boot-1", events_max=10_000)
     for start in range(0, 1500, 100):
@@ -410,7 +437,9 @@ def test_a_disk_that_damages_every_file_is_not_filled_up(tmp_path: Path) -> None
     with pytest.raises(StateError, match="see to the disk"):
         Spool(path, "b", events_max=10)
     assert path.read_bytes() == b"rubbish " * 1000
-    assert [one.name for one in sqlite_file.damaged_files(path)] == [f"spool.db.damaged-{n}" for n in range(1, 9)]
+    assert [one.name for one in sqlite_file.damaged_files(path)] == [
+        f"spool.db.damaged-{n}" for n in range(1, 9)
+    ]
 
 
 def test_a_read_only_file_is_not_taken_for_a_damaged_one(tmp_path: Path) -> None:
@@ -425,12 +454,16 @@ def test_a_read_only_file_is_not_taken_for_a_damaged_one(tmp_path: Path) -> None
 
 def test_text_that_is_no_text_any_more_damages_its_row_alone(spool: Spool) -> None:
     spool.append([event(1, "hall"), event(2), event(3)])
-    spool._db.execute("UPDATE event SET boot = CAST(x'62c3286f' AS TEXT) WHERE seq = 1 AND camera = 'lobby'")
+    spool._db.execute(
+        "UPDATE event SET boot = CAST(x'62c3286f' AS TEXT) WHERE seq = 1 AND camera = 'lobby'"
+    )
     assert [seq for seq, _ in spool.batch("lobby", "boot-1", 0, 10).events] == [2]
 
 
 def damaged_log(spool: Spool, tmp_path: Path) -> Path:
-    """A copy of the spool as after a kill, whose log has a flipped bit in front of whole transactions."""
+    """A copy of the spool as after a kill, whose log has a flipped bit in front of whole
+    transactions.
+    """
     for n in range(6):
         spool.append([event(n)])
     path = copy_of(tmp_path / "spool.db", tmp_path / "killed")
@@ -449,7 +482,9 @@ def test_a_damaged_log_is_copied_once(spool: Spool, tmp_path: Path, caplog: Any)
         Spool(path, "boot-2", events_max=1000).close()
         path.with_name("spool.db-wal").unlink(missing_ok=True)
         shutil.copyfile(tmp_path / "spool.db", path)
-    assert sqlite_file.damaged_files(path.with_name("spool.db-wal")) == [path.with_name("spool.db-wal.damaged-1")]
+    assert sqlite_file.damaged_files(path.with_name("spool.db-wal")) == [
+        path.with_name("spool.db-wal.damaged-1")
+    ]
     assert path.with_name("spool.db-wal.damaged-1").read_bytes() == log
     assert "transactions cannot be read; a copy is" in caplog.text
 
@@ -527,8 +562,12 @@ def test_a_connection_that_is_not_closed_is_reported(tmp_path: Path) -> None:
     gc.collect()
 
 
-def test_who_reads_a_database_beside_its_process_does_not_take_the_memory_from_under_it(tmp_path: Path) -> None:
-    """SQLite knows by a lock on the log's index that another process uses it; without, the reader truncates it."""
+def test_who_reads_a_database_beside_its_process_does_not_take_the_memory_from_under_it(
+    tmp_path: Path,
+) -> None:
+    """SQLite knows by a lock on the log's index that another process uses it; without, the reader
+    truncates it.
+    """
     path = tmp_path / "spool.db"
     with contextlib.closing(Spool(path, "boot-1", events_max=1000)) as killed:
         killed.append([event(n) for n in range(5)])
@@ -537,7 +576,9 @@ def test_who_reads_a_database_beside_its_process_does_not_take_the_memory_from_u
     index = tmp_path / "killed" / "spool.db-shm"
     locks = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
     held = [
-        words[-2] for words in locks if words[-4] == str(os.getpid()) and words[-3].endswith(f":{index.stat().st_ino}")
+        words[-2]
+        for words in locks
+        if words[-4] == str(os.getpid()) and words[-3].endswith(f":{index.stat().st_ino}")
     ]
     assert "128" in held
     reads = (
@@ -547,7 +588,10 @@ def test_who_reads_a_database_beside_its_process_does_not_take_the_memory_from_u
     for number in range(6, 9):
         again.append([event(number)])
         read = subprocess.run(
-            [sys.executable, "-c", reads, str(index)[:-4]], capture_output=True, text=True, check=True
+            [sys.executable, "-c", reads, str(index)[:-4]],
+            capture_output=True,
+            text=True,
+            check=True,
         )
         assert read.stdout == f"({number},)\n"
         assert index.stat().st_size > 0

@@ -14,10 +14,16 @@ from camtopod.sharding.assignment import Dealing, Sharding, districts_of
 CAMERAS = st.from_regex(r"[A-Za-z0-9_.-]{1,64}", fullmatch=True)
 
 
-@given(st.integers(1, 40).flatmap(lambda districts: st.tuples(st.just(districts), st.integers(1, districts))))
+@given(
+    st.integers(1, 40).flatmap(
+        lambda districts: st.tuples(st.just(districts), st.integers(1, districts))
+    )
+)
 def test_every_district_is_in_one_shard(numbers: tuple[int, int]) -> None:
     districts, shards = numbers
-    dealt = [district for shard in range(shards) for district in districts_of(shard, shards, districts)]
+    dealt = [
+        district for shard in range(shards) for district in districts_of(shard, shards, districts)
+    ]
     assert sorted(dealt) == list(range(districts))
     assert all(districts_of(shard, shards, districts) for shard in range(shards))
 
@@ -29,7 +35,9 @@ def test_there_is_no_such_shard(shard: int, shards: int) -> None:
 
 
 def test_a_camera_stays_in_its_district() -> None:
-    """Other numbers would deal every site anew, and each of its districts would begin from nothing."""
+    """Other numbers would deal every site anew, and each of its districts would begin from
+    nothing.
+    """
     dealing = Dealing(Sharding(guest_turns=4))
     assert [dealing.district(f"cam{k:02d}") for k in range(8)] == [14, 3, 14, 5, 6, 1, 13, 2]
     turns = [[turn for turn in range(4) if dealing.guest(f"cam{k:02d}", turn)] for k in range(8)]
@@ -73,6 +81,8 @@ def test_what_fits_a_pattern_is_together() -> None:
 
 
 @given(CAMERAS, st.integers(1, 20), st.integers(0, 10**6))
-def test_everybody_is_a_guest_in_one_turn_of_each_round(camera: str, turns: int, first: int) -> None:
+def test_everybody_is_a_guest_in_one_turn_of_each_round(
+    camera: str, turns: int, first: int
+) -> None:
     dealing = Dealing(Sharding(guest_turns=turns))
     assert sum(dealing.guest(camera, turn) for turn in range(first, first + turns)) == 1

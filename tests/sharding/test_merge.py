@@ -1,4 +1,6 @@
-"""Parts merge into one topology: by owners' zones, whatever their order, and no more goes anywhere than leaves."""
+"""Parts merge into one topology: by owners' zones, whatever their order, and no more goes anywhere
+than leaves.
+"""
 
 from __future__ import annotations
 
@@ -44,54 +46,104 @@ def zone(name: str, place: tuple[float, float] | None = None, exits: int = 100) 
 
 
 def link(source: str, target: str, probability: float, transitions: float = 20.0) -> Link:
-    return Link(source, target, "unseen", probability, transitions, TRANSIT, 0.0, 0.5, Histogram(3, [transitions]))
+    return Link(
+        source,
+        target,
+        "unseen",
+        probability,
+        transitions,
+        TRANSIT,
+        0.0,
+        0.5,
+        Histogram(3, [transitions]),
+    )
 
 
 def onward(source: str, leave: float, **to: float) -> Onward:
-    rows = [Outcome(name.replace("_", "/"), share, Histogram(3, [share]), 0.1) for name, share in to.items()]
+    rows = [
+        Outcome(name.replace("_", "/"), share, Histogram(3, [share]), 0.1)
+        for name, share in to.items()
+    ]
     return Onward(source, leave, rows)
 
 
 def part(
-    district: int, own: set[str], zones: list[Zone], links: list[Link], rows: list[Onward],
-    contexts: list[Context] | None = None, alarms: list[Alarm] | None = None, score: SelfScore | None = None,
-) -> Part:  # fmt: skip
+    district: int,
+    own: set[str],
+    zones: list[Zone],
+    links: list[Link],
+    rows: list[Onward],
+    contexts: list[Context] | None = None,
+    alarms: list[Alarm] | None = None,
+    score: SelfScore | None = None,
+) -> Part:
     """What a district of the cameras ``own`` has learned."""
     cameras = sorted({one.camera for one in zones})
     model = Model(
-        4.0, 0.1, -120.0, 180.0,
+        4.0,
+        0.1,
+        -120.0,
+        180.0,
         [ZoneModel(one.id, one.exits, 0.01, []) for one in zones],
-        [CameraModel(camera, 1 / len(cameras), 50.0) for camera in cameras], onward=rows, entered=[],
+        [CameraModel(camera, 1 / len(cameras), 50.0) for camera in cameras],
+        onward=rows,
+        entered=[],
         contexts=contexts or [],
-    )  # fmt: skip
+    )
     topology = Topology(
-        TOPOLOGY_SCHEMA, "s", "e", 7, 100.0 + district, 500, "",
+        TOPOLOGY_SCHEMA,
+        "s",
+        "e",
+        7,
+        100.0 + district,
+        500,
+        "",
         [Camera(camera, [one.id for one in zones if one.camera == camera]) for camera in cameras],
-        zones, links, [], [], model=model, alarms=alarms, score=score,
-    )  # fmt: skip
+        zones,
+        links,
+        [],
+        [],
+        model=model,
+        alarms=alarms,
+        score=score,
+    )
     return part_of(stamp(topology), district, dict.fromkeys(own, 0.5), 200)
 
 
 def two_parts() -> list[Part]:
     """Camera b's district has camera a's zones the other way round."""
-    mine = part(0, {"a"}, [zone("a/1", LEFT), zone("a/2", RIGHT)], [], [onward("a/1", 0.9), onward("a/2", 0.9)])
+    mine = part(
+        0,
+        {"a"},
+        [zone("a/1", LEFT), zone("a/2", RIGHT)],
+        [],
+        [onward("a/1", 0.9), onward("a/2", 0.9)],
+    )
     theirs = part(
-        1, {"b"}, [zone("a/1", RIGHT), zone("a/2", LEFT), zone("b/1", LEFT)], [link("a/1", "b/1", 0.6)],
+        1,
+        {"b"},
+        [zone("a/1", RIGHT), zone("a/2", LEFT), zone("b/1", LEFT)],
+        [link("a/1", "b/1", 0.6)],
         [onward("a/1", 0.3, b_1=0.6), onward("a/2", 0.9, b_1=0.05), onward("b/1", 1.0)],
-    )  # fmt: skip
+    )
     return [mine, theirs]
 
 
 def test_what_is_of_others_is_no_part() -> None:
     other = [link("b/1", "a/1", 0.5), link("a/1", "b/1", 0.6)]
     known = part(
-        0, {"a"}, [zone("a/1", LEFT), zone("b/1", LEFT), zone("c/1", LEFT)], other,
+        0,
+        {"a"},
+        [zone("a/1", LEFT), zone("b/1", LEFT), zone("c/1", LEFT)],
+        other,
         [onward("a/1", 0.2, b_1=0.6), onward("b/1", 0.4, a_1=0.5), onward("c/1", 0.4, b_1=0.5)],
         alarms=[
-            Alarm(1, 9.0, "camera_silent", "b", ""), Alarm(1, 9.0, "zone_new", "b/1", ""),
-            Alarm(1, 9.0, "link_opened", "a/1->b/1", ""), Alarm(2, 9.5, "link_opened", "b/1->a/1", ""),
+            Alarm(1, 9.0, "camera_silent", "b", ""),
+            Alarm(1, 9.0, "zone_new", "b/1", ""),
+            Alarm(1, 9.0, "link_opened", "a/1->b/1", ""),
+            Alarm(2, 9.5, "link_opened", "b/1->a/1", ""),
         ],
-    ).topology  # fmt: skip
+    ).topology
     assert [one.id for one in known.cameras] == ["a"]
     assert [one.id for one in known.zones] == ["a/1", "b/1"]
     assert [(one.from_, one.to) for one in known.links] == [("b/1", "a/1")]
@@ -116,22 +168,31 @@ def test_the_order_of_the_parts_says_nothing() -> None:
     """Though alarms of one moment, and cameras that are as likely, come from several."""
     third, fourth = (
         part(
-            number, {name}, [zone("a/4", (0.12, 0.5)), zone(f"{name}/1", LEFT)], [link("a/4", f"{name}/1", 0.3)],
-            [onward("a/4", 0.7, **{f"{name}_1": 0.3})], alarms=[Alarm(3, 8.0, "camera_moved", name, "")],
+            number,
+            {name},
+            [zone("a/4", (0.12, 0.5)), zone(f"{name}/1", LEFT)],
+            [link("a/4", f"{name}/1", 0.3)],
+            [onward("a/4", 0.7, **{f"{name}_1": 0.3})],
+            alarms=[Alarm(3, 8.0, "camera_moved", name, "")],
         )
         for number, name in ((2, "d"), (3, "c"))
-    )  # fmt: skip
-    digests = {stamp(merge(order, SETTINGS)).digest for order in permutations([*two_parts(), third, fourth])}
+    )
+    digests = {
+        stamp(merge(order, SETTINGS)).digest
+        for order in permutations([*two_parts(), third, fourth])
+    }
     assert len(digests) == 1
 
 
 def test_several_zones_that_are_one_are_taken_together() -> None:
     mine = part(0, {"a"}, [zone("a/1", LEFT)], [], [onward("a/1", 1.0)])
     theirs = part(
-        1, {"b"}, [zone("a/1", (0.08, 0.5), 300), zone("a/2", (0.12, 0.5), 100), zone("b/1", LEFT)],
+        1,
+        {"b"},
+        [zone("a/1", (0.08, 0.5), 300), zone("a/2", (0.12, 0.5), 100), zone("b/1", LEFT)],
         [link("a/1", "b/1", 0.4, 120.0), link("a/2", "b/1", 0.8, 80.0)],
         [onward("a/1", 0.6, b_1=0.4), onward("a/2", 0.2, b_1=0.8)],
-    )  # fmt: skip
+    )
     merged = merge([mine, theirs], SETTINGS)
     (joined,) = merged.links
     assert (joined.from_, joined.probability, joined.transitions) == ("a/1", 0.5, 200.0)
@@ -147,15 +208,25 @@ def test_several_zones_that_are_one_are_taken_together() -> None:
 
 def test_one_zone_that_is_several_stands_for_each() -> None:
     mine = part(
-        0, {"a"}, [zone("a/1", (0.08, 0.5)), zone("a/2", (0.12, 0.5))], [], [onward("a/1", 1.0), onward("a/2", 1.0)]
+        0,
+        {"a"},
+        [zone("a/1", (0.08, 0.5)), zone("a/2", (0.12, 0.5))],
+        [],
+        [onward("a/1", 1.0), onward("a/2", 1.0)],
     )
     theirs = part(
-        1, {"b"}, [zone("a/9", (0.09, 0.5)), zone("b/1", LEFT)], [link("a/9", "b/1", 0.6)],
+        1,
+        {"b"},
+        [zone("a/9", (0.09, 0.5)), zone("b/1", LEFT)],
+        [link("a/9", "b/1", 0.6)],
         [onward("a/9", 0.4, b_1=0.6)],
-    )  # fmt: skip
+    )
     merged = merge([mine, theirs], SETTINGS)
     assert [one.from_ for one in merged.links] == ["a/1"]
-    rows = {row.zone: [to.share for to in row.next_] for row in (merged.model and merged.model.onward) or []}
+    rows = {
+        row.zone: [to.share for to in row.next_]
+        for row in (merged.model and merged.model.onward) or []
+    }
     assert rows == {"a/1": [0.6], "a/2": [0.6]}
 
 
@@ -176,10 +247,15 @@ def test_no_more_goes_anywhere_than_leaves() -> None:
     zones = [zone("a/1", LEFT)]
     mine = part(0, {"a"}, zones, [], [onward("a/1", 0.9, a_1=0.1)])
     others = [
-        part(k, {name}, [*zones, zone(f"{name}/1", LEFT)], [link("a/1", f"{name}/1", 0.8)],
-             [onward("a/1", 0.2, **{f"{name}_1": 0.8})])
+        part(
+            k,
+            {name},
+            [*zones, zone(f"{name}/1", LEFT)],
+            [link("a/1", f"{name}/1", 0.8)],
+            [onward("a/1", 0.2, **{f"{name}_1": 0.8})],
+        )
         for k, name in ((1, "b"), (2, "c"))
-    ]  # fmt: skip
+    ]
     merged = merge([mine, *others], SETTINGS)
     assert sum(one.probability for one in merged.links) == pytest.approx(1.0)
     assert sum(edge.probability for edge in merged.chain or []) == pytest.approx(1.0)
@@ -195,15 +271,26 @@ def test_no_more_goes_anywhere_than_leaves() -> None:
 def test_contexts_know_what_all_districts_expect() -> None:
     zones = [zone("a/1", LEFT)]
     mine = part(
-        0, {"a"}, zones, [], [onward("a/1", 0.9, a_1=0.1)],
+        0,
+        {"a"},
+        zones,
+        [],
+        [onward("a/1", 0.9, a_1=0.1)],
         [Context("a/1", 40.0, {"a/1": 4.0}, block=3), Context("a/1", 20.0, {"a/1": 2.0}, block=4)],
-    )  # fmt: skip
+    )
     theirs = part(
-        1, {"b"}, [zone("a/7", LEFT), zone("b/1", LEFT)], [], [onward("a/7", 0.5, b_1=0.5)],
+        1,
+        {"b"},
+        [zone("a/7", LEFT), zone("b/1", LEFT)],
+        [],
+        [onward("a/7", 0.5, b_1=0.5)],
         [Context("a/7", 10.0, {"b/1": 8.0}, block=3)],
-    )  # fmt: skip
+    )
     merged = merge([mine, theirs], SETTINGS)
-    rows = {row.block: (row.departures, row.to) for row in (merged.model and merged.model.contexts) or []}
+    rows = {
+        row.block: (row.departures, row.to)
+        for row in (merged.model and merged.model.contexts) or []
+    }
     assert rows == {3: (40.0, {"a/1": 4.0, "b/1": 32.0}), 4: (20.0, {"a/1": 2.0, "b/1": 10.0})}
 
 
@@ -213,7 +300,10 @@ def test_alarms_and_scores() -> None:
     mine = replace(mine, topology=replace(mine.topology, score=score))
     opened = Alarm(5, 9.0, "link_opened", "a/1->b/1", "share")
     theirs = replace(
-        theirs, topology=replace(theirs.topology, alarms=[opened], score=replace(score, exits=300, top1=0.9))
+        theirs,
+        topology=replace(
+            theirs.topology, alarms=[opened], score=replace(score, exits=300, top1=0.9)
+        ),
     )
     merged = merge([theirs, mine], SETTINGS)
     assert merged.alarms == [replace(opened, version=0, subject="a/2->b/1")]

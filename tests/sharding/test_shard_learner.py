@@ -1,4 +1,6 @@
-"""Shards: the same topology however many there are; each hears little, finds what is new, and goes on where it was."""
+"""Shards: the same topology however many there are; each hears little, finds what is new, and goes
+on where it was.
+"""
 
 from __future__ import annotations
 
@@ -84,7 +86,10 @@ def alone(number: int, seed: int) -> list[Part]:
 
 def test_one_district_learns_as_a_learner_does() -> None:
     often = Settings(refit_share=0.6)
-    plain, learner = Learner(often, "s", "e"), ShardLearner(often, Sharding(districts=1), (0, 1), "s", "e")
+    plain, learner = (
+        Learner(often, "s", "e"),
+        ShardLearner(often, Sharding(districts=1), (0, 1), "s", "e"),
+    )
     fed(learner, site()[0])
     for event in site()[0]:
         plain.receive(event)
@@ -97,7 +102,9 @@ def test_one_district_learns_as_a_learner_does() -> None:
 def test_the_same_topology_with_several_shards() -> None:
     shards = 2
     line = Line(SETTINGS, "s", "e")
-    learners = [ShardLearner(SETTINGS, SHARDING, (shard, shards), "s", "e") for shard in range(shards)]
+    learners = [
+        ShardLearner(SETTINGS, SHARDING, (shard, shards), "s", "e") for shard in range(shards)
+    ]
     for event in site()[0]:
         for learner in learners:
             learner.receive(event)
@@ -115,13 +122,22 @@ def test_the_same_topology_with_several_shards() -> None:
 
 
 @settings(max_examples=12)
-@given(st.permutations(NUMBERS), st.lists(st.integers(0, 1), min_size=4, max_size=4), st.randoms(use_true_random=False))
+@given(
+    st.permutations(NUMBERS),
+    st.lists(st.integers(0, 1), min_size=4, max_size=4),
+    st.randoms(use_true_random=False),
+)
 def test_whoever_works_a_district_and_however_events_come(
     order: list[int], seeds: list[int], chance: random.Random
 ) -> None:
-    """Districts that were worked apart, from events in different orders, their parts told in any order: the same."""
+    """Districts that were worked apart, from events in different orders, their parts told in any
+    order: the same.
+    """
     told = [part for number in order for part in alone(number, seeds[number])]
-    line, waiting = Line(SETTINGS, "s", "e"), sorted(told, key=lambda part: (part.topology.as_of, chance.random()))
+    line, waiting = (
+        Line(SETTINGS, "s", "e"),
+        sorted(told, key=lambda part: (part.topology.as_of, chance.random())),
+    )
     for part, following in pairwise(waiting):
         line.take([part])
         line.reach(following.topology.as_of - 1.0)
@@ -142,12 +158,17 @@ def test_links_are_told_by_those_who_own_their_end() -> None:
             assert {dealing.district(camera_of[link.to]) for link in links} <= {number}
             assert {dealing.district(camera.id) for camera in part.topology.cameras} <= {number}
             assert {dealing.district(camera) for camera in part.rates} <= {number}
-            foreign += sum(dealing.district(camera_of[link.from_]) != number for link in part.topology.links)
+            foreign += sum(
+                dealing.district(camera_of[link.from_]) != number for link in part.topology.links
+            )
     assert foreign > 5
 
 
-# With the default districts nearly every camera has one of its own, and all are in their first turn.
-@pytest.mark.parametrize(("sharding", "share"), [(Sharding(districts=4, guest_turns=1), 0.8), (Sharding(), 0.89)])
+# With the default districts nearly every camera has one of its own, and all are in their first
+# turn.
+@pytest.mark.parametrize(
+    ("sharding", "share"), [(Sharding(districts=4, guest_turns=1), 0.8), (Sharding(), 0.89)]
+)
 def test_it_is_about_as_good_as_one_learner(sharding: Sharding, share: float) -> None:
     events, truth = site()
     plain = Learner(SETTINGS)
@@ -170,7 +191,9 @@ def top1(topology: Topology) -> float:
     for event in events:
         if event.kind == "exit":
             said.append(predictor.predict(event))
-            assert said[-1].leave + sum(choice.probability for choice in said[-1].next_) == pytest.approx(1.0)
+            assert said[-1].leave + sum(
+                choice.probability for choice in said[-1].next_
+            ) == pytest.approx(1.0)
         predictor.observe(event)
     return score_predictions(said, events, truth).top1
 
@@ -218,7 +241,10 @@ def walked(minutes: float, gap: float, lag: float) -> list[Event]:
     chance, begin, seconds = np.random.default_rng(4), 3600e3, minutes * 60.0
     events = []
     for k, t in enumerate(begin + chance.uniform(0.0, seconds, int(seconds / gap))):
-        later, other = t + 3.0 + lag * chance.lognormal(0.0, 0.1), begin + chance.uniform(0.0, seconds)
+        later, other = (
+            t + 3.0 + lag * chance.lognormal(0.0, 0.1),
+            begin + chance.uniform(0.0, seconds),
+        )
         for camera, at in (("a", t), ("b", later), ("c", other)):
             events.append(Event(camera, "entry", at, 0.1, 0.5, track=k))
             events.append(Event(camera, "exit", at + 3.0, 0.9, 0.5, track=k))
@@ -242,7 +268,11 @@ def test_a_guest_that_sends_people_becomes_a_neighbour() -> None:
     assert district.hearing.neighbours == ["a"]
     for turn, cameras in heard.items():
         assert ("a" in cameras) == (turn >= first) or turn in (first - 1, first)
-        assert "c" not in cameras or turn % 4 in (turn_of_c, (turn_of_c - 1) % 4, (turn_of_c + 1) % 4)
+        assert "c" not in cameras or turn % 4 in (
+            turn_of_c,
+            (turn_of_c - 1) % 4,
+            (turn_of_c + 1) % 4,
+        )
     before = district.parts()
     assert not [link for link in before[0].topology.links if link.from_.startswith("a/")]
     (found,) = [link for link in before[-1].topology.links if link.from_.startswith("a/")]
@@ -251,7 +281,9 @@ def test_a_guest_that_sends_people_becomes_a_neighbour() -> None:
 
 
 def test_what_is_not_heard_changes_nothing() -> None:
-    """A district given all events learns what it learns when given those alone that it listens to."""
+    """A district given all events learns what it learns when given those alone that it listens
+    to.
+    """
     dealing = Dealing(Sharding(districts=4, guest_turns=4, turn_hours=0.02))
     everything, some = (District(SETTINGS, "s", "e", dealing, 3) for _ in range(2))
     heard = unheard = 0
@@ -273,7 +305,9 @@ def test_what_is_not_heard_changes_nothing() -> None:
 
 @pytest.mark.parametrize("own", [True, False])
 def test_a_camera_that_comes_later_is_found_as_soon(own: bool) -> None:
-    """Whether it is the own one or that from which people come, and whoever is a guest at the time."""
+    """Whether it is the own one or that from which people come, and whoever is a guest at the
+    time.
+    """
     late = "b" if own else "a"
     sharding = Sharding(districts=3, together=("b", "a", "c"), guest_turns=50, turn_hours=0.5)
     district = District(Settings(refit_share=0.5), "s", "e", Dealing(sharding), 0)
@@ -283,7 +317,9 @@ def test_a_camera_that_comes_later_is_found_as_soon(own: bool) -> None:
         if event.t < comes and event.camera == late:
             continue
         if own and event.t < comes - 600.0 and event.camera == "a":
-            event = replace(event, camera="e")  # the district knows its cameras, and that it hears nothing of a
+            event = replace(
+                event, camera="e"
+            )  # the district knows its cameras, and that it hears nothing of a
         if event.t < comes + 1800.0:
             district.receive(event)
     district.flush()
@@ -325,7 +361,10 @@ def test_forgotten_cameras_leave_nothing_behind() -> None:
     assert len(left.cameras) == len(never.cameras)
     for name in ("t", "camera", "entry", "px", "py"):
         assert (left.window.columns[name] == never.window.columns[name]).all(), name
-    assert (mates(left.window.columns["mate"], left.window.base) == mates(never.window.columns["mate"], 0)).all()
+    assert (
+        mates(left.window.columns["mate"], left.window.base)
+        == mates(never.window.columns["mate"], 0)
+    ).all()
     under_way = [(camera, track, row - left.window.base) for camera, track, row in left.window.open]
     assert under_way == never.window.open
     assert sorted(left.intake.cameras) == sorted(never.intake.cameras)
@@ -336,16 +375,23 @@ def test_forgotten_cameras_leave_nothing_behind() -> None:
             restored.receive(event)
     restored.flush()
     assert restored.topology is not None
-    assert {camera.id for camera in restored.topology.cameras} == {e.camera for e in site()[0]} - gone
+    assert {camera.id for camera in restored.topology.cameras} == {
+        e.camera for e in site()[0]
+    } - gone
 
 
-def mates(mate: np.ndarray[tuple[int], np.dtype[np.int64]], base: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def mates(
+    mate: np.ndarray[tuple[int], np.dtype[np.int64]], base: int
+) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Numbers of rows as they are in the window; -1 for none."""
     return np.where(mate >= base, mate - base, -1)
 
 
 def test_a_part_that_comes_late_counts_from_then_on() -> None:
-    parts = sorted((part for made in expected()[1].values() for part in made), key=lambda part: part.topology.as_of)
+    parts = sorted(
+        (part for made in expected()[1].values() for part in made),
+        key=lambda part: part.topology.as_of,
+    )
     late = parts[3]
     line = Line(SETTINGS, "s", "e")
     line.take(parts[:3])
@@ -354,7 +400,9 @@ def test_a_part_that_comes_late_counts_from_then_on() -> None:
     line.take([late])
     line.reach(parts[-1].topology.as_of)
     (version,) = line.updates()
-    assert {camera.id for camera in late.topology.cameras} <= {camera.id for camera in version.cameras}
+    assert {camera.id for camera in late.topology.cameras} <= {
+        camera.id for camera in version.cameras
+    }
     assert line.waiting == 0
 
 
@@ -365,7 +413,9 @@ def test_a_district_without_cameras_holds_nobody_up() -> None:
     late = events[-1].t + 36_000.0
     closing = [replace(events[-1], camera=camera, kind="entry", t=late) for camera in truth.cameras]
     for turns in range(5, 12):
-        learner = ShardLearner(replace(SETTINGS, lateness_seconds=2000.0), Sharding(districts=64, guest_turns=turns))
+        learner = ShardLearner(
+            replace(SETTINGS, lateness_seconds=2000.0), Sharding(districts=64, guest_turns=turns)
+        )
         for event in [*events, *closing]:
             learner.receive(event)
         reached = learner.reached()

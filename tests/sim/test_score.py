@@ -30,8 +30,11 @@ def test_only_differences_between_clocks_count() -> None:
 
 
 def test_calibration_error_by_hand() -> None:
-    # Bin 0.6: 0.6 and 0.65 stated, one of two happened: |1.25 - 1|. Bin 1.0 shares the last bin: |1 - 0|.
-    assert calibration_error([0.6, 0.65, 1.0], [True, False, False]) == pytest.approx((0.25 + 1.0) / 3)
+    # Bin 0.6: 0.6 and 0.65 stated, one of two happened: |1.25 - 1|. Bin 1.0 shares the last bin: |1
+    # - 0|.
+    assert calibration_error([0.6, 0.65, 1.0], [True, False, False]) == pytest.approx(
+        (0.25 + 1.0) / 3
+    )
     assert calibration_error([0.25] * 4, [True, False, False, False]) == 0
     assert math.isnan(calibration_error([], []))
 
@@ -50,13 +53,19 @@ def test_errors_of_medians_and_f1() -> None:
 
 
 def test_stated_uncertainty_covers_or_does_not() -> None:
-    """Of four links one is 3 s off, each with a stated error of 1 s; another states none. Means are right."""
+    """Of four links one is 3 s off, each with a stated error of 1 s; another states none. Means are
+    right.
+    """
     links = [link for link in PERFECT.links if link.relation != "visible"][:5]
-    stated = [replace(link, transit=replace(link.transit, q50_sd=1.0, mean_sd=0.1)) for link in links[:4]]
+    stated = [
+        replace(link, transit=replace(link.transit, q50_sd=1.0, mean_sd=0.1)) for link in links[:4]
+    ]
     off = replace(stated[0], transit=replace(stated[0].transit, q50=stated[0].transit.q50 + 3.0))
     result = score(replace(PERFECT, links=[off, *stated[1:], links[4]]), TRUTH)
     assert (result.median_covered, result.mean_covered) == (0.75, 1.0)
-    true = next(link for link in TRUTH.links if link.from_ == off.from_ and link.to == off.to).transit.q50
+    true = next(
+        link for link in TRUTH.links if link.from_ == off.from_ and link.to == off.to
+    ).transit.q50
     assert result.median_error == 0
     assert result.median_error_mean == pytest.approx(3.0 / max(abs(true), 1.0) / 5)
     assert math.isnan(score(PERFECT, TRUTH).median_covered)
@@ -65,9 +74,13 @@ def test_stated_uncertainty_covers_or_does_not() -> None:
 def test_missing_and_false_pairs_have_no_right_relation() -> None:
     assert score(PERFECT, TRUTH).relation_right == 1
     n = len(TRUTH.pairs)
-    assert score(replace(PERFECT, pairs=PERFECT.pairs[1:]), TRUTH).relation_right == pytest.approx((n - 1) / n)
+    assert score(replace(PERFECT, pairs=PERFECT.pairs[1:]), TRUTH).relation_right == pytest.approx(
+        (n - 1) / n
+    )
     false = Pair(("cam01", "nowhere"), "unseen_path")
-    assert score(replace(PERFECT, pairs=[*PERFECT.pairs, false]), TRUTH).relation_right == pytest.approx(n / (n + 1))
+    assert score(
+        replace(PERFECT, pairs=[*PERFECT.pairs, false]), TRUTH
+    ).relation_right == pytest.approx(n / (n + 1))
 
 
 def test_false_links_count_within_a_camera_too() -> None:
@@ -84,51 +97,84 @@ def test_false_links_count_within_a_camera_too() -> None:
 
 def two_passages() -> tuple[list[Event], Truth]:
     """One person leaves a at 10 s and appears at b 5 s later, where nobody sees them again."""
-    events = [Event("a", "entry", 8.0), Event("a", "exit", 10.0), Event("b", "entry", 15.0), Event("b", "exit", 20.0)]
-    truth = Truth(TRUTH_SCHEMA, ["a", "b"], [], [], [], {}, [7, 7, 7, 7], [0, 0, 1, 1], [-1, -1, -1, -1])
+    events = [
+        Event("a", "entry", 8.0),
+        Event("a", "exit", 10.0),
+        Event("b", "entry", 15.0),
+        Event("b", "exit", 20.0),
+    ]
+    truth = Truth(
+        TRUTH_SCHEMA, ["a", "b"], [], [], [], {}, [7, 7, 7, 7], [0, 0, 1, 1], [-1, -1, -1, -1]
+    )
     return events, truth
 
 
 def test_windows_are_those_of_the_zone_and_leaving_is_an_outcome() -> None:
     events, truth = two_passages()
-    early, late = NextCamera("b", "b/1", 0.5, 1.0, 2.0, 3.0), NextCamera("b", "b/2", 0.25, 4.0, 5.0, 6.0)
+    early, late = (
+        NextCamera("b", "b/1", 0.5, 1.0, 2.0, 3.0),
+        NextCamera("b", "b/2", 0.25, 4.0, 5.0, 6.0),
+    )
     first = Prediction("a", "a/1", 10.0, None, 1, 0.25, [early, late])
-    second = Prediction("b", "b/1", 20.0, None, 1, 0.75, [NextCamera("a", "a/1", 0.25, 1.0, 2.0, 3.0)])
+    second = Prediction(
+        "b", "b/1", 20.0, None, 1, 0.75, [NextCamera("a", "a/1", 0.25, 1.0, 2.0, 3.0)]
+    )
     by_likeliest = score_predictions([first, second], events, truth)
     assert by_likeliest.window_coverage == 0
-    assert score_predictions([first, second], events, truth, zone_of=lambda event: "b/2").window_coverage == 1
+    assert (
+        score_predictions(
+            [first, second], events, truth, zone_of=lambda event: "b/2"
+        ).window_coverage
+        == 1
+    )
     assert (by_likeliest.exits, by_likeliest.followed, by_likeliest.top1) == (2, 1, 1)
     assert by_likeliest.log_loss == pytest.approx(-math.log(0.75))
-    # Stated: b 0.75 (came), leave 0.25 (did not); a 0.25 (did not), leave 0.75 (did): each 0.25 off, in two bins.
+    # Stated: b 0.75 (came), leave 0.25 (did not); a 0.25 (did not), leave 0.75 (did): each 0.25
+    # off, in two bins.
     assert by_likeliest.calibration_error == pytest.approx(0.25)
 
 
 def test_the_calibration_of_the_first_guess_is_not_diluted_by_the_others() -> None:
-    """Both first guesses are stated at 0.6 and one comes: 0.1 off, as no mean over all outcomes says. In the second
-    the likeliest is to leave; the two zones of a camera count together."""
+    """Both first guesses are stated at 0.6 and one comes: 0.1 off, as no mean over all outcomes
+    says. In the second the likeliest is to leave; the two zones of a camera count together."""
     events, truth = two_passages()
     b = [NextCamera("b", "b/1", 0.3, 1.0, 2.0, 3.0), NextCamera("b", "b/2", 0.3, 4.0, 5.0, 6.0)]
     others = [NextCamera(f"c{k}", f"c{k}/1", 0.01, 1.0, 2.0, 3.0) for k in range(5)]
     first = Prediction("a", "a/1", 10.0, None, 1, 0.35, [*b, *others])
-    second = Prediction("b", "b/1", 20.0, None, 1, 0.35, [NextCamera("a", "a/1", 0.6, 1.0, 2.0, 3.0), *others])
+    second = Prediction(
+        "b", "b/1", 20.0, None, 1, 0.35, [NextCamera("a", "a/1", 0.6, 1.0, 2.0, 3.0), *others]
+    )
     result = score_predictions([first, second], events, truth)
     assert result.first_calibration_error == pytest.approx(0.1)
     assert result.calibration_error < 0.1
-    leaving = msgspec.structs.replace(second, leave=0.6, next_=[msgspec.structs.replace(b[0], camera="a")])
-    assert score_predictions([first, leaving], events, truth).first_calibration_error == pytest.approx(0.4)
+    leaving = msgspec.structs.replace(
+        second, leave=0.6, next_=[msgspec.structs.replace(b[0], camera="a")]
+    )
+    assert score_predictions(
+        [first, leaving], events, truth
+    ).first_calibration_error == pytest.approx(0.4)
 
 
 def test_exits_of_nobody_count_in_the_calibration_over_all_exits() -> None:
-    """A tenth of the exits belong to nobody, so 0.9 is right for who always comes; over their own exits it is not."""
+    """A tenth of the exits belong to nobody, so 0.9 is right for who always comes; over their own
+    exits it is not.
+    """
     events, identity, passage = [], [], []
     for k in range(10):
         nobody = k == 4
-        events += [Event("a", "exit", 100.0 * k), *([] if nobody else [Event("b", "entry", 100.0 * k + 5)])]
+        events += [
+            Event("a", "exit", 100.0 * k),
+            *([] if nobody else [Event("b", "entry", 100.0 * k + 5)]),
+        ]
         identity += [CLUTTER] if nobody else [k, k]
         passage += [CLUTTER] if nobody else [0, 1]
     truth = Truth(TRUTH_SCHEMA, ["a", "b"], [], [], [], {}, identity, passage, [-1] * len(events))
     b = NextCamera("b", "b/1", 0.9, 4.0, 5.0, 6.0)
-    made = [Prediction("a", "a/1", event.t, None, 1, 0.1, [b]) for event in events if event.kind == "exit"]
+    made = [
+        Prediction("a", "a/1", event.t, None, 1, 0.1, [b])
+        for event in events
+        if event.kind == "exit"
+    ]
     result = score_predictions(made, events, truth)
     assert result.exits == 9
     assert result.first_calibration_error == pytest.approx(0.1)
@@ -146,7 +192,9 @@ def test_a_camera_that_is_not_named_has_no_window() -> None:
 def test_the_floor_is_what_right_probabilities_come_to() -> None:
     rng = np.random.default_rng(0)
     stated = rng.uniform(0.2, 1.0, 500)
-    errors = [calibration_error(stated.tolist(), (rng.random(500) < stated).tolist()) for _ in range(400)]
+    errors = [
+        calibration_error(stated.tolist(), (rng.random(500) < stated).tolist()) for _ in range(400)
+    ]
     assert np.mean(errors) == pytest.approx(calibration_floor(stated.tolist()), rel=0.05)
     assert calibration_floor([1.0, 0.0]) == 0
     assert math.isnan(calibration_floor([]))

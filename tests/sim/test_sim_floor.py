@@ -32,8 +32,12 @@ def test_a_view_looks_at_its_target_and_sees_its_footprint(heading: float) -> No
     assert corners == pytest.approx(np.array([(0, 0), (1, 0), (1, 1), (0, 1)]), abs=1e-9)
     ahead = np.array((math.cos(heading), math.sin(heading)))
     right = np.array((ahead[1], -ahead[0]))
-    assert view.feet(np.array([np.array(view.target) + ahead]))[0, 1] < 0.5, "farther away is higher up"
-    assert view.feet(np.array([np.array(view.target) + right]))[0, 0] > 0.5, "its right is on the right"
+    assert view.feet(np.array([np.array(view.target) + ahead]))[0, 1] < 0.5, (
+        "farther away is higher up"
+    )
+    assert view.feet(np.array([np.array(view.target) + right]))[0, 0] > 0.5, (
+        "its right is on the right"
+    )
 
 
 def test_people_walk_from_street_to_street_at_a_walking_pace() -> None:
@@ -110,13 +114,17 @@ def test_a_video_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
 def test_picture_is_drawn_even_when_little_or_nothing_was_learned(tmp_path: Path) -> None:
     perfect = topology_of(TRUTH)
     write_map(tmp_path / "a.png", PLAN, WALKS, TRUTH, perfect, ["note"])
-    nothing = type(perfect)(**{**{f: getattr(perfect, f) for f in perfect.__struct_fields__}, "zones": [], "links": []})
+    nothing = type(perfect)(
+        **{**{f: getattr(perfect, f) for f in perfect.__struct_fields__}, "zones": [], "links": []}
+    )
     write_map(tmp_path / "b.png", PLAN, WALKS, TRUTH, nothing, ["note"])
     full, empty = (cv2.imread(str(tmp_path / name)) for name in ("a.png", "b.png"))
     assert full.shape == empty.shape
     assert full.shape[1] > 1200
     left, right = full[:, : full.shape[1] // 2], full[:, full.shape[1] // 2 :]
-    assert (empty[:, : left.shape[1]][:500] == left[:500]).all(), "the true map does not depend on what was learned"
+    assert (empty[:, : left.shape[1]][:500] == left[:500]).all(), (
+        "the true map does not depend on what was learned"
+    )
     assert (empty[:, left.shape[1] :][:500] != right[:500]).any()
 
 

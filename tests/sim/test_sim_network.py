@@ -61,7 +61,11 @@ def test_every_setting_gives_a_consistent_recording(chosen: SimSettings) -> None
     for event in events:
         assert event_from_json(to_json(event)) == event
         assert (event.x is None) == (not chosen.positions)
-    owned = [(e, who, n) for e, who, n in zip(events, truth.identity, truth.passage, strict=True) if who >= 0]
+    owned = [
+        (e, who, n)
+        for e, who, n in zip(events, truth.identity, truth.passage, strict=True)
+        if who >= 0
+    ]
     halves = Counter((e.camera, who, n) for e, who, n in owned)
     assert set(halves.values()) <= {2}, "a passage is recorded whole or not at all"
     assert sum(e.kind == "entry" for e, _, _ in owned) * 2 == len(owned)
@@ -81,7 +85,10 @@ def test_same_seed_same_events(chosen: SimSettings) -> None:
 
 
 def test_another_seed_is_another_network() -> None:
-    assert simulate(SimSettings(seed=1, hours=0.1))[1].zones != simulate(SimSettings(seed=2, hours=0.1))[1].zones
+    assert (
+        simulate(SimSettings(seed=1, hours=0.1))[1].zones
+        != simulate(SimSettings(seed=2, hours=0.1))[1].zones
+    )
 
 
 def test_missed_and_clutter_have_the_shares_asked_for() -> None:
@@ -161,7 +168,9 @@ def test_zones_can_be_told_apart_and_all_cameras_hang_together(cameras: int, see
 
 def test_doors_close() -> None:
     events, truth = simulate(SimSettings(hours=2, seed=5, doors_closed=2, clutter=0, missed=0))
-    closed = {(link.from_, link.to): link.closed_at for link in truth.links if link.closed_at is not None}
+    closed = {
+        (link.from_, link.to): link.closed_at for link in truth.links if link.closed_at is not None
+    }
     assert len(closed) == 4
     before = after = 0
     for i, j in enumerate(next_entries(events, truth)):
@@ -174,15 +183,21 @@ def test_doors_close() -> None:
 
 
 def test_doors_open() -> None:
-    settings = SimSettings(hours=2, seed=5, doors_opened=2, doors_closed=1, open_after_hours=1.2, clutter=0, missed=0)
+    settings = SimSettings(
+        hours=2, seed=5, doors_opened=2, doors_closed=1, open_after_hours=1.2, clutter=0, missed=0
+    )
     events, truth = simulate(settings)
-    opened = {(link.from_, link.to): link.opened_at for link in truth.links if link.opened_at is not None}
+    opened = {
+        (link.from_, link.to): link.opened_at for link in truth.links if link.opened_at is not None
+    }
     assert set(opened.values()) == {settings.start + 1.2 * 3600}
     assert len(opened) == 4
     assert not any(link.closed_at and link.opened_at for link in truth.links)
     before = after = 0
     for i, j in enumerate(next_entries(events, truth)):
-        if j >= 0 and (moment := opened.get((truth.zones[truth.zone[i]].id, truth.zones[truth.zone[j]].id))):
+        if j >= 0 and (
+            moment := opened.get((truth.zones[truth.zone[i]].id, truth.zones[truth.zone[j]].id))
+        ):
             before += events[i].t < moment - 60  # who decided to go before appears later
             after += events[i].t >= moment
     assert before == 0
@@ -204,7 +219,9 @@ def test_without_links_everybody_is_at_one_camera_only() -> None:
 
 def test_platoons_come_in_bunches() -> None:
     def arrivals(share: float) -> tuple[list[float], Counter[tuple[int, int]]]:
-        events, truth = simulate(SimSettings(hours=2, platoons=share, missed=0, clutter=0, platoon_size=8))
+        events, truth = simulate(
+            SimSettings(hours=2, platoons=share, missed=0, clutter=0, platoon_size=8)
+        )
         first = [
             (e.t, zone)
             for e, n, zone in zip(events, truth.passage, truth.zone, strict=True)
@@ -231,16 +248,23 @@ def test_a_turned_camera_shows_its_zones_elsewhere() -> None:
     for index, zone in enumerate(truth.zones):
         for late in (False, True):
             at = [
-                (e.x, e.y) for e, z in zip(events, truth.zone, strict=True)
+                (e.x, e.y)
+                for e, z in zip(events, truth.zone, strict=True)
                 if z == index and (e.t >= settings.start + 1800) == late
-            ]  # fmt: skip
+            ]
             place = zone.was if zone.was is not None and not late else (zone.x, zone.y)
             if len(at) > 20:
-                assert np.mean(np.array(at, dtype=float), 0) == pytest.approx(np.array(place, dtype=float), abs=0.025)
+                assert np.mean(np.array(at, dtype=float), 0) == pytest.approx(
+                    np.array(place, dtype=float), abs=0.025
+                )
                 assert zone.cov is not None
                 turned = np.cov(np.array(at, dtype=float).T)
                 assert late is False or turned == pytest.approx(np.array(zone.cov), abs=0.001)
-    shift = [np.hypot(z.x - z.was[0], z.y - z.was[1]) for z in moved if z.was and z.x is not None and z.y is not None]
+    shift = [
+        np.hypot(z.x - z.was[0], z.y - z.was[1])
+        for z in moved
+        if z.was and z.x is not None and z.y is not None
+    ]
     assert max(shift) > 0.2
 
 
@@ -333,17 +357,28 @@ def test_uneven_ways_take_longer_one_way_than_the_other() -> None:
             (a.from_, a.to, a.probability) for a in even.links
         ]
         for spread, truth in ((0.0, even), (0.1, uneven)):
-            median = {(link.from_, link.to): link.transit.q50 for link in truth.links if link.relation != "visible"}
+            median = {
+                (link.from_, link.to): link.transit.q50
+                for link in truth.links
+                if link.relation != "visible"
+            }
             apart[spread] += [math.log(median[v, u] / median[u, v]) for u, v in median if u < v]
-            assert all(link.transit.q50 < 0 for link in truth.links if link.relation == "overlapped")
+            assert all(
+                link.transit.q50 < 0 for link in truth.links if link.relation == "overlapped"
+            )
     assert np.abs(apart[0.0]).max() < 0.001
     assert np.std(apart[0.1]) == pytest.approx(0.1 * math.sqrt(2), rel=0.2)
 
 
 def test_one_way_ways_are_never_taken_back() -> None:
     for seed in range(4):
-        both, one = (simulate(SimSettings(hours=0.2, seed=seed, one_way=share))[1] for share in (0.0, 0.5))
-        unseen = [{(a.from_, a.to) for a in truth.links if a.relation == "unseen"} for truth in (both, one)]
+        both, one = (
+            simulate(SimSettings(hours=0.2, seed=seed, one_way=share))[1] for share in (0.0, 0.5)
+        )
+        unseen = [
+            {(a.from_, a.to) for a in truth.links if a.relation == "unseen"}
+            for truth in (both, one)
+        ]
         assert all((v, u) in unseen[0] for u, v in unseen[0])
         assert unseen[1] < unseen[0]
         single = sum((v, u) not in unseen[1] for u, v in unseen[1])
@@ -360,14 +395,27 @@ def test_rhythm_moves_people_into_the_day() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"missed": 1.5}, {"clutter": 1.0}, {"cameras": 0}, {"hours": 0.0}, {"speed_sd": -1.0},
-        {"objects_per_second": 0.0}, {"lost": (("nowhere", 0.0, 1.0),)}, {"seed": -1}, {"zone_separation": 0.9},
-        {"zone_stretch": 0.5}, {"platoon_size": 0.0}, {"platoons": 2.0}, {"clock_max": -1.0}, {"moved": (("x", 1.0),)},
+        {"missed": 1.5},
+        {"clutter": 1.0},
+        {"cameras": 0},
+        {"hours": 0.0},
+        {"speed_sd": -1.0},
+        {"objects_per_second": 0.0},
+        {"lost": (("nowhere", 0.0, 1.0),)},
+        {"seed": -1},
+        {"zone_separation": 0.9},
+        {"zone_stretch": 0.5},
+        {"platoon_size": 0.0},
+        {"platoons": 2.0},
+        {"clock_max": -1.0},
+        {"moved": (("x", 1.0),)},
         {"uneven": -0.1},
     ],
-)  # fmt: skip
+)
 def test_settings_without_sense_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match="lose" if wrong.keys() & {"lost", "moved"} else next(iter(wrong))):
+    with pytest.raises(
+        ValueError, match="lose" if wrong.keys() & {"lost", "moved"} else next(iter(wrong))
+    ):
         simulate(msgspec.structs.replace(SimSettings(hours=0.1), **wrong))
 
 
@@ -400,7 +448,9 @@ def test_command_has_the_simulators_options(capsys: pytest.CaptureFixture[str]) 
         assert main(["simulate", "--events", "-", "--hours", "0.1", *options]) == 0
         return [event_from_json(line.encode()) for line in capsys.readouterr().out.splitlines()]
 
-    turned = SimSettings(hours=0.1, moved=(("cam01", 99.0),), linked=False, platoons=0.5, doors_opened=1)
+    turned = SimSettings(
+        hours=0.1, moved=(("cam01", 99.0),), linked=False, platoons=0.5, doors_opened=1
+    )
     options = ["--moved", "cam01:99", "--no-links", "--platoons", "0.5", "--doors-opened", "1"]
     assert written(*options) == simulate(turned)[0]
 

@@ -21,7 +21,13 @@ def test_the_truth_is_perfect() -> None:
     result = score(PERFECT, TRUTH)
     assert result.cameras_right == result.cameras == 6
     assert result.zones_matched == result.zones_true == result.zones_learned
-    assert result.link_precision == result.link_recall == result.pair_precision == result.pair_recall == 1
+    assert (
+        result.link_precision
+        == result.link_recall
+        == result.pair_precision
+        == result.pair_recall
+        == 1
+    )
     assert result.relations_right == result.links_right == result.links_learned > 10
     assert result.mode_error == result.mean_error == 0
     assert "precision 1.00" in result.text()
@@ -54,20 +60,29 @@ def test_zones_match_one_to_one_by_least_total_distance() -> None:
 
 def test_false_links_missing_links_and_wrong_relations_are_told_apart() -> None:
     links = [link for link in PERFECT.links if link.relation != "visible"]
-    false = replace(links[0], to=next(z.id for z in PERFECT.zones if z.camera == links[0].from_.split("/")[0]))
+    false = replace(
+        links[0], to=next(z.id for z in PERFECT.zones if z.camera == links[0].from_.split("/")[0])
+    )
     assert score(replace(PERFECT, links=[*PERFECT.links, false]), TRUTH).link_precision < 1
     fewer = score(replace(PERFECT, links=links[1:]), TRUTH)
     assert fewer.links_found == fewer.links_true - 1
     assert fewer.link_precision == 1
     flipped = {"unseen": "overlapped", "overlapped": "unseen"}
-    other = score(replace(PERFECT, links=[replace(x, relation=flipped[x.relation]) for x in links]), TRUTH)
+    other = score(
+        replace(PERFECT, links=[replace(x, relation=flipped[x.relation]) for x in links]), TRUTH
+    )
     assert other.relations_right == 0
     assert other.link_precision == 1
 
 
 def test_transit_errors_are_relative() -> None:
     links = [
-        replace(link, transit=replace(link.transit, mode=1.5 * link.transit.mode, mean=0.8 * link.transit.mean))
+        replace(
+            link,
+            transit=replace(
+                link.transit, mode=1.5 * link.transit.mode, mean=0.8 * link.transit.mean
+            ),
+        )
         for link in PERFECT.links
         if link.relation == "unseen"
     ]
@@ -83,7 +98,11 @@ def test_pairs() -> None:
 
 
 def test_without_positions_a_camera_is_one_zone() -> None:
-    zones = [replace(z, id=f"{z.camera}/1", x=None, y=None, cov=None) for z in PERFECT.zones if z.id.endswith("/1")]
+    zones = [
+        replace(z, id=f"{z.camera}/1", x=None, y=None, cov=None)
+        for z in PERFECT.zones
+        if z.id.endswith("/1")
+    ]
     whole = {z.camera for z in zones}
     links = {}
     for link in PERFECT.links:
@@ -133,14 +152,19 @@ def knowing(certain: float) -> list[Prediction]:
 def prediction(event: Event, camera: str | None, certain: float) -> Prediction:
     shares = {"elsewhere": 1 - certain, camera or "leave": certain}
     leave = shares.pop("leave", 0.0)
-    choices = [NextCamera(c, f"{c}/1", p, 1, 2, 3) for c, p in sorted(shares.items(), key=lambda item: -item[1])]
+    choices = [
+        NextCamera(c, f"{c}/1", p, 1, 2, 3)
+        for c, p in sorted(shares.items(), key=lambda item: -item[1])
+    ]
     return Prediction(event.camera, None, event.t, event.track, 1, leave, choices)
 
 
 def test_predictions_are_scored_by_what_happened() -> None:
     sure = score_predictions(knowing(1.0), EVENTS, TRUTH)
     assert (sure.top1, sure.top3, sure.log_loss) == (1, 1, 0)
-    assert sure.exits == sum(e.kind == "exit" and who >= 0 for e, who in zip(EVENTS, TRUTH.identity, strict=True))
+    assert sure.exits == sum(
+        e.kind == "exit" and who >= 0 for e, who in zip(EVENTS, TRUTH.identity, strict=True)
+    )
     unsure = score_predictions(knowing(0.4), EVENTS, TRUTH)
     assert (unsure.top1, unsure.top3) == (0, 1)
     assert unsure.log_loss == pytest.approx(-math.log(0.4))

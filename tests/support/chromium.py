@@ -1,4 +1,6 @@
-"""A headless Chromium for tests of the page; what it asks of the network and what it complains about."""
+"""A headless Chromium for tests of the page; what it asks of the network and what it complains
+about.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,20 @@ import pytest
 from serving import wait_for
 
 FLAGS = (
-    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--window-size=1280,800",
-)  # fmt: skip
-WITHOUT = "needs Chromium and its driver: apt-get install chromium chromium-driver; pip install selenium"
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--window-size=1280,800",
+)
+WITHOUT = (
+    "needs Chromium and its driver: apt-get install chromium chromium-driver; pip install selenium"
+)
 
 
 @contextmanager
@@ -47,7 +59,9 @@ class Browser:
         self._asked: list[str] = []
 
     def renew(self) -> None:
-        """A new tab, and nothing asked or complained about yet. The old one is closed: its page would go on asking."""
+        """A new tab, and nothing asked or complained about yet. The old one is closed: its page
+        would go on asking.
+        """
         old = self._driver.current_window_handle
         self._driver.switch_to.new_window("tab")
         new = self._driver.current_window_handle
@@ -85,10 +99,14 @@ class Browser:
         try:
             wait_for(condition, what)
         except AssertionError as error:
-            raise AssertionError(f"{error}; the page: {self.text('body')[:2000]}; {self.complaints()}") from None
+            raise AssertionError(
+                f"{error}; the page: {self.text('body')[:2000]}; {self.complaints()}"
+            ) from None
 
     def press(self, *keys: str) -> None:
-        """Press keys, wherever the focus is, as a keyboard: it holds on to no element that a page may have replaced."""
+        """Press keys, wherever the focus is, as a keyboard: it holds on to no element that a page
+        may have replaced.
+        """
         from selenium.webdriver.common.action_chains import ActionChains
         from selenium.webdriver.common.keys import Keys
 
@@ -109,18 +127,26 @@ class Browser:
 
     @contextmanager
     def slow_to_fetch(self, milliseconds: int) -> Iterator[None]:
-        """What pages that are opened meanwhile fetch comes later; their live connection is as quick as ever."""
+        """What pages that are opened meanwhile fetch comes later; their live connection is as quick
+        as ever.
+        """
         fetch = (
             "const quick = window.fetch.bind(window); window.fetch = async (...asked) => "
             f"{{ await new Promise((done) => setTimeout(done, {milliseconds})); return quick(...asked); }};"
         )
-        script = self._driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": fetch})
+        script = self._driver.execute_cdp_cmd(
+            "Page.addScriptToEvaluateOnNewDocument", {"source": fetch}
+        )
         yield
         self._driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
 
     def complaints(self) -> list[str]:
         """Errors and warnings of the page so far: scripts, its policy, what could not be loaded."""
-        self._complaints += [entry["message"] for entry in self._driver.get_log("browser") if entry["level"] != "INFO"]
+        self._complaints += [
+            entry["message"]
+            for entry in self._driver.get_log("browser")
+            if entry["level"] != "INFO"
+        ]
         return self._complaints
 
     def asked(self) -> list[str]:

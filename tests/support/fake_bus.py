@@ -27,7 +27,9 @@ class OneBus:
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
         on_change("daemon", True)
 
-    def ask(self, key: str, parameters: dict[str, Any] | None = None, one: bool = False) -> list[tuple[str, bytes]]:
+    def ask(
+        self, key: str, parameters: dict[str, Any] | None = None, one: bool = False
+    ) -> list[tuple[str, bytes]]:
         self.asked.append((key, parameters))
         if key != "topology":
             return []

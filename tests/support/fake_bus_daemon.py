@@ -1,4 +1,6 @@
-"""A daemon in this process for the tests of what talks to one: it has learned from made-up walkers."""
+"""A daemon in this process for the tests of what talks to one: it has learned from made-up
+walkers.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+from serving import (
+    SPAN_SECONDS,
+    T0,
+    closing_event,
+    free_endpoint,
+    numbered,
+    small_config,
+    wait_for,
+    walkers,
+)
 
 from camtopod.client import Topology, aio
 from camtopod.config.settings import BusSettings, SiteSettings
@@ -28,10 +39,16 @@ def there(site: Topology | aio.Topology) -> None:
 
 
 @contextlib.contextmanager
-def running(directory: Path, endpoint: str, bus: BusSettings | None = None, site: str = "site") -> Iterator[Daemon]:
-    """A daemon at an endpoint, or as ``bus`` says; stopped in any case, else the tests would not end."""
+def running(
+    directory: Path, endpoint: str, bus: BusSettings | None = None, site: str = "site"
+) -> Iterator[Daemon]:
+    """A daemon at an endpoint, or as ``bus`` says; stopped in any case, else the tests would not
+    end.
+    """
     config = small_config(directory / "state")
-    config = msgspec.structs.replace(config, bus=bus or BusSettings(listen=(endpoint,)), site=SiteSettings(site))
+    config = msgspec.structs.replace(
+        config, bus=bus or BusSettings(listen=(endpoint,)), site=SiteSettings(site)
+    )
     daemon = Daemon(config, clock=lambda: NOW)
     daemon.start()
     try:
@@ -50,13 +67,18 @@ def later(events: list[Event], spans: int) -> list[Event]:
 
 
 def learned(daemon: Daemon, events: list[Event]) -> Version:
-    """The daemon's version once it has learned what the plain learner learns of these events, by time."""
+    """The daemon's version once it has learned what the plain learner learns of these events, by
+    time.
+    """
     learner = Learner(small_config(Path()).learn, site="site", epoch="any")
     for event in events:
         learner.receive(event)
     assert learner.topology is not None
     digest = learner.topology.digest
-    wait_for(lambda: daemon.topology is not None and daemon.topology.digest == digest, "the events to be learned")
+    wait_for(
+        lambda: daemon.topology is not None and daemon.topology.digest == digest,
+        "the events to be learned",
+    )
     assert daemon.topology is not None
     return daemon.topology
 
@@ -80,5 +102,8 @@ class Hub:
 @contextlib.contextmanager
 def a_hub(directory: Path) -> Iterator[Hub]:
     """A hub of its own."""
-    with running(directory, free_endpoint()) as daemon, dial(small_config(directory, daemon.endpoint)) as bus:
+    with (
+        running(directory, free_endpoint()) as daemon,
+        dial(small_config(directory, daemon.endpoint)) as bus,
+    ):
         yield Hub(daemon, bus)

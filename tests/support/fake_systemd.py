@@ -33,7 +33,10 @@ class Systemd:
 
     def wait_for(self, line: str) -> None:
         """Until systemd has been told ``line``, now or before."""
-        wait_for(lambda: self.hear() is not None and line in self.told, f"{line} (told: {self.told[-20:]})")
+        wait_for(
+            lambda: self.hear() is not None and line in self.told,
+            f"{line} (told: {self.told[-20:]})",
+        )
 
     def close(self) -> None:
         self._socket.close()

@@ -1,4 +1,6 @@
-"""What Frigate says of made-up objects: messages of its topic ``frigate/events``, in the form its documentation has."""
+"""What Frigate says of made-up objects: messages of its topic ``frigate/events``, in the form its
+documentation has.
+"""
 
 from __future__ import annotations
 
@@ -12,26 +14,57 @@ PLATE, FACE = "KA-AB 1234", "Jane Doe"
 def seen(t: float, left: int, top: int, right: int, bottom: int, **more: Any) -> dict[str, Any]:
     """An object's state at ``t``; boxes are in pixels of the picture that is detected in."""
     return {
-        "id": "1719000000.25-a1b2c3", "camera": "yard", "frame_time": t,
-        "snapshot": {"frame_time": t, "box": [left, top, right, bottom], "area": 1, "region": [0, 0, 320, 320],
-                     "score": 0.8, "attributes": [{"label": "face", "score": 0.8, "box": [1, 2, 3, 4]}]},
-        "label": "person", "sub_label": [FACE, 0.91], "recognized_license_plate": [PLATE, 0.9],
-        "top_score": 0.91, "false_positive": False, "start_time": 1719000000.25, "end_time": None, "score": 0.83,
-        "box": [left, top, right, bottom], "area": (right - left) * (bottom - top), "ratio": 0.4,
-        "region": [0, 200, 500, 700], "active": True, "stationary": False, "motionless_count": 0,
-        "position_changes": 1, "current_zones": ["drive"], "entered_zones": ["drive"], "has_clip": True,
-        "has_snapshot": True, "attributes": {"face": 0.8}, "current_attributes": [], "pending_loitering": False,
-        "max_severity": "alert", "current_estimated_speed": 0, "velocity_angle": 0,
+        "id": "1719000000.25-a1b2c3",
+        "camera": "yard",
+        "frame_time": t,
+        "snapshot": {
+            "frame_time": t,
+            "box": [left, top, right, bottom],
+            "area": 1,
+            "region": [0, 0, 320, 320],
+            "score": 0.8,
+            "attributes": [{"label": "face", "score": 0.8, "box": [1, 2, 3, 4]}],
+        },
+        "label": "person",
+        "sub_label": [FACE, 0.91],
+        "recognized_license_plate": [PLATE, 0.9],
+        "top_score": 0.91,
+        "false_positive": False,
+        "start_time": 1719000000.25,
+        "end_time": None,
+        "score": 0.83,
+        "box": [left, top, right, bottom],
+        "area": (right - left) * (bottom - top),
+        "ratio": 0.4,
+        "region": [0, 200, 500, 700],
+        "active": True,
+        "stationary": False,
+        "motionless_count": 0,
+        "position_changes": 1,
+        "current_zones": ["drive"],
+        "entered_zones": ["drive"],
+        "has_clip": True,
+        "has_snapshot": True,
+        "attributes": {"face": 0.8},
+        "current_attributes": [],
+        "pending_loitering": False,
+        "max_severity": "alert",
+        "current_estimated_speed": 0,
+        "velocity_angle": 0,
         **more,
-    }  # fmt: skip
+    }
 
 
 def message(kind: str, before: dict[str, Any], after: dict[str, Any]) -> bytes:
     return json.dumps({"before": before, "after": after, "type": kind}).encode()
 
 
-def passage(number: int = 0, t: float = 1719000000.25, camera: str = "yard", paths: bool = True) -> list[bytes]:
-    """Somebody walks through the view from left to right in eight seconds; gone for five before Frigate says so."""
+def passage(
+    number: int = 0, t: float = 1719000000.25, camera: str = "yard", paths: bool = True
+) -> list[bytes]:
+    """Somebody walks through the view from left to right in eight seconds; gone for five before
+    Frigate says so.
+    """
     name = {"id": f"{t}-{number:06d}", "camera": camera, "start_time": t}
     way = [[[0.0859, 0.8472], t + 0.8], [[0.5, 0.9], t + 4.0]] if paths else None
 
@@ -42,7 +75,11 @@ def passage(number: int = 0, t: float = 1719000000.25, camera: str = "yard", pat
     sure = seen(t + 0.8, 60, 300, 160, 610, **path(1), **name)
     later = seen(t + 4.0, 600, 300, 680, 648, **path(2), **name)
     gone = seen(t + 8.2, 1180, 300, 1270, 640, **{**path(2), **name, "end_time": t + 13.2})
-    return [message("new", first, sure), message("update", sure, later), message("end", later, gone)]
+    return [
+        message("new", first, sure),
+        message("update", sure, later),
+        message("end", later, gone),
+    ]
 
 
 def parked(t: float = 1719000000.25, moved: int = 0, stationary: bool = True) -> list[bytes]:
@@ -51,4 +88,8 @@ def parked(t: float = 1719000000.25, moved: int = 0, stationary: bool = True) ->
     first = seen(t, 700, 300, 900, 420, **{**name, "false_positive": True, "position_changes": 0})
     sure = seen(t + 1, 700, 300, 901, 420, **name)
     still = seen(t + 60, 700, 300, 900, 421, stationary=stationary, motionless_count=300, **name)
-    return [message("new", first, sure), message("update", sure, still), message("end", still, still)]
+    return [
+        message("new", first, sure),
+        message("update", sure, still),
+        message("end", still, still),
+    ]

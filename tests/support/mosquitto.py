@@ -21,7 +21,9 @@ class Broker:
     def __init__(self, folder: Path, port: int, *options: str) -> None:
         self.port = port
         self._config = folder / "mosquitto.conf"
-        open_to_all = [] if any("password_file" in option for option in options) else ["allow_anonymous true"]
+        open_to_all = (
+            [] if any("password_file" in option for option in options) else ["allow_anonymous true"]
+        )
         lines = ["user root", f"listener {port} 127.0.0.1", *open_to_all, *options]
         self._config.write_text("\n".join(lines) + "\n")
         self._process: subprocess.Popen[bytes] | None = None
@@ -44,7 +46,12 @@ class Broker:
         """As Frigate does."""
         from paho.mqtt import publish
 
-        publish.multiple([("frigate/events", line, 1, False) for line in lines], "127.0.0.1", self.port, **options)
+        publish.multiple(
+            [("frigate/events", line, 1, False) for line in lines],
+            "127.0.0.1",
+            self.port,
+            **options,
+        )
 
     def _answers(self) -> bool:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):

@@ -1,4 +1,6 @@
-"""How well what comes after the first part of a recording is prediction_quality by what was learned of that part."""
+"""How well what comes after the first part of a recording is prediction_quality by what was learned
+of that part.
+"""
 
 from __future__ import annotations
 

@@ -35,7 +35,11 @@ def line(start: float, a: Place, b: Place, seconds: float) -> Callable[[float], 
 
     def where(t: float) -> Place | None:
         share = (t - start) / seconds
-        return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])) if 0 <= share <= 1 else None
+        return (
+            (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+            if 0 <= share <= 1
+            else None
+        )
 
     return where
 

@@ -2,7 +2,8 @@
 
     python3 rtsp_server.py FILE
 
-Prints the port it listens on, then serves until it is killed. Each client gets the file from the beginning.
+Prints the port it listens on, then serves until it is killed. Each client gets the file from the
+beginning.
 """
 
 import sys

@@ -1,4 +1,6 @@
-"""What the tests of the serving side share: small configurations, made-up events, waiting for a condition."""
+"""What the tests of the serving side share: small configurations, made-up events, waiting for a
+condition.
+"""
 
 from __future__ import annotations
 
@@ -48,11 +50,19 @@ def free_endpoint() -> str:
 
 
 def small_config(state: Path, connect: str | None = None, **limits: float) -> Config:
-    """A daemon on a free port, or programs that dial ``connect``; the learner takes any order of arrival."""
+    """A daemon on a free port, or programs that dial ``connect``; the learner takes any order of
+    arrival.
+    """
     bus = BusSettings(listen=("tcp/127.0.0.1:0",))
     if connect:
         bus = BusSettings(connect=(connect,), connect_seconds=WAIT_SECONDS)
-    quick = {"pull_seconds": 0.2, "ack_seconds": 0.05, "status_seconds": 0.1, "gap_seconds": 0.5, **limits}
+    quick = {
+        "pull_seconds": 0.2,
+        "ack_seconds": 0.05,
+        "status_seconds": 0.1,
+        "gap_seconds": 0.5,
+        **limits,
+    }
     return Config(
         bus=bus,
         state=StateSettings(str(state)),
@@ -62,7 +72,9 @@ def small_config(state: Path, connect: str | None = None, **limits: float) -> Co
 
 
 def walkers(count: int, seed: int = 1) -> list[Event]:
-    """Objects that cross the view of ``a``, then that of ``b`` or ``c`` some seconds later; by time."""
+    """Objects that cross the view of ``a``, then that of ``b`` or ``c`` some seconds later; by
+    time.
+    """
     chance = random.Random(seed)
     events = []
     for number in range(count):
@@ -70,9 +82,13 @@ def walkers(count: int, seed: int = 1) -> list[Event]:
         track = str(number)
         for camera, gap in (("a", 0.0), (chance.choice("bc"), chance.gauss(9, 1))):
             t += gap
-            events.append(Event(camera, "entry", round(t, 3), 0.1 + 0.02 * chance.random(), 0.5, track))
+            events.append(
+                Event(camera, "entry", round(t, 3), 0.1 + 0.02 * chance.random(), 0.5, track)
+            )
             t += chance.uniform(3, 6)
-            events.append(Event(camera, "exit", round(t, 3), 0.9 - 0.02 * chance.random(), 0.5, track))
+            events.append(
+                Event(camera, "exit", round(t, 3), 0.9 - 0.02 * chance.random(), 0.5, track)
+            )
     return sorted(events, key=lambda event: event.t)
 
 
@@ -94,7 +110,9 @@ def numbered(events: list[Event], boot: str = "b1") -> list[Event]:
 def camtopod(*arguments: str, **popen: object) -> subprocess.Popen[bytes]:
     """The program in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen([sys.executable, "-m", "camtopod", *arguments], env=environment, **popen)  # type: ignore[call-overload]
+    return subprocess.Popen(
+        [sys.executable, "-m", "camtopod", *arguments], env=environment, **popen
+    )  # type: ignore[call-overload]
 
 
 class Failing:

@@ -1,4 +1,6 @@
-"""A subscriber's process: follows the versions and writes each as one line, until standard input ends."""
+"""A subscriber's process: follows the versions and writes each as one line, until standard input
+ends.
+"""
 
 from __future__ import annotations
 

@@ -18,7 +18,10 @@ LINKED = np.array([100.0])
 
 def topology_of(truth: Truth) -> Topology:
     """What a learner that knew everything would publish."""
-    zones = [Zone(id=z.id, camera=z.camera, entries=100, exits=100, x=z.x, y=z.y, cov=z.cov) for z in truth.zones]
+    zones = [
+        Zone(id=z.id, camera=z.camera, entries=100, exits=100, x=z.x, y=z.y, cov=z.cov)
+        for z in truth.zones
+    ]
     links = [
         Link(
             from_=link.from_,
@@ -51,7 +54,10 @@ def topology_of(truth: Truth) -> Topology:
 
 def passage(camera: str, entered: float, stay: float, track: str) -> list[Event]:
     """The two events of somebody who is in view for ``stay`` seconds."""
-    return [Event(camera, "entry", entered, track=track), Event(camera, "exit", entered + stay, track=track)]
+    return [
+        Event(camera, "entry", entered, track=track),
+        Event(camera, "exit", entered + stay, track=track),
+    ]
 
 
 def learned_from(events: list[Event]) -> Topology:
@@ -65,7 +71,9 @@ def learned_from(events: list[Event]) -> Topology:
 
 
 class Views:
-    """Objects passing through views: what a fit works on. ``camera`` is that of each zone; tracks tie every passage."""
+    """Objects passing through views: what a fit works on. ``camera`` is that of each zone; tracks
+    tie every passage.
+    """
 
     def __init__(self, camera: list[int]) -> None:
         self.camera = np.array(camera, np.int32)
@@ -77,7 +85,9 @@ class Views:
 
     def columns(self) -> tuple[Departures, Arrivals]:
         """What left and what came, by time."""
-        since, t, entry, leave, block = (np.array(column) for column in zip(*self.rows, strict=True))
+        since, t, entry, leave, block = (
+            np.array(column) for column in zip(*self.rows, strict=True)
+        )
         entry, leave, block = (column.astype(np.int32) for column in (entry, leave, block))
         came, left = np.argsort(since, kind="stable"), np.argsort(t, kind="stable")
         place = np.empty(len(t), np.int32)
@@ -85,15 +95,29 @@ class Views:
         unknown = np.full(len(t), np.nan)
         rate = local_rates(since[came], entry[came], len(self.camera))
         return (
-            Departures(t[left], leave[left], self.camera[leave[left]], since[left], unknown, place[left], block[left]),
+            Departures(
+                t[left],
+                leave[left],
+                self.camera[leave[left]],
+                since[left],
+                unknown,
+                place[left],
+                block[left],
+            ),
             Arrivals(since[came], entry[came], self.camera[entry[came]], rate, unknown),
         )
 
 
 def fit_posterior(
-    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
-    evidence: NDArray[np.float64], screened: bool = False,
-) -> Posterior:  # fmt: skip
+    departures: Departures,
+    arrivals: Arrivals,
+    candidates: Candidates,
+    bins: LagBins,
+    zones: int,
+    until: float,
+    evidence: NDArray[np.float64],
+    screened: bool = False,
+) -> Posterior:
     """The posterior of these candidates, both steps in one."""
     cameras = int(max(departures.camera.max(initial=0), arrivals.camera.max(initial=0))) + 1
     nothing = np.zeros((cameras, cameras), np.bool_)

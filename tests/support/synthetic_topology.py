@@ -1,4 +1,6 @@
-"""A made-up topology of any size, as a learner would publish it: for what draws and tells topologies."""
+"""A made-up topology of any size, as a learner would publish it: for what draws and tells
+topologies.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,12 @@ OPPOSITE = (1, 0, 3, 2)
 SHARE = 0.45
 
 
-def synthetic_topology(cameras: int, seed: int = 1, version: int = 1, as_of: float = AS_OF) -> Topology:
-    """A site on a grid with streets missing: a zone on each side that leads somewhere, a link each way across."""
+def synthetic_topology(
+    cameras: int, seed: int = 1, version: int = 1, as_of: float = AS_OF
+) -> Topology:
+    """A site on a grid with streets missing: a zone on each side that leads somewhere, a link each
+    way across.
+    """
     chance = random.Random(seed)
     side = math.ceil(math.sqrt(1.6 * cameras))
     names = [f"cam{k:04d}" for k in range(cameras)]
@@ -64,18 +70,34 @@ def synthetic_topology(cameras: int, seed: int = 1, version: int = 1, as_of: flo
                 links.append(made_link(*ends, 9.0, 80.0, False, visible=True))
     return stamp(
         Topology(
-            TOPOLOGY_SCHEMA, "mall", "01J", version, as_of, 400 * cameras, "",
-            [Camera(name, [zone.id for zone in zones if zone.camera == name], 0.0, 0.1) for name in names],
-            zones, sorted(links, key=lambda x: (x.from_, x.to, x.relation)), pairs,
+            TOPOLOGY_SCHEMA,
+            "mall",
+            "01J",
+            version,
+            as_of,
+            400 * cameras,
+            "",
+            [
+                Camera(name, [zone.id for zone in zones if zone.camera == name], 0.0, 0.1)
+                for name in names
+            ],
+            zones,
+            sorted(links, key=lambda x: (x.from_, x.to, x.relation)),
+            pairs,
             model=_model(names, zones, as_of),
             alarms=[Alarm(version, as_of, "camera_silent", names[0], "no event since 02:10")],
             score=SelfScore(200, 1, 1.1, 0.75, 0.91, 1.6, 0.55),
         )
-    )  # fmt: skip
+    )
 
 
 def made_link(
-    from_: str, to: str, middle: float, transitions: float, overlapped: bool = False, visible: bool = False
+    from_: str,
+    to: str,
+    middle: float,
+    transitions: float,
+    overlapped: bool = False,
+    visible: bool = False,
 ) -> Link:
     """A link with a bell-shaped histogram about ``middle`` seconds."""
     sd = 0.5 + 0.15 * abs(middle)
@@ -94,7 +116,9 @@ def made_link(
 def _zone(camera: str, way: int, chance: random.Random) -> Zone:
     x, y = (value + chance.uniform(-0.05, 0.05) for value in CORNERS[way])
     traffic = int(chance.lognormvariate(5.5, 0.8))
-    return Zone(f"{camera}/{way + 1}", camera, traffic, traffic, x, y, [[0.002, 0.0005], [0.0005, 0.001]])
+    return Zone(
+        f"{camera}/{way + 1}", camera, traffic, traffic, x, y, [[0.002, 0.0005], [0.0005, 0.001]]
+    )
 
 
 def _model(names: list[str], zones: list[Zone], as_of: float) -> Model:

@@ -14,8 +14,8 @@ EVERY_SECONDS = 30.0
 
 
 def a_recording(path: Path) -> Path:
-    """Who passes a is at b 9 to 11 s later, who passes e is in the view of c before leaving e, who passes d is never
-    seen again.
+    """Who passes a is at b 9 to 11 s later, who passes e is in the view of c before leaving e, who
+    passes d is never seen again.
     """
     path.mkdir()
     chance, events, rows = np.random.default_rng(3), list[Event](), ["track,identity"]
@@ -31,7 +31,10 @@ def a_recording(path: Path) -> Path:
             ("d", alone, alone + 4.0, 2 * WALKS + walk),
         ):
             track = f"{camera}{walk}"
-            events += [Event(camera, "entry", came, track=track), Event(camera, "exit", left, track=track)]
+            events += [
+                Event(camera, "entry", came, track=track),
+                Event(camera, "exit", left, track=track),
+            ]
             rows.append(f"{track},{identity}")
     (path / "events.jsonl").write_bytes(b"".join(to_json(event) + b"\n" for event in events))
     (path / "identities.csv").write_text("\n".join(rows) + "\n")

@@ -73,7 +73,9 @@ def reason(**change: object) -> str:
     st.none() | st.tuples(NUMBERS, NUMBERS),
     st.none() | st.tuples(st.text(max_size=9), st.integers(0, 2**63 - 1)),
 )
-def test_events_come_back(event: Event, place: tuple[float, float] | None, count: tuple[str, int] | None) -> None:
+def test_events_come_back(
+    event: Event, place: tuple[float, float] | None, count: tuple[str, int] | None
+) -> None:
     x, y = place or (None, None)
     boot, seq = count or (None, None)
     event = msgspec.structs.replace(event, x=x, y=y, boot=boot, seq=seq)
@@ -85,7 +87,9 @@ def test_events_come_back(event: Event, place: tuple[float, float] | None, count
 
 def test_the_example_of_the_contract() -> None:
     line = '{"camera":"lobby","kind":"entry","t":1700000000.25,"x":0.31,"y":0.88,"track":"17","boot":"5f1c","seq":1041}'
-    assert event_from_json(line) == Event("lobby", "entry", 1700000000.25, 0.31, 0.88, "17", "5f1c", 1041)
+    assert event_from_json(line) == Event(
+        "lobby", "entry", 1700000000.25, 0.31, 0.88, "17", "5f1c", 1041
+    )
     assert to_json(event_from_json(line)).decode() == line
 
 
@@ -163,7 +167,9 @@ def test_lines_that_are_no_event(line: bytes, expected: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pack", "start", "opening"), [(False, b'{"more":', b"["), (True, b"\x81\xa4more", b"\x91")], ids=["json", "pack"]
+    ("pack", "start", "opening"),
+    [(False, b'{"more":', b"["), (True, b"\x81\xa4more", b"\x91")],
+    ids=["json", "pack"],
 )
 def test_what_is_nested_without_end_is_too_deep(pack: bool, start: bytes, opening: bytes) -> None:
     with pytest.raises(Rejected) as caught:
@@ -175,7 +181,9 @@ def test_what_is_nested_without_end_is_too_deep(pack: bool, start: bytes, openin
 def test_how_deep_an_event_may_be_nested_is_up_to_python(decode: Callable[[bytes], Event]) -> None:
     """1,000 levels in 3.11, and in 3.13 more than the longest event has room for."""
     levels = 2000
-    nested = b"[" * levels + b"]" * levels if decode is event_from_json else b"\x91" * levels + b"\xc0"
+    nested = (
+        b"[" * levels + b"]" * levels if decode is event_from_json else b"\x91" * levels + b"\xc0"
+    )
     encode = msgspec.json.encode if decode is event_from_json else msgspec.msgpack.encode
     line = encode(GOOD | {"more": msgspec.Raw(nested)})
     try:
@@ -215,7 +223,9 @@ def test_damaged_events(event: Event, data: st.DataObject) -> None:
 
 
 def test_other_nouns() -> None:
-    prediction = Prediction("a", "a/1", 5.0, None, 3, 0.25, [NextCamera("b", "b/1", 0.75, 1.0, 2.0, 3.0)])
+    prediction = Prediction(
+        "a", "a/1", 5.0, None, 3, 0.25, [NextCamera("b", "b/1", 0.75, 1.0, 2.0, 3.0)]
+    )
     assert b'"next":[{"camera":"b"' in to_json(prediction)
     assert read(Prediction, to_json(prediction)) == prediction
     assert read(Prediction, to_pack(prediction), pack=True) == prediction
@@ -234,11 +244,20 @@ def test_every_name_in_a_topology_stands_for_something() -> None:
     zone = site.zones[0]
     strange = [replace(site.links[0], to="cellar/1")]
     for changed, said in (
-        (replace(site, zones=[replace(zone, camera="cellar"), *site.zones[1:]]), r"no camera 'cellar'.*zones\[0\]"),
+        (
+            replace(site, zones=[replace(zone, camera="cellar"), *site.zones[1:]]),
+            r"no camera 'cellar'.*zones\[0\]",
+        ),
         (replace(site, zones=site.zones[1:]), rf"no zone '{zone.id}'"),
-        (replace(site, links=[*site.links, *strange]), rf"no zone 'cellar/1'.*\.links\[{len(site.links)}\]\.to"),
+        (
+            replace(site, links=[*site.links, *strange]),
+            rf"no zone 'cellar/1'.*\.links\[{len(site.links)}\]\.to",
+        ),
         (replace(site, weak_links=strange), r"no zone 'cellar/1'.*weak_links\[0\]\.to"),
-        (replace(site, pairs=[Pair(("cam0000", "cellar"), "unseen_path")]), r"no camera 'cellar'.*pairs\[0\]"),
+        (
+            replace(site, pairs=[Pair(("cam0000", "cellar"), "unseen_path")]),
+            r"no camera 'cellar'.*pairs\[0\]",
+        ),
     ):
         with pytest.raises(Rejected, match=said) as caught:
             read_topology(to_json(changed))
@@ -249,16 +268,26 @@ def test_every_zone_that_prediction_looks_up_is_there() -> None:
     site = synthetic_topology(4)
     here, hazard = site.zones[0].id, Histogram(0, [1.0])
     whole = Model(
-        4.0, 0.1, -20.0, 120.0, [ZoneModel(here, 5, 0.1, [])], [],
-        onward=[Onward(here, 0.5, [Outcome(here, 0.5, hazard)])], entered=[EntryKernel(here, here, hazard)],
-        contexts=[Context(here, 5.0, {here: 1.0}, entry=here)], pace=Pace(0.1, 0.1, 0.1, [Way(here, here, 3.0)]),
-    )  # fmt: skip
+        4.0,
+        0.1,
+        -20.0,
+        120.0,
+        [ZoneModel(here, 5, 0.1, [])],
+        [],
+        onward=[Onward(here, 0.5, [Outcome(here, 0.5, hazard)])],
+        entered=[EntryKernel(here, here, hazard)],
+        contexts=[Context(here, 5.0, {here: 1.0}, entry=here)],
+        pace=Pace(0.1, 0.1, 0.1, [Way(here, here, 3.0)]),
+    )
     raw = to_json(replace(site, model=whole)).partition(b'"model":')
     assert read_topology(b"".join(raw)).model == whole
     name = f'"{here}"'.encode()
     assert raw[2].count(name) == 10
     for nth in range(10):
-        before, after = name.join(raw[2].split(name)[: nth + 1]), name.join(raw[2].split(name)[nth + 1 :])
+        before, after = (
+            name.join(raw[2].split(name)[: nth + 1]),
+            name.join(raw[2].split(name)[nth + 1 :]),
+        )
         with pytest.raises(Rejected, match=r"no zone 'cellar/1' in it - at `\$\.model\.") as caught:
             read_topology(b"".join((*raw[:2], before, b'"cellar/1"', after)))
         assert caught.value.reason == "unknown-name"

@@ -1,4 +1,6 @@
-"""Histograms as versions carry them: whole steps lose next to nothing, sums and multiples are those of the masses."""
+"""Histograms as versions carry them: whole steps lose next to nothing, sums and multiples are those
+of the masses.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +37,15 @@ def test_whole_steps_are_as_good_as_the_masses(mass: np.ndarray) -> None:
 def test_counts_are_told_to_three_digits(counts: np.ndarray) -> None:
     told = counted(counts, BINS)
     assert told.unit == 1.0
-    assert np.abs(on_bins(told, BINS) - counts).max() <= max(MASS_MIN * counts.sum(), 0.0051 * counts.max())
+    assert np.abs(on_bins(told, BINS) - counts).max() <= max(
+        MASS_MIN * counts.sum(), 0.0051 * counts.max()
+    )
 
 
 @given(Masses, Masses, st.floats(0.01, 1.0), st.floats(0.01, 1.0))
-def test_sums_and_multiples_are_those_of_the_masses(a: np.ndarray, b: np.ndarray, p: float, q: float) -> None:
+def test_sums_and_multiples_are_those_of_the_masses(
+    a: np.ndarray, b: np.ndarray, p: float, q: float
+) -> None:
     one, other = in_steps(a, BINS), counted(b, BINS)
     wanted = p * on_bins(one, BINS) + q * on_bins(other, BINS)
     both = [(p, one), (q, other)]
@@ -74,4 +80,6 @@ def test_what_lies_beyond_the_bins_is_left_out() -> None:
     bins = LagBins(0.0, 60.0)
     assert on_bins(Histogram(-2, [1.0, 2.0, 3.0]), bins)[:2].tolist() == [3.0, 0.0]
     assert on_bins(Histogram(bins.first + bins.size - 1, [4.0, 5.0]), bins)[-1] == 4.0
-    assert on_bins(Histogram(500, [1.0]), bins).sum() == on_bins(Histogram(0, []), bins).sum() == 0.0
+    assert (
+        on_bins(Histogram(500, [1.0]), bins).sum() == on_bins(Histogram(0, []), bins).sum() == 0.0
+    )

@@ -1,4 +1,6 @@
-"""What a topology file says is believed only if it can be so; then every command that reads it gets to its end."""
+"""What a topology file says is believed only if it can be so; then every command that reads it gets
+to its end.
+"""
 
 from __future__ import annotations
 
@@ -44,9 +46,36 @@ PLAIN: dict[str, Any] = json.loads(to_json(SITE))
 assert SITE.model is not None
 LINK = next(k for k, link in enumerate(SITE.links) if link.relation != "visible")
 ODD = (
-    0, -1, 1, 2, 5, 1e-12, -1e-12, 1e-300, 1e15, -1e15, 1e300, -1e300, 10**30, 2**53, -(2**63), 0.5, 1e6, -1e6,
-    None, "", "x", "a b", "a\x1bb/1", "../1", [], [1, 2], [[1, 2], [3, 4]], {}, True,
-)  # fmt: skip
+    0,
+    -1,
+    1,
+    2,
+    5,
+    1e-12,
+    -1e-12,
+    1e-300,
+    1e15,
+    -1e15,
+    1e300,
+    -1e300,
+    10**30,
+    2**53,
+    -(2**63),
+    0.5,
+    1e6,
+    -1e6,
+    None,
+    "",
+    "x",
+    "a b",
+    "a\x1bb/1",
+    "../1",
+    [],
+    [1, 2],
+    [[1, 2], [3, 4]],
+    {},
+    True,
+)
 
 
 def changed(path: str, value: Any) -> bytes:
@@ -87,7 +116,9 @@ WRONG = {
     "a link twice": changed("links", [*PLAIN["links"], PLAIN["links"][0]]),
     "a pair twice": changed("pairs", [*PLAIN["pairs"], PLAIN["pairs"][0]]),
     "a pair of one": changed("pairs.0.cameras", [FIRST, FIRST]),
-    "a zone model twice": changed("model.zones", [*PLAIN["model"]["zones"], PLAIN["model"]["zones"][0]]),
+    "a zone model twice": changed(
+        "model.zones", [*PLAIN["model"]["zones"], PLAIN["model"]["zones"][0]]
+    ),
     "a zone of another camera": changed("zones.0.camera", SITE.cameras[1].id),
     "a probability of 3": changed(f"links.{LINK}.probability", 3.0),
     "a hundred quadrillion exits": changed("zones.0.exits", 10**17),
@@ -97,11 +128,14 @@ WRONG = {
     "a correlation of 5": changed("model.pace.correlation", 5),
     "a way of no time": changed(
         "model.pace",
-        {**PLAIN["model"]["pace"], "ways": [{"entry": SITE.zones[0].id, "exit": SITE.zones[0].id, "stay": 0}]},
+        {
+            **PLAIN["model"]["pace"],
+            "ways": [{"entry": SITE.zones[0].id, "exit": SITE.zones[0].id, "stay": 0}],
+        },
     ),
     "a share below 0": changed("model.onward.0.next_.0.share", -0.5),
     "a clock of a geological age": changed("cameras.0.clock_offset", 1e15),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("why", WRONG)
@@ -129,7 +163,11 @@ def test_what_cannot_be_is_refused_by_every_command(
 def test_a_file_of_ten_gigabytes_is_refused_before_it_is_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sparse, good, events = tmp_path / "sparse.json", tmp_path / "topology.json", tmp_path / "events.jsonl"
+    sparse, good, events = (
+        tmp_path / "sparse.json",
+        tmp_path / "topology.json",
+        tmp_path / "events.jsonl",
+    )
     with sparse.open("wb") as file:
         file.truncate(10 * 1024**3)
     good.write_bytes(json.dumps(PLAIN).encode())
@@ -145,7 +183,9 @@ def test_a_file_of_ten_gigabytes_is_refused_before_it_is_read(
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000, "KiB"
 
 
-def test_a_pipe_without_end_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pipe_without_end_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(export, "TOPOLOGY_BYTES_MAX", 3 * 1024**2)
     monkeypatch.setattr(report, "TOPOLOGY_BYTES_MAX", 3 * 1024**2)
     with open("/dev/zero", "rb") as zeros:
@@ -166,7 +206,9 @@ def test_versions_of_a_report_are_lines_of_a_length(
     assert "line 1 is not a topology: it has more than" in capsys.readouterr().err
 
 
-def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_little_memory_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def huge(path: str) -> Topology:
         raise MemoryError
 
@@ -180,7 +222,9 @@ def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     [
         SimSettings(cameras=6, hours=0.4, seed=1, positions=False),
         SimSettings(cameras=6, hours=0.4, seed=2, tracks=False, overlap_share=0.9),
-        SimSettings(cameras=6, hours=0.4, seed=3, clock_max=20.0, clock_share=1.0, zone_stretch=4.0),
+        SimSettings(
+            cameras=6, hours=0.4, seed=3, clock_max=20.0, clock_share=1.0, zone_stretch=4.0
+        ),
         SimSettings(cameras=6, hours=0.4, seed=4, linked=False, loiterers=0.5, slow_share=0.5),
     ],
 )
@@ -193,7 +237,9 @@ def test_what_the_learner_makes_is_sound(settings: SimSettings) -> None:
 
 def test_a_site_without_a_model_is_sound() -> None:
     assert list(problems(synthetic_topology(12))) == []
-    bare = msgspec.structs.replace(SITE, model=None, chain=None, score=None, alarms=None, weak_links=None)
+    bare = msgspec.structs.replace(
+        SITE, model=None, chain=None, score=None, alarms=None, weak_links=None
+    )
     assert list(problems(bare)) == []
     use(bare)
 
@@ -204,7 +250,11 @@ def test_a_site_without_a_model_is_sound() -> None:
 def places(content: Any, path: str = "") -> list[str]:
     """Where there is something to change."""
     if isinstance(content, dict):
-        return [one for key, inner in content.items() for one in [f"{path}{key}", *places(inner, f"{path}{key}.")]]
+        return [
+            one
+            for key, inner in content.items()
+            for one in [f"{path}{key}", *places(inner, f"{path}{key}.")]
+        ]
     if isinstance(content, list):
         few = range(min(len(content), 3))
         return [one for k in few for one in [f"{path}{k}", *places(content[k], f"{path}{k}.")]]
@@ -226,7 +276,10 @@ def use(topology: Topology) -> None:
             if kind == "exit":
                 for now in (None, event.t + 5.0):
                     prediction = predictor.predict(event, now)
-                    assert abs(prediction.leave + sum(one.probability for one in prediction.next_) - 1) < 1e-6
+                    assert (
+                        abs(prediction.leave + sum(one.probability for one in prediction.next_) - 1)
+                        < 1e-6
+                    )
                     assert b"null" not in to_json(prediction.next_), "a figure that is none"
             predictor.observe(event)
 

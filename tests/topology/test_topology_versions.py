@@ -1,4 +1,6 @@
-"""Digests and deltas: two that learned the same agree, and a delta gives exactly the next version."""
+"""Digests and deltas: two that learned the same agree, and a delta gives exactly the next
+version.
+"""
 
 from __future__ import annotations
 
@@ -34,19 +36,31 @@ TRANSITS = st.builds(Transit, *[NUMBERS] * 6)
 CAMERAS = st.builds(Camera, NAMES, st.lists(NAMES, max_size=2), NUMBERS)
 HISTOGRAMS = st.builds(Histogram, st.integers(-20, 20), st.lists(SHARES, max_size=3))
 LINKS = st.builds(
-    Link, NAMES, NAMES, st.sampled_from(["visible", "overlapped", "unseen"]), SHARES, SHARES, TRANSITS,
-    SHARES, SHARES, st.none() | HISTOGRAMS,
-)  # fmt: skip
+    Link,
+    NAMES,
+    NAMES,
+    st.sampled_from(["visible", "overlapped", "unseen"]),
+    SHARES,
+    SHARES,
+    TRANSITS,
+    SHARES,
+    SHARES,
+    st.none() | HISTOGRAMS,
+)
 COV = st.just([[0.1, 0.0], [0.0, 0.1]])
 ZONES = st.builds(Zone, NAMES, NAMES, st.integers(0, 99), st.integers(0, 99)) | st.builds(
     Zone, NAMES, NAMES, st.integers(0, 99), st.integers(0, 99), SHARES, SHARES, COV
 )
 PAIRS = st.builds(Pair, st.tuples(NAMES, NAMES), st.sampled_from(["overlapped", "unseen_path"]))
 MODELS = st.builds(
-    Model, NUMBERS, NUMBERS, NUMBERS, NUMBERS,
+    Model,
+    NUMBERS,
+    NUMBERS,
+    NUMBERS,
+    NUMBERS,
     st.lists(st.builds(ZoneModel, NAMES, st.integers(0, 9), SHARES, st.just([0.5])), max_size=2),
     st.lists(st.builds(CameraModel, NAMES, SHARES, NUMBERS), max_size=2),
-)  # fmt: skip
+)
 
 
 def by_key(item: Camera | Zone | Link | Pair) -> object:
@@ -57,7 +71,9 @@ def by_key(item: Camera | Zone | Link | Pair) -> object:
 
 def some(items: st.SearchStrategy[object]) -> st.SearchStrategy[list[object]]:
     """What a topology holds: each key once, in order."""
-    return st.lists(items, max_size=5, unique_by=by_key).map(lambda found: sorted(found, key=by_key))  # type: ignore[arg-type]
+    return st.lists(items, max_size=5, unique_by=by_key).map(
+        lambda found: sorted(found, key=by_key)
+    )  # type: ignore[arg-type]
 
 
 @st.composite
@@ -65,11 +81,22 @@ def topologies(draw: st.DrawFn, version: int = 1) -> Topology:
     chain = st.lists(st.builds(ChainEdge, NAMES, NAMES, SHARES), max_size=2)
     return stamp(
         Topology(
-            TOPOLOGY_SCHEMA, "hq", "01J", version, draw(NUMBERS), draw(st.integers(0, 99)), "",
-            draw(some(CAMERAS)), draw(some(ZONES)), draw(some(LINKS)), draw(some(PAIRS)), draw(some(LINKS)),
-            draw(st.none() | chain), draw(st.none() | MODELS),
+            TOPOLOGY_SCHEMA,
+            "hq",
+            "01J",
+            version,
+            draw(NUMBERS),
+            draw(st.integers(0, 99)),
+            "",
+            draw(some(CAMERAS)),
+            draw(some(ZONES)),
+            draw(some(LINKS)),
+            draw(some(PAIRS)),
+            draw(some(LINKS)),
+            draw(st.none() | chain),
+            draw(st.none() | MODELS),
         )
-    )  # type: ignore[arg-type] # fmt: skip
+    )  # type: ignore[arg-type]
 
 
 @given(topologies(4), topologies(5))
@@ -87,7 +114,12 @@ def test_a_delta_holds_what_differs_and_no_more(old: Topology, data: st.DataObje
     new = stamp(replace(old, version=5))
     same = make_delta(old, new)
     names = ("cameras", "zones", "links", "weak_links", "pairs")
-    assert not any([*(getattr(same, name) for name in names), *(getattr(same, f"gone_{name}") for name in names)])
+    assert not any(
+        [
+            *(getattr(same, name) for name in names),
+            *(getattr(same, f"gone_{name}") for name in names),
+        ]
+    )
     for name in names:
         items = getattr(old, name)
         if not items:

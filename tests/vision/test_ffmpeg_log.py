@@ -28,7 +28,9 @@ def said(text: str) -> None:
     os.write(1, text.encode())
 
 
-def test_a_reason_is_heard_and_standard_output_is_itself_again(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_reason_is_heard_and_standard_output_is_itself_again(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     with listening() as complaints:
         said("[rtsp] method DESCRIBE failed: 401 Unauthorized\n")
         assert "user name or password" in complaints.take()
@@ -38,12 +40,16 @@ def test_a_reason_is_heard_and_standard_output_is_itself_again(capfd: pytest.Cap
 
 def test_what_waits_in_the_buffer_of_c_is_heard_too() -> None:
     """Where standard output is no terminal C keeps some kilobytes, as OpenCV prints with it."""
-    done = subprocess.run([sys.executable, "-c", PRINTS_AS_C_DOES], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", PRINTS_AS_C_DOES], capture_output=True, text=True, check=True
+    )
     assert "nothing listens" in done.stderr
     assert done.stdout == "before\ndata\n"
 
 
-def test_the_level_ends_with_the_block_and_a_user_s_own_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_level_ends_with_the_block_and_a_user_s_own_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Or a process that is started afterwards would be silent, too."""
     monkeypatch.delenv(LEVEL_VARIABLE, raising=False)
     with listening():

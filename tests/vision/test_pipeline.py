@@ -86,7 +86,12 @@ def test_two_who_cross_are_two_passages() -> None:
         ]
     )
     events = scene.events(20)
-    assert passages(events) == [("entry", "left"), ("entry", "right"), ("exit", "right"), ("exit", "left")]
+    assert passages(events) == [
+        ("entry", "left"),
+        ("entry", "right"),
+        ("exit", "right"),
+        ("exit", "left"),
+    ]
     assert len({event.track for event in events}) == 2
 
 
@@ -194,7 +199,9 @@ def test_large_pictures_are_scaled_down() -> None:
     assert (WIDTH, HEIGHT) == (192, 144)
 
 
-def test_a_camera_that_shakes_by_a_pixel_sees_nothing_in_an_empty_scene_and_people_in_a_full_one() -> None:
+def test_a_camera_that_shakes_by_a_pixel_sees_nothing_in_an_empty_scene_and_people_in_a_full_one() -> (
+    None
+):
     walker = Person(line(5.0, (-0.05, 0.7), (1.05, 0.7), 8.0), shade=20)
     for people, expected in (([], []), ([walker], [("entry", "left"), ("exit", "right")])):
         scene, watcher, events = Scene(people), Watcher("cam", VisionSettings()), []
@@ -207,19 +214,31 @@ def test_a_camera_that_shakes_by_a_pixel_sees_nothing_in_an_empty_scene_and_peop
 
 @pytest.mark.parametrize("seed", range(4))
 def test_whatever_the_pictures_events_are_well_formed(seed: int) -> None:
-    """Crowds that jump about, flashes and gaps: no error, each track enters and leaves at most once."""
+    """Crowds that jump about, flashes and gaps: no error, each track enters and leaves at most
+    once.
+    """
     rng = np.random.default_rng(seed)
 
     def wild(own: int) -> Person:
         places = np.random.default_rng(own).uniform(-0.1, 1.1, (40, 2))
-        return Person(lambda t: tuple(places[int(t) % 40]), tall=0.05 + 0.4 * (own % 7) / 7, shade=own * 17 % 256)
+        return Person(
+            lambda t: tuple(places[int(t) % 40]),
+            tall=0.05 + 0.4 * (own % 7) / 7,
+            shade=own * 17 % 256,
+        )
 
     scene = Scene([wild(int(own)) for own in rng.integers(0, 1000, 6)])
     watcher, events, t = Watcher("cam", VisionSettings()), [], 0.0
     for _ in range(400):
-        t += float(rng.choice([0.01, 1 / FPS, 1 / FPS, 1 / FPS, 0.7, 4.0], p=[0.04, 0.3, 0.3, 0.3, 0.05, 0.01]))
+        t += float(
+            rng.choice(
+                [0.01, 1 / FPS, 1 / FPS, 1 / FPS, 0.7, 4.0], p=[0.04, 0.3, 0.3, 0.3, 0.05, 0.01]
+            )
+        )
         flash = rng.random() < 0.01
-        events += watcher.see(t, np.full((HEIGHT, WIDTH), 255, np.uint8) if flash else scene.picture(t))
+        events += watcher.see(
+            t, np.full((HEIGHT, WIDTH), 255, np.uint8) if flash else scene.picture(t)
+        )
     events += watcher.finish()
     seen: dict[tuple[object, str], float] = {}
     for event in events:

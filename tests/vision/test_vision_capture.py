@@ -1,4 +1,6 @@
-"""Files and streams to frames: what cannot be read, times, pace, and every way a stream can fail."""
+"""Files and streams to frames: what cannot be read, times, pace, and every way a stream can
+fail.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,14 @@ from camtopod.vision.source.recorded import RecordedSource
 
 SECONDS = 14.0
 QUICK = VisionSettings(
-    open_timeout_seconds=1.0, read_timeout_seconds=1.0, backoff_min_seconds=0.2, backoff_max_seconds=0.4
+    open_timeout_seconds=1.0,
+    read_timeout_seconds=1.0,
+    backoff_min_seconds=0.2,
+    backoff_max_seconds=0.4,
 )
-needs_server = pytest.mark.skipif(missing() is not None, reason=f"needs an RTSP server: {missing()}")
+needs_server = pytest.mark.skipif(
+    missing() is not None, reason=f"needs an RTSP server: {missing()}"
+)
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +81,14 @@ def test_a_file_that_is_not_there_or_no_video(tmp_path: Path) -> None:
 
 
 def test_times_are_the_start_plus_the_position(film: Path) -> None:
-    frames = [frame for frame in RecordedSource(str(film), VisionSettings(), 1000.0, None).frames() if frame]
-    np.testing.assert_allclose([frame.t for frame in frames], 1000.0 + np.arange(len(frames)) / FPS, atol=1e-3)
+    frames = [
+        frame
+        for frame in RecordedSource(str(film), VisionSettings(), 1000.0, None).frames()
+        if frame
+    ]
+    np.testing.assert_allclose(
+        [frame.t for frame in frames], 1000.0 + np.arange(len(frames)) / FPS, atol=1e-3
+    )
     assert len(frames) == round(SECONDS * FPS)
     assert frames[0].luma.shape == (HEIGHT, WIDTH)
 
@@ -110,7 +123,9 @@ def test_a_slow_file_gives_control_back(film: Path) -> None:
 def test_luma_is_the_grey_picture_whatever_the_format(film: Path, tmp_path: Path) -> None:
     plain = tmp_path / "plain.avi"
     writer = cv2.VideoWriter(str(plain), cv2.VideoWriter.fourcc(*"FFV1"), FPS, (WIDTH, HEIGHT))
-    colours = np.random.default_rng(1).integers(0, 255, (HEIGHT // 8, WIDTH // 8, 3), dtype=np.uint8)
+    colours = np.random.default_rng(1).integers(
+        0, 255, (HEIGHT // 8, WIDTH // 8, 3), dtype=np.uint8
+    )
     picture = cv2.resize(colours, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
     writer.write(picture)
     writer.release()
@@ -142,9 +157,23 @@ def test_the_decoder_s_plane_is_taken_where_there_is_one(
     film: Path, tmp_path: Path, encoder: str, pixels: str, plane: bool
 ) -> None:
     path = tmp_path / "film.mkv"
-    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-i", str(film), "-t", "1", "-c:v", encoder]
+    command = [
+        "ffmpeg",
+        "-nostdin",
+        "-loglevel",
+        "error",
+        "-i",
+        str(film),
+        "-t",
+        "1",
+        "-c:v",
+        encoder,
+    ]
     subprocess.run([*command, "-pix_fmt", pixels, "-q:v", "2", str(path)], check=True)
-    capture, twin = Capture(str(path), VisionSettings()), cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    capture, twin = (
+        Capture(str(path), VisionSettings()),
+        cv2.VideoCapture(str(path), cv2.CAP_FFMPEG),
+    )
     assert (capture._capture.get(cv2.CAP_PROP_CONVERT_RGB) == 0.0) == plane
     seen = []
     for _ in range(3):
@@ -152,7 +181,10 @@ def test_the_decoder_s_plane_is_taken_where_there_is_one(
         luma, (_, picture) = capture.retrieve(), twin.read()
         assert luma is not None
         assert luma.shape == (HEIGHT, WIDTH)
-        assert np.corrcoef(luma.ravel(), cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).ravel())[0, 1] > 0.99
+        assert (
+            np.corrcoef(luma.ravel(), cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).ravel())[0, 1]
+            > 0.99
+        )
         seen.append(luma)
     assert not np.shares_memory(seen[0], seen[1])
     capture.release()
@@ -162,7 +194,9 @@ def test_the_decoder_s_plane_is_taken_where_there_is_one(
 # -- streams ------------------------------
 
 
-def run_until(stream: Iterator[Event | None], condition: Callable[[], bool], seconds: float = 15.0) -> list[Event]:
+def run_until(
+    stream: Iterator[Event | None], condition: Callable[[], bool], seconds: float = 15.0
+) -> list[Event]:
     """Events until ``condition``; control must come back at least once a second."""
     events, began = [], time.monotonic()
     heard = began

@@ -25,7 +25,8 @@ def picture(rng: np.random.Generator, height: int, width: int, coarse: int = 4) 
 
 
 @pytest.mark.parametrize(
-    ("height", "width"), [(1080, 1920), (720, 1280), (576, 768), (432, 768), (600, 800), (481, 643), (2160, 3840)]
+    ("height", "width"),
+    [(1080, 1920), (720, 1280), (576, 768), (432, 768), (600, 800), (481, 643), (2160, 3840)],
 )
 def test_shrunk_is_the_mean_over_the_area(height: int, width: int) -> None:
     large = picture(np.random.default_rng(1), height, width, coarse=width // 40)
@@ -50,7 +51,9 @@ def test_tone_curve(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = picture(rng, 180, 320)
     model = background.Background([scene], 20.0)
-    frame = np.clip(scene * rng.uniform(0.6, 1.4) + rng.normal(0, 4, scene.shape), 0, 255).astype(np.uint8)
+    frame = np.clip(scene * rng.uniform(0.6, 1.4) + rng.normal(0, 4, scene.shape), 0, 255).astype(
+        np.uint8
+    )
     settled = np.where(rng.uniform(size=scene.shape) < 0.8, np.uint8(255), np.uint8(0))
     change = frame[::4, ::4].astype(int) - scene[::4, ::4]
     centres, medians = [], []
@@ -124,8 +127,10 @@ def test_filled_are_the_outlines(seed: int) -> None:
 def test_merged_are_all_that_belong(seed: int, known: bool) -> None:
     rng = np.random.default_rng(seed)
     corners = rng.integers(0, [320, 180], (30, 2))
-    boxes = [(float(x), float(y), float(x + w), float(y + h)) for (x, y), (w, h) in
-             zip(corners, rng.integers(2, 25, (30, 2)), strict=True)]  # fmt: skip
+    boxes = [
+        (float(x), float(y), float(x + w), float(y + h))
+        for (x, y), (w, h) in zip(corners, rng.integers(2, 25, (30, 2)), strict=True)
+    ]
 
     def height(bottom: float) -> float | None:
         return 10.0 + 0.2 * bottom if known else None
@@ -160,7 +165,11 @@ def test_only_what_is_near_or_overlaps_can_be_a_track_s(seed: int) -> None:
     rng = np.random.default_rng(seed)
 
     def made(many: int) -> list[blobs.Blob]:
-        spots = zip(rng.uniform(0, [320, 180], (many, 2)), 10.0 ** rng.uniform(0, 1.8, (many, 2)), strict=True)
+        spots = zip(
+            rng.uniform(0, [320, 180], (many, 2)),
+            10.0 ** rng.uniform(0, 1.8, (many, 2)),
+            strict=True,
+        )
         return [blobs.Blob(x, y, x + w, y + h, x + 0.4 * w, w * h) for (x, y), (w, h) in spots]
 
     followed = tracker.Tracker(VisionSettings(), _NoEdges())
@@ -176,7 +185,9 @@ def test_only_what_is_near_or_overlaps_can_be_a_track_s(seed: int) -> None:
             near = min(head, foot) <= gate or tracker._overlap(track.last.box, blob.box) >= 0.3
             assert (cost < tracker._NEVER) == near
             if near:
-                assert cost == pytest.approx((0.7 * min(head, foot) + 0.3 * max(head, foot)) / gate + 0.5)
+                assert cost == pytest.approx(
+                    (0.7 * min(head, foot) + 0.3 * max(head, foot)) / gate + 0.5
+                )
             taken += near
     assert 0 < taken < len(seen) * len(followed.active) / 2
 

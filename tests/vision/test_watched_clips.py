@@ -17,7 +17,9 @@ def f1(path: Path, name: str, fps: float, aspect: float) -> float:
     return match(watched(name, fps), events, aspect).f1
 
 
-@pytest.mark.skipif(one_by_one() is None, reason="CAMTOPOD_TEST_DATA names no folder with one-by-one/")
+@pytest.mark.skipif(
+    one_by_one() is None, reason="CAMTOPOD_TEST_DATA names no folder with one-by-one/"
+)
 def test_people_one_at_a_time() -> None:
     path = one_by_one()
     assert path is not None

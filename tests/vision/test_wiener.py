@@ -20,7 +20,9 @@ from camtopod.vision.detect.wiener import temporal_noise, wiener
 @settings(max_examples=150, deadline=None)
 def test_equals_scipy(seed: int, shape: tuple[int, int], size: int, noise: float | None) -> None:
     image = np.random.default_rng(seed).uniform(0, 255, shape)
-    np.testing.assert_allclose(wiener(image, size, noise), naive.wiener(image, size, noise), rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(
+        wiener(image, size, noise), naive.wiener(image, size, noise), rtol=1e-9, atol=1e-7
+    )
 
 
 def test_whole_grey_levels_in_single_precision_are_near_enough() -> None:
@@ -40,7 +42,10 @@ def test_a_flat_picture_stays_flat() -> None:
 def test_noise_is_measured_whatever_the_texture_and_some_motion(sigma: float) -> None:
     rng = np.random.default_rng(3)
     scene = rng.uniform(40, 200, (240, 320))
-    a, b = (np.clip(scene + rng.normal(0, sigma, scene.shape), 0, 255).astype(np.uint8) for _ in range(2))
+    a, b = (
+        np.clip(scene + rng.normal(0, sigma, scene.shape), 0, 255).astype(np.uint8)
+        for _ in range(2)
+    )
     b[50:150, 100:160] = 20  # somebody came
     assert temporal_noise(b, a) == pytest.approx(sigma, rel=0.2)
 

@@ -1,4 +1,6 @@
-"""The page in a real browser on a real daemon: what it shows, that it stays live, and what it never does."""
+"""The page in a real browser on a real daemon: what it shows, that it stays live, and what it never
+does.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,16 @@ import msgspec
 import numpy as np
 import pytest
 from chromium import Browser
-from serving import SPAN_SECONDS, T0, closing_event, free_endpoint, numbered, small_config, wait_for, walkers
+from serving import (
+    SPAN_SECONDS,
+    T0,
+    closing_event,
+    free_endpoint,
+    numbered,
+    small_config,
+    wait_for,
+    walkers,
+)
 from synthetic_topology import synthetic_topology
 
 from camtopod.cli.commands.web import listening, names
@@ -35,7 +46,9 @@ DOTTED = "gate.1-_x"
 
 
 class Site:
-    """A daemon that can be stopped and started again, and a page that stays; time goes on, from long after `T0`."""
+    """A daemon that can be stopped and started again, and a page that stays; time goes on, from
+    long after `T0`.
+    """
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -94,16 +107,24 @@ class Site:
         ]
         for event in numbered(events):
             bus.put(f"event/{event.camera}", event, "event")
-        wait_for(lambda: bool(self.daemon.topology and len(self.daemon.topology.pairs) == 2), "two pairs")
+        wait_for(
+            lambda: bool(self.daemon.topology and len(self.daemon.topology.pairs) == 2), "two pairs"
+        )
 
     def learn_more(self, bus: Bus) -> None:
         """More walkers, and then a leap of time after which they are learned."""
         later = self.now() - SPAN_SECONDS - T0
-        for event in numbered([*walkers(60, seed=2), Event("late", "entry", T0 + 5 * SPAN_SECONDS)], "b2"):
+        for event in numbered(
+            [*walkers(60, seed=2), Event("late", "entry", T0 + 5 * SPAN_SECONDS)], "b2"
+        ):
             if event.camera == "late":
                 self._skipped += 5 * SPAN_SECONDS
             name = DOTTED if event.camera == "b" else event.camera
-            bus.put(f"event/{name}", msgspec.structs.replace(event, camera=name, t=event.t + later), "event")
+            bus.put(
+                f"event/{name}",
+                msgspec.structs.replace(event, camera=name, t=event.t + later),
+                "event",
+            )
 
     def close(self) -> None:
         self._open.close()
@@ -112,8 +133,8 @@ class Site:
 
 @contextlib.contextmanager
 def refusing(port: int) -> Iterator[list[str]]:
-    """A proxy whose server is away: 503 to everything, after which a browser does not try again by itself; yields the
-    paths asked for.
+    """A proxy whose server is away: 503 to everything, after which a browser does not try again by
+    itself; yields the paths asked for.
     """
     asked: list[str] = []
 
@@ -144,32 +165,48 @@ def site(tmp_path_factory: pytest.TempPathFactory, started_browser: Browser) -> 
 
 @pytest.fixture
 def shown(site: Site, browser: Browser) -> Iterator[Browser]:
-    """The page as it opens; afterwards nothing may have been complained about or asked of another host."""
+    """The page as it opens; afterwards nothing may have been complained about or asked of another
+    host.
+    """
     browser.open(site.address)
     browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
     browser.wait(lambda: browser.count(".node") == site.cameras, "the cameras")
     yield browser
     away = "ERR_CONNECTION_REFUSED"  # of a server that a test has stopped
     assert [text for text in browser.complaints() if away not in text] == []
-    strange = [url for url in browser.asked() if not url.startswith((site.address, "data:", "chrome:"))]
+    strange = [
+        url for url in browser.asked() if not url.startswith((site.address, "data:", "chrome:"))
+    ]
     assert strange == []
 
 
 def leave(site: Site, bus: Bus, camera: str = "a", seq: int = 0) -> None:
     """Somebody leaves the view now."""
-    bus.put(f"event/{camera}", Event(camera, "exit", site.now(), 0.9, 0.5, "x", f"live{seq}", 1), "event")
+    bus.put(
+        f"event/{camera}",
+        Event(camera, "exit", site.now(), 0.9, 0.5, "x", f"live{seq}", 1),
+        "event",
+    )
 
 
 def test_the_map_shows_what_was_learned(site: Site, shown: Browser) -> None:
     topology = site.daemon.topology
     assert topology is not None
-    names = shown.run("return [...document.querySelectorAll('.node')].map((node) => node.dataset.id)")
+    names = shown.run(
+        "return [...document.querySelectorAll('.node')].map((node) => node.dataset.id)"
+    )
     assert sorted(names) == sorted(camera.id for camera in topology.cameras)
-    edges = shown.run("return [...document.querySelectorAll('.edge')].map((line) => line.dataset.key)")
+    edges = shown.run(
+        "return [...document.querySelectorAll('.edge')].map((line) => line.dataset.key)"
+    )
     assert sorted(edges) == ["a " + other for other in ("c", DOTTED)]
     assert shown.count(".edge.unseen_path") == 2
     shown.wait(lambda: "s" in shown.text(".labels .time"), "transit times on the edges")
-    between = next(link for link in topology.links if link.from_.startswith("a/") and link.to.startswith(DOTTED))
+    between = next(
+        link
+        for link in topology.links
+        if link.from_.startswith("a/") and link.to.startswith(DOTTED)
+    )
     assert f"{between.transit.mode:.1f}"[:2] in shown.run(
         "return [...document.querySelectorAll('.labels .time')].map((text) => text.textContent).join()"
     )
@@ -193,8 +230,14 @@ def test_who_sees_somebody_now_is_in_the_list_and_at_the_camera(site: Site, show
         shown.go("#/camera/a")
         shown.wait(lambda: shown.count(".scene") > 0, "the camera's panel")
         bus.put("prediction/a", said, "prediction")
-        shown.wait(lambda: "a → c 83 %, in view now" in shown.text(".predictions"), "who sees them in the list")
-        shown.wait(lambda: "left at a/1, now in view of c (83 %)" in shown.text("main"), "the same at the camera")
+        shown.wait(
+            lambda: "a → c 83 %, in view now" in shown.text(".predictions"),
+            "who sees them in the list",
+        )
+        shown.wait(
+            lambda: "left at a/1, now in view of c (83 %)" in shown.text("main"),
+            "the same at the camera",
+        )
     assert "somebody" not in shown.text("main")
 
 
@@ -232,14 +275,19 @@ def test_keys_open_a_camera_and_its_link(site: Site, shown: Browser) -> None:
     assert "appeared next at" in shown.text(".panel .why")
     assert shown.run("return document.querySelector('.chart .curve').getAttribute('d').length") > 40
     shown.press("ESCAPE")
-    shown.wait(lambda: shown.run("return document.querySelector('.panel').hidden"), "Escape to close it")
+    shown.wait(
+        lambda: shown.run("return document.querySelector('.panel').hidden"), "Escape to close it"
+    )
     assert shown.run("return document.activeElement.classList.contains('node')")
 
 
 def test_a_cameras_page_has_its_picture_zones_and_live_events(site: Site, shown: Browser) -> None:
     shown.go("#/camera/a")
     shown.wait(lambda: shown.count(".scene image") == 1, "the picture")
-    assert shown.run("return document.querySelector('.scene svg').getAttribute('viewBox')") == "0 0 120 90"
+    assert (
+        shown.run("return document.querySelector('.scene svg').getAttribute('viewBox')")
+        == "0 0 120 90"
+    )
     assert shown.count(".scene .zone ellipse") == 2
     with site.client() as bus:
         for seq in range(2, 12):
@@ -248,12 +296,18 @@ def test_a_cameras_page_has_its_picture_zones_and_live_events(site: Site, shown:
             if shown.count(".scene .event.exit"):
                 break
     shown.wait(lambda: shown.count(".scene .event.exit") > 0, "the exit on the picture")
-    assert shown.run("return document.querySelector('.event.exit').x.baseVal.value") == pytest.approx(108, abs=2)
+    assert shown.run(
+        "return document.querySelector('.event.exit').x.baseVal.value"
+    ) == pytest.approx(108, abs=2)
 
 
 def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> None:
     with site.client() as bus:
-        bus.put(f"status/{DOTTED}", {"camera": DOTTED, "state": "stalled", "reason": HOSTILE, "t": 0.0}, "status")
+        bus.put(
+            f"status/{DOTTED}",
+            {"camera": DOTTED, "state": "stalled", "reason": HOSTILE, "t": 0.0},
+            "status",
+        )
         shown.wait(lambda: shown.count(".node.ill") == 1, "the camera to be marked")
         shown.go(f"#/camera/{DOTTED}")
         shown.wait(lambda: shown.text(".panel h2") == DOTTED, "the camera's page")
@@ -263,7 +317,9 @@ def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> Non
     assert shown.count("img, script:not([src])") == 0
     assert "owned" not in shown.run("return document.title")
     shown.go("#/camera/%3Cimg%20src%3Dx%3E")
-    shown.wait(lambda: "has not been learned" in shown.text(".panel"), "an unknown camera to be told")
+    shown.wait(
+        lambda: "has not been learned" in shown.text(".panel"), "an unknown camera to be told"
+    )
     assert shown.run("return document.querySelector('.panel h2').textContent") == "<img src=x>"
     shown.complaints()  # the 404 it answered is in the browser's log
     shown._complaints[:] = [text for text in shown._complaints if "404" not in text]
@@ -272,7 +328,10 @@ def test_hostile_text_and_odd_names_stay_text(site: Site, shown: Browser) -> Non
 def test_versions_show_what_changed(site: Site, shown: Browser) -> None:
     newest = site.version
     shown.go("#/versions")
-    shown.wait(lambda: shown.count(".page tbody tr") == newest, "every version, older ones asked of the daemon")
+    shown.wait(
+        lambda: shown.count(".page tbody tr") == newest,
+        "every version, older ones asked of the daemon",
+    )
     shown.go(f"#/versions/1/{newest}")
     shown.wait(lambda: "appeared" in shown.text(".columns"), "the differences")
     assert shown.count(".changes .new") > 0
@@ -287,7 +346,10 @@ def test_a_phone_has_nothing_to_scroll_sideways(site: Site, shown: Browser, dark
         shown.wait(lambda place=place: shown.run("return location.hash") == place, place)  # type: ignore[misc]
         assert shown.run("return document.documentElement.scrollWidth") <= 360, place
         assert (
-            shown.run("return Math.max(...[...document.querySelectorAll('.panel')].map((e) => e.scrollWidth))") <= 360
+            shown.run(
+                "return Math.max(...[...document.querySelectorAll('.panel')].map((e) => e.scrollWidth))"
+            )
+            <= 360
         )
     background = shown.run("return getComputedStyle(document.body).backgroundColor")
     level = sum(int(part) for part in re.findall(r"\d+", background)[:3]) / 3
@@ -303,7 +365,9 @@ def test_it_is_live_again_after_the_daemon_is_restarted(site: Site, shown: Brows
     assert shown.text("#live").startswith("not live")
     assert shown.count(".node") == cameras, "what was known stays"
     site.start()
-    shown.wait(lambda: shown.text(".banner") == "" and shown.text("#live").startswith("live"), "live again")
+    shown.wait(
+        lambda: shown.text(".banner") == "" and shown.text("#live").startswith("live"), "live again"
+    )
     with site.client() as bus:
         leave(site, bus, seq=50)
         shown.wait(lambda: shown.count(".dot") > 0, "a prediction of the new daemon")
@@ -315,7 +379,9 @@ def test_it_is_live_again_after_its_own_server_is_restarted(site: Site, browser:
             browser.open(f"http://127.0.0.1:{port}/")
             browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
         with refusing(port) as refused:
-            browser.wait(lambda: "does not reach its server" in browser.text(".banner"), "the banner")
+            browser.wait(
+                lambda: "does not reach its server" in browser.text(".banner"), "the banner"
+            )
             wait_for(lambda: "/live" in refused, "the page to try again")
         with site.page(bus, port):
             browser.wait(lambda: browser.text("#live").startswith("live"), "live again")
@@ -327,7 +393,9 @@ def test_a_report_of_a_thousand_cameras_needs_no_server(
 ) -> None:
     monkeypatch.setattr(report, "LINKS_MAX", 50)
     topology = synthetic_topology(1000)
-    few = [msgspec.structs.replace(link, transitions=5.0) for link in topology.links[:2]]  # both ways of one path
+    few = [
+        msgspec.structs.replace(link, transitions=5.0) for link in topology.links[:2]
+    ]  # both ways of one path
     topology = msgspec.structs.replace(topology, links=[*few, *topology.links[2:]])
     links = sorted(topology.links, key=lambda link: (link.relation == "visible", -link.transitions))
     path = tmp_path / "report.html"
@@ -336,8 +404,12 @@ def test_a_report_of_a_thousand_cameras_needs_no_server(
     browser.wait(lambda: browser.count(".node") == 1000, "a thousand cameras")
     browser.wait(lambda: browser.count(".labels .name") > 20, "names, as many as fit")
     assert browser.count(".labels text") < 300
-    pairs = Counter((edge.relation, edge.provisional != "") for edge in draw(topology).edges.values())
-    overlapped, provisional = (sum(pairs[some] for some in pairs if some[k] in ("overlapped", True)) for k in (0, 1))
+    pairs = Counter(
+        (edge.relation, edge.provisional != "") for edge in draw(topology).edges.values()
+    )
+    overlapped, provisional = (
+        sum(pairs[some] for some in pairs if some[k] in ("overlapped", True)) for k in (0, 1)
+    )
     assert provisional == 1
     kinds = f"({overlapped:,} overlapping, {provisional:,} provisional)"
     assert browser.text(".key summary .quiet") == f"1,000 cameras, {pairs.total():,} pairs {kinds}"
@@ -346,17 +418,24 @@ def test_a_report_of_a_thousand_cameras_needs_no_server(
     browser.wait(lambda: browser.count(".hits a") == 8, "the first of ten that fit")
     assert browser.count(".node.faint") == 990
     browser.press("TAB")
-    assert browser.run("return document.activeElement.textContent") == "cam0420", "the hits are reached by Tab"
+    assert browser.run("return document.activeElement.textContent") == "cam0420", (
+        "the hits are reached by Tab"
+    )
     browser.press("ENTER")
     browser.wait(lambda: browser.text(".panel h2") == "cam0420", "the camera found")
-    assert browser.count(".node.faint") == 0, "who has found what was looked for sees the whole again"
+    assert browser.count(".node.faint") == 0, (
+        "who has found what was looked for sees the whole again"
+    )
     browser.wait(lambda: browser.count(".labels .first") == 1, "its name before others")
     assert browser.count(".scene .zone") > 0
     for link, condition in (
         (links[0], lambda: browser.count(".chart .count") > 3),
         (links[60], lambda: "does not hold it" in browser.text(".panel")),
     ):
-        browser.go("#/link/" + "/".join(quote(part, safe="") for part in (link.from_, link.to, link.relation)))
+        browser.go(
+            "#/link/"
+            + "/".join(quote(part, safe="") for part in (link.from_, link.to, link.relation))
+        )
         browser.wait(condition, "the link's chart, or why there is none")
     browser.go("#/versions")
     browser.wait(lambda: "400,000" in browser.text(".page"), "the versions")

@@ -1,4 +1,6 @@
-"""What the page draws, as a browser has it: edges, times and names on the map, the time line of the versions."""
+"""What the page draws, as a browser has it: edges, times and names on the map, the time line of the
+versions.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ Shows = Callable[..., None]
 
 @pytest.fixture
 def show(browser: Browser, tmp_path: Path) -> Iterator[Shows]:
-    """Open a report on a topology, on a desktop or in another size; the page may complain about nothing."""
+    """Open a report on a topology, on a desktop or in another size; the page may complain about
+    nothing.
+    """
 
     def open_report(topology: Topology, width: int = 1280, height: int = 800) -> None:
         path = tmp_path / "report.html"
@@ -51,37 +55,66 @@ def show(browser: Browser, tmp_path: Path) -> Iterator[Shows]:
 
 
 def joined(*edges: tuple[str, str, float, float, float]) -> Topology:
-    """Cameras that are joined as told: from, to, seconds that way, seconds back, and how many took each."""
+    """Cameras that are joined as told: from, to, seconds that way, seconds back, and how many took
+    each.
+    """
     names = sorted({name for a, b, *_ in edges for name in (a, b)})
     links = [
         made_link(f"{one}/1", f"{other}/1", seconds, taken, overlapped=seconds < 0)
         for a, b, there, back, taken in edges
         for one, other, seconds in ((a, b, there), (b, a, back))
     ]
-    pairs = [Pair((min(a, b), max(a, b)), "overlapped" if t < 0 else "unseen_path") for a, b, t, *_ in edges]
+    pairs = [
+        Pair((min(a, b), max(a, b)), "overlapped" if t < 0 else "unseen_path")
+        for a, b, t, *_ in edges
+    ]
     return msgspec.structs.replace(
         SITE,
         cameras=[Camera(name, [f"{name}/1"], 0.0, 0.1) for name in names],
-        zones=[Zone(f"{name}/1", name, 100, 100, 0.5, 0.5, [[0.002, 0.0], [0.0, 0.002]]) for name in names],
-        links=links, pairs=pairs, weak_links=None, model=None, alarms=None, score=None,
-    )  # fmt: skip
+        zones=[
+            Zone(f"{name}/1", name, 100, 100, 0.5, 0.5, [[0.002, 0.0], [0.0, 0.002]])
+            for name in names
+        ],
+        links=links,
+        pairs=pairs,
+        weak_links=None,
+        model=None,
+        alarms=None,
+        score=None,
+    )
 
 
 def times(browser: Browser) -> list[str]:
     """The times on the map."""
-    found = browser.run("return [...document.querySelectorAll('.labels .time')].map((one) => one.textContent)")
+    found = browser.run(
+        "return [...document.querySelectorAll('.labels .time')].map((one) => one.textContent)"
+    )
     return [str(one) for one in found]
 
 
 def test_an_edges_colour_dash_and_width_say_what_it_is(browser: Browser, show: Shows) -> None:
-    show(joined(("a", "b", -1.0, -1.0, 400.0), ("b", "c", 9.0, 9.0, 400.0), ("c", "d", 9.0, 9.0, 40.0),
-                ("d", "e", 9.0, 9.0, 10.0)))  # fmt: skip
+    show(
+        joined(
+            ("a", "b", -1.0, -1.0, 400.0),
+            ("b", "c", 9.0, 9.0, 400.0),
+            ("c", "d", 9.0, 9.0, 40.0),
+            ("d", "e", 9.0, 9.0, 10.0),
+        )
+    )
     edges: dict[str, Any] = browser.run(STYLES)
     assert edges["a b"]["stroke"] != edges["b c"]["stroke"]
-    level = {key: sum(int(part) for part in one["stroke"][4:-1].split(",")) / 3 for key, one in edges.items()}
+    level = {
+        key: sum(int(part) for part in one["stroke"][4:-1].split(",")) / 3
+        for key, one in edges.items()
+    }
     assert level["a b"] < 40, "overlapping views are black"
     assert 100 < level["b c"] == level["c d"] == level["d e"] < 200, "unseen paths are grey"
-    assert [edges[key]["dash"] == "none" for key in ("a b", "b c", "c d", "d e")] == [True, True, True, False]
+    assert [edges[key]["dash"] == "none" for key in ("a b", "b c", "c d", "d e")] == [
+        True,
+        True,
+        True,
+        False,
+    ]
     assert edges["b c"]["width"] > 1.5 * edges["c d"]["width"] > 0, "wider with traffic"
     assert edges["b c"]["width"] == edges["a b"]["width"]
 
@@ -97,12 +130,17 @@ def test_each_time_says_which_way_it_is_of_where_they_differ(browser: Browser, s
     assert sorted(times(browser)) == sorted(["9.0 s", f"{there} 15 {back} 27 s"])
 
 
-def test_published_and_busy_edges_have_their_times_before_others(browser: Browser, show: Shows) -> None:
-    """A wheel with so many spokes that not all have room; those that come first by name are the least."""
+def test_published_and_busy_edges_have_their_times_before_others(
+    browser: Browser, show: Shows
+) -> None:
+    """A wheel with so many spokes that not all have room; those that come first by name are the
+    least.
+    """
     spokes = [f"c{k:02d}" for k in range(60)]
     rare, busy = spokes[:40], spokes[40:]
     topology = joined(
-        *((one, "hub", 11.0, 11.0, 8.0) for one in rare), *((one, "hub", 22.0, 22.0, 500.0) for one in busy)
+        *((one, "hub", 11.0, 11.0, 8.0) for one in rare),
+        *((one, "hub", 22.0, 22.0, 500.0) for one in busy),
     )
     show(topology)
     browser.wait(lambda: len(times(browser)) > 5, "times")
@@ -128,22 +166,33 @@ def test_no_camera_is_under_what_lies_on_the_map(browser: Browser) -> None:
     with shown.serving():
         browser.size(1280, 800)
         opened(browser, shown)
-        browser.wait(lambda: browser.count(".node") == 1000 and browser.count(".labels .name") > 0, "the map")
+        browser.wait(
+            lambda: browser.count(".node") == 1000 and browser.count(".labels .name") > 0, "the map"
+        )
         browser.run("document.querySelector('.predictions').hidden = false")
         covered = f"{BOXES} const over = boxes('.overlay'); const under = (one) => over.some((box) => upon(one, box));"
         drawn = "boxes('.node circle, .labels text')"  # the names make room with the next frame
-        browser.wait(lambda: browser.run(f"{covered} return {drawn}.filter(under).length") == 0, "room")
+        browser.wait(
+            lambda: browser.run(f"{covered} return {drawn}.filter(under).length") == 0, "room"
+        )
         width = "const all = boxes('.node circle').map((one) => one.x); return Math.max(...all) - Math.min(...all)"
         assert browser.run(f"{BOXES} {width}") > 700, "and none is kept away further than need be"
 
 
-def test_versions_are_on_a_time_line_before_there_is_a_score_and_all_can_be_listed(browser: Browser) -> None:
-    versions = [msgspec.structs.replace(SITE, version=k, as_of=SITE.as_of + 60.0 * k, score=None) for k in range(1, 46)]
+def test_versions_are_on_a_time_line_before_there_is_a_score_and_all_can_be_listed(
+    browser: Browser,
+) -> None:
+    versions = [
+        msgspec.structs.replace(SITE, version=k, as_of=SITE.as_of + 60.0 * k, score=None)
+        for k in range(1, 46)
+    ]
     shown = Shown(*versions)
     with shown.serving():
         opened(browser, shown, "#/versions")
         browser.wait(lambda: browser.count(".page .mark") == 45, "a mark each")
-        places = browser.run("return [...document.querySelectorAll('.page .mark')].map((one) => one.cx.baseVal.value)")
+        places = browser.run(
+            "return [...document.querySelectorAll('.page .mark')].map((one) => one.cx.baseVal.value)"
+        )
         assert places == sorted(set(places)), "along the time"
         assert browser.count(".page .axis text") >= 3
         assert "needs two scored versions" in browser.text(".columns")
@@ -155,17 +204,25 @@ def test_versions_are_on_a_time_line_before_there_is_a_score_and_all_can_be_list
         assert browser.count(".page .more") == 0
 
 
-def test_versions_with_a_score_are_as_high_as_it_and_those_without_are_there(browser: Browser) -> None:
+def test_versions_with_a_score_are_as_high_as_it_and_those_without_are_there(
+    browser: Browser,
+) -> None:
     scores = [None, None, SCORE, SCORE, msgspec.structs.replace(SCORE, top1=0.5)]
     shown = Shown(
-        *(msgspec.structs.replace(SITE, version=k, as_of=SITE.as_of + 60.0 * k, score=one)
-          for k, one in enumerate(scores, 1))
-    )  # fmt: skip
+        *(
+            msgspec.structs.replace(SITE, version=k, as_of=SITE.as_of + 60.0 * k, score=one)
+            for k, one in enumerate(scores, 1)
+        )
+    )
     with shown.serving():
         opened(browser, shown, "#/versions")
         browser.wait(lambda: browser.count(".page .mark") == 5, "a mark each")
-        y = browser.run("return [...document.querySelectorAll('.page .mark')].map((one) => one.cy.baseVal.value)")
-        assert browser.count(".page .mark.unscored") == 2, "not marked as if they had been wrong each time"
+        y = browser.run(
+            "return [...document.querySelectorAll('.page .mark')].map((one) => one.cy.baseVal.value)"
+        )
+        assert browser.count(".page .mark.unscored") == 2, (
+            "not marked as if they had been wrong each time"
+        )
     assert y[0] == y[1] > y[4] > y[2] == y[3]
 
 
@@ -180,7 +237,10 @@ def test_an_address_of_a_link_without_its_relation_opens_the_only_one(browser: B
             assert browser.text(".panel h2") == f"{link.from_} → {link.to}"
         assert "drawn anew from the fitted curve" in browser.text(".panel .legend")
         browser.go(f"#/link/{quote(path.from_, safe='')}/{quote(path.from_, safe='')}")
-        browser.wait(lambda: f"No link leads from {path.from_} to" in browser.text(".panel"), "that there is none")
+        browser.wait(
+            lambda: f"No link leads from {path.from_} to" in browser.text(".panel"),
+            "that there is none",
+        )
 
 
 def test_a_version_that_is_no_number_is_as_if_none_were_named(browser: Browser) -> None:
@@ -188,7 +248,9 @@ def test_a_version_that_is_no_number_is_as_if_none_were_named(browser: Browser) 
     with shown.serving():
         for place in (f"#/versions/1/{'9' * 5000}", "#/versions/0.5/2"):
             opened(browser, shown, place)
-            browser.wait(lambda: "Nothing that shows" in browser.text(".columns"), "the two newest compared")
+            browser.wait(
+                lambda: "Nothing that shows" in browser.text(".columns"), "the two newest compared"
+            )
 
 
 def test_a_page_too_many_is_told_so(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,4 +261,6 @@ def test_a_page_too_many_is_told_so(browser: Browser, monkeypatch: pytest.Monkey
             browser.open(shown.address)
             browser.wait(lambda: "too many pages are open" in browser.text(".banner"), "why")
         shown.status()
-        browser.wait(lambda: browser.text("#live").startswith("live"), "to be let in once another has closed")
+        browser.wait(
+            lambda: browser.text("#live").startswith("live"), "to be let in once another has closed"
+        )

@@ -29,14 +29,18 @@ def with_links(*links: Link, version: int = 2) -> Topology:
     return msgspec.structs.replace(SITE, version=version, links=list(links))
 
 
-# --- a link -----------------------------------------------------------------------------------------
+# --- a link
+# -----------------------------------------------------------------------------------------
 
 
 def test_a_links_chart_holds_all_transitions_and_the_same_samples_each_time() -> None:
     chart = told(LINK)["chart"]
     assert sum(chart["counts"]) == pytest.approx(LINK.transitions, rel=0.02)
     assert sum(chart["curve"]) == pytest.approx(LINK.transitions, rel=0.02)
-    edges = [chart["scale"] * math.sinh(chart["step"] * (chart["first"] + k)) for k in range(len(chart["counts"]) + 1)]
+    edges = [
+        chart["scale"] * math.sinh(chart["step"] * (chart["first"] + k))
+        for k in range(len(chart["counts"]) + 1)
+    ]
     assert edges[0] < LINK.transit.q10 < LINK.transit.q90 < edges[-1]
     density = np.array(chart["curve"]) / np.diff(edges)
     assert edges[int(density.argmax())] == pytest.approx(LINK.transit.mode, rel=0.2)
@@ -69,10 +73,15 @@ def test_the_words_follow_the_figures() -> None:
     said = " ".join(why(unsure, True, None, None))
     assert "about one in 25 would be there by mere chance" in said
     assert "50 % of what chance would give" in said
-    assert "It is not published: not all rules for that are met yet (among them q ≤ 0.01 and 3.0 %" in said
+    assert (
+        "It is not published: not all rules for that are met yet (among them q ≤ 0.01 and 3.0 %"
+        in said
+    )
     assert "lacks" not in said
     lacking = msgspec.structs.replace(unsure, lacks=Lacks(12.0, 1800.0))
-    assert "It lacks about 12 more passages, 30 minutes at this traffic." in " ".join(why(lacking, True, None, None))
+    assert "It lacks about 12 more passages, 30 minutes at this traffic." in " ".join(
+        why(lacking, True, None, None)
+    )
 
 
 def test_a_weak_link_without_a_histogram_has_no_chart() -> None:
@@ -96,14 +105,19 @@ def test_a_topology_without_a_model_is_told_without_background() -> None:
     assert camera["zones"][0]["arrival_rate"] is None
 
 
-# --- a camera, a pair -------------------------------------------------------------------------------
+# --- a camera, a pair
+# -------------------------------------------------------------------------------
 
 
 def test_a_camera_has_its_zones_links_and_alarms_and_no_others() -> None:
     camera = STORIES.camera("cam0000")
     assert camera is not None
     assert {zone["camera"] for zone in camera["zones"]} == {"cam0000"}
-    expected = [link for link in SITE.links if any(end.startswith("cam0000/") for end in (link.from_, link.to))]
+    expected = [
+        link
+        for link in SITE.links
+        if any(end.startswith("cam0000/") for end in (link.from_, link.to))
+    ]
     assert len(camera["links"]) == len(expected) > 0
     assert not any("histogram" in link for link in camera["links"])
     assert [alarm.kind for alarm in camera["alarms"]] == ["camera_silent"]
@@ -133,7 +147,8 @@ def test_a_pair_says_what_its_two_tests_say() -> None:
     assert "not enough" in why_pair(None)[0]
 
 
-# --- versions ---------------------------------------------------------------------------------------
+# --- versions
+# ---------------------------------------------------------------------------------------
 
 
 def test_a_version_that_is_the_same_has_no_changes() -> None:
@@ -158,18 +173,31 @@ def test_changes_say_what_came_went_and_moved() -> None:
     before = f"unseen, share 45 %, {LINK.transit.q50:.1f} s before"
     assert Change("-", "link", [LINK.from_, LINK.to, "unseen"], before) in found
     assert Change("~", "link", [shared.from_, shared.to, "unseen"], "share 50 % → 90 %") in found
-    assert [one.subject for one in found if (one.kind, one.sign) == ("pair", "-")] == [list(SITE.pairs[1].cameras)]
-    assert Change("~", "pair", list(SITE.pairs[0].cameras), "an unseen path → overlapping views") in found
+    assert [one.subject for one in found if (one.kind, one.sign) == ("pair", "-")] == [
+        list(SITE.pairs[1].cameras)
+    ]
+    assert (
+        Change("~", "pair", list(SITE.pairs[0].cameras), "an unseen path → overlapping views")
+        in found
+    )
     assert any(one.kind == "zone" and one.text.startswith("moved by") for one in found)
     assert Change("~", "clock", [SITE.cameras[0].id], "clock +0.0 s → +4.0 s") in found
     opposite = changes(new, old)
     assert {one.sign for one in opposite if one.subject[:2] == [LINK.from_, LINK.to]} == {"+"}
 
 
-@pytest.mark.parametrize(("seconds", "error", "said"), [(1.0, 0.1, False), (9.0, 0.1, True), (9.0, 5.0, False)])
-def test_a_time_has_changed_when_it_is_more_than_its_errors(seconds: float, error: float, said: bool) -> None:
-    was = msgspec.structs.replace(LINK, transit=msgspec.structs.replace(LINK.transit, q50=40.0, q50_sd=error))
-    now = msgspec.structs.replace(was, transit=msgspec.structs.replace(was.transit, q50=40.0 + seconds))
+@pytest.mark.parametrize(
+    ("seconds", "error", "said"), [(1.0, 0.1, False), (9.0, 0.1, True), (9.0, 5.0, False)]
+)
+def test_a_time_has_changed_when_it_is_more_than_its_errors(
+    seconds: float, error: float, said: bool
+) -> None:
+    was = msgspec.structs.replace(
+        LINK, transit=msgspec.structs.replace(LINK.transit, q50=40.0, q50_sd=error)
+    )
+    now = msgspec.structs.replace(
+        was, transit=msgspec.structs.replace(was.transit, q50=40.0 + seconds)
+    )
     assert bool(changes(with_links(was), with_links(now))) is said
 
 

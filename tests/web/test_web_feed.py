@@ -29,7 +29,9 @@ class Heard(Hub):
         super().__init__()
         self.told: list[tuple[str, Any]] = []
 
-    def tell(self, name: str, content: bytes, camera: str | None = None, passing: bool = False) -> None:
+    def tell(
+        self, name: str, content: bytes, camera: str | None = None, passing: bool = False
+    ) -> None:
         self.told.append((name, json.loads(content)))
 
     def of(self, kind: str) -> list[Any]:
@@ -45,7 +47,8 @@ class Rig:
         self.feed = Feed(cast(Bus, self.bus), self.hub, lambda: self.now, 1.0)
         self._stop = threading.Event()
         self._threads = [
-            threading.Thread(target=work, args=[self._stop]) for work in (self.feed.versions, self.feed.messages)
+            threading.Thread(target=work, args=[self._stop])
+            for work in (self.feed.versions, self.feed.messages)
         ]
 
     def __enter__(self) -> Rig:
@@ -60,12 +63,17 @@ class Rig:
 
 
 def prediction(camera: str, *probabilities: float) -> Prediction:
-    following = [NextCamera(f"c{k}", f"c{k}/1", p, 1.0, 2.0, 3.0) for k, p in enumerate(probabilities)]
+    following = [
+        NextCamera(f"c{k}", f"c{k}/1", p, 1.0, 2.0, 3.0) for k, p in enumerate(probabilities)
+    ]
     seen = [InView("c0", "somebody else", 0.5, 0.9)]
-    return Prediction(camera, f"{camera}/1", 1.0, "somebody", 1, 0.1, following, [Look("c0", 0.9)], seen)
+    return Prediction(
+        camera, f"{camera}/1", 1.0, "somebody", 1, 0.1, following, [Look("c0", 0.9)], seen
+    )
 
 
-# --- the feed ---------------------------------------------------------------------------------------
+# --- the feed
+# ---------------------------------------------------------------------------------------
 
 
 def test_versions_are_told_as_changes_and_a_new_epoch_anew() -> None:
@@ -89,7 +97,10 @@ def test_predictions_are_told_without_who_it_was_and_so_many_a_second() -> None:
         wait_for(lambda: bool(rig.hub.of("health")), "what came behind them")
         rig.now += 1
         rig.bus.put("prediction/b", prediction("b", 0.5))
-        wait_for(lambda: any(one["camera"] == "b" for one in rig.hub.of("prediction")), "the next second's")
+        wait_for(
+            lambda: any(one["camera"] == "b" for one in rig.hub.of("prediction")),
+            "the next second's",
+        )
         told = rig.hub.of("prediction")
         assert len(told) <= feed.PREDICTIONS_PER_SECOND_MAX + 1
         assert len(told[0]["next"]) == 3
@@ -100,7 +111,11 @@ def test_predictions_are_told_without_who_it_was_and_so_many_a_second() -> None:
 
 
 def test_who_sees_somebody_now_is_told_by_camera_and_not_by_track() -> None:
-    in_view = [InView("b", "somebody", 5.0, 0.5), InView("c", "else", 5.0, 0.2), InView("b", "too", 5.0, 0.25)]
+    in_view = [
+        InView("b", "somebody", 5.0, 0.5),
+        InView("c", "else", 5.0, 0.2),
+        InView("b", "too", 5.0, 0.25),
+    ]
     with Rig() as rig:
         rig.bus.put("prediction/a", msgspec.structs.replace(prediction("a", 0.4), in_view=in_view))
         wait_for(lambda: bool(rig.hub.of("prediction")), "the prediction")
@@ -142,7 +157,9 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
     with Rig() as rig:
         rig.feed.use(SITE)
         counted = {"b": {"events": 7, "newest": 990.0, "ahead": None, "alive": True}}
-        rig.bus.put("status/daemon", {"state": "running", "cameras": counted, "reject_samples": ["secret"]})
+        rig.bus.put(
+            "status/daemon", {"state": "running", "cameras": counted, "reject_samples": ["secret"]}
+        )
         rig.bus.put("status/no name", {"state": "stalled"})
         rig.bus.put("status/c", ["not", "a", "status"])
         rig.bus.put("status/a", {"state": "stalled", "reason": "no frame"})
@@ -153,10 +170,16 @@ def test_health_has_every_camera_that_anybody_knows_and_its_reason() -> None:
         health = rig.feed.health()
     rows = {row["id"]: row for row in health["cameras"]}
     assert set(rows) == {"a", "b", *(camera.id for camera in SITE.cameras)}
-    assert (rows["a"]["state"], rows["b"]["state"], rows["b"]["events"]) == ("running", "unknown", 7)
+    assert (rows["a"]["state"], rows["b"]["state"], rows["b"]["events"]) == (
+        "running",
+        "unknown",
+        7,
+    )
     assert rows["cam0000"]["state"] == "no grabber"
     assert rig.hub.of("health")[0]["reason"] == "no frame"
-    assert len(feed._row("a", {"reason": 10**6 * "x"}, None)["reason"]) == feed.REASON_CHARACTERS_MAX
+    assert (
+        len(feed._row("a", {"reason": 10**6 * "x"}, None)["reason"]) == feed.REASON_CHARACTERS_MAX
+    )
     assert "secret" not in str(health)
 
 
@@ -187,7 +210,9 @@ def test_a_grabber_that_says_nothing_more_is_silent_whatever_it_said_last() -> N
         rig.bus.put("status/a", {"state": "running", "reason": ""})
         wait_for(lambda: len(told()) == 4, "that it speaks again")
     assert told()[2:] == [("a", "silent"), ("a", "running")]
-    assert (rows["a"]["state"], rows["film"]["state"]) == ("silent", "ended"), "a film has nothing more to say"
+    assert (rows["a"]["state"], rows["film"]["state"]) == ("silent", "ended"), (
+        "a film has nothing more to say"
+    )
     assert "has said nothing" in rows["a"]["reason"]
 
 
@@ -209,13 +234,17 @@ def test_nobody_is_silent_while_the_bus_is_not_reached() -> None:
 
 def test_a_status_of_odd_types_ends_nothing() -> None:
     with Rig() as rig:
-        rig.bus.put("status/a", {"state": ["x"], "reason": {"a": 1}, "restarts": msgspec.msgpack.Ext(5, b"x")})
+        rig.bus.put(
+            "status/a",
+            {"state": ["x"], "reason": {"a": 1}, "restarts": msgspec.msgpack.Ext(5, b"x")},
+        )
         rig.bus.put("status/b", {"state": "running"})
         wait_for(lambda: len(rig.hub.of("health")) == 2, "what came behind it")
         assert len(rig.feed.health()["cameras"]) == 2
 
 
-# --- mailboxes --------------------------------------------------------------------------------------
+# --- mailboxes
+# --------------------------------------------------------------------------------------
 
 
 def test_a_page_that_lags_gets_less_and_then_starts_anew() -> None:

@@ -1,5 +1,5 @@
-"""The page over hours and with little to show, in a real browser: what it says stays true, who uses keys stays where
-they are, and no part that is missing breaks it.
+"""The page over hours and with little to show, in a real browser: what it says stays true, who uses
+keys stays where they are, and no part that is missing breaks it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,25 @@ VISIBLE = next(link for link in SITE.links if link.relation == "visible")
 PATH = next(link for link in SITE.links if link.relation == "unseen")
 ZONE = msgspec.structs.replace(SITE.zones[0], id="a/1", camera="a", x=None, y=None, cov=None)
 BARE = msgspec.structs.replace(
-    SITE, cameras=[Camera("a", ["a/1"])], zones=[ZONE], links=[], pairs=[], model=None, alarms=None, score=None
+    SITE,
+    cameras=[Camera("a", ["a/1"])],
+    zones=[ZONE],
+    links=[],
+    pairs=[],
+    model=None,
+    alarms=None,
+    score=None,
 )
-PLACES = ("#/map", "#/links", "#/versions", "#/versions/1/2", "#/health", f"#/camera/{FIRST}", "#/camera/a", "#/map")
+PLACES = (
+    "#/map",
+    "#/links",
+    "#/versions",
+    "#/versions/1/2",
+    "#/health",
+    f"#/camera/{FIRST}",
+    "#/camera/a",
+    "#/map",
+)
 
 
 def newer(version: int, **changed: Any) -> Topology:
@@ -36,14 +52,18 @@ def newer(version: int, **changed: Any) -> Topology:
 
 
 def place_of(link: Link) -> str:
-    return "#/link/" + "/".join(quote(part, safe="") for part in (link.from_, link.to, link.relation))
+    return "#/link/" + "/".join(
+        quote(part, safe="") for part in (link.from_, link.to, link.relation)
+    )
 
 
 def test_a_camera_that_is_learned_while_its_page_is_open_is_shown(browser: Browser) -> None:
     shown = Shown(BARE)
     with shown.serving():
         opened(browser, shown, f"#/camera/{FIRST}")
-        browser.wait(lambda: "has not been learned yet" in browser.text(".panel"), "that it is not known")
+        browser.wait(
+            lambda: "has not been learned yet" in browser.text(".panel"), "that it is not known"
+        )
         shown.publish(newer(2))
         browser.wait(lambda: browser.count(".panel .zone") > 0, "its zones")
         assert browser.text(".panel .kind") == "Camera"
@@ -77,7 +97,9 @@ def test_a_cameras_page_follows_the_versions_and_keeps_its_events(browser: Brows
 
 
 def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
-    focused = "const one = document.activeElement; return one.getAttribute('href') ?? one.textContent"
+    focused = (
+        "const one = document.activeElement; return one.getAttribute('href') ?? one.textContent"
+    )
     shown = Shown(SITE)
     with shown.serving():
         opened(browser, shown, f"#/pair/{PATH.from_.split('/')[0]}/{PATH.to.split('/')[0]}")
@@ -94,7 +116,10 @@ def test_who_uses_keys_stays_where_they_are(browser: Browser) -> None:
         browser.press("ENTER")
         browser.wait(lambda: browser.text("[aria-sort]") == "Share", "the order")
         assert browser.run(focused) == "Share"
-        assert browser.run("return document.querySelector('[aria-sort]').getAttribute('aria-sort')") == "descending"
+        assert (
+            browser.run("return document.querySelector('[aria-sort]').getAttribute('aria-sort')")
+            == "descending"
+        )
         browser.go("#/health")
         browser.wait(lambda: browser.count(".page tbody a") == 9, "the cameras")
         browser.run("document.querySelector('.page tbody a').focus()")
@@ -127,11 +152,18 @@ def test_cameras_that_need_attention_are_marked_on_a_map_that_comes_later(browse
     with shown.serving():
         opened(browser, shown)
         shown.bus.put(f"status/{FIRST}", {"state": "stalled", "reason": "no frame"})
-        shown.bus.put(f"status/{SITE.cameras[1].id}", {"state": "ended", "reason": "the file is at its end"})
+        shown.bus.put(
+            f"status/{SITE.cameras[1].id}", {"state": "ended", "reason": "the file is at its end"}
+        )
         shown.publish(SITE)
         browser.wait(lambda: browser.count(".node") == 9, "the map")
-        browser.wait(lambda: browser.count(".node.ill") == 1, "the one that stalled, not the one that has ended")
-        assert "needs attention" in browser.run("return document.querySelector('.node.ill').getAttribute('aria-label')")
+        browser.wait(
+            lambda: browser.count(".node.ill") == 1,
+            "the one that stalled, not the one that has ended",
+        )
+        assert "needs attention" in browser.run(
+            "return document.querySelector('.node.ill').getAttribute('aria-label')"
+        )
 
 
 def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
@@ -143,7 +175,10 @@ def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
         browser.wait(lambda: browser.text("#live").startswith("live"), "the page to be live")
         shown.status(**{FIRST: {"events": 2, "newest": time.time() - 1200}})
         browser.go(f"#/camera/{FIRST}")
-        browser.wait(lambda: "heard 20 min ago" in browser.text(".panel .status"), "what the daemon knows now")
+        browser.wait(
+            lambda: "heard 20 min ago" in browser.text(".panel .status"),
+            "what the daemon knows now",
+        )
         browser.wait(lambda: bool(shown.bus.subscribed.get(f"event/{FIRST}")), "the page to watch")
         shown.bus.put(f"event/{FIRST}", Event(FIRST, "exit", time.time(), 0.5, 0.5))
         browser.wait(lambda: seconds_ago(browser) is not None, "the event to count")
@@ -152,7 +187,9 @@ def test_when_a_camera_was_heard_is_as_of_now(browser: Browser) -> None:
 
 
 def seconds_ago(browser: Browser) -> int | None:
-    """How long ago a camera's page says that it was heard; None if that is minutes or it says nothing."""
+    """How long ago a camera's page says that it was heard; None if that is minutes or it says
+    nothing.
+    """
     found = re.search(r"heard (?:now|(\d+) s ago)", browser.text(".panel .status"))
     return None if found is None else int(found[1] or 0)
 
@@ -173,7 +210,9 @@ def test_what_a_server_away_could_not_say_is_fetched_once_it_is_back(browser: Br
     assert [text for text in errors if "ncaught" in text] == []
 
 
-@pytest.mark.parametrize("topology", [BARE, newer(1, model=None, alarms=None, score=None), newer(1, links=[])])
+@pytest.mark.parametrize(
+    "topology", [BARE, newer(1, model=None, alarms=None, score=None), newer(1, links=[])]
+)
 def test_nothing_that_is_missing_breaks_it(browser: Browser, topology: Topology) -> None:
     shown = Shown(topology)
     with shown.serving():
@@ -182,7 +221,9 @@ def test_nothing_that_is_missing_breaks_it(browser: Browser, topology: Topology)
             browser.go(place)
             browser.wait(lambda place=place: browser.run("return location.hash") == place, place)  # type: ignore[misc]
             browser.wait(lambda: "…" not in browser.text("main"), "all of it")
-    assert [text for text in browser.complaints() if "404" not in text and "REFUSED" not in text] == []
+    assert [
+        text for text in browser.complaints() if "404" not in text and "REFUSED" not in text
+    ] == []
 
 
 def test_a_passage_that_is_seen_has_no_figures_of_what_is_inferred(browser: Browser) -> None:
@@ -203,7 +244,9 @@ def test_a_report_of_a_recording_counts_its_seconds(browser: Browser, tmp_path: 
     browser.wait(lambda: browser.text("#live") == "report, version 2, 800 s", "the report")
     browser.go("#/versions")
     browser.wait(lambda: browser.count(".page .mark") == 2, "the versions")
-    axis = browser.run("return [...document.querySelectorAll('.axis text')].map((one) => one.textContent)")
+    axis = browser.run(
+        "return [...document.querySelectorAll('.axis text')].map((one) => one.textContent)"
+    )
     assert {"400 s", "800 s"} <= set(axis)
     assert "1970" not in browser.text("body")
     assert browser.complaints() == []
@@ -215,8 +258,12 @@ def test_the_scores_axis_says_which_day_it_was(browser: Browser) -> None:
     with shown.serving():
         opened(browser, shown, "#/versions")
         browser.wait(lambda: browser.count(".page .mark") == 5, "the score of all versions")
-        texts = browser.run("return [...document.querySelectorAll('.chart .axis text')].map((one) => one.textContent)")
-    assert {"15 Nov", "17 Nov", "19 Nov"} <= set(texts) or {"16 Nov", "18 Nov", "20 Nov"} <= set(texts), texts
+        texts = browser.run(
+            "return [...document.querySelectorAll('.chart .axis text')].map((one) => one.textContent)"
+        )
+    assert {"15 Nov", "17 Nov", "19 Nov"} <= set(texts) or {"16 Nov", "18 Nov", "20 Nov"} <= set(
+        texts
+    ), texts
 
 
 def contrast(one: str, other: str) -> float:
@@ -240,7 +287,9 @@ def test_what_is_drawn_can_be_seen(browser: Browser, dark: bool) -> None:
         opened(browser, shown, f"#/camera/{VISIBLE.from_.split('/')[0]}")
         for what in (".passage", ".labels .time", ".labels .name"):
             browser.wait(lambda what=what: browser.count(what) > 0, what)  # type: ignore[misc]
-        browser.run("for (const one of document.querySelectorAll('.edge')) one.classList.remove('chosen')")
+        browser.run(
+            "for (const one of document.querySelectorAll('.edge')) one.classList.remove('chosen')"
+        )
         ground = browser.run(style, ".stage", "backgroundColor")
         for what, part, least in (
             (".edge.unseen_path", "stroke", 3.0),

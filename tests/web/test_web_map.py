@@ -17,8 +17,12 @@ SETTLED = Pair(("a", "b"), "overlapped", "overlapped", "overlapped")
 
 def applied(old: Map, delta: MapChange) -> tuple[dict[str, object], dict[str, object]]:
     """Cameras and edges as the page has them after a change."""
-    cameras = {name: one for name, one in old.cameras.items() if name not in delta.gone_cameras} | delta.cameras
-    edges = {key: one for key, one in old.edges.items() if key not in delta.gone_edges} | delta.edges
+    cameras = {
+        name: one for name, one in old.cameras.items() if name not in delta.gone_cameras
+    } | delta.cameras
+    edges = {
+        key: one for key, one in old.edges.items() if key not in delta.gone_edges
+    } | delta.edges
     return dict(cameras), dict(edges)
 
 
@@ -26,7 +30,8 @@ def apart(a: Place, b: Place) -> float:
     return math.dist(a, b)
 
 
-# --- what is drawn ----------------------------------------------------------------------------------
+# --- what is drawn
+# ----------------------------------------------------------------------------------
 
 
 def test_a_pair_is_an_edge_with_both_ways() -> None:
@@ -59,7 +64,10 @@ def test_provisional_says_why(pair: Pair | None, transitions: float, word: str) 
 
 def test_weak_evidence_is_told_by_its_own_figure() -> None:
     link = made_link("a/1", "b/1", 10.0, 50.0)
-    assert doubt(None, 50.0, replace(link, q_value=0.03)) == "not published: it may be chance (q = 0.03)"
+    assert (
+        doubt(None, 50.0, replace(link, q_value=0.03))
+        == "not published: it may be chance (q = 0.03)"
+    )
     assert "not all rules for publishing" in doubt(None, 50.0, replace(link, q_value=1e-6))
 
 
@@ -73,7 +81,9 @@ def test_weak_evidence_is_told_by_its_own_figure() -> None:
     ],
 )
 def test_what_a_link_lacks_is_said(passages: float, seconds: float, said: str) -> None:
-    link = replace(made_link("a/1", "b/1", 10.0, 50.0), q_value=0.03, lacks=Lacks(passages, seconds))
+    link = replace(
+        made_link("a/1", "b/1", 10.0, 50.0), q_value=0.03, lacks=Lacks(passages, seconds)
+    )
     assert doubt(None, 50.0, link) == f"not published yet: it lacks {said}"
 
 
@@ -82,8 +92,13 @@ def test_of_several_links_the_nearest_to_being_published_speaks_for_the_pair() -
     key = f"{topology.cameras[0].id} {topology.cameras[-1].id}"
     there = made_link(topology.zones[0].id, topology.zones[-1].id, 20.0, 12.0)
     back = made_link(topology.zones[-1].id, topology.zones[0].id, 20.0, 12.0)
-    weak = [replace(there, q_value=0.02, lacks=Lacks(9.0, 900.0)), replace(back, q_value=0.03, lacks=Lacks(4.0, 300.0))]
-    assert "about 4 more passages" in draw(replace(topology, weak_links=weak)).edges[key].provisional
+    weak = [
+        replace(there, q_value=0.02, lacks=Lacks(9.0, 900.0)),
+        replace(back, q_value=0.03, lacks=Lacks(4.0, 300.0)),
+    ]
+    assert (
+        "about 4 more passages" in draw(replace(topology, weak_links=weak)).edges[key].provisional
+    )
 
 
 def with_weak(topology: Topology, **changed: float) -> Topology:
@@ -104,7 +119,8 @@ def test_evidence_that_is_nearly_enough_is_on_the_map_and_moves_nobody() -> None
     assert key not in map_edges(with_weak(topology, transitions=4.0))
 
 
-# --- what changes -----------------------------------------------------------------------------------
+# --- what changes
+# -----------------------------------------------------------------------------------
 
 
 def test_a_change_makes_the_new_map_of_the_old() -> None:
@@ -116,9 +132,13 @@ def test_a_change_makes_the_new_map_of_the_old() -> None:
     ]
     gone = [pair for pair in topology.pairs if "cam0005" not in pair.cameras]
     newer = replace(
-        topology, version=2, links=links, pairs=gone, cameras=[c for c in topology.cameras if c.id != "cam0005"],
+        topology,
+        version=2,
+        links=links,
+        pairs=gone,
+        cameras=[c for c in topology.cameras if c.id != "cam0005"],
         zones=[zone for zone in topology.zones if zone.camera != "cam0005"],
-    )  # fmt: skip
+    )
     old = draw(topology)
     new = draw(newer, old)
     delta = change(old, new)
@@ -136,7 +156,8 @@ def test_what_nobody_could_see_is_no_change() -> None:
     assert delta.cameras == {}
 
 
-# --- where ------------------------------------------------------------------------------------------
+# --- where
+# ------------------------------------------------------------------------------------------
 
 
 def grid(side: int) -> dict[tuple[str, str], bool]:
@@ -192,7 +213,10 @@ def test_parts_lie_apart_and_a_lone_camera_has_a_place() -> None:
 def test_a_map_without_a_change_of_the_network_stays_as_it_is() -> None:
     topology = synthetic_topology(30)
     old = draw(topology)
-    moved = {name: MapCamera(one.x + 1, one.y, one.zones, one.entries, one.exits) for name, one in old.cameras.items()}
+    moved = {
+        name: MapCamera(one.x + 1, one.y, one.zones, one.entries, one.exits)
+        for name, one in old.cameras.items()
+    }
     kept = draw(replace(topology, version=2), replace(old, cameras=moved))
     assert kept.cameras == moved
 

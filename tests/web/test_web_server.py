@@ -31,10 +31,13 @@ from camtopod.web import app, pictures
 
 SITE = synthetic_topology(12)
 CLOSED = next(link for link in SITE.links if link.relation == "unseen")
-NEWER = msgspec.structs.replace(SITE, version=2, links=[link for link in SITE.links if link != CLOSED])
+NEWER = msgspec.structs.replace(
+    SITE, version=2, links=[link for link in SITE.links if link != CLOSED]
+)
 
 
-# --- over HTTP --------------------------------------------------------------------------------------
+# --- over HTTP
+# --------------------------------------------------------------------------------------
 
 
 class Server:
@@ -108,14 +111,26 @@ def test_what_it_tells(server: Server) -> None:
     (gone,) = server.json("/data/changes/1/2")
     assert (gone["sign"], gone["subject"]) == ("-", [CLOSED.from_, CLOSED.to, "unseen"])
     assert server.json("/data/health")["live"]["live"] is False
-    for path in ("/data/camera/x", "/data/pair/x/y", "/data/link", "/data/version/3", "/data/changes/1/9"):
+    for path in (
+        "/data/camera/x",
+        "/data/pair/x/y",
+        "/data/link",
+        "/data/version/3",
+        "/data/changes/1/9",
+    ):
         status, _, body = server.get(path)
         assert (status, "error" in json.loads(body)) == (404, True), path
 
 
-def test_a_number_that_no_version_can_have_is_not_found(server: Server, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_number_that_no_version_can_have_is_not_found(
+    server: Server, capfd: pytest.CaptureFixture[str]
+) -> None:
     digits = "9" * 5000
-    for path in (f"/data/version/{digits}", f"/data/changes/1/{digits}", f"/data/changes/{digits}/1"):
+    for path in (
+        f"/data/version/{digits}",
+        f"/data/changes/1/{digits}",
+        f"/data/changes/{digits}/1",
+    ):
         assert server.get(path)[0] == 404, path[:20]
     assert server.get(f"/data/version/{'9' * 18}")[0] == 404
     assert "Traceback" not in capfd.readouterr().err
@@ -141,11 +156,33 @@ def test_another_name_for_this_machine_is_refused(server: Server) -> None:
 def test_open_to_others_it_answers_to_addresses_and_to_names_it_was_given() -> None:
     with (
         listening("127.0.0.1", 0) as listener,
-        app.serving(cast(Bus, OneBus()), listener, names("0.0.0.0", ["maps.example"]), None, lambda: 1000.0, 1.0, True),
+        app.serving(
+            cast(Bus, OneBus()),
+            listener,
+            names("0.0.0.0", ["maps.example"]),
+            None,
+            lambda: 1000.0,
+            1.0,
+            True,
+        ),
     ):
         server = Server(listener.getsockname()[1])
-        hosts = ("10.0.0.1:8780", "[fe80::1]", "Maps.Example", socket.gethostname(), "evil.example", "10.0.0.1.evil")
-        assert [server.get("/data/map", Host=host)[0] for host in hosts] == [200, 200, 200, 200, 421, 421]
+        hosts = (
+            "10.0.0.1:8780",
+            "[fe80::1]",
+            "Maps.Example",
+            socket.gethostname(),
+            "evil.example",
+            "10.0.0.1.evil",
+        )
+        assert [server.get("/data/map", Host=host)[0] for host in hosts] == [
+            200,
+            200,
+            200,
+            200,
+            421,
+            421,
+        ]
 
 
 def test_only_pictures_of_cameras_leave_the_folder(server: Server) -> None:
@@ -171,7 +208,9 @@ def test_a_name_with_a_path_in_it_is_nobodys_picture(tmp_path: Path) -> None:
     assert pictures.picture_of(folder, "../a") is None
 
 
-def test_a_picture_that_may_not_be_read_is_none(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_that_may_not_be_read_is_none(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def forbidden(folder: Path | None, camera: str) -> Path | None:
         raise PermissionError(13, "Permission denied")
 
@@ -188,7 +227,8 @@ def test_the_stream_begins_with_what_is_and_refuses_odd_names(server: Server) ->
     assert server.get("/live?camera=*")[0] == 404
 
 
-# --- clients that are idle or slow ------------------------------------------------------------------
+# --- clients that are idle or slow
+# ------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -316,7 +356,8 @@ def test_what_clients_do_wrong_is_said_once_a_minute(monkeypatch: pytest.MonkeyP
     assert said == [(0, "a"), (0, "b"), (60, f"a {more}"), (120, f"a {more}")]
 
 
-# --- the command ------------------------------------------------------------------------------------
+# --- the command
+# ------------------------------------------------------------------------------------
 
 
 def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
@@ -324,12 +365,22 @@ def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
     config = msgspec.structs.replace(small_config(tmp_path), bus=BusSettings(listen=(endpoint,)))
     with contextlib.closing(buses.meet(config)):
         process = serving.camtopod(
-            "web", "--connect", endpoint, "--listen", "127.0.0.1:0", "--pictures", str(tmp_path / "none"),
-            stderr=subprocess.PIPE, stdout=subprocess.PIPE,
-        )  # fmt: skip
+            "web",
+            "--connect",
+            endpoint,
+            "--listen",
+            "127.0.0.1:0",
+            "--pictures",
+            str(tmp_path / "none"),
+            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
         assert process.stderr is not None
         line = process.stderr.readline().decode()
-        assert line == f"warning: --pictures {tmp_path}/none: there is no such folder; cameras have no picture yet\n"
+        assert (
+            line
+            == f"warning: --pictures {tmp_path}/none: there is no such folder; cameras have no picture yet\n"
+        )
         line = process.stderr.readline().decode()
         assert line.startswith("the page is at http://127.0.0.1:"), line
         with urllib.request.urlopen(line.split()[-1], timeout=20) as answer:
@@ -342,7 +393,15 @@ def test_it_says_where_it_is_and_ends_when_told(tmp_path: Path) -> None:
 def test_without_a_bus_it_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     settings = tmp_path / "c.toml"
     settings.write_text("[bus]\nconnect_seconds = 0.1\n", "utf-8")
-    asked = ["--config", str(settings), "web", "--listen", "127.0.0.1:0", "--connect", free_endpoint()]
+    asked = [
+        "--config",
+        str(settings),
+        "web",
+        "--listen",
+        "127.0.0.1:0",
+        "--connect",
+        free_endpoint(),
+    ]
     assert main.main(asked) == exits.BUS
     assert "is `camtopod run` running there" in capsys.readouterr().err
 
@@ -354,7 +413,9 @@ def test_without_a_bus_it_says_so(capsys: pytest.CaptureFixture[str], tmp_path: 
         (["--listen", "127.0.0.1:99999"], exits.USAGE, "write it like"),
     ],
 )
-def test_wrong_options_are_told(capsys: pytest.CaptureFixture[str], options: list[str], status: int, said: str) -> None:
+def test_wrong_options_are_told(
+    capsys: pytest.CaptureFixture[str], options: list[str], status: int, said: str
+) -> None:
     assert main.main(["web", *options]) == status
     assert said in capsys.readouterr().err
 
@@ -377,6 +438,12 @@ def test_without_its_packages_it_names_the_extra(
 
 def test_only_loopback_is_for_this_machine_alone() -> None:
     assert address("[::1]:80") == ("::1", 80)
-    assert [is_loopback(host) for host in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "cam.example")] == [
-        True, True, True, False, False,
-    ]  # fmt: skip
+    assert [
+        is_loopback(host) for host in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "cam.example")
+    ] == [
+        True,
+        True,
+        True,
+        False,
+        False,
+    ]

@@ -48,7 +48,9 @@ def without_a_path() -> Topology:
     ends = {PATH.from_, PATH.to}
     links = [link for link in SITE.links if {link.from_, link.to} != ends]
     pairs = [pair for pair in SITE.pairs if set(pair.cameras) != {FROM, TO}]
-    return stamp(msgspec.structs.replace(SITE, version=2, as_of=AS_OF + 60, links=links, pairs=pairs))
+    return stamp(
+        msgspec.structs.replace(SITE, version=2, as_of=AS_OF + 60, links=links, pairs=pairs)
+    )
 
 
 def publish(daemon: Daemon, topology: Topology) -> None:
@@ -57,7 +59,9 @@ def publish(daemon: Daemon, topology: Topology) -> None:
     daemon._on_version(Version.of(topology, delta))
 
 
-def test_a_thousand_cameras_are_shown_live(daemon: Daemon, browser: Browser, tmp_path: Path) -> None:
+def test_a_thousand_cameras_are_shown_live(
+    daemon: Daemon, browser: Browser, tmp_path: Path
+) -> None:
     assert daemon.topology is not None
     assert daemon.topology.digest == SITE.digest
     with (
@@ -72,7 +76,11 @@ def test_a_thousand_cameras_are_shown_live(daemon: Daemon, browser: Browser, tmp
         browser.wait(lambda: browser.text("#live") == "live · version 1", "the page to be live")
         assert browser.count(".edge") == len(SITE.pairs)
 
-        bus.put(f"event/{FROM}", Event(FROM, "exit", daemon._clock(), *zone_of(PATH.from_), "x", "b1", 1), "event")
+        bus.put(
+            f"event/{FROM}",
+            Event(FROM, "exit", daemon._clock(), *zone_of(PATH.from_), "x", "b1", 1),
+            "event",
+        )
         browser.wait(lambda: browser.count(".dot") > 0, "a dot under way")
         where = "const dot = document.querySelector('.dot'); return dot && [dot.cx, dot.cy].map((c) => c.baseVal.value)"
         before = browser.run(where)
@@ -82,7 +90,9 @@ def test_a_thousand_cameras_are_shown_live(daemon: Daemon, browser: Browser, tmp
         publish(daemon, without_a_path())
         browser.wait(lambda: browser.text("#live") == "live · version 2", "the new version")
         assert browser.count(".edge") == len(SITE.pairs) - 1
-        assert sum(url.endswith("/data/map") for url in browser.asked()) == maps, "only what changed was sent"
+        assert sum(url.endswith("/data/map") for url in browser.asked()) == maps, (
+            "only what changed was sent"
+        )
 
         browser.go("#/health")
         browser.wait(lambda: browser.text(".page").count("cam0") > 100, "the cameras' health")

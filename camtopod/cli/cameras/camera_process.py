@@ -1,7 +1,7 @@
 """One camera's process: started, heard, ended if it hangs, and started again after a while.
 
-A watchdog ends the process and not the capture: releasing a capture from another thread crashes anyway. Nothing
-here waits, so no camera holds up another; time is an argument.
+A watchdog ends the process and not the capture: releasing a capture from another thread crashes
+anyway. Nothing here waits, so no camera holds up another; time is an argument.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ TRACE_SECONDS = 0.3
 STOP_SECONDS = 4.5
 """A process that was told to end is killed after this long."""
 START_FACTOR_MAX = 16
-"""A process that took too long to be there gets twice the time when it is started again, up to this: many that start
-at once on a small machine would otherwise be killed for ever."""
+"""A process that took too long to be there gets twice the time when it is started again, up to
+this: many that start at once on a small machine would otherwise be killed for ever."""
 LOOK_SECONDS_MAX = 2.0
 """A longer time between two looks says nothing about the process looked after."""
 _HOPELESS = (exits.USAGE, exits.CONFIG)
@@ -51,7 +51,9 @@ Command = Callable[[str, int, str, int], Sequence[str]]
 def backoff_after(
     backoff: float, ran: float, health: HealthSettings, chance: Callable[[], float] = random.random
 ) -> tuple[float, float]:
-    """(seconds to wait now, backoff for the next time) after a process that ran for ``ran`` seconds."""
+    """(seconds to wait now, backoff for the next time) after a process that ran for ``ran``
+    seconds.
+    """
     if ran >= health.restart_seconds_max:
         backoff = health.restart_seconds_min
     return backoff * (0.5 + chance()), min(2 * backoff, health.restart_seconds_max)
@@ -66,7 +68,9 @@ def in_words(status: int) -> str:
 
 
 def restarted(times: int, why: str, reason: str = "") -> str:
-    """``reason``, and behind it how often the camera's process was started again and why the last time."""
+    """``reason``, and behind it how often the camera's process was started again and why the last
+    time.
+    """
     if not times:
         return reason
     said = f"restarted {'once' if times == 1 else f'{times} times'}, last: {why}"
@@ -75,7 +79,9 @@ def restarted(times: int, why: str, reason: str = "") -> str:
 
 @contextmanager
 def _without_hangup() -> Iterator[None]:
-    """What starts in the block has SIGHUP blocked until it can take it, however early that comes."""
+    """What starts in the block has SIGHUP blocked until it can take it, however early that
+    comes.
+    """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
     try:
         yield
@@ -91,7 +97,9 @@ class Child:
         self.process: subprocess.Popen[bytes] | None = None
         self.state, self.reason = "connecting", ""
         self.daemon: str | None = None
-        """Why its process does not reach the daemon; "" if it does, None where that is not known."""
+        """Why its process does not reach the daemon; "" if it does, None where that is not
+        known.
+        """
         self.restarts = 0
         self.last_end = ""
         """Why the last process ended."""
@@ -154,7 +162,9 @@ class Child:
             self.process.terminate()
             self._kill_at = min(self._kill_at or math.inf, now + STOP_SECONDS)
 
-    def renew(self, settings: CameraSettings, health: HealthSettings, now: float, restart: bool) -> None:
+    def renew(
+        self, settings: CameraSettings, health: HealthSettings, now: float, restart: bool
+    ) -> None:
         """Another configuration; with ``restart`` its process starts anew under it, at once."""
         self.settings, self._health = settings, health
         if restart:
@@ -167,9 +177,12 @@ class Child:
         if self.process is None and self.again_at is not None:
             reason = f"again in {max(0.0, self.again_at - now):.0f} s; {reason}"
         return {
-            "camera": self.camera, "state": self.state, "reason": reason,
-            "restarts": self.restarts, "last_end": self.last_end,
-        }  # fmt: skip
+            "camera": self.camera,
+            "state": self.state,
+            "reason": reason,
+            "restarts": self.restarts,
+            "last_end": self.last_end,
+        }
 
     def _allowed(self) -> float:
         if self._spoke:
@@ -182,12 +195,17 @@ class Child:
         except OSError as error:
             self._again(now, 0.0, f"cannot be started: {error.strerror}")
             return
-        environment = {k: v for k, v in os.environ.items() if k not in (SOCKET_VARIABLE, "WATCHDOG_USEC")}
+        environment = {
+            k: v for k, v in os.environ.items() if k not in (SOCKET_VARIABLE, "WATCHDOG_USEC")
+        }
         line = command(self.camera, self.restarts, self.last_end, ear.child_fd)
         try:
             with _without_hangup():
                 self.process = subprocess.Popen(
-                    line, stdin=subprocess.DEVNULL, env=environment, pass_fds=(ear.child_fd, config_fd)
+                    line,
+                    stdin=subprocess.DEVNULL,
+                    env=environment,
+                    pass_fds=(ear.child_fd, config_fd),
                 )
         except OSError as error:  # no memory, no process: perhaps later
             ear.close()
@@ -216,7 +234,10 @@ class Child:
         else:
             why = self._hung or ("ended by itself" if status == exits.DONE else in_words(status))
             if self.state in ("running", "ended") and kind_of(self.settings.source) == "file":
-                self.state, self.reason = "failed", f"{why}; a file is not begun again, or its events would count twice"
+                self.state, self.reason = (
+                    "failed",
+                    f"{why}; a file is not begun again, or its events would count twice",
+                )
                 log.error("camera %s: %s", self.camera, self.reason)
             else:
                 self._again(now, now - self._started, why)
@@ -227,4 +248,6 @@ class Child:
         self.restarts += 1
         self.last_end = why
         self.state, self.reason = "restarting", why
-        log.warning("camera %s: %s; again in %.1f s (restart %d)", self.camera, why, wait, self.restarts)
+        log.warning(
+            "camera %s: %s; again in %.1f s (restart %d)", self.camera, why, wait, self.restarts
+        )

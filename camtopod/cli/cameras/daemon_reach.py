@@ -1,5 +1,5 @@
-"""Whether the cameras of a box reach the daemon, said once for all of them: each has a connection of its own, and they
-are lost and made again at different moments.
+"""Whether the cameras of a box reach the daemon, said once for all of them: each has a connection
+of its own, and they are lost and made again at different moments.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ log = logging.getLogger(__name__)
 SETTLE_SECONDS = 1.0
 """What holds for all cameras is said when it has held for this long."""
 PARTIAL_SECONDS = 15.0
-"""The same where only some are concerned; connections come back within a few seconds of each other."""
+"""The same where only some are concerned; connections come back within a few seconds of each
+other.
+"""
 NAMED_MAX = 10
 _ALL = frozenset({"*"})
 
@@ -27,7 +29,9 @@ class Reach:
         self._said: frozenset[str] = frozenset()
 
     def tell(self, known: Mapping[str, str], now: float) -> None:
-        """``known``: why a camera does not reach the daemon, "" if it does; of those of which it is known."""
+        """``known``: why a camera does not reach the daemon, "" if it does; of those of which it is
+        known.
+        """
         away = {camera: why for camera, why in known.items() if why}
         if not known:
             return
@@ -35,7 +39,9 @@ class Reach:
         if found != self._now:
             self._now, self._since = found, now
         partial = found not in (_ALL, frozenset())
-        if found == self._said or now - self._since < (PARTIAL_SECONDS if partial else SETTLE_SECONDS):
+        if found == self._said or now - self._since < (
+            PARTIAL_SECONDS if partial else SETTLE_SECONDS
+        ):
             return
 
         self._said = found
@@ -44,6 +50,13 @@ class Reach:
         elif not partial:
             log.warning("%s; events wait in the spools of all cameras", next(iter(away.values())))
         else:
-            names = ", ".join(sorted(away)[:NAMED_MAX]) + (" and others" if len(away) > NAMED_MAX else "")
-            log.warning("%s of %d cameras do not reach the daemon: %s (%s)", len(away), len(known), names,
-                        next(iter(away.values())))  # fmt: skip
+            names = ", ".join(sorted(away)[:NAMED_MAX]) + (
+                " and others" if len(away) > NAMED_MAX else ""
+            )
+            log.warning(
+                "%s of %d cameras do not reach the daemon: %s (%s)",
+                len(away),
+                len(known),
+                names,
+                next(iter(away.values())),
+            )

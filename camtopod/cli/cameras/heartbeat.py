@@ -1,4 +1,6 @@
-"""A camera's process tells the one above it, or systemd, that its work gets on; lines of JSON through a pipe."""
+"""A camera's process tells the one above it, or systemd, that its work gets on; lines of JSON
+through a pipe.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +27,14 @@ class Said(Struct, frozen=True):
 
 
 class Heart:
-    """In the camera's process: `beat` at every turn of the loop that reads frames, as long as that gets on."""
+    """In the camera's process: `beat` at every turn of the loop that reads frames, as long as that
+    gets on.
+    """
 
     def __init__(self, fd: int | None) -> None:
-        """``fd``: the end of the pipe to write to, from the process above; None: there is only systemd."""
+        """``fd``: the end of the pipe to write to, from the process above; None: there is only
+        systemd.
+        """
         self._fd = fd
         self._said = Said("", "")
         self._next = 0.0

@@ -37,7 +37,8 @@ def probe_all(
 ) -> dict[str, Probe]:
     """What each source is like, by the camera's id; ``on_probe`` is told as soon as one is known.
 
-    A picture of each camera that gives one is kept in ``folder``. Raises `CommandError` if that cannot be.
+    A picture of each camera that gives one is kept in ``folder``. Raises `CommandError` if that
+    cannot be.
     """
     for source in sources.values():
         remember(source)
@@ -45,7 +46,10 @@ def probe_all(
         with _writing(folder):
             pictures.make(folder)
     with ThreadPoolExecutor(PROCESSES_MAX) as pool:
-        looks = {pool.submit(_probe, source, settings, folder is not None): name for name, source in sources.items()}
+        looks = {
+            pool.submit(_probe, source, settings, folder is not None): name
+            for name, source in sources.items()
+        }
         found = {}
         for look in as_completed(looks):
             camera, seen = looks[look], look.result()
@@ -62,19 +66,26 @@ def _writing(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise CommandError(f"--pictures {folder}: cannot write {error.filename or folder}: {error.strerror}") from None
+        raise CommandError(
+            f"--pictures {folder}: cannot write {error.filename or folder}: {error.strerror}"
+        ) from None
 
 
 def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
     """The source goes to the process through a pipe, as everybody can read a command line."""
-    seconds = settings.open_timeout_seconds + settings.read_timeout_seconds + LOOK_SECONDS + START_SECONDS
+    seconds = (
+        settings.open_timeout_seconds + settings.read_timeout_seconds + LOOK_SECONDS + START_SECONDS
+    )
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-m", PROGRAM],
             input=msgspec.json.encode(Question(source, settings, picture)),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,  # libraries write there, perhaps with the password
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},  # it finds the same modules as this process
+            env={
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join(sys.path),
+            },  # it finds the same modules as this process
             timeout=seconds,
             check=False,
         )
@@ -86,7 +97,8 @@ def _probe(source: str, settings: VisionSettings, picture: bool) -> Probe:
 
 
 def check_site(path: Path, config: Config, folder: Path | None) -> int:
-    """Open every camera and the bus; what is found goes to standard error, a line each. The worst exit status.
+    """Open every camera and the bus; what is found goes to standard error, a line each. The worst
+    exit status.
 
     Pictures of the cameras are kept in ``folder``.
     """
@@ -116,8 +128,13 @@ def _bus(config: Config) -> tuple[str, str]:
     camera = next(iter(config.cameras), "")
     try:
         with dial(config.certified(camera)) as bus:
-            if not bus.present("daemon") and not config.bus.tls.ca:  # which a camera's certificate is not shown
-                return f"{bus.endpoint} is reached, but no daemon of site {bus.site} is there: `camtopod run`", ""
+            if (
+                not bus.present("daemon") and not config.bus.tls.ca
+            ):  # which a camera's certificate is not shown
+                return (
+                    f"{bus.endpoint} is reached, but no daemon of site {bus.site} is there: `camtopod run`",
+                    "",
+                )
             return "", f"{bus.endpoint} is reached, site {bus.site}"
     except BusError as error:
         return str(error), ""

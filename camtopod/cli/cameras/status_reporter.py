@@ -1,4 +1,6 @@
-"""``status/{camera}`` for those cameras whose own process cannot say it: it died, hung, or does not start."""
+"""``status/{camera}`` for those cameras whose own process cannot say it: it died, hung, or does not
+start.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ CLOSE_SECONDS = 2.0
 
 
 class Speaker:
-    """A thread of its own, so that a bus that is away holds no camera up. It dials when there is something to say."""
+    """A thread of its own, so that a bus that is away holds no camera up. It dials when there is
+    something to say.
+    """
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -55,7 +59,9 @@ class Speaker:
                         buses[camera] = bus = dial(self._config.certified(camera))
                         bus.answer(f"status/{camera}", lambda key, _: self._of(key), "status")
                     buses[camera].put(f"status/{camera}", self._of(f"status/{camera}"), "status")
-                except OSError as error:  # the bus is away, which the cameras' own processes say, or a key is
+                except (
+                    OSError
+                ) as error:  # the bus is away, which the cameras' own processes say, or a key is
                     log.debug("the status of camera %s cannot be published: %s", camera, error)
             self._closed.wait(self._config.limits.status_seconds)
         for bus in buses.values():

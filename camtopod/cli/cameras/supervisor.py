@@ -1,4 +1,6 @@
-"""All cameras of a configuration, a process each: one that fails or hangs is started again and harms no other."""
+"""All cameras of a configuration, a process each: one that fails or hangs is started again and
+harms no other.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +30,11 @@ _OF_ALL = ("site", "bus", "state", "vision", "limits")
 
 
 def supervise(args: argparse.Namespace, config: Config, text: bytes, told: Told) -> int:
-    """Run `camtopod grab` for every camera until all have ended or a signal comes; the worst status.
+    """Run `camtopod grab` for every camera until all have ended or a signal comes; the worst
+    status.
 
-    ``text`` is the configuration's: each process gets it from here, so that none comes to read a file that has
-    been changed, perhaps for the worse, and not been accepted yet.
+    ``text`` is the configuration's: each process gets it from here, so that none comes to read a
+    file that has been changed, perhaps for the worse, and not been accepted yet.
     """
     site = _Cameras(args, config, text)
     try:
@@ -57,7 +60,9 @@ class _Cameras:
     def __init__(self, args: argparse.Namespace, config: Config, text: bytes) -> None:
         self._args, self._config = args, config
         self._config_fd = _in_memory(text)
-        self._children = {name: Child(name, _filled(config, name), config.health) for name in config.cameras}
+        self._children = {
+            name: Child(name, _filled(config, name), config.health) for name in config.cameras
+        }
         self._leaving: list[Child] = []
         self._speaker = Speaker(config)
         self._reach = Reach()
@@ -85,14 +90,22 @@ class _Cameras:
         if now >= self._next_word:
             self._next_word = now + _SPEAK_SECONDS
             silent = [child for child in self._children.values() if child.silent]
-            self._speaker.say({child.camera: child.summary(now) for child in silent if child.restarts or child.over})
+            self._speaker.say(
+                {
+                    child.camera: child.summary(now)
+                    for child in silent
+                    if child.restarts or child.over
+                }
+            )
         if now >= self._next_feeding:
             self._next_feeding = now + systemd.feed_seconds()
             systemd.notify("WATCHDOG=1")
         self._tell_systemd(now)
 
     def reload(self) -> None:
-        """Read the configuration anew: what changed starts anew, what is gone ends, the rest is not touched."""
+        """Read the configuration anew: what changed starts anew, what is gone ends, the rest is not
+        touched.
+        """
         try:
             config, text = accepted(self._args)
         except CommandError as error:
@@ -132,7 +145,9 @@ class _Cameras:
         self._summary = ""
 
     def end(self) -> bool:
-        """All together; whoever has not ended by the deadline is killed. False if the bus blocks and stays open."""
+        """All together; whoever has not ended by the deadline is killed. False if the bus blocks
+        and stays open.
+        """
         systemd.notify("STOPPING=1")
         everyone = [*self._children.values(), *self._leaving]
         for child in everyone:
@@ -148,8 +163,14 @@ class _Cameras:
     def _tell_systemd(self, now: float) -> None:
         """What `systemctl status` shows: how many run, and what is wrong with the others."""
         running = sum(child.state == "running" for child in self._children.values())
-        wrong = [f"{child.camera}: {child.state}" for child in self._children.values() if child.state != "running"]
-        summary = f"{running} of {len(self._children)} cameras run" + "".join(f"; {one}" for one in wrong[:10])
+        wrong = [
+            f"{child.camera}: {child.state}"
+            for child in self._children.values()
+            if child.state != "running"
+        ]
+        summary = f"{running} of {len(self._children)} cameras run" + "".join(
+            f"; {one}" for one in wrong[:10]
+        )
         if summary != self._summary:
             self._summary = summary
             systemd.notify("READY=1", systemd.status(summary))
@@ -159,10 +180,23 @@ class _Cameras:
 
 
 def command(
-    camera: str, args: argparse.Namespace, config_fd: int, restarts: int, last_end: str, beat_fd: int
+    camera: str,
+    args: argparse.Namespace,
+    config_fd: int,
+    restarts: int,
+    last_end: str,
+    beat_fd: int,
 ) -> list[str]:
     """The command line of one camera's process: no source in it, so no password either."""
-    line = [sys.executable, "-m", "camtopod", "--config", str(args.config), "--log-format", args.log_format]
+    line = [
+        sys.executable,
+        "-m",
+        "camtopod",
+        "--config",
+        str(args.config),
+        "--log-format",
+        args.log_format,
+    ]
     if args.site is not None:
         line += ["--site", args.site]
     for endpoint in args.connect:
@@ -178,7 +212,9 @@ def command(
 
 
 def _filled(config: Config, camera: str) -> CameraSettings:
-    """The camera's settings with its source, which may be in a file of its own, to see whether it changes."""
+    """The camera's settings with its source, which may be in a file of its own, to see whether it
+    changes.
+    """
     try:
         return config.for_camera(camera).cameras[camera]
     except OSError:  # its own process says so, and tries again

@@ -46,7 +46,9 @@ def add_parser(subparsers: Any) -> None:
 
 
 class Site:
-    """What is known of the site at the moment; filled by the bus's threads. At most ``cameras_max`` cameras."""
+    """What is known of the site at the moment; filled by the bus's threads. At most ``cameras_max``
+    cameras.
+    """
 
     def __init__(self, bus: Bus, topics: homeassistant.Topics, cameras_max: int) -> None:
         self._topics, self._cameras_max = topics, cameras_max
@@ -69,9 +71,18 @@ class Site:
         """Everything there is to say, by topic."""
         self._view.update()
         topics, topology = self._topics, self._view.topology
-        zones = {} if topology is None else {camera.id: len(camera.zones) for camera in topology.cameras}
+        zones = (
+            {}
+            if topology is None
+            else {camera.id: len(camera.zones) for camera in topology.cameras}
+        )
         with self._mutex:
-            said, predictions, alive, site = dict(self._said), dict(self._predictions), bool(self._daemons), self._site
+            said, predictions, alive, site = (
+                dict(self._said),
+                dict(self._predictions),
+                bool(self._daemons),
+                self._site,
+            )
         known = (name for name in {*said, *site.cameras, *zones} if re.match(CAMERA_PATTERN, name))
         cameras = sorted(known)[: self._cameras_max]
         if cameras != self._cameras:
@@ -79,7 +90,9 @@ class Site:
         messages = self._discovery | homeassistant.site_state(topics, alive, site, topology)
         for camera in cameras:
             counted = site.cameras.get(camera, homeassistant.Counted())
-            messages |= homeassistant.camera_state(topics, camera, counted, said.get(camera), zones.get(camera, 0))
+            messages |= homeassistant.camera_state(
+                topics, camera, counted, said.get(camera), zones.get(camera, 0)
+            )
             if camera in predictions:
                 messages |= homeassistant.prediction_state(topics, predictions[camera])
         return messages

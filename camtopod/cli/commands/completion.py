@@ -1,6 +1,7 @@
 """`camtopod completion`: the file that makes a shell complete camtopod's commands and options.
 
-The files are made from the parser by `deploy/generate.py`, so that nothing has to be installed for them.
+The files are made from the parser by `deploy/generate.py`, so that nothing has to be installed for
+them.
 """
 
 from __future__ import annotations

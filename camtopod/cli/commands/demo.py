@@ -1,9 +1,10 @@
 """`camtopod demo`: the whole system on one machine with nothing to configure.
 
-Made-up people walk past five rendered cameras. One real grabber a camera, each a process of its own, watches
-its video at many times its pace; the real daemon, in this process, learns from their events over a real bus.
-On a slow or busy machine they take longer, and those that are ahead wait for the others. The daemon's clock is
-the demo's, so that it looks like an ordinary recording that began a while ago.
+Made-up people walk past five rendered cameras. One real grabber a camera, each a process of its
+own, watches its video at many times its pace; the real daemon, in this process, learns from their
+events over a real bus. On a slow or busy machine they take longer, and those that are ahead wait
+for the others. The daemon's clock is the demo's, so that it looks like an ordinary recording that
+began a while ago.
 """
 
 from __future__ import annotations
@@ -62,10 +63,12 @@ SPEED = 60.0
 AHEAD_SECONDS = 30.0
 """A grabber that is this much further than the last one, in event time, waits for it."""
 LATENESS_SECONDS = 180.0
-"""Event time by which the grabbers may be apart: what they may be ahead, what they do until that is known, and the
-time after which a tracker gives up somebody it has lost."""
+"""Event time by which the grabbers may be apart: what they may be ahead, what they do until that is
+known, and the time after which a tracker gives up somebody it has lost."""
 AFTERWARDS_SECONDS = 3600.0
-"""When the recording is over the demo's clock jumps this far, so that nothing is waited for any more."""
+"""When the recording is over the demo's clock jumps this far, so that nothing is waited for any
+more.
+"""
 QUIET_SECONDS = 1.0
 """So long nothing more has to come in before all is taken as learned."""
 PATIENCE_SECONDS = 60.0
@@ -86,7 +89,9 @@ class Recording(Struct):
 
 
 class DemoClock:
-    """Seconds since the epoch as the demo's daemon sees them: ``speed`` times as fast, from ``start`` on."""
+    """Seconds since the epoch as the demo's daemon sees them: ``speed`` times as fast, from
+    ``start`` on.
+    """
 
     def __init__(self, start: float, speed: float) -> None:
         self._start, self._speed, self._begin = start, speed, time.monotonic()
@@ -105,10 +110,16 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("demo", help=summary, description=summary.capitalize() + ".")
     shown = " (default: %(default)s)"
     parser.add_argument(
-        "--out", type=Path, default=Path("camtopod-demo"), metavar="DIR", help="results go here" + shown
+        "--out",
+        type=Path,
+        default=Path("camtopod-demo"),
+        metavar="DIR",
+        help="results go here" + shown,
     )
     parser.add_argument("--seed", type=int, default=1, help="other people, same site" + shown)
-    parser.add_argument("--minutes", type=float, default=MINUTES, help="length of the recording" + shown)
+    parser.add_argument(
+        "--minutes", type=float, default=MINUTES, help="length of the recording" + shown
+    )
     parser.add_argument("--keep", action="store_true", help="keep the videos and the state too")
 
 
@@ -128,9 +139,18 @@ def run(args: argparse.Namespace) -> int:
     (args.out / "topology.json").write_bytes(to_json(topology) + b"\n")
     (args.out / "truth.json").write_bytes(to_json(recording.truth) + b"\n")
     picture = args.out / "map.png"
-    write_map(picture, recording.plan, recording.walks, recording.truth, topology, result.text().splitlines())
+    write_map(
+        picture,
+        recording.plan,
+        recording.walks,
+        recording.truth,
+        topology,
+        result.text().splitlines(),
+    )
     print("\n".join([*_table(recording.truth, topology), "", result.text()]))
-    _say(f"picture in {picture}, topology in {args.out / 'topology.json'}; {time.monotonic() - begin:.0f} s")
+    _say(
+        f"picture in {picture}, topology in {args.out / 'topology.json'}; {time.monotonic() - begin:.0f} s"
+    )
     return exits.DONE
 
 
@@ -168,7 +188,10 @@ def _record(work: Path, seconds: float, seed: int) -> Recording:
     context = multiprocessing.get_context("spawn")
     workers = min(len(videos), os.cpu_count() or 1)
     with ProcessPoolExecutor(workers, context, initializer=_leave_interrupts_to_the_parent) as pool:
-        tasks = [pool.submit(render, plan, view, walks, seconds, videos[view.camera], seed) for view in plan.views]
+        tasks = [
+            pool.submit(render, plan, view, walks, seconds, videos[view.camera], seed)
+            for view in plan.views
+        ]
         try:
             with Progress() as progress:
                 for count, task in enumerate(as_completed(tasks), 1):
@@ -186,7 +209,9 @@ def _leave_interrupts_to_the_parent() -> None:
 
 def _watch(recording: Recording, work: Path) -> Topology:
     """Play the videos to the grabbers and let the daemon learn; returns what it has learned."""
-    start = clocks.wall() - 2 * (recording.seconds + AFTERWARDS_SECONDS)  # nothing lies in the future
+    start = clocks.wall() - 2 * (
+        recording.seconds + AFTERWARDS_SECONDS
+    )  # nothing lies in the future
     clock = DemoClock(start, SPEED)
     config = Config(
         site=SiteSettings(SITE),
@@ -220,14 +245,18 @@ def _watch(recording: Recording, work: Path) -> Topology:
 
 @contextlib.contextmanager
 def _openness_said(config: Config) -> Iterator[None]:
-    """In the block the daemon does not warn of a bus without certificates: said here, for a bus that soon ends."""
+    """In the block the daemon does not warn of a bus without certificates: said here, for a bus
+    that soon ends.
+    """
     warning = access.openness(config)
     log = logging.getLogger(buses.__name__)
 
     def other(record: logging.LogRecord) -> bool:
         return record.getMessage() != warning
 
-    _say("the bus is for programs of this machine only, any of them, as it has no certificates; it ends with the demo")
+    _say(
+        "the bus is for programs of this machine only, any of them, as it has no certificates; it ends with the demo"
+    )
     log.addFilter(other)
     try:
         yield
@@ -280,9 +309,13 @@ def _check(grabbers: dict[str, subprocess.Popen[bytes]], work: Path) -> None:
 
 
 class _Together:
-    """Whether all grabbers have ended; until then those that are ahead are held, or the others' events came late."""
+    """Whether all grabbers have ended; until then those that are ahead are held, or the others'
+    events came late.
+    """
 
-    def __init__(self, bus: Bus, grabbers: dict[str, subprocess.Popen[bytes]], start: float) -> None:
+    def __init__(
+        self, bus: Bus, grabbers: dict[str, subprocess.Popen[bytes]], start: float
+    ) -> None:
         self._grabbers = grabbers
         self._reached = dict.fromkeys(grabbers, start)
         self._held: set[str] = set()
@@ -291,7 +324,9 @@ class _Together:
     def _heard(self, key: str, payload: bytes) -> None:
         camera = key.removeprefix("status/")
         if camera in self._reached:
-            self._reached[camera] = msgspec.msgpack.decode(payload).get("last_frame_t", self._reached[camera])
+            self._reached[camera] = msgspec.msgpack.decode(payload).get(
+                "last_frame_t", self._reached[camera]
+            )
 
     def __call__(self) -> bool:
         running = [camera for camera, grabber in self._grabbers.items() if grabber.poll() is None]
@@ -308,7 +343,9 @@ class _Together:
 
 
 class _Learned:
-    """Whether all that has come is learned and published, and for `QUIET_SECONDS` nothing more has come in."""
+    """Whether all that has come is learned and published, and for `QUIET_SECONDS` nothing more has
+    come in.
+    """
 
     def __init__(self, daemon: Daemon) -> None:
         self._daemon, self._stored, self._since = daemon, -1, time.monotonic()
@@ -316,21 +353,29 @@ class _Learned:
     def __call__(self) -> bool:
         status = self._daemon.status()
         events, learner = status["events"], status["learner"]
-        known = not events["waiting"] and not learner["held"] and learner["version"] == status["version"]
+        known = (
+            not events["waiting"]
+            and not learner["held"]
+            and learner["version"] == status["version"]
+        )
         if events["stored"] != self._stored or not known:
             self._stored, self._since = events["stored"], time.monotonic()
         return time.monotonic() - self._since >= QUIET_SECONDS
 
 
 def _until(daemon: Daemon, done: Callable[[], bool]) -> None:
-    """Show progress until ``done()``; raises when there is none for too long or the daemon fails."""
+    """Show progress until ``done()``; raises when there is none for too long or the daemon
+    fails.
+    """
     terminal = sys.stderr.isatty()
     begin, end, pause = ("\r\033[K", "", _TICK_SECONDS) if terminal else ("", "\n", _LINE_SECONDS)
     shown, line, moved = 0.0, "", time.monotonic()
     said = line
     while not done():
         if time.monotonic() > moved + PATIENCE_SECONDS:
-            raise exits.CommandError(f"demo: nothing got on for {PATIENCE_SECONDS:g} s; is the machine busy?")
+            raise exits.CommandError(
+                f"demo: nothing got on for {PATIENCE_SECONDS:g} s; is the machine busy?"
+            )
         if daemon.wait(_TICK_SECONDS):
             raise exits.CommandError("demo: the daemon has failed")
         before, line = line, _progress(daemon)
@@ -350,9 +395,7 @@ def _progress(daemon: Daemon) -> str:
     if topology is None:
         return f"{events}, nothing learned yet"
     links = sum(link.relation != "visible" for link in topology.links)
-    return (
-        f"{events}, version {topology.version}: {len(topology.zones)} zones, {links} links, {len(topology.pairs)} pairs"
-    )
+    return f"{events}, version {topology.version}: {len(topology.zones)} zones, {links} links, {len(topology.pairs)} pairs"
 
 
 def _table(truth: Truth, topology: Topology) -> list[str]:
@@ -363,7 +406,9 @@ def _table(truth: Truth, topology: Topology) -> list[str]:
     learned = camera_times(topology.links, camera)
     pairs = sorted({(min(key), max(key)) for key in [*true, *learned]})
     lines = [f"{'cameras':24}{'true map':32}learned map (most popular seconds there and back)"]
-    lines += [f"{f'{a} - {b}':24}{_relation(true, a, b):32}{_relation(learned, a, b)}" for a, b in pairs]
+    lines += [
+        f"{f'{a} - {b}':24}{_relation(true, a, b):32}{_relation(learned, a, b)}" for a, b in pairs
+    ]
     return lines
 
 

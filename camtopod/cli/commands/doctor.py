@@ -1,5 +1,5 @@
-"""`camtopod doctor`: what a bug report needs, without a secret. Everything goes through `camtopod.redact`, twice:
-each value by itself, and the whole text.
+"""`camtopod doctor`: what a bug report needs, without a secret. Everything goes through
+`camtopod.redact`, twice: each value by itself, and the whole text.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ def add_parser(subparsers: Any) -> None:
         "on disk, and what the daemon and the cameras say of themselves. Passwords, keys and events are not in it; "
         "look through it all the same before you hand it on. Nothing is changed.",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write it here; with .tar.gz a file for each part")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="write it here; with .tar.gz a file for each part"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -72,7 +74,10 @@ def run(args: argparse.Namespace) -> int:
         "state": lambda: list(_state(config)),
         "bus": lambda: list(_bus(config)),
     }
-    report = {name: redact("\n".join(visible(line) for line in part())) + "\n" for name, part in parts.items()}
+    report = {
+        name: redact("\n".join(visible(line) for line in part())) + "\n"
+        for name, part in parts.items()
+    }
     text = "\n".join(f"== {name} ==\n{part}" for name, part in report.items())
     if args.out is None:
         sys.stdout.write(text)
@@ -95,7 +100,11 @@ def _remember_secrets(config: Config) -> None:
             continue
     for name, value in os.environ.items():
         remember(value)
-        if _SECRET_NAME.search(name) and len(value) >= _SECRET_CHARACTERS_MIN and not Path(value).is_absolute():
+        if (
+            _SECRET_NAME.search(name)
+            and len(value) >= _SECRET_CHARACTERS_MIN
+            and not Path(value).is_absolute()
+        ):
             remember(f"secret://:{value}@")
     folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
     for path in Path(folder).iterdir() if folder and Path(folder).is_dir() else ():
@@ -114,9 +123,13 @@ def _video() -> list[str]:
 
 
 def _configuration(config: Config, path: Path | None) -> Iterator[str]:
-    """Settings that are not the defaults, and whether others can read or reach what they should not."""
+    """Settings that are not the defaults, and whether others can read or reach what they should
+    not.
+    """
     yield f"file: {path} ({_mode(path)})" if path else "no file"
-    given = {name: _at(config, name) for name in TABLES} | {f"cameras.{n}": c for n, c in config.cameras.items()}
+    given = {name: _at(config, name) for name in TABLES} | {
+        f"cameras.{n}": c for n, c in config.cameras.items()
+    }
     for name, table in given.items():
         for field in msgspec.structs.fields(table):
             value = getattr(table, field.name)
@@ -173,7 +186,9 @@ def _mode(path: Path) -> str:
 
 
 def _bus(config: Config) -> Iterator[str]:
-    """Whether it answers, who is there, and what they say of themselves; of what was refused the reasons only."""
+    """Whether it answers, who is there, and what they say of themselves; of what was refused the
+    reasons only.
+    """
     began = time.monotonic()
     try:
         bus = dial(config.certified(next(iter(config.cameras), "")))
@@ -191,7 +206,9 @@ def _bus(config: Config) -> Iterator[str]:
         yield f"{name}: {json.dumps(_clean(status))}"
         if refusals:
             samples = refusals.get("reject_samples", {})  # with what was refused behind the reason
-            refusals["reject_samples"] = {why: [_QUOTED.sub("", one) for one in each] for why, each in samples.items()}
+            refusals["reject_samples"] = {
+                why: [_QUOTED.sub("", one) for one in each] for why, each in samples.items()
+            }
             yield f"{name} refused: {json.dumps(_clean(refusals))}"
     if not statuses:
         yield f"nobody answers for a status{hidden}"

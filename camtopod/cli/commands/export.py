@@ -25,7 +25,9 @@ def add_parser(subparsers: Any) -> None:
     """Add `export`."""
     summary = "a topology as a picture or in an exchange format"
     parser = subparsers.add_parser("export", help=summary, description=summary.capitalize() + ".")
-    parser.add_argument("topology", metavar="TOPOLOGY.json", help="what `learn` wrote ('-': standard input)")
+    parser.add_argument(
+        "topology", metavar="TOPOLOGY.json", help="what `learn` wrote ('-': standard input)"
+    )
     parser.add_argument("--format", choices=FORMATS, required=True)
     parser.add_argument("--out", metavar="FILE", default="-", help="default: standard output")
 
@@ -63,7 +65,9 @@ def load(path: str) -> Topology:
 
 
 def _content(file: BinaryIO) -> bytes:
-    """All of it. Raises `Rejected` where that is more than `TOPOLOGY_BYTES_MAX`, before it is in memory."""
+    """All of it. Raises `Rejected` where that is more than `TOPOLOGY_BYTES_MAX`, before it is in
+    memory.
+    """
     pieces: list[bytes] = []
     total = 0
     while piece := file.read(_PIECE_BYTES):

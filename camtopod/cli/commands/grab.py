@@ -1,4 +1,6 @@
-"""`camtopod grab`: one camera to events, on the bus or as lines; or all cameras of a configuration."""
+"""`camtopod grab`: one camera to events, on the bus or as lines; or all cameras of a
+configuration.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,15 @@ import msgspec
 from camtopod import codec, redact
 from camtopod.cli import descriptors, exits
 from camtopod.cli.cameras import Heart, restarted
-from camtopod.cli.common import Leaving, Told, accepted, configuration, leaving, signals, start_logging
+from camtopod.cli.common import (
+    Leaving,
+    Told,
+    accepted,
+    configuration,
+    leaving,
+    signals,
+    start_logging,
+)
 from camtopod.cli.exits import CommandError
 from camtopod.config import RESERVED, CameraSettings, Config
 from camtopod.records import CAMERA_PATTERN
@@ -34,15 +44,21 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DRAIN_SECONDS = 10.0
-"""How long a file's grabber waits at the end for its last events to be acknowledged, if nobody looks after it."""
+"""How long a file's grabber waits at the end for its last events to be acknowledged, if nobody
+looks after it.
+"""
 _DRAIN_LOOK_SECONDS = 0.2
 DAEMON_SECONDS = 5.0
-"""How long after it has reached the bus a grabber waits for a daemon before it says that there is none."""
+"""How long after it has reached the bus a grabber waits for a daemon before it says that there is
+none.
+"""
 _DAEMON_LOOK_SECONDS = 0.5
 LEAVE_SECONDS = 4.0
 """After a signal, how long a source that blocks may hold up the end."""
 HANDOVER_SECONDS = LEAVE_SECONDS + 2.0
-"""How long the processes of a grabber that was killed, and started again at once, may take to end."""
+"""How long the processes of a grabber that was killed, and started again at once, may take to
+end.
+"""
 _HANDOVER_LOOK_SECONDS = 0.2
 
 
@@ -54,14 +70,31 @@ def add_parser(subparsers: Any) -> None:
         description="Watches one camera and publishes an event for whoever enters or leaves its view. "
         "Without --camera it runs all cameras of --config, a process each.",
     )
-    parser.add_argument("source", nargs="?", metavar="SOURCE", help="rtsp:// URL, video file or device number")
+    parser.add_argument(
+        "source", nargs="?", metavar="SOURCE", help="rtsp:// URL, video file or device number"
+    )
     parser.add_argument("--camera", metavar="ID", help="the camera's id, [A-Za-z0-9_.-]{1,64}")
-    parser.add_argument("--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus")
-    parser.add_argument("--start", type=float, metavar="SECONDS", help="a file: time of its first frame (default 0)")
-    parser.add_argument("--realtime", action="store_true", default=None, help="a file: at its own pace")
-    parser.add_argument("--speed", type=float, metavar="FACTOR", help="a file: with --realtime, times its own pace")
-    parser.add_argument("--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)")
-    given = ("with-parent", "config-fd", "beat-fd", "restarts")  # to a camera's process by the one above it
+    parser.add_argument(
+        "--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus"
+    )
+    parser.add_argument(
+        "--start", type=float, metavar="SECONDS", help="a file: time of its first frame (default 0)"
+    )
+    parser.add_argument(
+        "--realtime", action="store_true", default=None, help="a file: at its own pace"
+    )
+    parser.add_argument(
+        "--speed", type=float, metavar="FACTOR", help="a file: with --realtime, times its own pace"
+    )
+    parser.add_argument(
+        "--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)"
+    )
+    given = (
+        "with-parent",
+        "config-fd",
+        "beat-fd",
+        "restarts",
+    )  # to a camera's process by the one above it
     for option in given:
         parser.add_argument(f"--{option}", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--last-end", default="", help=argparse.SUPPRESS)
@@ -85,7 +118,9 @@ def _all(args: argparse.Namespace, told: Told) -> int:
     if args.source is not None or args.out is not None:
         raise CommandError("which camera is it? add --camera ID", exits.USAGE)
     if not config.cameras:
-        raise CommandError("nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE)
+        raise CommandError(
+            "nothing to grab: name --camera ID SOURCE, or a --config with cameras", exits.USAGE
+        )
     _refuse_a_second(config, told.stop)
     from camtopod.cli.cameras import supervise
 
@@ -93,11 +128,16 @@ def _all(args: argparse.Namespace, told: Told) -> int:
 
 
 def _refuse_a_second(config: Config, stop: threading.Event) -> None:
-    """Raises `CommandError` if another grabber has the spool of a camera and does not end within `HANDOVER_SECONDS`."""
+    """Raises `CommandError` if another grabber has the spool of a camera and does not end within
+    `HANDOVER_SECONDS`.
+    """
     from camtopod.serve.outbox import spool_path
     from camtopod.serve.storage import held_by
 
-    paths = {camera: spool_path(config.state_directory, config.site.name, camera) for camera in config.cameras}
+    paths = {
+        camera: spool_path(config.state_directory, config.site.name, camera)
+        for camera in config.cameras
+    }
     deadline = time.monotonic() + HANDOVER_SECONDS
     while held := {camera: why for camera, path in paths.items() if (why := held_by(path))}:
         if time.monotonic() >= deadline or stop.wait(_HANDOVER_LOOK_SECONDS):
@@ -110,18 +150,28 @@ def _one(args: argparse.Namespace, told: Told, left: Leaving) -> int:
     redact.remember(settings.source)
     with contextlib.ExitStack() as stack:
         output = stack.enter_context(os.fdopen(os.dup(1), "wb")) if args.out == "-" else None
-        heard = stack.enter_context(ffmpeg_log.listening())  # FFmpeg talks on standard output from here on
+        heard = stack.enter_context(
+            ffmpeg_log.listening()
+        )  # FFmpeg talks on standard output from here on
         from camtopod.vision import Grabber
 
         heart = Heart(args.beat_fd)
         heart.beat("connecting", "not opened yet")
         grabber = Grabber(
-            args.camera, settings.source, start=settings.start, realtime=settings.realtime, speed=settings.speed,
-            wall_clock=clock.wall, settings=config.vision, complaints=heard,
-        )  # fmt: skip
+            args.camera,
+            settings.source,
+            start=settings.start,
+            realtime=settings.realtime,
+            speed=settings.speed,
+            wall_clock=clock.wall,
+            settings=config.vision,
+            complaints=heard,
+        )
         stack.enter_context(contextlib.closing(grabber))
         if args.out is not None:
-            return _to_lines(grabber, output or stack.enter_context(_file(args.out)), told.stop, left)
+            return _to_lines(
+                grabber, output or stack.enter_context(_file(args.out)), told.stop, left
+            )
         return _to_bus(grabber, args, config, settings, told, heart)
 
 
@@ -130,11 +180,17 @@ def _camera(args: argparse.Namespace, config: Config) -> CameraSettings:
     if args.camera in RESERVED:
         raise CommandError(f"--camera {args.camera}: this name is taken on the bus", exits.USAGE)
     if not re.match(CAMERA_PATTERN, args.camera):
-        raise CommandError(f"--camera {args.camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
+        raise CommandError(
+            f"--camera {args.camera!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
+        )
     known = config.cameras.get(args.camera)
     if args.source is None and known is None:
-        raise CommandError(f"camera {args.camera} has no SOURCE, and no configuration names it", exits.USAGE)
-    given: dict[str, Any] = {name: getattr(args, name, None) for name in CameraSettings.__struct_fields__}
+        raise CommandError(
+            f"camera {args.camera} has no SOURCE, and no configuration names it", exits.USAGE
+        )
+    given: dict[str, Any] = {
+        name: getattr(args, name, None) for name in CameraSettings.__struct_fields__
+    }
     given = {name: value for name, value in given.items() if value is not None}
     if not 0 < given.get("speed", 1.0) < math.inf:
         raise CommandError("--speed must be a number above 0", exits.USAGE)
@@ -153,7 +209,9 @@ def _file(path: str) -> BinaryIO:
 def _to_lines(grabber: Grabber, out: BinaryIO, stop: threading.Event, left: Leaving) -> int:
     """Event lines, each out at once. The exit status, which is 66 if there was not one picture."""
     said = _Said(grabber)
-    events = grabber.events()  # kept until the return, as closing it may wait for OpenCV longer than there is time
+    events = (
+        grabber.events()
+    )  # kept until the return, as closing it may wait for OpenCV longer than there is time
     for event in events:
         said.tell()
         if event is not None:
@@ -209,7 +267,9 @@ def _to_bus(
         publisher = Publisher(spool, config.limits.spool_batch_events)
         connection = _Connection(config, grabber, publisher, args)
         stack.callback(connection.close)
-        if kind_of(settings.source) != "file":  # it goes on whether the bus is there or not; a file can wait
+        if (
+            kind_of(settings.source) != "file"
+        ):  # it goes on whether the bus is there or not; a file can wait
             connection.keep_dialling()
         else:
             try:
@@ -251,7 +311,10 @@ def _publish_all(
             connection.tell_status()
         if told.reload.is_set():
             told.reload.clear()
-            log.warning("camera %s: the configuration is read at the start only; start it again", grabber.camera)
+            log.warning(
+                "camera %s: the configuration is read at the start only; start it again",
+                grabber.camera,
+            )
         if told.stop.is_set():
             return
     publisher.retry()
@@ -269,7 +332,8 @@ def _drain(
 ) -> None:
     """At a file's end, wait until its events are acknowledged, for `DRAIN_SECONDS`.
 
-    Whoever is looked after waits for as long as it takes: it would be started again, and its events count twice.
+    Whoever is looked after waits for as long as it takes: it would be started again, and its events
+    count twice.
     """
     looked_after = args.beat_fd is not None or systemd.SOCKET_VARIABLE in os.environ
     deadline = time.monotonic() + DRAIN_SECONDS
@@ -278,15 +342,25 @@ def _drain(
             return
         publisher.retry()
         connection.tell_status()
-        heart.beat(grabber.state, f"{publisher.unacknowledged} events wait for the daemon", connection.daemon)
+        heart.beat(
+            grabber.state,
+            f"{publisher.unacknowledged} events wait for the daemon",
+            connection.daemon,
+        )
 
 
 class _Connection:
-    """The grabber's way to the bus, which may come later than the first events, and whether the daemon is there."""
+    """The grabber's way to the bus, which may come later than the first events, and whether the
+    daemon is there.
+    """
 
-    def __init__(self, config: Config, grabber: Grabber, publisher: Publisher, args: argparse.Namespace) -> None:
+    def __init__(
+        self, config: Config, grabber: Grabber, publisher: Publisher, args: argparse.Namespace
+    ) -> None:
         self._config, self._grabber, self._publisher = config, grabber, publisher
-        self._tells = args.beat_fd is None  # otherwise the process above tells it, once for all cameras
+        self._tells = (
+            args.beat_fd is None
+        )  # otherwise the process above tells it, once for all cameras
         self._daemons: set[str] = set()
         self.daemon: str | None = None
         """Why the daemon is not reached; "" if it is, None where that is not known yet."""
@@ -302,7 +376,9 @@ class _Connection:
                 bus.close()
                 return
             self._publisher.attach(bus, [self._grabber.camera])
-            bus.answer(f"status/{self._grabber.camera}", lambda key, parameters: self.status(), "status")
+            bus.answer(
+                f"status/{self._grabber.camera}", lambda key, parameters: self.status(), "status"
+            )
             if not self._config.bus.tls.ca:  # a camera's certificate does not allow this
                 bus.watch_alive("daemon", self._on_daemon)
             self._bus = bus
@@ -338,7 +414,9 @@ class _Connection:
             else:
                 reached_at = min(reached_at, time.monotonic())
                 if time.monotonic() - reached_at >= DAEMON_SECONDS:
-                    self._note(f"the bus at {bus.endpoint} is reached, but no daemon of site {bus.site} is there")
+                    self._note(
+                        f"the bus at {bus.endpoint} is reached, but no daemon of site {bus.site} is there"
+                    )
 
     def _note(self, why: str) -> None:
         """Say it when it changes; ``why`` the daemon is not reached, "" if it is."""
@@ -355,7 +433,9 @@ class _Connection:
         return {
             "camera": self._grabber.camera,
             "state": self._grabber.state,
-            "reason": redact.redact(restarted(self._restarts, self._last_end, self._grabber.reason)),
+            "reason": redact.redact(
+                restarted(self._restarts, self._last_end, self._grabber.reason)
+            ),
             "restarts": self._restarts,
             "last_end": self._last_end,
             "t": clock.wall(),

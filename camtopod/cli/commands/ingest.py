@@ -19,7 +19,15 @@ import msgspec
 
 from camtopod.cli import exits
 from camtopod.cli.common import configuration, start_logging, until_signal
-from camtopod.cli.events import FORMATS, KNOWN_SECONDS, LineReader, Outcome, add_options, events, open_input
+from camtopod.cli.events import (
+    FORMATS,
+    KNOWN_SECONDS,
+    LineReader,
+    Outcome,
+    add_options,
+    events,
+    open_input,
+)
 from camtopod.cli.exits import CommandError, InputError
 from camtopod.cli.terminal import Progress
 from camtopod.codec import to_json
@@ -34,8 +42,8 @@ log = logging.getLogger(__name__)
 UNACKNOWLEDGED_MAX = 50_000
 """Reading waits while this many events are not acknowledged."""
 PATIENCE_SECONDS = 10.0
-"""Without a daemon in sight nor a single acknowledgement for this long there is none. One in sight is waited for: it
-may be fitting, or its disk be full, and says so in its status.
+"""Without a daemon in sight nor a single acknowledgement for this long there is none. One in sight
+is waited for: it may be fitting, or its disk be full, and says so in its status.
 """
 _TICK_SECONDS = 0.2
 _NO_EVENTS = {
@@ -56,16 +64,29 @@ def add_parser(subparsers: Any) -> None:
         "(mosquitto_sub -t frigate/events). mot: a MOTChallenge text file. scenescape: messages of "
         "scenescape/data/camera/ID, a line each.",
     )
-    parser.add_argument("format", choices=FORMATS, metavar="FORMAT", help=f"one of: {', '.join(FORMATS)}")
-    parser.add_argument("file", nargs="?", default="-", metavar="FILE", help="default: standard input")
-    parser.add_argument("--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus")
-    parser.add_argument("--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)")
     parser.add_argument(
-        "--boot", metavar="NAME",
+        "format", choices=FORMATS, metavar="FORMAT", help=f"one of: {', '.join(FORMATS)}"
+    )
+    parser.add_argument(
+        "file", nargs="?", default="-", metavar="FILE", help="default: standard input"
+    )
+    parser.add_argument(
+        "--out", metavar="FILE", help="write event lines here ('-': standard output), use no bus"
+    )
+    parser.add_argument(
+        "--state", metavar="DIRECTORY", help="where the spool is kept (default: [state] directory)"
+    )
+    parser.add_argument(
+        "--boot",
+        metavar="NAME",
         help="number the events under this name, so that they count once however often they are ingested (default: a "
         "regular file's digest)",
-    )  # fmt: skip
-    parser.add_argument("--anew", action="store_true", help="count a regular file's events again, as if they were new")
+    )
+    parser.add_argument(
+        "--anew",
+        action="store_true",
+        help="count a regular file's events again, as if they were new",
+    )
     add_options(parser)
 
 
@@ -76,7 +97,9 @@ def run(args: argparse.Namespace) -> int:
     if args.boot is not None and args.anew:
         raise CommandError("--anew and --boot contradict each other", exits.USAGE)
     if args.boot is not None and not re.match(CAMERA_PATTERN, args.boot):
-        raise CommandError(f"--boot {args.boot!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE)
+        raise CommandError(
+            f"--boot {args.boot!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -", exits.USAGE
+        )
     reader = LineReader()
     with contextlib.ExitStack() as stack, until_signal() as stop, Progress() as progress:
 
@@ -103,8 +126,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _digest(args: argparse.Namespace) -> str | None:
-    """The boot of a regular file's events: they count once, however often it is ingested. None for a pipe, which can be
-    read once only, and if that is not wanted.
+    """The boot of a regular file's events: they count once, however often it is ingested. None for
+    a pipe, which can be read once only, and if that is not wanted.
     """
     if args.anew or args.out is not None or not Path(args.file).is_file():
         return None
@@ -147,7 +170,9 @@ def _publish(
     stop: threading.Event,
     progress: Progress,
 ) -> int:
-    """Publish, wait until everything is stored, and say what became of it; returns the exit status."""
+    """Publish, wait until everything is stored, and say what became of it; returns the exit
+    status.
+    """
     try:
         spool = open_spool(config.state_directory, config.site.name, "ingest", config.limits)
     except StateError as error:
@@ -174,7 +199,9 @@ def _publish(
         _wait(publisher, UNACKNOWLEDGED_MAX, stop, config.site.name, daemons, progress)
     _wait(publisher, 0, stop, config.site.name, daemons, progress)
 
-    log.info("%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged)
+    log.info(
+        "%d events published, %d not acknowledged", publisher.published, publisher.unacknowledged
+    )
     if not outcome.told:
         return exits.DONE
     accepted, late, refused, _ = outcome.counted()
@@ -185,8 +212,8 @@ def _publish(
 def batches(
     events: Iterator[Event], most: int, stop: threading.Event, tell: Callable[[], None]
 ) -> Iterator[list[Event]]:
-    """What is there already, at most ``most``: lines that trickle in go out at once, a file in bulk. ``tell`` is called
-    while nothing comes: of some files all events come at the end.
+    """What is there already, at most ``most``: lines that trickle in go out at once, a file in
+    bulk. ``tell`` is called while nothing comes: of some files all events come at the end.
 
     Raises `CommandError` when what it is read from fails; the thread that reads says why.
     """
@@ -225,12 +252,21 @@ def batches(
 
 
 def _wait(
-    publisher: Publisher, most: int, stop: threading.Event, site: str, daemons: set[str], progress: Progress
+    publisher: Publisher,
+    most: int,
+    stop: threading.Event,
+    site: str,
+    daemons: set[str],
+    progress: Progress,
 ) -> None:
-    """Until at most ``most`` events are not acknowledged. Raises `CommandError` when there is nobody to do it."""
+    """Until at most ``most`` events are not acknowledged. Raises `CommandError` when there is
+    nobody to do it.
+    """
     patience, before = PATIENCE_SECONDS, publisher.unacknowledged
     while not stop.is_set():
-        progress.show("%d events published, %d not yet stored", publisher.published, publisher.unacknowledged)
+        progress.show(
+            "%d events published, %d not yet stored", publisher.published, publisher.unacknowledged
+        )
         if publisher.drained(_TICK_SECONDS, most):
             return
         publisher.retry()

@@ -1,4 +1,6 @@
-"""`camtopod init`: looks at cameras and writes a configuration with them, their passwords in files beside it."""
+"""`camtopod init`: looks at cameras and writes a configuration with them, their passwords in files
+beside it.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,8 @@ HEALTH = "127.0.0.1:8787"
 NAME_CHARACTERS_MAX = 64
 _GIVEN = re.compile(r"([A-Za-z0-9_.-]{1,64})=(.+)", re.DOTALL)
 _HEAD = """\
-# Made by `camtopod init`. `camtopod check FILE` says whether it is right, with --probe also whether its cameras are
-# there; `camtopod check --example` shows every other setting.
+# Made by `camtopod init`. `camtopod check FILE` says whether it is right, with --probe also whether
+# its cameras are there; `camtopod check --example` shows every other setting.
 """
 _OF_A_FILE = "# a file is read once, as fast as it decodes; with realtime = true at its own pace"
 
@@ -48,53 +50,78 @@ def add_parser(subparsers: Any) -> None:
         f"file of its own in the folder {SECRETS} beside the configuration, which only you can read.",
     )
     parser.add_argument(
-        "sources", nargs="+", metavar="[NAME=]SOURCE",
+        "sources",
+        nargs="+",
+        metavar="[NAME=]SOURCE",
         help="rtsp:// URL, video file or device number; '-': read them from standard input, a line each, as others on "
         "this machine can read passwords on a command line",
-    )  # fmt: skip
-    parser.add_argument(
-        "--out", type=Path, default=Path("camtopod.toml"), metavar="FILE", help="write it here (default: %(default)s)"
     )
     parser.add_argument(
-        "--pictures", metavar="DIR", type=Path,
+        "--out",
+        type=Path,
+        default=Path("camtopod.toml"),
+        metavar="FILE",
+        help="write it here (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--pictures",
+        metavar="DIR",
+        type=Path,
         help="also keep a picture of each camera here, DIR/NAME.jpg, which `camtopod web` and `report` draw on; it is "
         "stored here only and not sent. No other picture is ever stored",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--credentials", action="store_true",
+        "--credentials",
+        action="store_true",
         help=f"for systemd's services, whose users cannot read {SECRETS}: every camera's source goes into a file of "
         f"that folder, and the configuration names it as {CREDENTIALS}/NAME, where systemd hands it to that camera's "
         f"service; the daemon tells how it is at {HEALTH}",
-    )  # fmt: skip
-    parser.add_argument("--force", action="store_true", help="overwrite files that are there already")
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="overwrite files that are there already"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Messages go to standard error. A camera that cannot be watched at the moment is in the configuration, too."""
+    """Messages go to standard error. A camera that cannot be watched at the moment is in the
+    configuration, too.
+    """
     from camtopod.cli.cameras import probe_all
 
     settings = configuration(args)
     cameras = named(_given(args.sources))
     folder, handed = args.out.parent / SECRETS, args.credentials
-    secrets = {name: folder / name for name, source in cameras.items() if handed or redact(source) != source}
+    secrets = {
+        name: folder / name
+        for name, source in cameras.items()
+        if handed or redact(source) != source
+    }
     if not args.out.parent.is_dir():
         raise CommandError(f"cannot write {args.out}: {args.out.parent} is no directory")
-    kept = [] if args.pictures is None else [pictures.kept_at(args.pictures, name) for name in cameras]
+    kept = (
+        [] if args.pictures is None else [pictures.kept_at(args.pictures, name) for name in cameras]
+    )
     there = [path for path in (args.out, *secrets.values(), *kept) if path.exists()]
     if there and not args.force:
-        raise CommandError(f"{', '.join(map(str, there))}: there already; --force overwrites, --out writes elsewhere")
+        raise CommandError(
+            f"{', '.join(map(str, there))}: there already; --force overwrites, --out writes elsewhere"
+        )
     width = max(map(len, cameras))
     _say(f"looking at {len(cameras)} {'camera' if len(cameras) == 1 else 'cameras'} ...")
     probes = probe_all(
-        cameras, settings.vision, lambda name, probe: _say(f"  {name:<{width}}  {visible('; '.join(probe.words))}"),
+        cameras,
+        settings.vision,
+        lambda name, probe: _say(f"  {name:<{width}}  {visible('; '.join(probe.words))}"),
         args.pictures,
-    )  # fmt: skip
+    )
     words = {name: [visible(word) for word in probe.words] for name, probe in probes.items()}
     text = written(settings, cameras, words, secrets.keys(), handed)
     try:
         _write(args.out, text, {path: _located(cameras[name]) for name, path in secrets.items()})
         if handed:
-            args.out.chmod(0o644)  # the services' users have to read it, and there is no password in it
+            args.out.chmod(
+                0o644
+            )  # the services' users have to read it, and there is no password in it
     except OSError as error:
         raise CommandError(f"cannot write {error.filename or args.out}: {error.strerror}") from None
     what = "the sources" if handed else "URLs with secrets"
@@ -105,17 +132,24 @@ def run(args: argparse.Namespace) -> int:
 
 
 def named(given: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """Id -> source. A source without a name gets one from its host or path, a number behind it where it is taken."""
+    """Id -> source. A source without a name gets one from its host or path, a number behind it
+    where it is taken.
+    """
     short = Counter(_short(source) for name, source in given if not name)
     cameras: dict[str, str] = {}
     for name, source in given:
         if name in (*cameras, *RESERVED, ".", ".."):
-            raise CommandError(f"{name}: two cameras cannot have this name, or it is taken; use another", exits.USAGE)
+            raise CommandError(
+                f"{name}: two cameras cannot have this name, or it is taken; use another",
+                exits.USAGE,
+            )
         if not name:
             own = _short(source)
             own = own if short[own] == 1 else _long(source)
             taken = {*cameras, *RESERVED, *(name for name, _ in given)}
-            numbers = (f"{own[: NAME_CHARACTERS_MAX - 5]}-{number}" for number in range(2, len(given) + 3))
+            numbers = (
+                f"{own[: NAME_CHARACTERS_MAX - 5]}-{number}" for number in range(2, len(given) + 3)
+            )
             name = next(one for one in (own, *numbers) if one not in taken)
         cameras[name] = source
     return cameras
@@ -128,17 +162,25 @@ def written(
     secret: Collection[str],
     handed: bool = False,
 ) -> str:
-    """The configuration; of those in ``secret`` it names the file that has the source, ``handed`` to a service."""
+    """The configuration; of those in ``secret`` it names the file that has the source, ``handed``
+    to a service.
+    """
     bus = {"connect": settings.bus.connect} if settings.bus.connect else {}
     parts = [_HEAD, table("site", TABLES["site"], {"name": settings.site.name})]
-    parts.append("# One table a camera; its name is the camera's id on the bus. Call it as you like.")
+    parts.append(
+        "# One table a camera; its name is the camera's id on the bus. Call it as you like."
+    )
     folder = CREDENTIALS if handed else SECRETS
     for name, source in cameras.items():
         key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
-        where = ("source_file", f"{folder}/{name}") if name in secret else ("source", _located(source))
+        where = (
+            ("source_file", f"{folder}/{name}") if name in secret else ("source", _located(source))
+        )
         lines = [f"[cameras.{key}]", *(f"# {word}" for word in words[name])]
         lines += [_OF_A_FILE] if kind_of(source) == "file" else []
-        parts.append("\n".join([*lines, f"{where[0]} = {json.dumps(where[1], ensure_ascii=False)}"]))
+        parts.append(
+            "\n".join([*lines, f"{where[0]} = {json.dumps(where[1], ensure_ascii=False)}"])
+        )
     parts += [table("bus", TABLES["bus"], bus), table("state", TABLES["state"], {})]
     if handed and not settings.bus.connect:  # else the daemon is elsewhere
         parts.append(table("health", TABLES["health"], {"listen": HEALTH}))
@@ -177,7 +219,9 @@ def _short(source: str) -> str:
 
 def _long(source: str) -> str:
     """The same where several have the same host."""
-    return _id(f"{_host(source)} {_path(source)}") if kind_of(source) == "stream" else _short(source)
+    return (
+        _id(f"{_host(source)} {_path(source)}") if kind_of(source) == "stream" else _short(source)
+    )
 
 
 def _host(source: str) -> str:
@@ -202,7 +246,11 @@ def _id(text: str) -> str:
 
 def _located(source: str) -> str:
     """A file is found from wherever the program is started."""
-    return str(Path(source.removeprefix("file://")).absolute()) if kind_of(source) == "file" else source
+    return (
+        str(Path(source.removeprefix("file://")).absolute())
+        if kind_of(source) == "file"
+        else source
+    )
 
 
 def _write(out: Path, text: str, secrets: Mapping[Path, str]) -> None:
@@ -213,7 +261,9 @@ def _write(out: Path, text: str, secrets: Mapping[Path, str]) -> None:
 
 
 def _next(out: Path, settings: Config) -> str:
-    """The two commands that come now; where another machine has the daemon, it is asked for first."""
+    """The two commands that come now; where another machine has the daemon, it is asked for
+    first.
+    """
     if settings.bus.connect:
         return f"next:\n    camtopod check {out} --probe\n    camtopod --config {out} grab"
     return f"next, each in a terminal of its own:\n    camtopod --config {out} run\n    camtopod --config {out} grab"

@@ -1,4 +1,6 @@
-"""`camtopod keys`: a private authority for a site, and a certificate for each that may be on its bus."""
+"""`camtopod keys`: a private authority for a site, and a certificate for each that may be on its
+bus.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,12 @@ _DAYS_MAX = 100 * 365
 _INSTALLED = "keys"
 """Where the folders are copied to, beside the configuration."""
 
-_ROLES: dict[str, rules.Role] = {"init": "daemon", "daemon": "daemon", "camera": "camera", "reader": "reader"}
+_ROLES: dict[str, rules.Role] = {
+    "init": "daemon",
+    "daemon": "daemon",
+    "camera": "camera",
+    "reader": "reader",
+}
 """The certificates that a command gives out."""
 
 
@@ -49,33 +56,58 @@ def add_parser(subparsers: Any) -> list[argparse.ArgumentParser]:
     )
     commands = parser.add_subparsers(dest="keys_command", metavar="WHAT", required=True)
     init = commands.add_parser("init", help="a new authority, and the daemon's certificate")
-    init.add_argument("--authority-days", type=_days, default=AUTHORITY_DAYS, metavar="N", help="default: %(default)s")
+    init.add_argument(
+        "--authority-days",
+        type=_days,
+        default=AUTHORITY_DAYS,
+        metavar="N",
+        help="default: %(default)s",
+    )
     daemon = commands.add_parser("daemon", help="a new certificate for the daemon, or for a router")
     camera = commands.add_parser("camera", help="a certificate for each camera")
     camera.add_argument(
-        "--for", dest="cameras", action="append", default=[], metavar="CAMERA",
+        "--for",
+        dest="cameras",
+        action="append",
+        default=[],
+        metavar="CAMERA",
         help="NAME is no camera but a program with events of several (`camtopod ingest`), of which this is one; "
         "may be repeated",
-    )  # fmt: skip
-    reader = commands.add_parser("reader", help="a certificate for a program that reads topology and predictions")
+    )
+    reader = commands.add_parser(
+        "reader", help="a certificate for a program that reads topology and predictions"
+    )
     revoke = commands.add_parser("revoke", help="take a camera's or a reader's rights away")
     listing = commands.add_parser("list", help="who has what, and until when")
     revoke.add_argument("role", choices=("camera", "reader"))
     for named in (camera, reader, revoke):
-        named.add_argument("names", nargs="+", metavar="NAME", help="the camera's id, or any name for a reader")
+        named.add_argument(
+            "names", nargs="+", metavar="NAME", help="the camera's id, or any name for a reader"
+        )
     for hosted, default in ((init, ""), (daemon, " (default: as before)")):
         hosted.add_argument(
-            "--host", action="append", default=[], metavar="NAME",
+            "--host",
+            action="append",
+            default=[],
+            metavar="NAME",
             help=f"name or address under which the others dial the daemon; may be repeated{default}",
-        )  # fmt: skip
+        )
     for made in (init, daemon, camera, reader):
         made.add_argument(
-            "--days", type=_days, default=DAYS, metavar="N", help="valid for so long (default: %(default)s)"
+            "--days",
+            type=_days,
+            default=DAYS,
+            metavar="N",
+            help="valid for so long (default: %(default)s)",
         )
-        made.add_argument("--replace", action="store_true", help="make it anew; the old one loses its rights")
+        made.add_argument(
+            "--replace", action="store_true", help="make it anew; the old one loses its rights"
+        )
     inner = [init, daemon, camera, reader, revoke, listing]
     for its, folder in [(parser, DEFAULT_FOLDER), *((each, argparse.SUPPRESS) for each in inner)]:
-        its.add_argument("--keys", type=Path, default=folder, metavar="FOLDER", help=f"default: {DEFAULT_FOLDER}")
+        its.add_argument(
+            "--keys", type=Path, default=folder, metavar="FOLDER", help=f"default: {DEFAULT_FOLDER}"
+        )
     return inner
 
 
@@ -95,13 +127,19 @@ def _run(args: argparse.Namespace, config: Config) -> int:
     if what == "init":
         check_hosts(args.host)
         if args.days > args.authority_days:
-            raise KeysError("the daemon's certificate cannot outlive the authority: give fewer --days")
+            raise KeysError(
+                "the daemon's certificate cannot outlive the authority: give fewer --days"
+            )
         authority = Authority.make(folder, config.site.name, now, args.authority_days, args.replace)
-        _say(f"a new authority for site {authority.site} in {folder / 'authority'}: its key never has to leave it")
+        _say(
+            f"a new authority for site {authority.site} in {folder / 'authority'}: its key never has to leave it"
+        )
     else:
         authority = Authority(folder, now)
         if args.site is not None and args.site != authority.site:
-            raise KeysError(f"{folder} is the authority of site {authority.site}, not of {args.site}")
+            raise KeysError(
+                f"{folder} is the authority of site {authority.site}, not of {args.site}"
+            )
     if what == "list":
         return _list(authority, now)
     names = [DAEMON] if what in ("init", "daemon") else args.names
@@ -129,7 +167,9 @@ def _run(args: argparse.Namespace, config: Config) -> int:
     return exits.DONE
 
 
-def _give(authority: Authority, args: argparse.Namespace, config: Config, role: rules.Role, name: str) -> None:
+def _give(
+    authority: Authority, args: argparse.Namespace, config: Config, role: rules.Role, name: str
+) -> None:
     hosts = args.host if role == "daemon" else []
     cameras = args.cameras if role == "camera" else []
     folder = authority.issue(role, name, args.days, args.replace, hosts, cameras)
@@ -137,29 +177,46 @@ def _give(authority: Authority, args: argparse.Namespace, config: Config, role: 
     write_public(folder / "camtopod.toml", _example(authority.site, config, role, name, several))
     who = name if role == "daemon" else f"{role} {name}"
     expires = authority.issued[-1].certificate.expires
-    _say(f"{who}: {folder}, until {day(expires)}; copy this folder, with camtopod.toml as an example")
+    _say(
+        f"{who}: {folder}, until {day(expires)}; copy this folder, with camtopod.toml as an example"
+    )
     if role == "daemon":
         where = ", ".join(host for host in authority.hosts if host not in LOCAL_HOSTS)
-        _say(f"to be dialled as {where}" if where else "good on its own machine only: name others with --host")
+        _say(
+            f"to be dialled as {where}"
+            if where
+            else "good on its own machine only: name others with --host"
+        )
 
 
 def _write_access(authority: Authority, config: Config) -> None:
     """Who may do what, for the daemon that is the meeting point, and for a router of its own."""
     folder = authority.folder / DAEMON
-    write_public(folder / ACCESS, msgspec.json.format(msgspec.json.encode(authority.access), indent=1).decode())
-    listen = [endpoint for endpoint in config.bus.listen if endpoint.startswith("tls/")] or ["tls/[::]:7447"]
-    text = rules.router_json5(authority.access, listen, config.bus.message_bytes_max, config.limits.pull_events_max)
+    write_public(
+        folder / ACCESS,
+        msgspec.json.format(msgspec.json.encode(authority.access), indent=1).decode(),
+    )
+    listen = [endpoint for endpoint in config.bus.listen if endpoint.startswith("tls/")] or [
+        "tls/[::]:7447"
+    ]
+    text = rules.router_json5(
+        authority.access, listen, config.bus.message_bytes_max, config.limits.pull_events_max
+    )
     write_public(folder / "router.json5", text)
 
 
 def _example(site: str, config: Config, role: rules.Role, name: str, several: bool) -> str:
-    """A configuration for where the folder is copied to; ``several``: of a program with several cameras."""
+    """A configuration for where the folder is copied to; ``several``: of a program with several
+    cameras.
+    """
     own = {"daemon": DAEMON, "camera": name if several else "{camera}", "reader": name}[role]
     lines = [f'[site]\nname = "{site}"\n', "[bus]"]
     if role == "daemon":
         lines.append('listen = ["tls/0.0.0.0:7447"]   # or the address of one interface')
     else:
-        endpoints = [f'"{endpoint}"' for endpoint in config.bus.connect if endpoint.startswith("tls/")]
+        endpoints = [
+            f'"{endpoint}"' for endpoint in config.bus.connect if endpoint.startswith("tls/")
+        ]
         lines.append(f"connect = [{', '.join(endpoints) or chr(34) + 'tls/DAEMON:7447' + chr(34)}]")
     lines += [
         f"\n# The folders of `camtopod keys` are copied to {_INSTALLED}/ beside this file.",
@@ -194,9 +251,7 @@ def _list(authority: Authority, now: float) -> int:
             _say(
                 f"warning: {certificate.role} {issued.of}: {remark.lower()}, {day(certificate.expires)}; use --replace"
             )
-        line = (
-            f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} {day(certificate.expires):<10} {days:>6.0f}"
-        )
+        line = f"{issued.of:<20} {certificate.role:<7} {certificate.name:<24} {day(certificate.expires):<10} {days:>6.0f}"
         several = f"for {', '.join(certificate.cameras)}" if certificate.cameras else ""
         print(" ".join(filter(None, (line, several, remark))))
     return exits.DONE

@@ -1,7 +1,8 @@
 """`camtopod learn`: the daemon's learner over recorded event lines.
 
-With ``--updates`` every version that the daemon would have published is made, each with a fit of its own. Without, the
-last one alone, in one fit of the last window. With ``--state`` a daemon can go on from there.
+With ``--updates`` every version that the daemon would have published is made, each with a fit of
+its own. Without, the last one alone, in one fit of the last window. With ``--state`` a daemon can
+go on from there.
 """
 
 from __future__ import annotations
@@ -40,9 +41,15 @@ def add_parser(subparsers: Any) -> None:
         "several versions tell."
     )
     parser = subparsers.add_parser("learn", help=summary, description=about)
-    parser.add_argument("events", nargs="+", metavar="EVENTS", help="files of event lines ('-': standard input)")
-    parser.add_argument("--topology", metavar="OUT.json", help="the final topology goes here ('-': standard output)")
-    parser.add_argument("--updates", metavar="OUT.jsonl", help="every version on the way, one a line")
+    parser.add_argument(
+        "events", nargs="+", metavar="EVENTS", help="files of event lines ('-': standard input)"
+    )
+    parser.add_argument(
+        "--topology", metavar="OUT.json", help="the final topology goes here ('-': standard output)"
+    )
+    parser.add_argument(
+        "--updates", metavar="OUT.jsonl", help="every version on the way, one a line"
+    )
     state = "a new state directory, for a daemon that goes on from there (its [state] directory)"
     parser.add_argument("--state", metavar="DIR", type=Path, help=state)
 
@@ -56,7 +63,9 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         state = stack.enter_context(_new_state(args.state, config)) if args.state else None
         epoch = EPOCH if state is None else state.epoch
-        learner = Learner(config.learn, site=config.site.name, epoch=epoch, only_last=args.updates is None)
+        learner = Learner(
+            config.learn, site=config.site.name, epoch=epoch, only_last=args.updates is None
+        )
         updates = stack.enter_context(open_output(args.updates)) if args.updates else None
         try:
             _feed(learner, reader, args.events, updates, state)
@@ -66,7 +75,10 @@ def run(args: argparse.Namespace) -> int:
         print(f"camtopod: {summary}", file=sys.stderr)
     if surplus := learner.statistics()["surplus"]:
         most = f"more than {EVENTS_PER_SECOND_MAX:.0f} events a second of one camera"
-        print(f"camtopod: {surplus} events are not learned from: {most}, of which the newest count", file=sys.stderr)
+        print(
+            f"camtopod: {surplus} events are not learned from: {most}, of which the newest count",
+            file=sys.stderr,
+        )
     topology = learner.topology
     if topology is None and args.state and learner.statistics()["accepted"]:
         print(
@@ -93,14 +105,22 @@ def _new_state(directory: Path, config: Config) -> RecordedState:
 
 
 def _feed(
-    learner: Learner, reader: LineReader, paths: list[str], updates: BinaryIO | None, state: RecordedState | None
+    learner: Learner,
+    reader: LineReader,
+    paths: list[str],
+    updates: BinaryIO | None,
+    state: RecordedState | None,
 ) -> None:
-    """Pass every line to the learner, write each version and each event of the state, and report progress."""
+    """Pass every line to the learner, write each version and each event of the state, and report
+    progress.
+    """
     with Progress(piped=True) as progress:
 
         def say_step(step: str) -> None:
             number = 1 if learner.topology is None else learner.topology.version + 1
-            progress.show("version %d, step %d of %d: %s", number, STEPS.index(step) + 1, len(STEPS), step)
+            progress.show(
+                "version %d, step %d of %d: %s", number, STEPS.index(step) + 1, len(STEPS), step
+            )
 
         learner.on_step = say_step
         for line in reader.merged(paths):
@@ -150,7 +170,9 @@ def describe(topology: Topology) -> str:
 
 
 def check_output(path: str) -> None:
-    """Say before long work, not after it, that its result cannot be written. Raises `CommandError`."""
+    """Say before long work, not after it, that its result cannot be written. Raises
+    `CommandError`.
+    """
     folder = Path(path).parent
     if path != "-" and not folder.is_dir():
         raise CommandError(f"cannot write {path}: {folder} is no directory")
@@ -159,7 +181,9 @@ def check_output(path: str) -> None:
 
 
 def open_output(path: str) -> Any:
-    """A file for writing bytes; ``-`` is standard output, which is left open. Raises `CommandError`."""
+    """A file for writing bytes; ``-`` is standard output, which is left open. Raises
+    `CommandError`.
+    """
     if path == "-":
         return ExitStack().enter_context(_StandardOutput())
     try:

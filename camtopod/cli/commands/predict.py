@@ -23,7 +23,9 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """One prediction line for each exit line, in input order; each uses only lines with an earlier time."""
+    """One prediction line for each exit line, in input order; each uses only lines with an earlier
+    time.
+    """
     predictor = Predictor(load(args.topology))
     reader = LineReader()
     lines = list(reader.merged([args.events]))

@@ -28,16 +28,23 @@ def add_parser(subparsers: Any) -> None:
         description="Writes what `camtopod web` shows of a topology as one HTML file: map, cameras, links, versions. "
         "It needs no server and loads nothing from elsewhere.",
     )
-    parser.add_argument("topology", metavar="TOPOLOGY.json", help="what `learn` wrote ('-': standard input)")
+    parser.add_argument(
+        "topology", metavar="TOPOLOGY.json", help="what `learn` wrote ('-': standard input)"
+    )
     parser.add_argument("--out", metavar="FILE", default="-", help="default: standard output")
     parser.add_argument(
-        "--updates", metavar="FILE", type=Path, help="the versions before it, what `learn --updates` wrote"
+        "--updates",
+        metavar="FILE",
+        type=Path,
+        help="the versions before it, what `learn --updates` wrote",
     )
     parser.add_argument(
-        "--pictures", metavar="DIR", type=Path,
+        "--pictures",
+        metavar="DIR",
+        type=Path,
         help="a folder with a picture a camera, CAMERA.jpg or CAMERA.png (`camtopod init --pictures` makes them); "
         "they are in the file then",
-    )  # fmt: skip
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -48,7 +55,12 @@ def run(args: argparse.Namespace) -> int:
     older = [] if args.updates is None else _older(args.updates, topology)
     with Progress() as progress:
         text = page(
-            gather(topology, older, args.pictures, lambda ready, of: progress.show("%d of %d parts ready", ready, of))
+            gather(
+                topology,
+                older,
+                args.pictures,
+                lambda ready, of: progress.show("%d of %d parts ready", ready, of),
+            )
         )
     if args.out == "-":
         sys.stdout.write(text)

@@ -22,10 +22,12 @@ from camtopod.serve.storage import StateError
 log = logging.getLogger(__name__)
 
 LEAVE_SECONDS = 8.0
-"""After a signal, how long a part that blocks may hold up the end; systemd kills after TimeoutStopSec=10."""
+"""After a signal, how long a part that blocks may hold up the end; systemd kills after
+TimeoutStopSec=10.
+"""
 SWITCH_SECONDS = 0.0005
-"""How long a thread may keep the interpreter from another that wants it: an exit must not wait the usual 5 ms for what
-is being stored.
+"""How long a thread may keep the interpreter from another that wants it: an exit must not wait the
+usual 5 ms for what is being stored.
 """
 _LOOK_SECONDS = 0.2
 
@@ -39,7 +41,11 @@ def add_parser(subparsers: Any) -> None:
         "With no endpoint configured it is the meeting point for all other programs of this machine. "
         "SIGHUP reads the configuration anew.",
     )
-    parser.add_argument("--state", metavar="DIRECTORY", help="where the journal is kept (default: [state] directory)")
+    parser.add_argument(
+        "--state",
+        metavar="DIRECTORY",
+        help="where the journal is kept (default: [state] directory)",
+    )
     parser.add_argument(
         "--shard",
         metavar="I/N",
@@ -77,7 +83,9 @@ def run(args: argparse.Namespace) -> int:
         try:
             with (
                 refusals_heard(config),
-                health.serving(config.health.listen, daemon.failing, daemon.unready, pages) as listening,
+                health.serving(
+                    config.health.listen, daemon.failing, daemon.unready, pages
+                ) as listening,
                 systemd.watchdog(daemon.failing, lambda: not daemon.started),
             ):
                 if listening:

@@ -21,7 +21,12 @@ def add_parser(subparsers: Any) -> None:
     summary = "a made-up camera network: event lines and the truth about them"
     parser = subparsers.add_parser("simulate", help=summary, description=summary.capitalize() + ".")
     default = SimSettings()
-    parser.add_argument("--events", required=True, metavar="E.jsonl", help="event lines go here ('-': standard output)")
+    parser.add_argument(
+        "--events",
+        required=True,
+        metavar="E.jsonl",
+        help="event lines go here ('-': standard output)",
+    )
     parser.add_argument("--truth", metavar="T.json", help="the truth goes here")
     for flag, kind, help_ in (
         ("--cameras", int, "number of cameras"),
@@ -36,7 +41,11 @@ def add_parser(subparsers: Any) -> None:
         ("--missed", float, "share of the passages that are not recorded"),
         ("--clutter", float, "share of the events that belong to nobody"),
         ("--overlap-share", float, "overlapping pairs of cameras per camera"),
-        ("--zone-separation", float, "least distance of two zones of a camera, fraction of the image"),
+        (
+            "--zone-separation",
+            float,
+            "least distance of two zones of a camera, fraction of the image",
+        ),
         ("--zone-stretch", float, "how many times as long the zones are"),
         ("--fire-doors", int, "cameras with a zone that sees 1 %% of their events"),
         ("--uneven", float, "spread of a way's length in each direction (log scale)"),
@@ -64,7 +73,11 @@ def add_parser(subparsers: Any) -> None:
         value = getattr(default, _name(flag))
         shown = "" if value is None else f" (default {value:g})"
         parser.add_argument(
-            flag, type=kind, default=argparse.SUPPRESS, metavar=kind.__name__.upper(), help=help_ + shown
+            flag,
+            type=kind,
+            default=argparse.SUPPRESS,
+            metavar=kind.__name__.upper(),
+            help=help_ + shown,
         )
     _add_special(parser)
 
@@ -97,7 +110,9 @@ def _add_special(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the files; raises `exits.CommandError` for settings without sense and files it cannot write."""
+    """Write the files; raises `exits.CommandError` for settings without sense and files it cannot
+    write.
+    """
     try:
         events, truth = simulate(_given(args))
     except ValueError as error:
@@ -114,7 +129,9 @@ def run(args: argparse.Namespace) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise exits.CommandError(f"simulate: cannot write {error.filename}: {error.strerror}") from None
+        raise exits.CommandError(
+            f"simulate: cannot write {error.filename}: {error.strerror}"
+        ) from None
     links = sum(link.relation != "visible" for link in truth.links)
     print(
         f"{len(events)} events of {len(set(truth.identity) - {-1})} walkers past {len(truth.cameras)} cameras"
@@ -127,14 +144,20 @@ def run(args: argparse.Namespace) -> int:
 def _write(events: list[Event], file: IO[bytes], progress: Progress) -> None:
     """Event lines, a block of them at a time."""
     for begin in range(0, len(events), BLOCK_LINES):
-        file.write(b"".join(to_json(event) + b"\n" for event in events[begin : begin + BLOCK_LINES]))
+        file.write(
+            b"".join(to_json(event) + b"\n" for event in events[begin : begin + BLOCK_LINES])
+        )
         progress.show("%d of %d events written", begin, len(events))
 
 
 def _given(args: argparse.Namespace) -> SimSettings:
     """The settings given on the command line, the others at their defaults."""
-    values = {name: getattr(args, name) for name in SimSettings.__struct_fields__ if hasattr(args, name)}
-    return SimSettings(**values | {name: tuple(values[name]) for name in ("lost", "moved") if name in values})
+    values = {
+        name: getattr(args, name) for name in SimSettings.__struct_fields__ if hasattr(args, name)
+    }
+    return SimSettings(
+        **values | {name: tuple(values[name]) for name in ("lost", "moved") if name in values}
+    )
 
 
 def _name(flag: str) -> str:

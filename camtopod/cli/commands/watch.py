@@ -45,8 +45,14 @@ def add_parser(subparsers: Any) -> None:
         help="live view in the terminal",
         description="Shows cameras, the learned topology and predictions as they come, until interrupted.",
     )
-    parser.add_argument("--once", action="store_true", help="show the state once, without waiting for more, and end")
-    parser.add_argument("--plain", action="store_true", help="lines of text, also where rich ([terminal]) is installed")
+    parser.add_argument(
+        "--once", action="store_true", help="show the state once, without waiting for more, and end"
+    )
+    parser.add_argument(
+        "--plain",
+        action="store_true",
+        help="lines of text, also where rich ([terminal]) is installed",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,7 +85,9 @@ def run(args: argparse.Namespace) -> int:
     return exits.DONE
 
 
-def _once(board: Board, topology: TopologyView, look: Callable[[], View], stop: threading.Event) -> None:
+def _once(
+    board: Board, topology: TopologyView, look: Callable[[], View], stop: threading.Event
+) -> None:
     until = time.monotonic() + ONCE_SECONDS
     topology.update()
     while board.empty and time.monotonic() < until and not stop.wait(FOLLOW_SECONDS):
@@ -89,7 +97,9 @@ def _once(board: Board, topology: TopologyView, look: Callable[[], View], stop: 
 
 @contextlib.contextmanager
 def _following(topology: TopologyView, stop: threading.Event) -> Any:
-    """New versions are fetched while the block runs, by a thread of their own: a daemon that is away takes time."""
+    """New versions are fetched while the block runs, by a thread of their own: a daemon that is
+    away takes time.
+    """
 
     def follow() -> None:
         while not stop.wait(FOLLOW_SECONDS):
@@ -106,7 +116,9 @@ def _following(topology: TopologyView, stop: threading.Event) -> Any:
 
 
 def _on_screen(look: Callable[[], View], stop: threading.Event) -> bool:
-    """Draw with rich until ``stop``; False, at once, where that is not installed or there is no terminal for it."""
+    """Draw with rich until ``stop``; False, at once, where that is not installed or there is no
+    terminal for it.
+    """
     if not sys.stdout.isatty():
         return False
     try:
@@ -150,7 +162,9 @@ def _cameras(view: View) -> list[str]:
     rows = [f"{'CAMERA':<20} {'STATE':<11} {'EVENTS':>8} {'LAST':>9}  REASON"]
     for camera in view.cameras:
         last = "" if camera.last is None else f"{camera.last:.0f} s"
-        rows.append(f"{camera.name:<20} {camera.state:<11} {camera.events:>8} {last:>9}  {camera.reason}")
+        rows.append(
+            f"{camera.name:<20} {camera.state:<11} {camera.events:>8} {last:>9}  {camera.reason}"
+        )
     return rows
 
 

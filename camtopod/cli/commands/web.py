@@ -36,18 +36,25 @@ def add_parser(subparsers: Any) -> None:
         "Nothing is loaded from elsewhere.",
     )
     parser.add_argument(
-        "--listen", metavar="HOST:PORT", default=LISTEN,
+        "--listen",
+        metavar="HOST:PORT",
+        default=LISTEN,
         help=f"where (default: {LISTEN}, this machine only; port 0: a free one)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--name", metavar="NAME", action="append", default=[],
+        "--name",
+        metavar="NAME",
+        action="append",
+        default=[],
         help="a further name that it is asked for by, behind a proxy say (addresses need none; repeat for several)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--pictures", metavar="DIR", type=Path,
+        "--pictures",
+        metavar="DIR",
+        type=Path,
         help="a folder of this machine with a picture a camera, CAMERA.jpg or CAMERA.png (`camtopod init --pictures` "
         "makes them; for cameras of other machines copy theirs)",
-    )  # fmt: skip
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,7 +67,9 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn"):
             raise
-        raise CommandError("the page needs starlette and uvicorn: pip install 'camtopod[web]'") from None
+        raise CommandError(
+            "the page needs starlette and uvicorn: pip install 'camtopod[web]'"
+        ) from None
     config = configuration(args)
     host, port = address(args.listen)
     if args.pictures is not None and not os.access(args.pictures, os.R_OK | os.X_OK):
@@ -73,14 +82,25 @@ def run(args: argparse.Namespace) -> int:
         except BusError as error:
             raise CommandError(str(error), exits.BUS) from None
         every, progress = config.limits.status_seconds, Progress()
-        running = stack.enter_context(app.serving(
-            bus, listener, names(host, args.name), args.pictures, clock.wall, every, not is_loopback(host), progress,
-            config.health.stall_seconds,
-        ))  # fmt: skip
+        running = stack.enter_context(
+            app.serving(
+                bus,
+                listener,
+                names(host, args.name),
+                args.pictures,
+                clock.wall,
+                every,
+                not is_loopback(host),
+                progress,
+                config.health.stall_seconds,
+            )
+        )
         stack.enter_context(watched(progress, f"the page is at http://{_shown(listener)}/"))
         log.info("the page is at http://%s/", _shown(listener))
         if not is_loopback(host):
-            log.warning("anybody who reaches %s can read it: there is no password", _shown(listener))
+            log.warning(
+                "anybody who reaches %s can read it: there is no password", _shown(listener)
+            )
         while not stop.wait(_LOOK_SECONDS):
             if not running():  # its traceback has been written
                 raise CommandError("a part of the page's server has failed")
@@ -91,14 +111,22 @@ def address(text: str) -> tuple[str, int]:
     """HOST:PORT, ``[::1]:8780`` for IPv6. Raises `CommandError`."""
     match = re.fullmatch(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})", text)
     if match is None or int(match[2]) > 65535:
-        raise CommandError(f"--listen {text!r}: write it like {LISTEN} or 0.0.0.0:8780", exits.USAGE)
+        raise CommandError(
+            f"--listen {text!r}: write it like {LISTEN} or 0.0.0.0:8780", exits.USAGE
+        )
     return match[1].strip("[]"), int(match[2])
 
 
 def names(host: str, further: Sequence[str] = ()) -> list[str]:
-    """Names to answer to: else the page of another site could read this one through a name that leads here."""
+    """Names to answer to: else the page of another site could read this one through a name that
+    leads here.
+    """
     ours = ["localhost", "127.0.0.1", "[::1]", host, *further]
-    return ours if is_loopback(host) else [*ours, socket.gethostname(), f"{socket.gethostname()}.local"]
+    return (
+        ours
+        if is_loopback(host)
+        else [*ours, socket.gethostname(), f"{socket.gethostname()}.local"]
+    )
 
 
 def is_loopback(host: str) -> bool:
@@ -112,9 +140,13 @@ def is_loopback(host: str) -> bool:
 def listening(host: str, port: int) -> socket.socket:
     """A socket that listens there. Raises `CommandError`."""
     try:
-        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+        return socket.create_server(
+            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET
+        )
     except OSError as error:
-        raise CommandError(f"--listen {host}:{port}: {error.strerror}; choose another port, or 0") from None
+        raise CommandError(
+            f"--listen {host}:{port}: {error.strerror}; choose another port, or 0"
+        ) from None
 
 
 def _shown(listener: socket.socket) -> str:

@@ -23,9 +23,14 @@ PASSWORD_VARIABLE = "CAMTOPOD_MQTT_PASSWORD"
 def add_options(group: Any) -> None:
     """The options beside the URL, to a parser or a group of one."""
     group.add_argument(
-        "--password-file", type=Path, metavar="FILE", help=f"the user's password (or in ${PASSWORD_VARIABLE})"
+        "--password-file",
+        type=Path,
+        metavar="FILE",
+        help=f"the user's password (or in ${PASSWORD_VARIABLE})",
     )
-    group.add_argument("--ca", metavar="FILE", help="mqtts: the authorities to trust (default: the system's)")
+    group.add_argument(
+        "--ca", metavar="FILE", help="mqtts: the authorities to trust (default: the system's)"
+    )
 
 
 def named(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Broker:
@@ -46,7 +51,9 @@ def named(args: argparse.Namespace, url: str, prefix: str = "") -> mqtt.Broker:
 
 @contextlib.contextmanager
 def connecting(status: int) -> Iterator[None]:
-    """A broker that cannot be reached ends the command with ``status``, and it is said which extra is missing."""
+    """A broker that cannot be reached ends the command with ``status``, and it is said which extra
+    is missing.
+    """
     try:
         yield
     except mqtt.MqttError as error:
@@ -54,4 +61,6 @@ def connecting(status: int) -> Iterator[None]:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "paho":
             raise
-        raise CommandError("MQTT needs the package paho-mqtt: pip install 'camtopod[mqtt]'") from None
+        raise CommandError(
+            "MQTT needs the package paho-mqtt: pip install 'camtopod[mqtt]'"
+        ) from None

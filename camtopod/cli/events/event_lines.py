@@ -1,4 +1,6 @@
-"""Event lines from files and pipes: what fits becomes events, what does not is counted and quoted once per reason."""
+"""Event lines from files and pipes: what fits becomes events, what does not is counted and quoted
+once per reason.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ class Line(NamedTuple):
 
 
 class LineReader:
-    """Reads lines; ``rejected`` counts by reason what did not fit, ``read`` all, ``events`` what came of them."""
+    """Reads lines; ``rejected`` counts by reason what did not fit, ``read`` all, ``events`` what
+    came of them.
+    """
 
     def __init__(self) -> None:
         self.rejected: Counter[str] = Counter()
@@ -38,7 +42,8 @@ class LineReader:
         self._files: list[BinaryIO] = []
 
     def merged(self, paths: list[str]) -> Iterator[Line]:
-        """Lines of several files in one stream by time; each file may be out of order as far as its lateness goes.
+        """Lines of several files in one stream by time; each file may be out of order as far as its
+        lateness goes.
 
         ``-`` is standard input. Raises `InputError` when a file cannot be read.
         """
@@ -52,7 +57,9 @@ class LineReader:
                 yield from heapq.merge(*streams, key=lambda line: line.event.t)
 
     def share(self) -> float | None:
-        """How much of the files has been read, 0 to 1; None where that is not known, as of a pipe."""
+        """How much of the files has been read, 0 to 1; None where that is not known, as of a
+        pipe.
+        """
         try:
             size = sum(os.fstat(file.fileno()).st_size for file in self._files if file.seekable())
             return sum(file.tell() for file in self._files) / size if size else None
@@ -71,8 +78,12 @@ class LineReader:
             self.events += 1
             yield Line(event, path, number)
 
-    def adapted(self, path: str, lines: Iterable[tuple[int, bytes]], adapter: Adapter) -> Iterator[Event]:
-        """Events of another program's numbered lines. Of a line that does not fit no text is quoted, only its form."""
+    def adapted(
+        self, path: str, lines: Iterable[tuple[int, bytes]], adapter: Adapter
+    ) -> Iterator[Event]:
+        """Events of another program's numbered lines. Of a line that does not fit no text is
+        quoted, only its form.
+        """
         for number, text in lines:
             self.read += 1
             try:
@@ -80,7 +91,9 @@ class LineReader:
                     raise Rejected("too-long", f"more than {LINE_BYTES_MAX} bytes")
                 events = adapter.receive(text)
             except Rejected as error:
-                self.reject(error.reason, f"{path}:{number}: {error}", quotable(text[:LINE_BYTES_MAX]))
+                self.reject(
+                    error.reason, f"{path}:{number}: {error}", quotable(text[:LINE_BYTES_MAX])
+                )
                 continue
             self.events += len(events)
             yield from events
@@ -89,12 +102,17 @@ class LineReader:
         yield from events
 
     def reject(self, reason: str, where: str, text: bytes = b"") -> None:
-        """Count a line that changes nothing; the first of each reason is quoted on standard error."""
+        """Count a line that changes nothing; the first of each reason is quoted on standard
+        error.
+        """
         self.rejected[reason] += 1
         if self.rejected[reason] == 1:
             quoted = text[:QUOTE_CHARACTERS_MAX].decode("utf-8", "backslashreplace")
             message = visible(redact(f"{where}{': ' + quoted if quoted else ''}"))
-            print(f"camtopod: {message} (further lines of this kind are only counted)", file=sys.stderr)
+            print(
+                f"camtopod: {message} (further lines of this kind are only counted)",
+                file=sys.stderr,
+            )
 
     def summary(self) -> str | None:
         """One line about what was rejected; None when everything fitted."""
@@ -105,7 +123,9 @@ class LineReader:
 
 
 def numbered(file: BinaryIO, bytes_max: int) -> Iterator[tuple[int, bytes]]:
-    """The lines that are not blank, with their numbers; of a longer one its first ``bytes_max`` + 1 bytes."""
+    """The lines that are not blank, with their numbers; of a longer one its first ``bytes_max`` + 1
+    bytes.
+    """
     number = 0
     while raw := file.readline(bytes_max + 2):
         number += 1

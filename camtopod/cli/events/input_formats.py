@@ -1,4 +1,6 @@
-"""The formats that `camtopod ingest` reads: which options each has, and where its lines come from."""
+"""The formats that `camtopod ingest` reads: which options each has, and where its lines come
+from.
+"""
 
 from __future__ import annotations
 
@@ -34,28 +36,42 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """The options of the formats, and of MQTT."""
     group = parser.add_argument_group("formats")
     group.add_argument(
-        "--size", metavar="[CAMERA=]WxH", action="append", default=[],
+        "--size",
+        metavar="[CAMERA=]WxH",
+        action="append",
+        default=[],
         help="size of the pictures that the boxes are of, in pixels (frigate: detect width and height, which a "
         "Frigate that sends path_data can do without); may be repeated",
-    )  # fmt: skip
+    )
     group.add_argument(
-        "--label", metavar="NAME", action="append", default=[],
+        "--label",
+        metavar="NAME",
+        action="append",
+        default=[],
         help="frigate, scenescape: only objects of this kind (person, car, ...); may be repeated",
-    )  # fmt: skip
+    )
     group.add_argument(
-        "--tracked", action="store_true", help="scenescape: ids are a tracker's (gvatrack in the pipeline)"
+        "--tracked",
+        action="store_true",
+        help="scenescape: ids are a tracker's (gvatrack in the pipeline)",
     )
     group.add_argument("--camera", metavar="ID", help="mot: the camera's id")
     group.add_argument("--fps", type=float, metavar="N", help="mot: frames a second")
-    group.add_argument("--start", type=float, metavar="SECONDS", help="mot: time of the first frame (default 0)")
-    group = parser.add_argument_group("MQTT", "FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX (frigate, scenescape)")
+    group.add_argument(
+        "--start", type=float, metavar="SECONDS", help="mot: time of the first frame (default 0)"
+    )
+    group = parser.add_argument_group(
+        "MQTT", "FILE may be mqtt[s]://[USER@]HOST[:PORT]/PREFIX (frigate, scenescape)"
+    )
     broker_options.add_options(group)
 
 
 def events(
     args: argparse.Namespace, reader: LineReader, stack: contextlib.ExitStack, stop: threading.Event
 ) -> Iterator[Event]:
-    """The events of what is named on the command line; files are closed by ``stack``. Raises `CommandError`."""
+    """The events of what is named on the command line; files are closed by ``stack``. Raises
+    `CommandError`.
+    """
     adapter = adapter_for(args)
     if args.file.startswith(("mqtt:", "mqtts:")):
         if adapter is None or not adapter.topic:
@@ -77,7 +93,9 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
     """Who reads the format; None for event lines. Raises `CommandError`."""
     for option, formats in _OPTIONS.items():
         if getattr(args, option) not in (None, False, []) and args.format not in formats:
-            raise CommandError(f"--{option} is for {' and '.join(formats)}, not {args.format}", exits.USAGE)
+            raise CommandError(
+                f"--{option} is for {' and '.join(formats)}, not {args.format}", exits.USAGE
+            )
     sizes = _sizes(args.size)
     if args.format == "frigate":
         return Frigate(sizes, args.label)
@@ -87,7 +105,9 @@ def adapter_for(args: argparse.Namespace) -> Adapter | None:
 
 
 def _mot(args: argparse.Namespace, sizes: dict[str, Size]) -> Mot:
-    missing = [f"--{name}" for name in ("camera", "fps", "size") if getattr(args, name) in (None, [])]
+    missing = [
+        f"--{name}" for name in ("camera", "fps", "size") if getattr(args, name) in (None, [])
+    ]
     if missing:
         raise CommandError(f"mot needs {' and '.join(missing)}", exits.USAGE)
     if args.camera in RESERVED:
@@ -106,7 +126,9 @@ def _sizes(given: list[str]) -> dict[str, Size]:
     for text in given:
         match = _SIZE.fullmatch(text)
         if match is None:
-            raise CommandError(f"--size {text!r}: write it like 1280x720 or lobby=1280x720", exits.USAGE)
+            raise CommandError(
+                f"--size {text!r}: write it like 1280x720 or lobby=1280x720", exits.USAGE
+            )
         sizes[match[1] or ANY_CAMERA] = (int(match[2]), int(match[3]))
     return sizes
 

@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from camtopod.records import Ack, Event
 
 KNOWN_SECONDS = 0.6
-"""The daemon tells a publisher that appears what it has of its cameras within this time, if it has anything."""
+"""The daemon tells a publisher that appears what it has of its cameras within this time, if it has
+anything.
+"""
 Counts = tuple[int, int, int]
 """Accepted, late, refused."""
 
@@ -55,15 +57,30 @@ class Outcome:
                     before = (0, 0, 0)  # the daemon has been started anew
                 accepted, late, refused = (
                     total + after - earlier
-                    for total, earlier, after in zip((accepted, late, refused), before, now, strict=True)
+                    for total, earlier, after in zip(
+                        (accepted, late, refused), before, now, strict=True
+                    )
                 )
-            return accepted, late, refused, max(0, self._published.total() - accepted - late - refused)
+            return (
+                accepted,
+                late,
+                refused,
+                max(0, self._published.total() - accepted - late - refused),
+            )
 
     def in_words(self) -> str:
         """For example ``10 accepted, 2 late, 1 duplicate``."""
         accepted, late, refused, duplicate = self.counted()
         parts = [f"{accepted} accepted"]
-        parts += [f"{late} late (older than what has been learned, so stored and not learned)"] if late else []
-        parts += [f"{refused} refused (their camera floods, or they are from the future)"] if refused else []
+        parts += (
+            [f"{late} late (older than what has been learned, so stored and not learned)"]
+            if late
+            else []
+        )
+        parts += (
+            [f"{refused} refused (their camera floods, or they are from the future)"]
+            if refused
+            else []
+        )
         parts += [f"{duplicate} duplicates, stored before"] if duplicate else []
         return ", ".join(parts)

@@ -1,4 +1,6 @@
-"""The JSON Schema of the configuration, for editors; made from the settings' own types, defaults and docstrings."""
+"""The JSON Schema of the configuration, for editors; made from the settings' own types, defaults
+and docstrings.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ def text() -> str:
 
 
 def schema() -> dict[str, Any]:
-    """Draft 7, which every editor knows. It says what a table or a key is; `camtopod check` finds more."""
+    """Draft 7, which every editor knows. It says what a table or a key is; `camtopod check` finds
+    more.
+    """
     tables = {name: _table(kind) for name, kind in TABLES.items()}
     for name in [name for name in tables if "." in name]:
         parent, _, key = name.partition(".")
@@ -35,7 +39,10 @@ def schema() -> dict[str, Any]:
 
 def _cameras() -> dict[str, Any]:
     camera = _table(CameraSettings)
-    camera["oneOf"] = [{"required": [key], "properties": {key: {"minLength": 1}}} for key in ("source", "source_file")]
+    camera["oneOf"] = [
+        {"required": [key], "properties": {key: {"minLength": 1}}}
+        for key in ("source", "source_file")
+    ]
     return {
         "description": "[cameras.ID]: the cameras of this box, a table each; the ID is the camera's name on the bus.",
         "type": "object",
@@ -45,7 +52,9 @@ def _cameras() -> dict[str, Any]:
 
 
 def _table(kind: type[Struct]) -> dict[str, Any]:
-    """The schema of one table; each key has its description, and no number may be negative if its default is not."""
+    """The schema of one table; each key has its description, and no number may be negative if its
+    default is not.
+    """
     table: dict[str, Any] = msgspec.json.schema(kind)["$defs"][kind.__name__]
     documents = attribute_docs(kind)
     table["description"] = " ".join(table["description"].split()).replace("`", "")
@@ -56,7 +65,11 @@ def _table(kind: type[Struct]) -> dict[str, Any]:
         for texts in (key, key.get("items", {})):
             if "pattern" in texts:
                 texts["pattern"] = _everywhere(texts["pattern"])
-        if key.get("type") in ("number", "integer") and field.default >= 0 and "exclusiveMinimum" not in key:
+        if (
+            key.get("type") in ("number", "integer")
+            and field.default >= 0
+            and "exclusiveMinimum" not in key
+        ):
             key.setdefault("minimum", 0)
         if key.get("type") == "number":
             key["maximum"] = FLOAT_MAX

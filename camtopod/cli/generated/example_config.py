@@ -15,8 +15,9 @@ from camtopod.config import TABLES, CameraSettings
 
 _HEAD = """\
 #:schema ./camtopod.schema.json
-# camtopod: an example configuration. Every setting is here; a line with a leading # shows its default.
-# Made by `camtopod check --example`; see whether yours is right with `camtopod check FILE`.
+# camtopod: an example configuration. Every setting is here; a line with a leading # shows its
+# default. Made by `camtopod check --example`; see whether yours is right with `camtopod check
+# FILE`.
 """
 _CAMERAS = """\
 # One table a camera; the name is the camera's id on the bus.
@@ -30,11 +31,15 @@ _WIDTH = 110
 
 
 def example() -> str:
-    """The text of a configuration file which is right as it stands and says what everything means."""
+    """The text of a configuration file which is right as it stands and says what everything
+    means.
+    """
     parts = [_HEAD, table("site", TABLES["site"], {"name": "hq"})]
     parts += [table(name, TABLES[name], {}) for name in ("bus", "bus.tls", "state", "keep")]
     parts += [_CAMERAS + "\n".join(_settings(CameraSettings, {}))]
-    parts += [table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health", "shards")]
+    parts += [
+        table(name, TABLES[name], {}) for name in ("vision", "learn", "limits", "health", "shards")
+    ]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
 

@@ -1,5 +1,5 @@
-"""How far long work has come: on a terminal one line of standard error that is written over; elsewhere nothing, or,
-of work that is waited for, a line every few seconds.
+"""How far long work has come: on a terminal one line of standard error that is written over;
+elsewhere nothing, or, of work that is waited for, a line every few seconds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ _CLEAR = "\r\x1b[K"
 
 
 class Progress:
-    """The line on a terminal is gone when the block ends. ``piped``: say it where there is no terminal, too."""
+    """The line on a terminal is gone when the block ends. ``piped``: say it where there is no
+    terminal, too.
+    """
 
     def __init__(self, piped: bool = False) -> None:
         self._terminal = sys.stderr.isatty()

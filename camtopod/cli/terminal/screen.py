@@ -1,6 +1,7 @@
 """`camtopod watch` on a whole terminal. The one home of rich, which is an extra (``[terminal]``).
 
-What does not fit is left out from the end: of the cameras those that are well, of the links the least used.
+What does not fit is left out from the end: of the cameras those that are well, of the links the
+least used.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ _CORNER = "dim"
 
 
 class LastWords:
-    """Stands in for standard error while the screen is drawn; its last line is shown at the foot."""
+    """Stands in for standard error while the screen is drawn; its last line is shown at the
+    foot.
+    """
 
     def __init__(self) -> None:
         self.line = ""
@@ -62,12 +65,18 @@ class LastWords:
 
 
 def show(look: Callable[[], View], stop: threading.Event) -> bool:
-    """Draw what ``look`` gives, at most four times a second, until ``stop``; False where the terminal cannot do it."""
+    """Draw what ``look`` gives, at most four times a second, until ``stop``; False where the
+    terminal cannot do it.
+    """
     console = Console()
     if console.is_dumb_terminal:
         return False
     words = LastWords()
-    streams = [handler for handler in logging.getLogger().handlers if isinstance(handler, logging.StreamHandler)]
+    streams = [
+        handler
+        for handler in logging.getLogger().handlers
+        if isinstance(handler, logging.StreamHandler)
+    ]
     before = [handler.setStream(words) for handler in streams]
     try:
         with Live(console=console, screen=True, auto_refresh=False) as live:
@@ -86,8 +95,14 @@ def drawn(view: View, width: int, height: int, words: str = "") -> RenderableTyp
     rows = max(1, height - len(head) - 1)
     wide = width >= WIDE
     room = width // 2 if wide else width
-    wanted = [len(view.predictions) + 2, len(busiest_links(view.topology)) + 2]  # with heading and an empty line
-    others: list[Callable[[int], Table]] = [lambda n: _predictions(view, n), lambda n: _links(view, room, n)]
+    wanted = [
+        len(view.predictions) + 2,
+        len(busiest_links(view.topology)) + 2,
+    ]  # with heading and an empty line
+    others: list[Callable[[int], Table]] = [
+        lambda n: _predictions(view, n),
+        lambda n: _links(view, room, n),
+    ]
     if wide:
         body = Layout()
         cameras = Padding(_cameras(view, room - GUTTER, rows), (0, GUTTER, 0, 0))
@@ -101,8 +116,8 @@ def drawn(view: View, width: int, height: int, words: str = "") -> RenderableTyp
 
 
 def _stacked(rows: int, wanted: Sequence[int], parts: Sequence[Callable[[int], Table]]) -> Layout:
-    """Parts one above the other: each gets the rows it wants while there is room, else an equal share; those at the
-    end for which a share would be too small are left out.
+    """Parts one above the other: each gets the rows it wants while there is room, else an equal
+    share; those at the end for which a share would be too small are left out.
     """
     fitting = min(len(parts), max(1, rows // PART_ROWS_MIN))
     pieces = []
@@ -119,13 +134,20 @@ def _stacked(rows: int, wanted: Sequence[int], parts: Sequence[Callable[[int], T
 def _head(view: View, words: str) -> list[Text]:
     lines = [_text(daemon_line(view), "bold" if view.state == "running" else _WRONG)]
     lines += [_text(words, _CORNER)] if words else []
-    lines += [_text(f"! {alarm_line(alarm, view.now)}", "yellow") for alarm in newest_alarms(view.topology)]
+    lines += [
+        _text(f"! {alarm_line(alarm, view.now)}", "yellow")
+        for alarm in newest_alarms(view.topology)
+    ]
     return [*lines[:1], *(_text(line) for line in topology_lines(view.topology)), *lines[1:]]
 
 
 def _text(text: str, style: str = "", whole: bool = False) -> Text:
-    """What others said, harmless to the terminal; on one line unless it is to be there as a ``whole``."""
-    return Text(visible(text), style=style, no_wrap=not whole, overflow="fold" if whole else "ellipsis")
+    """What others said, harmless to the terminal; on one line unless it is to be there as a
+    ``whole``.
+    """
+    return Text(
+        visible(text), style=style, no_wrap=not whole, overflow="fold" if whole else "ellipsis"
+    )
 
 
 def _table(*columns: str, flexible: str) -> Table:
@@ -134,15 +156,22 @@ def _table(*columns: str, flexible: str) -> Table:
     for column in columns:
         right = column in ("EVENTS", "LAST", "SHARE")
         table.add_column(
-            column, justify="right" if right else "left", no_wrap=True, overflow="ellipsis",
+            column,
+            justify="right" if right else "left",
+            no_wrap=True,
+            overflow="ellipsis",
             ratio=1 if column == flexible else None,
-        )  # fmt: skip
+        )
     return table
 
 
 def _cameras(view: View, width: int, rows: int) -> Table:
-    """Those with something wrong first, with the whole reason if it fits, then those that had the newest events."""
-    cameras = sorted(view.cameras, key=lambda one: (not one.wrong, one.last is None, one.last or 0.0, one.name))
+    """Those with something wrong first, with the whole reason if it fits, then those that had the
+    newest events.
+    """
+    cameras = sorted(
+        view.cameras, key=lambda one: (not one.wrong, one.last is None, one.last or 0.0, one.name)
+    )
     narrow = width < NARROW
     taken = max((len(camera.name) + len(camera.state) for camera in cameras), default=0)
     room = width - taken - (14 if narrow else 23)  # for the reason
@@ -167,20 +196,28 @@ def _cameras(view: View, width: int, rows: int) -> Table:
     if hidden := cameras[shown:]:
         wrong = sum(camera.wrong for camera in hidden)
         table.add_row(
-            _text(f"and {len(hidden)} more", _CORNER), _text(f"{wrong} wrong" if wrong else "  well", _CORNER)
+            _text(f"and {len(hidden)} more", _CORNER),
+            _text(f"{wrong} wrong" if wrong else "  well", _CORNER),
         )
     return table
 
 
 def _links(view: View, width: int, rows: int) -> Table:
     narrow = width < NARROW
-    table = _table(*("FROM", "TO", *(() if narrow else ("RELATION",)), "SHARE", "TRANSIT (q10 to q90)"), flexible="TO")
+    table = _table(
+        *("FROM", "TO", *(() if narrow else ("RELATION",)), "SHARE", "TRANSIT (q10 to q90)"),
+        flexible="TO",
+    )
     links = busiest_links(view.topology)
     shown = links if len(links) <= rows - 2 else links[: max(0, rows - 3)]
     for link in shown:
         relation = [] if narrow else [_text(link.relation)]
         table.add_row(
-            _text(link.from_), _text(link.to), *relation, _text(f"{link.probability:.2f}"), _text(transit(link))
+            _text(link.from_),
+            _text(link.to),
+            *relation,
+            _text(f"{link.probability:.2f}"),
+            _text(transit(link)),
         )
     if len(links) > len(shown):
         table.add_row(_text(f"and {len(links) - len(shown)} more", _CORNER))

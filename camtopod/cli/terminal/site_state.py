@@ -1,4 +1,6 @@
-"""What `camtopod watch` knows at the moment: filled by the bus's threads, and put into words for whoever draws it."""
+"""What `camtopod watch` knows at the moment: filled by the bus's threads, and put into words for
+whoever draws it.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ PREDICTIONS_KEPT = 30
 ALARMS_SHOWN = 5
 NEXT_SHOWN = 3
 SILENT_SECONDS = 5.0
-"""Who has not been heard for longer has gone, whatever the last word was; they speak every second."""
+"""Who has not been heard for longer has gone, whatever the last word was; they speak every
+second.
+"""
 _FINE = ("running", "ended", "no grabber", "unknown")
 """The last two are cameras of another program, whose events come in without a word of its own."""
 
@@ -82,7 +86,9 @@ class View(NamedTuple):
 
 
 class Board:
-    """Statuses and predictions as they come. ``steady``: a clock that does not step, for who has been silent."""
+    """Statuses and predictions as they come. ``steady``: a clock that does not step, for who has
+    been silent.
+    """
 
     def __init__(self, steady: Callable[[], float] = time.monotonic) -> None:
         self._steady = steady
@@ -132,15 +138,23 @@ class Board:
         heard, daemon = said or (steady, _DaemonSaid())
         state, reason = daemon.state, daemon.reason
         if steady - heard > SILENT_SECONDS:
-            state, reason = "silent", f"not heard for {steady - heard:.0f} s; what is below may be old"
+            state, reason = (
+                "silent",
+                f"not heard for {steady - heard:.0f} s; what is below may be old",
+            )
         known = daemon.cameras
         cameras = [
-            _camera(name, status.get(name), known.get(name, _Counted()), now, steady) for name in {*status, *known}
+            _camera(name, status.get(name), known.get(name, _Counted()), now, steady)
+            for name in {*status, *known}
         ]
-        return View(site, now, state, reason, _counts(daemon), sorted(cameras), topology, predictions[::-1])
+        return View(
+            site, now, state, reason, _counts(daemon), sorted(cameras), topology, predictions[::-1]
+        )
 
 
-def _camera(name: str, status: tuple[float, _Said] | None, known: _Counted, now: float, steady: float) -> CameraLine:
+def _camera(
+    name: str, status: tuple[float, _Said] | None, known: _Counted, now: float, steady: float
+) -> CameraLine:
     """``status``: when it spoke itself and what it said; ``known``: what the daemon says of it."""
     heard, said = status or (steady, _Said())
     state, reason = said.state, said.reason
@@ -185,7 +199,9 @@ def topology_lines(topology: Topology | None) -> list[str]:
 
 def newest_alarms(topology: Topology | None) -> list[Alarm]:
     """The newest first, at most `ALARMS_SHOWN`."""
-    return list(reversed(((topology.alarms if topology is not None else None) or [])[-ALARMS_SHOWN:]))
+    return list(
+        reversed(((topology.alarms if topology is not None else None) or [])[-ALARMS_SHOWN:])
+    )
 
 
 def alarm_line(alarm: Alarm, now: float) -> str:
@@ -195,7 +211,11 @@ def alarm_line(alarm: Alarm, now: float) -> str:
 
 def busiest_links(topology: Topology | None) -> list[Link]:
     """Those between views, the busiest first."""
-    links = [link for link in topology.links if link.relation != "visible"] if topology is not None else []
+    links = (
+        [link for link in topology.links if link.relation != "visible"]
+        if topology is not None
+        else []
+    )
     return sorted(links, key=lambda link: -link.transitions)
 
 
@@ -206,7 +226,10 @@ def transit(link: Link) -> str:
 
 def prediction_line(prediction: Prediction) -> str:
     """Where somebody has left, which cameras see them at that moment, and where to look next."""
-    seen = [f"now in view of {one.camera} {one.probability:.2f}" for one in seen_now(prediction.in_view or [])]
+    seen = [
+        f"now in view of {one.camera} {one.probability:.2f}"
+        for one in seen_now(prediction.in_view or [])
+    ]
     following = ", ".join(
         f"{following.zone} {following.probability:.2f} in {following.q10:.0f} to {following.q90:.0f} s"
         for following in prediction.next_[:NEXT_SHOWN]

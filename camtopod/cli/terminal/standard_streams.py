@@ -1,7 +1,8 @@
-"""Standard input, output and error of a process, whatever they are: closed, or a pipe that is full and not read.
+"""Standard input, output and error of a process, whatever they are: closed, or a pipe that is full
+and not read.
 
-A program that runs until it is told to end must not wait for the reader of its log. So its standard error becomes a
-bounded queue with a thread of its own, which alone may wait (`Unwaited`).
+A program that runs until it is told to end must not wait for the reader of its log. So its standard
+error becomes a bounded queue with a thread of its own, which alone may wait (`Unwaited`).
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ _NUMBERS = (0, 1, 2)
 
 
 def open_missing() -> None:
-    """Open the null device in place of those that are closed; otherwise the next file that is opened takes the number.
+    """Open the null device in place of those that are closed; otherwise the next file that is
+    opened takes the number.
 
-    Standard input and output then fail when they are used, with EBADF, as they would without; standard error does not,
-    as there is no other place to say so.
+    Standard input and output then fail when they are used, with EBADF, as they would without;
+    standard error does not, as there is no other place to say so.
     """
     modes = {0: os.O_WRONLY, 1: os.O_RDONLY, 2: os.O_WRONLY}
     for number in _NUMBERS:
@@ -93,7 +95,9 @@ class Unwaited(io.TextIOBase):
 
 
 def settle(seconds: float = LAST_WORDS_SECONDS) -> bool:
-    """Wait for what has been said on standard error; False if it is not read, and must not be waited for."""
+    """Wait for what has been said on standard error; False if it is not read, and must not be
+    waited for.
+    """
     return not isinstance(sys.stderr, Unwaited) or sys.stderr.settle(seconds)
 
 

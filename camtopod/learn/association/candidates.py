@@ -16,12 +16,14 @@ PAIR_TABLE_MAX = 20_000_000
 """Largest dense table over pairs of zones, entries."""
 EXCESS_SMOOTHING_SD_BINS = (1.5, 3.0, 6.0)
 CANDIDATES_AT_ONCE = 1 << 15
-"""Worked on together where there may be millions: what is in between for so many stays in the processor's cache, and
-takes no memory to speak of."""
+"""Worked on together where there may be millions: what is in between for so many stays in the
+processor's cache, and takes no memory to speak of."""
 
 
 class Candidates(NamedTuple):
-    """Candidates (M,) in order of arrival: indices, pair of zones, lag in seconds; and the pairs' zones (P,)."""
+    """Candidates (M,) in order of arrival: indices, pair of zones, lag in seconds; and the pairs'
+    zones (P,).
+    """
 
     departure: Indices
     arrival: Indices
@@ -36,17 +38,23 @@ class Candidates(NamedTuple):
         present = np.bincount(self.pair[rows], minlength=len(self.source)) > 0
         number = np.cumsum(present, dtype=np.int32) - 1
         return Candidates(
-            self.departure[rows], self.arrival[rows], number[self.pair[rows]], self.lag[rows], self.source[present],
+            self.departure[rows],
+            self.arrival[rows],
+            number[self.pair[rows]],
+            self.lag[rows],
+            self.source[present],
             self.target[present],
-        )  # fmt: skip
+        )
 
 
 def newest(
     departures: Departures, arrivals: Arrivals, bins: LagBins, candidates_max: int
 ) -> tuple[Departures, Arrivals]:
-    """What left and came in the newest stretch of time that has at most ``candidates_max`` candidates.
+    """What left and came in the newest stretch of time that has at most ``candidates_max``
+    candidates.
 
-    Both are cut at the same moment: a departure whose arrivals were left out would look like one that leads nowhere.
+    Both are cut at the same moment: a departure whose arrivals were left out would look like one
+    that leads nowhere.
     """
     low, high = in_reach(departures.t, arrivals.t, bins)
     kept = int(np.searchsorted(np.cumsum((high - low)[::-1]), candidates_max, side="right"))
@@ -57,29 +65,43 @@ def newest(
     return departures.take(departures.t >= first, late), arrivals.take(late)
 
 
-def in_reach(left: Floats, came: Floats, bins: LagBins) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First and last-but-one departure within the lags of each arrival: of times ``left`` and ``came``, ascending."""
+def in_reach(
+    left: Floats, came: Floats, bins: LagBins
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last-but-one departure within the lags of each arrival: of times ``left`` and
+    ``came``, ascending.
+    """
     low = np.searchsorted(left, came - bins.lag_max, side="left")
     high = np.searchsorted(left, came - bins.lag_min, side="right")
     return low, high
 
 
 def possible(
-    departures: Departures, arrivals: Arrivals, bins: LagBins, mine: NDArray[np.intp],
-    among: NDArray[np.intp] | None = None, at_once: int = CANDIDATES_AT_ONCE,
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:  # fmt: skip
-    """Departure, index into ``mine`` (n,) and lag in seconds of all candidates of the arrivals ``mine``; departures
-    only ``among`` these (ascending), if given. In parts of about ``at_once`` pairs in reach, so that memory does not
-    grow with their number.
+    departures: Departures,
+    arrivals: Arrivals,
+    bins: LagBins,
+    mine: NDArray[np.intp],
+    among: NDArray[np.intp] | None = None,
+    at_once: int = CANDIDATES_AT_ONCE,
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
+    """Departure, index into ``mine`` (n,) and lag in seconds of all candidates of the arrivals
+    ``mine``; departures only ``among`` these (ascending), if given. In parts of about ``at_once``
+    pairs in reach, so that memory does not grow with their number.
     """
     t, came = departures.t if among is None else departures.t[among], arrivals.t[mine]
     low, high = in_reach(t, came, bins)
     reached = np.concatenate(([0], np.cumsum(high - low)))
-    ends = np.full(len(arrivals.t) + 1, len(departures.t), np.intp)  # where the passage of each arrival ends
-    ends[departures.own[::-1]] = np.arange(len(departures.t))[::-1]  # delayed departures come after their own
+    ends = np.full(
+        len(arrivals.t) + 1, len(departures.t), np.intp
+    )  # where the passage of each arrival ends
+    ends[departures.own[::-1]] = np.arange(len(departures.t))[
+        ::-1
+    ]  # delayed departures come after their own
     first = 0
     while first < len(mine):
-        stop = max(int(np.searchsorted(reached, reached[first] + at_once, side="right")) - 1, first + 1)
+        stop = max(
+            int(np.searchsorted(reached, reached[first] + at_once, side="right")) - 1, first + 1
+        )
         n = high[first:stop] - low[first:stop]
         at = np.repeat(np.arange(first, stop), n)
         departure = np.arange(len(at)) + np.repeat(low[first:stop] - (np.cumsum(n) - n), n)
@@ -89,8 +111,8 @@ def possible(
         lag = came[at] - departures.t[departure]
         possible = (lag >= bins.lag_min) & (lag <= bins.lag_max)
 
-        # A negative lag means two views at once: another camera, and the passage here had begun. Of two passages that
-        # begin at the same instant the one that ends first comes first.
+        # A negative lag means two views at once: another camera, and the passage here had begun. Of
+        # two passages that begin at the same instant the one that ends first comes first.
         ahead = np.flatnonzero(lag <= 0)
         left, arrival = departure[ahead], mine[at[ahead]]
         then, since = arrivals.t[arrival], departures.since[left]
@@ -102,12 +124,18 @@ def possible(
         first = stop
 
 
-def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int) -> Candidates:
+def find_candidates(
+    departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
+) -> Candidates:
     """All candidates."""
     low, high = in_reach(departures.t, arrivals.t, bins)
     most = int((high - low).sum())
     # Of what is not written to no memory is taken: there are fewer than are in reach.
-    departure, arrival, lag = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32)
+    departure, arrival, lag = (
+        np.empty(most, np.int32),
+        np.empty(most, np.int32),
+        np.empty(most, np.float32),
+    )
     n = 0
     for left, came, apart in possible(departures, arrivals, bins, np.arange(len(arrivals.t))):
         here = slice(n, n := n + len(left))
@@ -118,7 +146,9 @@ def find_candidates(departures: Departures, arrivals: Arrivals, bins: LagBins, z
 
 
 def together(arrival: Indices) -> list[slice]:
-    """The candidates (M,) in order of ``arrival``, about `CANDIDATES_AT_ONCE` in each: all of an arrival together."""
+    """The candidates (M,) in order of ``arrival``, about `CANDIDATES_AT_ONCE` in each: all of an
+    arrival together.
+    """
     parts, first = [], 0
     while first < len(arrival):
         last = arrival[min(first + CANDIDATES_AT_ONCE, len(arrival)) - 1]
@@ -129,7 +159,9 @@ def together(arrival: Indices) -> list[slice]:
 
 
 class Runs(NamedTuple):
-    """The arrivals (m,) of some candidates in their order: the ``first`` candidate of each, and how many it has."""
+    """The arrivals (m,) of some candidates in their order: the ``first`` candidate of each, and how
+    many it has.
+    """
 
     arrival: Indices
     first: NDArray[np.intp]
@@ -143,11 +175,11 @@ def runs_of(arrival: Indices) -> Runs:
 
 
 def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floats:
-    """What a histogram of lags (P, bins) has above chance and ``noise_sd`` standard deviations of it, smoothed, at
-    least 0.
+    """What a histogram of lags (P, bins) has above chance and ``noise_sd`` standard deviations of
+    it, smoothed, at least 0.
 
-    Cross-correlation (Makris, Ellis and Black 2004), at several widths, as some transit times are kept closely,
-    others not.
+    Cross-correlation (Makris, Ellis and Black 2004), at several widths, as some transit times are
+    kept closely, others not.
     """
     result = np.zeros_like(seen)
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
@@ -158,9 +190,16 @@ def excess(seen: Floats, chance: Floats, bins: LagBins, noise_sd: float) -> Floa
 
 
 def first_hazards(
-    seen: Floats, rates: Floats, exposure: Floats, source: Ints, bins: LagBins, noise_sd: float, least: float
+    seen: Floats,
+    rates: Floats,
+    exposure: Floats,
+    source: Ints,
+    bins: LagBins,
+    noise_sd: float,
+    least: float,
 ) -> Floats:
-    """First hazards (P, bins), in the place of the ``seen`` (P, bins): their `excess`, at ``least`` that share of them.
+    """First hazards (P, bins), in the place of the ``seen`` (P, bins): their `excess`, at ``least``
+    that share of them.
 
     ``rates`` (P,): of chance, 1/s; ``exposure`` (zones, bins), ``source`` (P,).
     """
@@ -173,11 +212,17 @@ def first_hazards(
 
 
 def number_pairs(left: Ints, came: Ints, zones: int) -> tuple[Ints, Ints, Ints]:
-    """Pairs of zones numbered as they occur, by source, then target: the number of each (M,), and their zones (P,)."""
+    """Pairs of zones numbered as they occur, by source, then target: the number of each (M,), and
+    their zones (P,).
+    """
     size = max(zones, 1)
     if zones * zones > PAIR_TABLE_MAX:
         present, number = np.unique(left.astype(np.int64) * zones + came, return_inverse=True)
-        return number.astype(np.int32), (present // size).astype(np.int32), (present % size).astype(np.int32)
+        return (
+            number.astype(np.int32),
+            (present // size).astype(np.int32),
+            (present % size).astype(np.int32),
+        )
     parts = [slice(k, k + CANDIDATES_AT_ONCE) for k in range(0, len(left), CANDIDATES_AT_ONCE)]
     table = np.zeros((zones, zones), np.int32)
     for part in parts:

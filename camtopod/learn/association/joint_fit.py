@@ -1,9 +1,9 @@
 """The joint fit: which arrival belongs to which departure, over all zones at once.
 
-The thesis pairs the closest times of two zones (section 4.4), which is wrong as soon as two objects are on the way, and
-tests each pair of zones alone, which cannot tell A -> C from A -> B -> C. Here every arrival has one source, an earlier
-departure or the outside, and every departure causes at most one arrival. An expectation-maximisation fit shares each
-arrival among its candidates:
+The thesis pairs the closest times of two zones (section 4.4), which is wrong as soon as two objects
+are on the way, and tests each pair of zones alone, which cannot tell A -> C from A -> B -> C. Here
+every arrival has one source, an earlier departure or the outside, and every departure causes at
+most one arrival. An expectation-maximisation fit shares each arrival among its candidates:
 
 * the *hazard* ``h[u, v](lag)`` is the rate at which an object that left zone u appears next at zone v, per second,
   per departure whose lag bin was exposed (its window is over; for a negative lag: its passage had begun);
@@ -11,9 +11,10 @@ arrival among its candidates:
   and night) explains itself and makes no links;
 * *slowness* through a view foretells slowness on the way and in the next view, as far as the site shows that it does.
 
-The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses and clutter
-(Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep an iteration, each candidate judged by the hazard that the
-others make (leave one out). The M step counts. Related: Marinakis and Dudek (2005) sample what is summed here.
+The E step is the sum-product approximation of the marginals of a one-to-one assignment with misses
+and clutter (Williams and Lau, IEEE Trans. AES 50(4), 2014), one sweep an iteration, each candidate
+judged by the hazard that the others make (leave one out). The M step counts. Related: Marinakis and
+Dudek (2005) sample what is summed here.
 """
 
 from __future__ import annotations
@@ -50,13 +51,16 @@ SPARSE_ROUNDS_MAX = 4
 SETTLED = 0.03
 """Rounds end when what speed tells changes by less than this."""
 STRIDE = 1.8
-"""Steps are longer than EM's own by this much (on the log scale; convergent below 2), as EM creeps here."""
+"""Steps are longer than EM's own by this much (on the log scale; convergent below 2), as EM creeps
+here.
+"""
 STRIDE_RATIO_MAX = 4.0
 SETTLING_ITERATIONS = 3
 """The last iterations of a round take EM's own steps."""
 SPARSITY = 1.0
-"""Most pairs of zones are not linked: their totals have a sparse prior (a Gamma with shape 0), which takes one
-transition off each. Left out, thousands of pairs share the arrivals that come from outside among them.
+"""Most pairs of zones are not linked: their totals have a sparse prior (a Gamma with shape 0),
+which takes one transition off each. Left out, thousands of pairs share the arrivals that come from
+outside among them.
 """
 FOLLOWED_TRANSITIONS_MIN = 0.05
 """A pair of zones with fewer expected transitions is not followed in later rounds."""
@@ -83,8 +87,8 @@ class Fit(NamedTuple):
 
 
 class Adjusted(NamedTuple):
-    """Candidates (M,) as speed tells: the cell of each in a table (P, bins), by its lag at usual speed, and how well
-    the slownesses before and after agree (None: nothing is known of that).
+    """Candidates (M,) as speed tells: the cell of each in a table (P, bins), by its lag at usual
+    speed, and how well the slownesses before and after agree (None: nothing is known of that).
     """
 
     persistence: Persistence
@@ -93,7 +97,11 @@ class Adjusted(NamedTuple):
 
     def take(self, kept: Indices) -> Adjusted:
         """The candidates ``kept``, where pairs of zones keep their numbers."""
-        return Adjusted(self.persistence, self.cell[kept], None if self.agreement is None else self.agreement[kept])
+        return Adjusted(
+            self.persistence,
+            self.cell[kept],
+            None if self.agreement is None else self.agreement[kept],
+        )
 
 
 class Tables(NamedTuple):
@@ -106,36 +114,56 @@ class Tables(NamedTuple):
 
 
 def fit_jointly(
-    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float
+    departures: Departures,
+    arrivals: Arrivals,
+    candidates: Candidates,
+    bins: LagBins,
+    zones: int,
+    until: float,
 ) -> Fit:
-    """The joint fit of everything that left and came up to ``until`` (seconds), for what is linked: with a sparse prior
-    and without what has next to nothing.
+    """The joint fit of everything that left and came up to ``until`` (seconds), for what is linked:
+    with a sparse prior and without what has next to nothing.
 
-    Always from nothing: going on from the last one believes early mistakes ever more and sees too late what has opened.
+    Always from nothing: going on from the last one believes early mistakes ever more and sees too
+    late what has opened.
     """
     fitter = JointFitter(departures, arrivals, candidates, bins, zones, until)
     tables = fitter.prune(
-        fitter.run(fitter.run(fitter.use_slowness(fitter.run(fitter.start()).hazard)).hazard, SPARSITY)
+        fitter.run(
+            fitter.run(fitter.use_slowness(fitter.run(fitter.start()).hazard)).hazard, SPARSITY
+        )
     )
     for _ in range(SPARSE_ROUNDS_MAX - 1):
         before = fitter.persistence
         tables = fitter.prune(fitter.run(fitter.use_slowness(tables.hazard)))
-        if max(abs(now - then) for now, then in zip(fitter.persistence, before, strict=True)) < SETTLED:
+        if (
+            max(abs(now - then) for now, then in zip(fitter.persistence, before, strict=True))
+            < SETTLED
+        ):
             break
     return fitter.found(tables, fitter.flatness(tables.hazard))
 
 
 class JointFitter:
-    """The fit in progress: what does not change from one iteration to the next, and the messages between them.
+    """The fit in progress: what does not change from one iteration to the next, and the messages
+    between them.
 
-    There may be millions of candidates: only what is kept of each is there for all of them, what is in between for some
-    at a time (`together`). Where candidates are looked up, `take` does it in half the time that an index does.
+    There may be millions of candidates: only what is kept of each is there for all of them, what is
+    in between for some at a time (`together`). Where candidates are looked up, `take` does it in
+    half the time that an index does.
     """
 
     def __init__(
-        self, departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins,
-        zones: int, until: float, exposure: Floats | None = None, adjusted: Adjusted | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        departures: Departures,
+        arrivals: Arrivals,
+        candidates: Candidates,
+        bins: LagBins,
+        zones: int,
+        until: float,
+        exposure: Floats | None = None,
+        adjusted: Adjusted | None = None,
+    ) -> None:
         """``exposure`` (zones, bins), ``adjusted`` candidates: where they are known already."""
         self.bins, self.zones = bins, zones
         self.departures, self.arrivals = departures, arrivals
@@ -154,7 +182,9 @@ class JointFitter:
         self._message = np.ones(len(candidates.lag), np.float32)
         self.responsibility: Singles = np.zeros(len(candidates.lag), np.float32)
         """(M,) probability that the candidate is one object."""
-        self._drawn: Indices | None = None  # the only candidates with a responsibility, ascending, where there are few
+        self._drawn: Indices | None = (
+            None  # the only candidates with a responsibility, ascending, where there are few
+        )
         self._own = np.zeros((self.pairs, bins.size), np.float32)
         self._agreement: Singles | None = None
         if adjusted is None:
@@ -168,15 +198,17 @@ class JointFitter:
         return len(self.candidates.source)
 
     def start(self, noise_sd: float = START_NOISE_SD) -> Singles:
-        """First hazards (P, bins): what exceeds chance and ``noise_sd`` standard deviations of it in each pair's own
-        histogram.
+        """First hazards (P, bins): what exceeds chance and ``noise_sd`` standard deviations of it
+        in each pair's own histogram.
         """
         c = self.candidates
         if len(c.lag) == 0:
             return np.zeros((self.pairs, self.bins.size), np.float32)
         seen = self._count(np.ones(part.stop - part.start) for part in self._parts)
         rates = self._chance().of(c.source, c.target)
-        first = first_hazards(seen, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR)
+        first = first_hazards(
+            seen, rates, self.exposure, c.source, self.bins, noise_sd, START_FLOOR
+        )
         return first.astype(np.float32)
 
     def _chance(self) -> Chance:
@@ -185,7 +217,9 @@ class JointFitter:
         return Chance(left.t, left.zone, came.t, came.zone, self.zones)
 
     def run(self, hazard: Singles, sparsity: float | None = None) -> Tables:
-        """One round of EM from the given hazards (P, bins); from here on with that ``sparsity``, if given."""
+        """One round of EM from the given hazards (P, bins); from here on with that ``sparsity``, if
+        given.
+        """
         self.sparsity = self.sparsity if sparsity is None else sparsity
         counts = np.zeros(0)
         for iteration in range(ITERATIONS):
@@ -197,23 +231,29 @@ class JointFitter:
             stride = STRIDE if iteration < ITERATIONS - SETTLING_ITERATIONS else 1.0
             if stride != 1.0:
                 for rows in rows_together(self.pairs):
-                    ratio = np.minimum(fresh[rows] / np.maximum(hazard[rows], NOTHING), STRIDE_RATIO_MAX)
+                    ratio = np.minimum(
+                        fresh[rows] / np.maximum(hazard[rows], NOTHING), STRIDE_RATIO_MAX
+                    )
                     fresh[rows] *= ratio ** (stride - 1.0)
             hazard = fresh
         return Tables(hazard, counts)
 
     def use_slowness(self, hazard: Singles) -> Singles:
-        """Learn from the surest candidates how speed persists, and use it from here on; returns the hazards (P, bins)
-        in the place of those before.
+        """Learn from the surest candidates how speed persists, and use it from here on; returns the
+        hazards (P, bins) in the place of those before.
 
-        What is sure is judged without looking at whether the slownesses agree, else agreement would breed itself.
+        What is sure is judged without looking at whether the slownesses agree, else agreement would
+        breed itself.
         """
         c, before = self.candidates, self._to_count()
         self._agreement = None
         self._expect(hazard)
         del hazard  # they are as large as the new ones
         sure = np.flatnonzero(self.responsibility > SURE_RESPONSIBILITY)
-        left, came = self.departures.slow.take(c.departure[sure]), self.arrivals.slow.take(c.arrival[sure])
+        left, came = (
+            self.departures.slow.take(c.departure[sure]),
+            self.arrivals.slow.take(c.arrival[sure]),
+        )
         each = self.responsibility[sure].astype(float)
         self.use(persistence(left, came, c.lag[sure].astype(float), c.pair[sure], each))
         return self._hazards(self._counted(before))
@@ -248,12 +288,19 @@ class JointFitter:
     def found(self, tables: Tables, flat: Floats) -> Fit:
         """The fit as it is known from outside."""
         return Fit(
-            tables.hazard, tables.counts, self.responsibility.astype(float), flat, self.outside, self.candidates,
+            tables.hazard,
+            tables.counts,
+            self.responsibility.astype(float),
+            flat,
+            self.outside,
+            self.candidates,
             self.persistence,
-        )  # fmt: skip
+        )
 
     def expect_afresh(self, hazard: Singles, sweeps: int) -> Floats:
-        """Responsibilities (M,) under hazards (P, bins) learned elsewhere: nothing left out, nothing known before."""
+        """Responsibilities (M,) under hazards (P, bins) learned elsewhere: nothing left out,
+        nothing known before.
+        """
         self._message[:] = 1.0
         for _ in range(sweeps):
             self.responsibility[:] = 0.0
@@ -272,13 +319,16 @@ class JointFitter:
             np.add.at(taken, self._departure(part), (weight * self._message[part]).astype(float))
         taken += self._leave(hazard)
 
-        # What each candidate has left for its arrival, beside the background and the other candidates there.
+        # What each candidate has left for its arrival, beside the background and the other
+        # candidates there.
         for part, run in zip(self._parts, self._runs, strict=True):
             weight = result[part]
             others = taken.take(self._departure(part))
             others -= weight * self._message[part]
             offer = np.divide(weight, others, out=others)
-            demand = np.repeat(background[run.arrival] + np.add.reduceat(offer, run.first), run.candidates)
+            demand = np.repeat(
+                background[run.arrival] + np.add.reduceat(offer, run.first), run.candidates
+            )
             np.divide(offer, demand, out=result[part])
             demand -= offer
             np.divide(1.0, np.maximum(demand, 1e-12, out=demand), out=self._message[part])
@@ -316,7 +366,8 @@ class JointFitter:
         """Hazard of each candidate of a part that the others make."""
         cell = self._cell[part].astype(np.intp)
         weight = hazard.take(cell)
-        # Leave one out: left in, a lone arrival would be its own evidence and all clutter would find a departure.
+        # Leave one out: left in, a lone arrival would be its own evidence and all clutter would
+        # find a departure.
         if self._drawn is None:
             weight *= self._others(cell, self.responsibility[part])
         else:
@@ -339,12 +390,16 @@ class JointFitter:
         share = np.zeros(self.pairs)
         for rows in rows_together(self.pairs):
             share[rows] = self._appears(self._after_exit(hazard, rows), rows).sum(axis=1)
-        again: Floats = np.bincount(self.candidates.source, share, minlength=self.zones).astype(float)
+        again: Floats = np.bincount(self.candidates.source, share, minlength=self.zones).astype(
+            float
+        )
         left: Floats = np.maximum(1.0 - self._of_all(again[self.departures.zone]), LEAVE_FLOOR)
         return left
 
     def _of_all(self, each: Floats) -> Floats:
-        """Values of ``each`` departure (n,) added up over the departure and its delayed copies, (n,)."""
+        """Values of ``each`` departure (n,) added up over the departure and its delayed copies,
+        (n,).
+        """
         of = self.departures.of
         return each if of is None else np.bincount(of, each, minlength=len(of)).astype(float)[of]
 
@@ -371,7 +426,9 @@ class JointFitter:
         return hazard
 
     def _smoothed(self, counts: Floats) -> Singles:
-        """Counts (P, bins) less the sparse prior, smoothed; by how much they grow with a candidate's own is noted."""
+        """Counts (P, bins) less the sparse prior, smoothed; by how much they grow with a
+        candidate's own is noted.
+        """
         total = counts.sum(axis=1)
         kept = np.maximum(total - self.sparsity, 1e-3 * total) if self.sparsity else total
         share = (kept / np.maximum(total, 1e-300))[:, None]
@@ -387,38 +444,60 @@ class JointFitter:
         return self._some_exposed.take(self.candidates.source[rows], axis=0)
 
     def _appears(self, hazard: Singles, rows: slice | Indices) -> Floats:
-        """Probability (rows, bins) that an object leaving at the source appears next at the target in that lag bin."""
-        appears: Floats = hazard * self.bins.widths * self._exposed_share[self.candidates.source[rows]]
+        """Probability (rows, bins) that an object leaving at the source appears next at the target
+        in that lag bin.
+        """
+        appears: Floats = (
+            hazard * self.bins.widths * self._exposed_share[self.candidates.source[rows]]
+        )
         return appears
 
     def flatness(self, hazard: Singles) -> Floats:
-        """Hazard without its dependence on the lag (`_even`) over the hazard, of each candidate (M,)."""
-        flat: Floats = self._even(hazard)[self.candidates.pair] / np.maximum(hazard.take(self._cell), NOTHING)
+        """Hazard without its dependence on the lag (`_even`) over the hazard, of each candidate
+        (M,).
+        """
+        flat: Floats = self._even(hazard)[self.candidates.pair] / np.maximum(
+            hazard.take(self._cell), NOTHING
+        )
         return flat
 
     def hedged(self, hazard: Singles, even_share: float) -> Singles:
         """The hazards (P, bins) with a share of their transitions spread evenly over all lags."""
-        return (1.0 - even_share) * hazard + (even_share * self._even(hazard)[:, None]).astype(np.float32)
+        return (1.0 - even_share) * hazard + (even_share * self._even(hazard)[:, None]).astype(
+            np.float32
+        )
 
     def _even(self, hazard: Singles) -> Floats:
-        """Hazards (P,) that do not depend on the lag and make as many transitions as these (P, bins)."""
+        """Hazards (P,) that do not depend on the lag and make as many transitions as these (P,
+        bins).
+        """
         even, c = np.zeros(self.pairs), self.candidates
         one_view, ahead = self._camera[c.source] == self._camera[c.target], self.bins.edges[1:] <= 0
         for rows in rows_together(self.pairs):
             exposed = self.exposure[c.source[rows]] * self.bins.widths
-            exposed[one_view[rows, None] & ahead] = 0.0  # within one view, no lag is before the exit
-            even[rows] = (hazard[rows] * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
+            exposed[one_view[rows, None] & ahead] = (
+                0.0  # within one view, no lag is before the exit
+            )
+            even[rows] = (hazard[rows] * exposed).sum(axis=1) / np.maximum(
+                exposed.sum(axis=1), 1e-9
+            )
         return even
 
 
 def within(some: Indices, part: slice) -> slice:
     """Which of ``some`` (n,), ascending, belong to a part of all."""
-    ends = np.array((part.start, part.stop), some.dtype)  # of another type all of them would be copied
+    ends = np.array(
+        (part.start, part.stop), some.dtype
+    )  # of another type all of them would be copied
     return slice(*np.searchsorted(some, ends).tolist())
 
 
 def adjust(
-    candidates: Candidates, departures: Departures, arrivals: Arrivals, found: Persistence, bins: LagBins
+    candidates: Candidates,
+    departures: Departures,
+    arrivals: Arrivals,
+    found: Persistence,
+    bins: LagBins,
 ) -> Adjusted:
     """The candidates as the ``found`` persistence of speed tells."""
     c = candidates
@@ -427,7 +506,10 @@ def adjust(
     for part in together(c.arrival):
         lag = np.clip(c.lag[part].astype(float), bins.lag_min, bins.lag_max)
         if found != NO_PERSISTENCE:
-            left, came = departures.slow.take(c.departure[part]), arrivals.slow.take(c.arrival[part])
+            left, came = (
+                departures.slow.take(c.departure[part]),
+                arrivals.slow.take(c.arrival[part]),
+            )
             lag = adjusted_lag(lag, combined(left, came), found.scaling, bins)
         cell[part] = c.pair[part] * bins.size + bins.index(lag)
         if agree is not None:

@@ -1,8 +1,9 @@
-"""Screening: which candidates are worth a joint fit, where a site has too many cameras to weigh them all.
+"""Screening: which candidates are worth a joint fit, where a site has too many cameras to weigh
+them all.
 
-With a dozen cameras every departure within the lags of an arrival is a candidate. With a hundred there are thousands
-for each arrival, nearly all from the other end of the site; their number grows with the square of the traffic. So two
-looks go before the fit, each far cheaper than it:
+With a dozen cameras every departure within the lags of an arrival is a candidate. With a hundred
+there are thousands for each arrival, nearly all from the other end of the site; their number grows
+with the square of the traffic. So two looks go before the fit, each far cheaper than it:
 
 * *Rarely, over all pairs of zones*: what follows the departures of a zone more often than chance has it, at any lag
   (Makris, Ellis and Black 2004)? The zones that stand out most are followed as sources of the zone looked at, until it
@@ -75,7 +76,9 @@ LIKELY_MAX, LIKELY_PER_ARRIVAL = 3_000_000, 8
 
 
 class Followed(Struct):
-    """Sources followed of one zone of arrival, by `place`; and how many events had been learned at its last look."""
+    """Sources followed of one zone of arrival, by `place`; and how many events had been learned at
+    its last look.
+    """
 
     sources: Longs
     looked: int
@@ -104,19 +107,30 @@ class Screen:
         """By `place` of the zone of arrival."""
 
     @staticmethod
-    def is_needed(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, candidates_max: int) -> bool:
+    def is_needed(
+        departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, candidates_max: int
+    ) -> bool:
         """Whether there are more candidates, or pairs of ``zones``, than can all be looked at."""
         low, high = in_reach(departures.t, arrivals.t, bins)
         return int((high - low).sum()) > candidates_max or zones**2 > PAIRS_FEW
 
     def find(
-        self, departures: Departures, arrivals: Arrivals, bins: LagBins, places: Longs, until: float, learned: int,
-        candidates_max: int, everywhere: bool = False,
-    ) -> Candidates:  # fmt: skip
-        """The candidates of a window: all of them while there are at most ``candidates_max``, and few pairs of zones.
+        self,
+        departures: Departures,
+        arrivals: Arrivals,
+        bins: LagBins,
+        places: Longs,
+        until: float,
+        learned: int,
+        candidates_max: int,
+        everywhere: bool = False,
+    ) -> Candidates:
+        """The candidates of a window: all of them while there are at most ``candidates_max``, and
+        few pairs of zones.
 
-        ``places`` (zones,): what zones are known by from one fit to the next; ``until``: seconds up to which events
-        have come; ``learned``: events up to now; ``everywhere``: look at every zone now, as there is no other fit.
+        ``places`` (zones,): what zones are known by from one fit to the next; ``until``: seconds up
+        to which events have come; ``learned``: events up to now; ``everywhere``: look at every zone
+        now, as there is no other fit.
         """
         if not self.is_needed(departures, arrivals, bins, len(places), candidates_max):
             self.followed = {}
@@ -127,7 +141,10 @@ class Screen:
         sources_of = self._sources(places)
 
         # Beyond the limit the clearest arrivals count.
-        reach, left = np.zeros(len(arrivals.t), np.intp), [departures.t[rows] for rows in ends.leaving]
+        reach, left = (
+            np.zeros(len(arrivals.t), np.intp),
+            [departures.t[rows] for rows in ends.leaving],
+        )
         for zone, sources in sources_of.items():
             mine = ends.coming[zone]
             reach[mine] = _reach([left[source] for source in sources], arrivals.t[mine], bins)
@@ -155,12 +172,16 @@ class Screen:
         return result
 
     def _look(self, ends: Ends, places: Longs, learned: int, reach: Rows, everywhere: bool) -> None:
-        """Look at some zones again, or at all, over all pairs, and forget zones that are no more."""
+        """Look at some zones again, or at all, over all pairs, and forget zones that are no
+        more.
+        """
         never = Followed(np.zeros(0, np.int64), -1)
         self.followed = {place: self.followed.get(place, never) for place in places.tolist()}
         pairs_max = zone_pairs_max(len(np.unique(places >> 32)))
         budget = max(LOOKS_MIN, LOOKS_PER_EVENT * (len(ends.departures.t) + len(ends.arrivals.t)))
-        for zone in sorted(range(len(places)), key=lambda zone: self.followed[int(places[zone])].looked):
+        for zone in sorted(
+            range(len(places)), key=lambda zone: self.followed[int(places[zone])].looked
+        ):
             if budget <= 0 and not everywhere:
                 break
             sources = standing_out(ends, zone, pairs_max)
@@ -169,14 +190,23 @@ class Screen:
 
 
 def whole(
-    candidates: Candidates, pairs: Rows, departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int
+    candidates: Candidates,
+    pairs: Rows,
+    departures: Departures,
+    arrivals: Arrivals,
+    bins: LagBins,
+    zones: int,
 ) -> Candidates:
-    """All candidates of the ``pairs``, likely or not, and none of the others: for judging what was found. What is left
-    of a pair after the unlikely ones have gone has the lag that was looked for, whether there is a link or not. Beyond
-    `JUDGED_MAX` all of the clearest arrivals.
+    """All candidates of the ``pairs``, likely or not, and none of the others: for judging what was
+    found. What is left of a pair after the unlikely ones have gone has the lag that was looked for,
+    whether there is a link or not. Beyond `JUDGED_MAX` all of the clearest arrivals.
     """
     leaving, coming = rows_of(departures.zone, zones), rows_of(arrivals.zone, zones)
-    pairs_to = {zone: pairs[rows] for zone, rows in enumerate(rows_of(candidates.target[pairs], zones)) if len(rows)}
+    pairs_to = {
+        zone: pairs[rows]
+        for zone, rows in enumerate(rows_of(candidates.target[pairs], zones))
+        if len(rows)
+    }
 
     # Beyond the limit the clearest arrivals count.
     reach = np.zeros(len(arrivals.t), np.intp)
@@ -185,7 +215,14 @@ def whole(
         reach[coming[zone]] = _reach(left, arrivals.t[coming[zone]], bins)
     clear = clearest(reach, JUDGED_MAX)
 
-    parts = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))]
+    parts = [
+        (
+            np.zeros(0, np.int32),
+            np.zeros(0, np.int32),
+            np.zeros(0, np.int32),
+            np.zeros(0, np.float32),
+        )
+    ]
     for zone, here in pairs_to.items():
         number = np.full(zones, -1, np.int32)
         number[candidates.source[here]] = here
@@ -195,21 +232,30 @@ def whole(
             parts.append((departure.astype(np.int32), came, pair, lag.astype(np.float32)))
     lefts, cames, pairings, lags = zip(*parts, strict=True)
     arrival = np.concatenate(cames)
-    order = np.argsort(arrival, kind="stable")  # each part has arrivals of its own, by arrival and departure
+    order = np.argsort(
+        arrival, kind="stable"
+    )  # each part has arrivals of its own, by arrival and departure
     return candidates._replace(
-        departure=np.concatenate(lefts)[order], arrival=arrival[order], pair=np.concatenate(pairings)[order],
+        departure=np.concatenate(lefts)[order],
+        arrival=arrival[order],
+        pair=np.concatenate(pairings)[order],
         lag=np.concatenate(lags)[order],
-    )  # fmt: skip
+    )
 
 
 def not_overlapping(
-    candidates: Candidates, departures: Departures, arrivals: Arrivals, responsibility: Singles, overlapping: Bools
+    candidates: Candidates,
+    departures: Departures,
+    arrivals: Arrivals,
+    responsibility: Singles,
+    overlapping: Bools,
 ) -> NDArray[np.bool_]:
-    """Candidates (M,) that appear before the exit in the view of a camera that shows no overlap with this one.
+    """Candidates (M,) that appear before the exit in the view of a camera that shows no overlap
+    with this one.
 
-    Two views overlap if `overlapping` found that they do (``overlapping`` (cameras, cameras)), or if the appearances
-    before the exit, over all their zones and in both directions, have more evidence than chance gives any pair of
-    cameras with probability `OVERLAP_FALSE`.
+    Two views overlap if `overlapping` found that they do (``overlapping`` (cameras, cameras)), or
+    if the appearances before the exit, over all their zones and in both directions, have more
+    evidence than chance gives any pair of cameras with probability `OVERLAP_FALSE`.
     """
     cameras = len(overlapping)
     c = candidates
@@ -218,7 +264,9 @@ def not_overlapping(
     views = np.minimum(left, came).astype(np.int64) * cameras + np.maximum(left, came)
     present, pair = np.unique(views, return_inverse=True)
     key, number = np.unique(c.arrival[ahead].astype(np.int64) * cameras + left, return_inverse=True)
-    share = np.minimum(np.bincount(number, responsibility[ahead], minlength=len(key)), RESPONSIBILITY_MAX)
+    share = np.minimum(
+        np.bincount(number, responsibility[ahead], minlength=len(key)), RESPONSIBILITY_MAX
+    )
     of_key = np.zeros(len(key), np.int64)
     of_key[number] = pair
     nats = np.bincount(of_key, -np.log1p(-share) - share, minlength=len(present))
@@ -234,13 +282,19 @@ def place(camera: int, number: int) -> int:
     return camera << 32 | number
 
 
-def ends_of(departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, until: float) -> Ends:
+def ends_of(
+    departures: Departures, arrivals: Arrivals, bins: LagBins, zones: int, until: float
+) -> Ends:
     """Departures and arrivals until a moment (seconds), made ready to be looked at."""
     return Ends(
-        departures, arrivals, rows_of(departures.zone, zones), rows_of(arrivals.zone, zones),
+        departures,
+        arrivals,
+        rows_of(departures.zone, zones),
+        rows_of(arrivals.zone, zones),
         exposures(departures, bins, zones, until),
-        Chance(departures.t, departures.zone, arrivals.t, arrivals.zone, zones), bins,
-    )  # fmt: skip
+        Chance(departures.t, departures.zone, arrivals.t, arrivals.zone, zones),
+        bins,
+    )
 
 
 def standing_out(ends: Ends, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows:
@@ -253,8 +307,8 @@ def standing_out(ends: Ends, zone: int, pairs_max: int = ZONE_PAIRS_MAX) -> Rows
 
 
 def followed_above_chance(ends: Ends, zone: int) -> Floats:
-    """How far what the arrivals at ``zone`` follow stands out of chance at the lag where it does most, by the zone of
-    departure (zones,), in standard deviations; -inf where too little was seen.
+    """How far what the arrivals at ``zone`` follow stands out of chance at the lag where it does
+    most, by the zone of departure (zones,), in standard deviations; -inf where too little was seen.
     """
     zones, bins = len(ends.leaving), ends.bins
     seen = np.zeros(zones * bins.size)
@@ -264,7 +318,9 @@ def followed_above_chance(ends: Ends, zone: int) -> Floats:
     # Of too many pairs those of every second arrival are counted, or of every third, ...
     most = LOOKED_PER_EVENT_MAX * (len(ends.departures.t) + len(ends.arrivals.t))
     mine = every[:: -(-int((high - low).sum()) // most) or 1]
-    for departure, _, lag in possible(ends.departures, ends.arrivals, bins, mine, at_once=COUNTED_AT_ONCE):
+    for departure, _, lag in possible(
+        ends.departures, ends.arrivals, bins, mine, at_once=COUNTED_AT_ONCE
+    ):
         cell = ends.departures.zone[departure].astype(np.int64) * bins.size + bins.index(lag)
         seen += np.bincount(cell, minlength=len(seen))
 
@@ -278,7 +334,9 @@ def followed_above_chance(ends: Ends, zone: int) -> Floats:
 
 
 def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
-    """How far each histogram of lags (P, bins) stands out of chance where it does most, in standard deviations (P,)."""
+    """How far each histogram of lags (P, bins) stands out of chance where it does most, in standard
+    deviations (P,).
+    """
     most = np.zeros(len(seen))
     for sd_bins in EXCESS_SMOOTHING_SD_BINS:
         spread = smoother(bins.size, sd_bins)
@@ -288,7 +346,9 @@ def _above(seen: Floats, chance: Floats, bins: LagBins) -> Floats:
 
 
 def _reach(left: list[Floats], came: Floats, bins: LagBins) -> Rows:
-    """Departures in reach of each arrival (n,), ``left`` being the times of those of several zones."""
+    """Departures in reach of each arrival (n,), ``left`` being the times of those of several
+    zones.
+    """
     reach = np.zeros(len(came), np.intp)
     for times in left:
         low, high = in_reach(times, came, bins)
@@ -302,17 +362,31 @@ def _among(leaving: list[Rows], sources: Longs | Ints) -> Rows:
 
 
 def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
-    """Departure, arrival, lag and probability of the likely candidates for the arrivals ``mine`` at one zone."""
+    """Departure, arrival, lag and probability of the likely candidates for the arrivals ``mine`` at
+    one zone.
+    """
     bins = ends.bins
     among = _among(ends.leaving, sources)
     number = np.zeros(len(ends.leaving), np.int64)
     number[sources] = np.arange(len(sources))
 
-    # Only what is needed of each pair is kept of each part: departure, index into ``mine``, source and lag bin, lag.
-    parts = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))]
+    # Only what is needed of each pair is kept of each part: departure, index into ``mine``, source
+    # and lag bin, lag.
+    parts = [
+        (
+            np.zeros(0, np.int32),
+            np.zeros(0, np.int32),
+            np.zeros(0, np.int32),
+            np.zeros(0, np.float32),
+        )
+    ]
     for left, came, apart in possible(ends.departures, ends.arrivals, bins, mine, among):
-        at_bin = (number[ends.departures.zone[left]] * bins.size + bins.index(apart)).astype(np.int32)
-        parts.append((left.astype(np.int32), came.astype(np.int32), at_bin, apart.astype(np.float32)))
+        at_bin = (number[ends.departures.zone[left]] * bins.size + bins.index(apart)).astype(
+            np.int32
+        )
+        parts.append(
+            (left.astype(np.int32), came.astype(np.int32), at_bin, apart.astype(np.float32))
+        )
     departure, at, cell, lag = (np.concatenate(column) for column in zip(*parts, strict=True))
     del parts
 
@@ -320,7 +394,9 @@ def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
     exposed = ends.exposure[sources] * bins.widths
     usual = ends.chance.of(sources, np.full(len(sources), zone))[:, None] * exposed
     seen = np.bincount(cell, minlength=size).reshape(-1, bins.size).astype(float)
-    hazard = np.maximum(excess(seen, usual, bins, NOISE_SD), START_FLOOR * seen) / np.maximum(exposed, bins.widths)
+    hazard = np.maximum(excess(seen, usual, bins, NOISE_SD), START_FLOOR * seen) / np.maximum(
+        exposed, bins.widths
+    )
     outside, share = OUTSIDE_FIRST * ends.arrivals.rate[mine], np.zeros(0)
     for _ in range(ROUNDS):
         weight = hazard.ravel()[cell]
@@ -329,10 +405,17 @@ def _likely(ends: Ends, zone: int, sources: Longs, mine: Rows) -> Part:
         moved = np.bincount(cell, once, minlength=size).reshape(-1, bins.size).astype(float)
         hazard = smooth(moved)[0] / (np.maximum(ends.exposure[sources], 1.0) * bins.widths)
     kept = share > LIKELY_MIN
-    return departure[kept], mine[at[kept]].astype(np.int32), lag[kept], share[kept].astype(np.float32)
+    return (
+        departure[kept],
+        mine[at[kept]].astype(np.int32),
+        lag[kept],
+        share[kept].astype(np.float32),
+    )
 
 
-def _joined(parts: Iterable[Part], departures: Departures, arrivals: Arrivals, zones: int) -> Candidates:
+def _joined(
+    parts: Iterable[Part], departures: Departures, arrivals: Arrivals, zones: int
+) -> Candidates:
     """The likeliest candidates of all parts, by arrival."""
     most = max(LIKELY_MAX, LIKELY_PER_ARRIVAL * len(arrivals.t))
     held: list[Part] = []
@@ -344,16 +427,27 @@ def _joined(parts: Iterable[Part], departures: Departures, arrivals: Arrivals, z
             held = [_likeliest(held, most, most + most // 2)]
             n = len(held[0][0])
     departure, arrival, lag, _ = _likeliest(held, most, most)
-    order = np.argsort(arrival, kind="stable")  # each part has arrivals of its own, by arrival and departure
+    order = np.argsort(
+        arrival, kind="stable"
+    )  # each part has arrivals of its own, by arrival and departure
     departure, arrival, lag = departure[order], arrival[order], lag[order]
     pair, source, target = number_pairs(departures.zone[departure], arrivals.zone[arrival], zones)
     return Candidates(departure, arrival, pair, lag, source, target)
 
 
 def _likeliest(parts: list[Part], most: int, room: int) -> Part:
-    """The likeliest ``most`` of all parts and those that are as likely as the last of them, in all at most ``room``."""
-    nothing = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32))
-    departure, arrival, lag, share = (np.concatenate(column) for column in zip(nothing, *parts, strict=True))
+    """The likeliest ``most`` of all parts and those that are as likely as the last of them, in all
+    at most ``room``.
+    """
+    nothing = (
+        np.zeros(0, np.int32),
+        np.zeros(0, np.int32),
+        np.zeros(0, np.float32),
+        np.zeros(0, np.float32),
+    )
+    departure, arrival, lag, share = (
+        np.concatenate(column) for column in zip(nothing, *parts, strict=True)
+    )
     if len(share) <= most:
         return departure, arrival, lag, share
     least = np.partition(share, len(share) - most)[len(share) - most]

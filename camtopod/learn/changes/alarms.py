@@ -1,7 +1,8 @@
-"""Alarms: what has changed in the building or its cameras, said once each, in the version that first knows it.
+"""Alarms: what has changed in the building or its cameras, said once each, in the version that
+first knows it.
 
-Finding something for the first time is no change: a link is only said to have opened when its own past shows that it
-was closed (`change`), so that an installation that starts says nothing.
+Finding something for the first time is no change: a link is only said to have opened when its own
+past shows that it was closed (`change`), so that an installation that starts says nothing.
 """
 
 from __future__ import annotations
@@ -21,18 +22,24 @@ from camtopod.topology import ALARMS_KEPT_MAX
 SUBJECTS_MAX = 10_000
 """Links and zones whose last report is remembered; beyond, the oldest is forgotten."""
 SHARE_CHANGE_MIN = 0.1
-"""A link that stays open is reported when its share has changed by this; smaller changes are followed silently."""
+"""A link that stays open is reported when its share has changed by this; smaller changes are
+followed silently.
+"""
 STARTING_SECONDS = 1800.0
-"""Nothing is reported to have changed so soon after the first event: people who were about have yet to be seen."""
+"""Nothing is reported to have changed so soon after the first event: people who were about have yet
+to be seen.
+"""
 SILENCE_SLACK_SECONDS = 900.0
-"""Links that change so near to where a camera falls silent, or is back, are taken for its work: who passed through it
-unseen seems to have gone straight on.
+"""Links that change so near to where a camera falls silent, or is back, are taken for its work: who
+passed through it unseen seems to have gone straight on.
 """
 CLOCK_CHANGE_SECONDS_MIN = 0.5
 CLOCK_CHANGE_SD = 4.0
 """A clock is reported when it has moved by both, the second in standard deviations."""
 GONE_RATIO = 0.05
-"""A zone is gone, or new, when its share of the camera's events is, or was, at most this much of what it was, or is."""
+"""A zone is gone, or new, when its share of the camera's events is, or was, at most this much of
+what it was, or is.
+"""
 ZONE_SHARE_MAX = 0.99
 
 
@@ -52,14 +59,22 @@ class AlarmLog:
     def __init__(self) -> None:
         self.newest: list[Alarm] = []
         """The newest `ALARMS_KEPT_MAX`, oldest first."""
-        self._said: dict[str, float] = {}  # subject -> when last reported; for what can change again
-        self._joined: set[str] = set()  # links that have been published and not been said to have closed
+        self._said: dict[
+            str, float
+        ] = {}  # subject -> when last reported; for what can change again
+        self._joined: set[str] = (
+            set()
+        )  # links that have been published and not been said to have closed
         self._silent: set[str] = set()
-        self._clock: dict[str, tuple[float, float]] = {}  # offset in seconds and its sd that changes are held against
+        self._clock: dict[
+            str, tuple[float, float]
+        ] = {}  # offset in seconds and its sd that changes are held against
 
     def save(self) -> AlarmState:
         """Everything `load` needs to go on from here."""
-        return AlarmState(self.newest, self._said, sorted(self._joined), sorted(self._silent), self._clock)
+        return AlarmState(
+            self.newest, self._said, sorted(self._joined), sorted(self._silent), self._clock
+        )
 
     def load(self, state: AlarmState) -> None:
         """Go on from there."""
@@ -81,26 +96,47 @@ class AlarmLog:
         self.newest = [*self.newest, Alarm(version, t, kind, subject, detail)][-ALARMS_KEPT_MAX:]
 
     def report(
-        self, version: int, t: float, scene: Scene, zones: list[str], cameras: list[str], silences: list[Silences],
-        changes: list[Change], published: set[tuple[int, int]], share_min: float,
-    ) -> None:  # fmt: skip
-        """Everything that this version shows. ``zones``, ``cameras``: their ids; ``published``: the pairs of zones its
-        links join; ``share_min``: a smaller share makes no link.
+        self,
+        version: int,
+        t: float,
+        scene: Scene,
+        zones: list[str],
+        cameras: list[str],
+        silences: list[Silences],
+        changes: list[Change],
+        published: set[tuple[int, int]],
+        share_min: float,
+    ) -> None:
+        """Everything that this version shows. ``zones``, ``cameras``: their ids; ``published``: the
+        pairs of zones its links join; ``share_min``: a smaller share makes no link.
         """
         begun = scene.first + STARTING_SECONDS
         self.cameras(version, t, silences, cameras, begun)
         for index, change in zone_changes(scene).items():
             if change[2] >= begun:
                 self.zone(version, t, zones[index], *change)
-        edges = np.array([edge for silence in silences for interval in silence.intervals for edge in interval])
-        own = [c for c in changes if c.since >= begun and not np.any(np.abs(edges - c.since) < SILENCE_SLACK_SECONDS)]
+        edges = np.array(
+            [edge for silence in silences for interval in silence.intervals for edge in interval]
+        )
+        own = [
+            c
+            for c in changes
+            if c.since >= begun and not np.any(np.abs(edges - c.since) < SILENCE_SLACK_SECONDS)
+        ]
         self.links(version, t, own, zones, published, share_min)
 
     def links(
-        self, version: int, t: float, changes: Iterable[Change], zones: list[str],
-        published: set[tuple[int, int]], share_min: float,
-    ) -> None:  # fmt: skip
-        """Links that opened, closed or changed. ``published``: the zones joined by the links of this version."""
+        self,
+        version: int,
+        t: float,
+        changes: Iterable[Change],
+        zones: list[str],
+        published: set[tuple[int, int]],
+        share_min: float,
+    ) -> None:
+        """Links that opened, closed or changed. ``published``: the zones joined by the links of
+        this version.
+        """
         for change in changes:
             closed = change.after < share_min
             opened = not closed and change.before < share_min
@@ -118,39 +154,65 @@ class AlarmLog:
         links = {f"{zones[source]}->{zones[target]}" for source, target in published}
         self._joined = links if len(self._joined) > SUBJECTS_MAX else self._joined | links
 
-    def zone(self, version: int, t: float, subject: str, before: float, after: float, since: float) -> None:
+    def zone(
+        self, version: int, t: float, subject: str, before: float, after: float, since: float
+    ) -> None:
         """A zone that came into use or fell out of it."""
         kind = "zone_new" if after > before else "zone_gone"
-        detail = f"{before:.2f} of the camera's entries or exits until {since:.0f}, {after:.2f} since"
+        detail = (
+            f"{before:.2f} of the camera's entries or exits until {since:.0f}, {after:.2f} since"
+        )
         self._once(version, t, kind, subject, detail, since)
 
-    def cameras(self, version: int, t: float, silences: list[Silences], cameras: list[str], begun: float) -> None:
+    def cameras(
+        self, version: int, t: float, silences: list[Silences], cameras: list[str], begun: float
+    ) -> None:
         """Cameras that fell silent after ``begun`` (seconds), and those that are back."""
         for name, silence in zip(cameras, silences, strict=True):
             ongoing = bool(silence.intervals) and silence.intervals[-1][1] == np.inf
             if silence.lasts and name not in self._silent and silence.intervals[-1][0] >= begun:
                 self._silent.add(name)
-                self.add(version, t, "camera_silent", name, f"nothing since {silence.intervals[-1][0]:.0f}")
+                self.add(
+                    version,
+                    t,
+                    "camera_silent",
+                    name,
+                    f"nothing since {silence.intervals[-1][0]:.0f}",
+                )
             elif name in self._silent and not ongoing:
                 self._silent.discard(name)
                 self.add(version, t, "camera_back", name, "events again")
 
     def clocks(self, version: int, t: float, cameras: list[Camera]) -> None:
-        """Cameras whose clock has moved against the others. What is known for the first time is no change."""
+        """Cameras whose clock has moved against the others. What is known for the first time is no
+        change.
+        """
         for camera in cameras:
             now, sd = camera.clock_offset, camera.clock_offset_sd
             if sd is None:
                 continue
             before, before_sd = self._clock.get(camera.id, (now, np.inf))
             moved = abs(now - before)
-            clear = moved >= CLOCK_CHANGE_SECONDS_MIN and moved > CLOCK_CHANGE_SD * np.hypot(sd, before_sd)
+            clear = moved >= CLOCK_CHANGE_SECONDS_MIN and moved > CLOCK_CHANGE_SD * np.hypot(
+                sd, before_sd
+            )
             if clear:
-                self.add(version, t, "clock_changed", camera.id, f"ahead by {before:.2f} s before, by {now:.2f} s now")
+                self.add(
+                    version,
+                    t,
+                    "clock_changed",
+                    camera.id,
+                    f"ahead by {before:.2f} s before, by {now:.2f} s now",
+                )
             if clear or sd < before_sd / 2:
                 self._clock[camera.id] = now, sd
 
-    def _once(self, version: int, t: float, kind: str, subject: str, detail: str, since: float) -> None:
-        """Report a change unless what is known of the subject was known when it was last reported."""
+    def _once(
+        self, version: int, t: float, kind: str, subject: str, detail: str, since: float
+    ) -> None:
+        """Report a change unless what is known of the subject was known when it was last
+        reported.
+        """
         if since <= self._said.get(subject, -np.inf):
             return
         self._said.pop(subject, None)
@@ -161,9 +223,11 @@ class AlarmLog:
 
 
 def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
-    """Zones whose share of their camera's events began or ended: zone -> share before, after, since when (seconds).
+    """Zones whose share of their camera's events began or ended: zone -> share before, after, since
+    when (seconds).
 
-    Of entries or of exits, whichever the zone has more of: as a scene fills there are entries first, in the end exits.
+    Of entries or of exits, whichever the zone has more of: as a scene fills there are entries
+    first, in the end exits.
     """
     threshold = threshold_nats(len(scene.zones), len(scene.departures.t) + len(scene.arrivals.t))
     found = {}
@@ -173,10 +237,14 @@ def zone_changes(scene: Scene) -> dict[int, tuple[float, float, float]]:
     of_zone = [rows_of(events.zone, len(scene.zones)) for events in ends]
     for index, ref in enumerate(scene.zones):
         side = 0 if scene.exits[index] > scene.entries[index] else 1
-        seen, own = (ends[side].t[rows] for rows in (of_camera[side][ref.camera], of_zone[side][index]))
+        seen, own = (
+            ends[side].t[rows] for rows in (of_camera[side][ref.camera], of_zone[side][index])
+        )
         if len(own) == len(seen):
             continue
-        change = latest_change(Trials(seen, np.ones(len(seen)), own, np.full(len(own), ZONE_SHARE_MAX)), threshold)
+        change = latest_change(
+            Trials(seen, np.ones(len(seen)), own, np.full(len(own), ZONE_SHARE_MAX)), threshold
+        )
         if change is not None:
             since, before, after, _ = change
             if min(before, after) <= GONE_RATIO * max(before, after):

@@ -1,18 +1,18 @@
 """Has a way opened or closed? Since when the present share of each pair of zones holds.
 
-The joint fit gives one share to each pair of zones for the whole window, so a path that was closed lives on in it and
-one that was opened is thinned out. Here every pair the fit follows is asked whether its share of the *departures* was
-another before some moment: traffic that swells and ebbs changes the departures and the transitions alike and is no
-change.
+The joint fit gives one share to each pair of zones for the whole window, so a path that was closed
+lives on in it and one that was opened is thinned out. Here every pair the fit follows is asked
+whether its share of the *departures* was another before some moment: traffic that swells and ebbs
+changes the departures and the transitions alike and is no change.
 
-An arrival that the fit ascribes to the pair with probability ``r`` has, were the share ``f`` times as large, a
-likelihood ``1 - r + f r`` times as large, and a departure takes the way ``f`` times as often; so the log likelihood
-of ``f`` over a stretch of time is ``sum log(1 - r + f r) - (f - 1) * expected``, in which an arrival that may well
-have come from elsewhere says little. The change is where two factors, one before and one after, exceed one for all
-by most. It counts when that ratio, over the overdispersion that remains (people in groups, shares that follow the
-hour), exceeds what chance reaches at any split of any pair in less than `FALSE_ALARM` of the windows: a union bound
-over Wilks' law.
-Related: Killick, Fearnhead and Eckley (2012); ruptures' cost functions.
+An arrival that the fit ascribes to the pair with probability ``r`` has, were the share ``f`` times
+as large, a likelihood ``1 - r + f r`` times as large, and a departure takes the way ``f`` times as
+often; so the log likelihood of ``f`` over a stretch of time is ``sum log(1 - r + f r) - (f - 1) *
+expected``, in which an arrival that may well have come from elsewhere says little. The change is
+where two factors, one before and one after, exceed one for all by most. It counts when that ratio,
+over the overdispersion that remains (people in groups, shares that follow the hour), exceeds what
+chance reaches at any split of any pair in less than `FALSE_ALARM` of the windows: a union bound
+over Wilks' law. Related: Killick, Fearnhead and Eckley (2012); ruptures' cost functions.
 """
 
 from __future__ import annotations
@@ -30,15 +30,17 @@ from camtopod.learn.links import LinkTable, log_likelihood_ratio
 from camtopod.learn.traffic import Arrivals, Departures
 
 FALSE_ALARM = 5e-3
-"""Probability by theory that chance makes a change anywhere in one window; what is doubtful varies less than theory has
-it, so that in measurement it is far less.
+"""Probability by theory that chance makes a change anywhere in one window; what is doubtful varies
+less than theory has it, so that in measurement it is far less.
 """
 FACTORS = np.concatenate(([0.0], np.geomspace(0.03, 100.0, 25)))
 """Shares after over shares on the whole that are tried."""
 SPLIT_DEPARTURES_MIN = 4
 """Departures on either side of a change, at least."""
 SPLIT_RATIO = 1.15
-"""Splits are tried at moments since which there were 4, 4.6, 5.3, ... departures: as finely as a change is old."""
+"""Splits are tried at moments since which there were 4, 4.6, 5.3, ... departures: as finely as a
+change is old.
+"""
 BLOCKS = 16
 """Stretches of a window whose counts say how much more than by chance they vary."""
 CHANGES_MAX = 4
@@ -55,9 +57,9 @@ Silence = tuple[float, float]
 
 
 class Change(NamedTuple):
-    """The share of the departures at zone ``source`` that appear next at ``target``: ``after`` since ``since``
-    (seconds), ``before`` until then; ``nats`` of evidence for that. ``linked``: evidence since then that they are
-    joined at all, by transits of a certain time.
+    """The share of the departures at zone ``source`` that appear next at ``target``: ``after``
+    since ``since`` (seconds), ``before`` until then; ``nats`` of evidence for that. ``linked``:
+    evidence since then that they are joined at all, by transits of a certain time.
     """
 
     source: int
@@ -70,7 +72,9 @@ class Change(NamedTuple):
 
 
 class Trials(NamedTuple):
-    """Departures of one zone, by time (n,), with what each counts; and the transitions of one pair, by time (J,)."""
+    """Departures of one zone, by time (n,), with what each counts; and the transitions of one pair,
+    by time (J,).
+    """
 
     t: Floats
     weight: Floats
@@ -83,8 +87,9 @@ def find_changes(
 ) -> list[Change]:
     """The latest change of every pair of the fit that has one, by pair.
 
-    ``over``: what left later (seconds) may still arrive and does not count. ``silences``: for each camera the intervals
-    in which it reported nothing at all; nobody could be seen to arrive there, so what left in them does not count.
+    ``over``: what left later (seconds) may still arrive and does not count. ``silences``: for each
+    camera the intervals in which it reported nothing at all; nobody could be seen to arrive there,
+    so what left in them does not count.
     """
     pairs = np.flatnonzero(fit.counts.sum(axis=1) >= TRANSITIONS_MIN)
     threshold = threshold_nats(len(pairs), len(departures.t))
@@ -104,15 +109,16 @@ def find_changes(
             continue
         since, before, after, _ = change
         linked = _linked(fit, departures, pair, since, after * weight.sum() / share[counts].sum())
-        # More arrivals than before are a way that opened only if they come at a certain time after the departures.
+        # More arrivals than before are a way that opened only if they come at a certain time after
+        # the departures.
         if after < before or linked >= threshold:
             found.append(Change(source, target, *change, linked=linked))
     return found
 
 
 def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: float) -> float:
-    """Evidence in nats that a pair of zones is joined, from what left ``since`` (seconds) with ``factor`` times the
-    hazard of the fit.
+    """Evidence in nats that a pair of zones is joined, from what left ``since`` (seconds) with
+    ``factor`` times the hazard of the fit.
     """
     rows = np.flatnonzero(fit.candidates.pair == pair)
     rows = rows[departures.t[fit.candidates.departure[rows]] >= since]
@@ -123,9 +129,11 @@ def _linked(fit: Fit, departures: Departures, pair: int, since: float, factor: f
 
 
 def threshold_nats(series: int, trials: int) -> float:
-    """Evidence that chance reaches in less than `FALSE_ALARM` of the windows, at any split of any of so many series.
+    """Evidence that chance reaches in less than `FALSE_ALARM` of the windows, at any split of any
+    of so many series.
 
-    Splits since which there were less than twice as many departures tell nearly the same, so they count as one.
+    Splits since which there were less than twice as many departures tell nearly the same, so they
+    count as one.
     """
     splits = max(math.log2(max(trials, 1) / SPLIT_DEPARTURES_MIN), 1.0)
     return float(chdtri(1.0, FALSE_ALARM / (max(series, 1) * splits))) / 2.0
@@ -134,8 +142,8 @@ def threshold_nats(series: int, trials: int) -> float:
 def transitions_by_pair(
     fit: Fit, departures: Departures, arrivals: Arrivals, pairs: NDArray[np.intp]
 ) -> list[tuple[int, Floats, Floats]]:
-    """For each pair: when its transitions left (J,), by time, and the probability (J,) of each. One for each arrival:
-    departures that compete for one arrival are its one transition.
+    """For each pair: when its transitions left (J,), by time, and the probability (J,) of each. One
+    for each arrival: departures that compete for one arrival are its one transition.
     """
     c = fit.candidates
     asked = np.zeros(len(c.source), bool)
@@ -145,7 +153,10 @@ def transitions_by_pair(
     present, number = np.unique(key, return_inverse=True)
     weight = fit.responsibility[kept]
     share = np.bincount(number, weight, minlength=len(present))
-    moved = np.bincount(number, weight * departures.t[c.departure[kept]], minlength=len(present)) / share
+    moved = (
+        np.bincount(number, weight * departures.t[c.departure[kept]], minlength=len(present))
+        / share
+    )
     pair = present // max(len(arrivals.t), 1)
     order = np.lexsort((moved, pair))
     starts = np.searchsorted(pair[order], pairs)
@@ -157,7 +168,9 @@ def transitions_by_pair(
 
 
 def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float, float] | None:
-    """``since``, share before and after, evidence in nats; None when the share has been the same all the time."""
+    """``since``, share before and after, evidence in nats; None when the share has been the same
+    all the time.
+    """
     n = len(trials.t)
     if n < 2 * SPLIT_DEPARTURES_MIN or trials.weight.sum() == 0 or trials.share.sum() == 0:
         return None
@@ -179,7 +192,9 @@ def latest_change(trials: Trials, threshold: float) -> tuple[float, float, float
 
 
 class _Table:
-    """Cumulative log likelihoods of one pair, so that any stretch of its departures is judged by a subtraction."""
+    """Cumulative log likelihoods of one pair, so that any stretch of its departures is judged by a
+    subtraction.
+    """
 
     def __init__(self, trials: Trials) -> None:
         self.weight = np.concatenate(([0.0], np.cumsum(trials.weight)))
@@ -201,7 +216,9 @@ class _Table:
         return log
 
     def change(self, begin: int, end: int, threshold: float) -> tuple[int | None, float]:
-        """Departure from which on another factor holds, and the evidence in nats; None if that is too little."""
+        """Departure from which on another factor holds, and the evidence in nats; None if that is
+        too little.
+        """
         splits = _splits(begin, end)
         if len(splits) == 0 or self.weight[end] == self.weight[begin]:
             return None, 0.0
@@ -217,7 +234,9 @@ class _Table:
     def _gain(self, begin: int, splits: Longs, end: int) -> Floats:
         """Nats (S,) by which two factors explain more than one."""
         first, last = np.full_like(splits, begin), np.full_like(splits, end)
-        apart = self.likelihood(first, splits).max(axis=0) + self.likelihood(splits, last).max(axis=0)
+        apart = self.likelihood(first, splits).max(axis=0) + self.likelihood(splits, last).max(
+            axis=0
+        )
         whole = self.likelihood(first[:1], last[:1]).max()
         gain: Floats = apart - whole
         return gain
@@ -232,7 +251,9 @@ class _Table:
         return min(float(self._moved(begin, end, self.factor(begin, end)).sum()) / trials, 1.0)
 
     def overdispersion(self, begin: int, split: int, end: int) -> float:
-        """Variance of the counts of stretches over what chance would give, at least 1, the change being taken out."""
+        """Variance of the counts of stretches over what chance would give, at least 1, the change
+        being taken out.
+        """
         edges = np.unique(np.linspace(begin, end, BLOCKS + 1).astype(np.int64))
         edges = np.unique(np.append(edges, split))
         square = chance = 0.0
@@ -256,21 +277,28 @@ def _splits(begin: int, end: int) -> Longs:
     n = end - begin
     if n < 2 * SPLIT_DEPARTURES_MIN:
         return np.zeros(0, np.int64)
-    steps = int(math.log((n - SPLIT_DEPARTURES_MIN) / SPLIT_DEPARTURES_MIN) / math.log(SPLIT_RATIO)) + 1
+    steps = (
+        int(math.log((n - SPLIT_DEPARTURES_MIN) / SPLIT_DEPARTURES_MIN) / math.log(SPLIT_RATIO)) + 1
+    )
     late = np.unique((SPLIT_DEPARTURES_MIN * SPLIT_RATIO ** np.arange(steps)).astype(np.int64))
     return (end - late[late <= n - SPLIT_DEPARTURES_MIN]).astype(np.int64)
 
 
 def present(table: LinkTable, changes: list[Change], zones: int, share_min: float) -> LinkTable:
-    """The table with the shares that hold now; pairs whose share is now below ``share_min`` are left out.
+    """The table with the shares that hold now; pairs whose share is now below ``share_min`` are
+    left out.
 
-    What has opened is told from chance by its own past and by what has come since. Shares that make more than 1 with
-    a new one beside them give way to it.
+    What has opened is told from chance by its own past and by what has come since. Shares that make
+    more than 1 with a new one beside them give way to it.
     """
     latest = {(change.source, change.target): change for change in changes}
     if not latest:
         return table
-    probability, ratio, kept = table.probability.copy(), table.ratio.copy(), np.ones(len(table.source), bool)
+    probability, ratio, kept = (
+        table.probability.copy(),
+        table.ratio.copy(),
+        np.ones(len(table.source), bool),
+    )
     new = np.zeros(len(table.source), bool)
     for k, pair in enumerate(zip(table.source.tolist(), table.target.tolist(), strict=True)):
         change = latest.get(pair)
@@ -279,8 +307,13 @@ def present(table: LinkTable, changes: list[Change], zones: int, share_min: floa
         new[k], kept[k], probability[k] = True, change.after >= share_min, change.after
         if change.after > change.before:
             ratio[k] = max(ratio[k], min(change.nats, change.linked))
-    taken, others = (np.bincount(table.source, probability * rows, minlength=zones) for rows in (new & kept, ~new))
+    taken, others = (
+        np.bincount(table.source, probability * rows, minlength=zones)
+        for rows in (new & kept, ~new)
+    )
     room = np.minimum(1.0, np.maximum(1.0 - taken, 0.0) / np.maximum(others, 1e-9))
-    probability = np.where(new, probability, probability * np.where(taken > 0, room, 1.0)[table.source])
+    probability = np.where(
+        new, probability, probability * np.where(taken > 0, room, 1.0)[table.source]
+    )
     changed = table._replace(probability=probability).with_evidence(ratio, zones * zones)
     return changed.rows(np.flatnonzero(kept))

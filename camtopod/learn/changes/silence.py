@@ -18,8 +18,8 @@ FALSE_ALARM = 1e-3
 EVENTS_PER_PASSAGE = 2.0
 """Who passes is told of twice, so that events say half as much as their number."""
 LONGER_THAN_BEFORE = 2.0
-"""A camera is reported silent when it has been so this many times as long as ever before: some have nights of their
-own.
+"""A camera is reported silent when it has been so this many times as long as ever before: some have
+nights of their own.
 """
 EVENTS_MIN = 10
 """Events of a camera in the window before anything is said about it."""
@@ -28,8 +28,8 @@ PASSES = 2
 
 
 class Silences(NamedTuple):
-    """Silences of one camera: intervals (from, to) in seconds, the last until infinity if it lasts; and whether that
-    is longer than the camera's own habits explain.
+    """Silences of one camera: intervals (from, to) in seconds, the last until infinity if it lasts;
+    and whether that is longer than the camera's own habits explain.
     """
 
     intervals: list[tuple[float, float]]
@@ -37,7 +37,9 @@ class Silences(NamedTuple):
 
 
 def find_silences(t: Floats, camera: NDArray[np.int64], cameras: int) -> list[Silences]:
-    """Silences of every camera from the window's events: ``t`` (n,) seconds, ascending, and their ``camera``."""
+    """Silences of every camera from the window's events: ``t`` (n,) seconds, ascending, and their
+    ``camera``.
+    """
     return [_silences(t, own) for own in rows_of(camera, cameras)]
 
 

@@ -1,8 +1,10 @@
-"""How often something arrives at one place so and so long after something left another: a coarse look, far and wide.
+"""How often something arrives at one place so and so long after something left another: a coarse
+look, far and wide.
 
-The joint fit looks for transit times within minutes and believes the clocks. This looks at lags of up to a quarter of
-an hour either way, in bins of a second, for which counting is enough: with few events difference by difference, with
-many by Fourier transform. Counts are integers, so both ways give the same.
+The joint fit looks for transit times within minutes and believes the clocks. This looks at lags of
+up to a quarter of an hour either way, in bins of a second, for which counting is enough: with few
+events difference by difference, with many by Fourier transform. Counts are integers, so both ways
+give the same.
 """
 
 from __future__ import annotations
@@ -22,12 +24,14 @@ Spectra = NDArray[np.complex64]
 LAGS = 1000
 """Lags are looked at up to this many bins either way."""
 BLOCK = 2048
-"""Bins of one Fourier block; arrivals are taken from half a block before to half a block after it."""
+"""Bins of one Fourier block; arrivals are taken from half a block before to half a block after
+it.
+"""
 SPECTRA_MAX = 4096
 """At most this many blocks over all labels; beyond, the newest stretch of time is looked at."""
 SPECTRA_KEPT = 2048
-"""Transforms of blocks that are kept, of what left and of what came (16 MB a thousand); others are made again when they
-are asked for.
+"""Transforms of blocks that are kept, of what left and of what came (16 MB a thousand); others are
+made again when they are asked for.
 """
 DIFFERENCES_MAX = 4_000_000
 """Up to this many differences are counted one by one."""
@@ -35,7 +39,9 @@ DIFFERENCES_AT_ONCE = 500_000
 ROWS_AT_ONCE = 256
 """Correlograms that are looked at together."""
 CHANCE_BINS = (301, 101)
-"""Chance is the mean over this many bins around, taken twice: local, so that a common rhythm is part of it."""
+"""Chance is the mean over this many bins around, taken twice: local, so that a common rhythm is
+part of it.
+"""
 CHANCE_MIN = 0.02
 SCALES_BINS = (1.5, 4.0, 10.0)
 """Peaks are looked for at these widths, as some transit times are kept closely, others not."""
@@ -50,10 +56,12 @@ NEAR_BINS = 100.0
 def correlograms(
     left: tuple[Floats, Ints], came: tuple[Floats, Ints], labels: int, bin_seconds: float
 ) -> ByDifference | ByTransform:
-    """Everything that left and came, ready to be counted by lag, a few pairs at a time: all would be a lot of memory.
-    It is quickest where those asked for one after the other have at most ``at_once`` labels (`side_by_side`).
+    """Everything that left and came, ready to be counted by lag, a few pairs at a time: all would
+    be a lot of memory. It is quickest where those asked for one after the other have at most
+    ``at_once`` labels (`side_by_side`).
 
-    ``left``, ``came``: times (n,) ascending in seconds, and labels (zones or cameras) below ``labels``; not empty.
+    ``left``, ``came``: times (n,) ascending in seconds, and labels (zones or cameras) below
+    ``labels``; not empty.
     """
     blocks = max(SPECTRA_MAX // labels, 1)
     last = max(left[0][-1], came[0][-1])
@@ -71,19 +79,21 @@ def correlograms(
 
 
 def side_by_side(a: NDArray[Any], b: NDArray[Any], at_once: int) -> NDArray[np.intp]:
-    """An order of pairs (P,) in which those that come one after the other have few labels, for long at most
-    ``at_once``: tile by tile of the matrix of all pairs.
+    """An order of pairs (P,) in which those that come one after the other have few labels, for long
+    at most ``at_once``: tile by tile of the matrix of all pairs.
     """
     side = max(at_once // 2, 1)
     return np.lexsort((b, a, b // side, a // side))
 
 
 class ByDifference:
-    """Counts difference by difference. ``low``, ``n``: the first arrival within the lags of each departure, and how
-    many there are.
+    """Counts difference by difference. ``low``, ``n``: the first arrival within the lags of each
+    departure, and how many there are.
     """
 
-    def __init__(self, bins: list[Longs], names: list[Longs], labels: int, low: Longs, n: Longs) -> None:
+    def __init__(
+        self, bins: list[Longs], names: list[Longs], labels: int, low: Longs, n: Longs
+    ) -> None:
         self._labels = self.at_once = labels
         reached = np.cumsum(n)
         # Each difference as (source, target, lag) in one number.
@@ -101,10 +111,14 @@ class ByDifference:
         self._cells.sort()
 
     def of(self, source: Ints, target: Ints) -> Counts:
-        """Arrivals at ``target`` (P,) around departures from ``source`` (P,) by lag, (P, 2 LAGS + 1)."""
+        """Arrivals at ``target`` (P,) around departures from ``source`` (P,) by lag, (P, 2 LAGS +
+        1).
+        """
         counts = np.zeros((len(source), 2 * LAGS + 1), np.float32)
         first = (source.astype(np.int64) * self._labels + target) * counts.shape[1]
-        low, high = (np.searchsorted(self._cells, cell) for cell in (first, first + counts.shape[1]))
+        low, high = (
+            np.searchsorted(self._cells, cell) for cell in (first, first + counts.shape[1])
+        )
         for k, row in enumerate(counts):
             np.add.at(row, self._cells[low[k] : high[k]] - first[k], 1.0)
         return counts
@@ -115,7 +129,10 @@ class ByTransform:
 
     def __init__(self, bins: list[Longs], names: list[Longs], labels: int) -> None:
         self._blocks = int(max(b.max(initial=0) for b in bins)) // BLOCK + 1
-        self._bins = [[some[rows] for rows in rows_of(name, labels)] for some, name in zip(bins, names, strict=True)]
+        self._bins = [
+            [some[rows] for rows in rows_of(name, labels)]
+            for some, name in zip(bins, names, strict=True)
+        ]
         self.at_once = max(SPECTRA_KEPT // (2 * self._blocks), 2)
         """Labels of which the transforms are kept."""
         self._spectra: dict[tuple[int, int], Spectra] = {}  # those asked for last
@@ -130,8 +147,8 @@ class ByTransform:
         return counts
 
     def _of_label(self, side: int, label: int) -> Spectra:
-        """(blocks, frequencies) of what left in each block, conjugate (``side`` 0), or of what came from half a block
-        before it to half a block after it (1).
+        """(blocks, frequencies) of what left in each block, conjugate (``side`` 0), or of what came
+        from half a block before it to half a block after it (1).
         """
         known = self._spectra.pop((side, label), None)
         if known is None:
@@ -152,7 +169,9 @@ class ByTransform:
 
 
 def chance(counts: Counts) -> Counts:
-    """What each bin of the correlograms (P, lags) would have if there were nothing but local rates."""
+    """What each bin of the correlograms (P, lags) would have if there were nothing but local
+    rates.
+    """
     smooth = counts
     for width in CHANCE_BINS:
         smooth = uniform_filter1d(smooth, width, axis=1, mode="nearest")
@@ -161,7 +180,9 @@ def chance(counts: Counts) -> Counts:
 
 
 def standing_out(counts: Counts, usual: Counts) -> Counts:
-    """What stands out of chance in the correlograms (P, lags), in its standard deviations; most of it is zero."""
+    """What stands out of chance in the correlograms (P, lags), in its standard deviations; most of
+    it is zero.
+    """
     above = (counts - usual) / np.sqrt(usual)
     best: Counts = np.zeros_like(above)
     for sd_bins in SCALES_BINS:
@@ -173,7 +194,9 @@ def standing_out(counts: Counts, usual: Counts) -> Counts:
 
 
 def highest(counts: Counts) -> Floats:
-    """How far the highest peak stands out of chance in each correlogram (P, lags), (P,): quick, and at one width."""
+    """How far the highest peak stands out of chance in each correlogram (P, lags), (P,): quick, and
+    at one width.
+    """
     rows = counts[:, LAGS - HIGHEST_LAGS : LAGS + HIGHEST_LAGS + 1]
     usual = chance(rows)
     above = uniform_filter1d(rows - usual, HIGHEST_WIDTH, axis=1, mode="constant") / np.sqrt(usual)

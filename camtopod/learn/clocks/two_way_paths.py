@@ -1,8 +1,9 @@
 """Ways that are walked in both directions, seen by two clocks.
 
-Where the way from zone u to zone v takes as long as the way back, the lags from u to v are later by how much the clock
-at v is ahead, and those from v to u earlier by the same. So the correlogram one way is that of the other shifted by
-twice the difference of the clocks, for unseen paths, overlapping views and ways over other cameras alike.
+Where the way from zone u to zone v takes as long as the way back, the lags from u to v are later by
+how much the clock at v is ahead, and those from v to u earlier by the same. So the correlogram one
+way is that of the other shifted by twice the difference of the clocks, for unseen paths,
+overlapping views and ways over other cameras alike.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ TRANSFORM = 4 * 1024
 PEAK_MIN = 3.0
 PEAK_WIDTH_BINS = 60
 RUNNER_UP_MAX = 0.2
-"""A shift is found when no other (further off than the peak's width) explains more than this share as much."""
+"""A shift is found when no other (further off than the peak's width) explains more than this share
+as much.
+"""
 SHARE_MIN = 0.02
 """Pairs of zones count that have at least this share of what the best shift explains."""
 WIDTHS_BINS = (3.0, 60.0)
@@ -37,8 +40,8 @@ EVENTS_MIN = 8.0
 
 
 class TwoWay(NamedTuple):
-    """A way walked in both directions: how far the second clock is ahead of the first, its standard deviation, and the
-    transit time in right time and its spread; all in bins.
+    """A way walked in both directions: how far the second clock is ahead of the first, its standard
+    deviation, and the transit time in right time and its spread; all in bins.
     """
 
     ahead: float
@@ -48,12 +51,17 @@ class TwoWay(NamedTuple):
 
 
 def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
-    """By how many bins the correlograms ``forth`` (K, lags) are later than those ``back`` (K, lags), both as
-    `standing_out` has them, and how much of them that explains; 0.0 when it is not clear.
+    """By how many bins the correlograms ``forth`` (K, lags) are later than those ``back`` (K,
+    lags), both as `standing_out` has them, and how much of them that explains; 0.0 when it is not
+    clear.
     """
-    product = (scipy.fft.rfft(forth, TRANSFORM) * np.conj(scipy.fft.rfft(back, TRANSFORM))).sum(axis=0)
+    product = (scipy.fft.rfft(forth, TRANSFORM) * np.conj(scipy.fft.rfft(back, TRANSFORM))).sum(
+        axis=0
+    )
     match = scipy.fft.irfft(product, TRANSFORM).astype(np.float64)
-    match = gaussian_filter1d(np.concatenate((match[-2 * LAGS :], match[: 2 * LAGS + 1])), SHIFT_SMOOTHING_BINS)
+    match = gaussian_filter1d(
+        np.concatenate((match[-2 * LAGS :], match[: 2 * LAGS + 1])), SHIFT_SMOOTHING_BINS
+    )
     at = int(np.argmax(match))
     peak = float(match[at])
     match[max(at - PEAK_WIDTH_BINS, 0) : at + PEAK_WIDTH_BINS + 1] = 0.0
@@ -62,7 +70,9 @@ def best_shift(forth: Counts, back: Counts) -> tuple[int, float]:
 
 
 def two_ways(forth: Counts, back: Counts) -> list[tuple[int, TwoWay]]:
-    """Ways between two cameras from the correlograms of K pairs of zones, there and back: (pair, way)."""
+    """Ways between two cameras from the correlograms of K pairs of zones, there and back: (pair,
+    way).
+    """
     usual = chance(forth), chance(back)
     clear = standing_out(forth, usual[0]), standing_out(back, usual[1])
     shift, peak = best_shift(*clear)
@@ -70,20 +80,26 @@ def two_ways(forth: Counts, back: Counts) -> list[tuple[int, TwoWay]]:
         return []
     aligned = np.zeros_like(clear[0])
     size = aligned.shape[1]
-    aligned[:, max(-shift, 0) : size - max(shift, 0)] = clear[0][:, max(shift, 0) : size - max(-shift, 0)]
+    aligned[:, max(-shift, 0) : size - max(shift, 0)] = clear[0][
+        :, max(shift, 0) : size - max(-shift, 0)
+    ]
     together = gaussian_filter1d(aligned * clear[1], SHIFT_SMOOTHING_BINS, axis=1, mode="constant")
     found = []
     for k in np.flatnonzero(together.max(axis=1) >= SHARE_MIN * peak):
         there = int(np.argmax(together[k])) - LAGS
-        way = _centred((forth[k], back[k]), (usual[0][k], usual[1][k]), float(there + shift), float(there))
+        way = _centred(
+            (forth[k], back[k]), (usual[0][k], usual[1][k]), float(there + shift), float(there)
+        )
         if way is not None:
             found.append((int(k), way))
     return found
 
 
-def _centred(counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], forth: float, back: float) -> TwoWay | None:
-    """The way whose peaks are near these lags (bins), by mean shift in a normal window one and a half times as wide
-    as the peaks; None when there is no peak.
+def _centred(
+    counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], forth: float, back: float
+) -> TwoWay | None:
+    """The way whose peaks are near these lags (bins), by mean shift in a normal window one and a
+    half times as wide as the peaks; None when there is no peak.
     """
     centres, width, within, error, spread = np.array([forth, back]), FIRST_WIDTH_BINS, 0.0, 0.0, 0.0
     for _ in range(ROUNDS):
@@ -92,7 +108,9 @@ def _centred(counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], forth:
             return None
         centres, within, error = step
         within = min(max(within, WITHIN_MIN), 0.9 * width**2)
-        spread = float(1.0 / np.sqrt(1.0 / within - 1.0 / width**2))  # the window makes a normal peak narrower by this
+        spread = float(
+            1.0 / np.sqrt(1.0 / within - 1.0 / width**2)
+        )  # the window makes a normal peak narrower by this
         last, width = width, float(np.clip(1.5 * spread, *WIDTHS_BINS))
     ahead = 0.5 * float(centres[0] - centres[1])
     sd = 0.5 * error / (1.0 - within / last**2)
@@ -109,8 +127,8 @@ def _centred(counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], forth:
 def _step(
     counts: tuple[Counts, Counts], usual: tuple[Counts, Counts], centres: Floats, width: float
 ) -> tuple[Floats, float, float] | None:
-    """What is in windows around the centres (2,): its centres (2,), its variance around the old ones, and the standard
-    error of the difference of the new; None when there is too little.
+    """What is in windows around the centres (2,): its centres (2,), its variance around the old
+    ones, and the standard error of the difference of the new; None when there is too little.
     """
     lag = np.arange(-LAGS, LAGS + 1)
     number, moment, centre, error = np.zeros(2), np.zeros(2), np.zeros(2), 0.0

@@ -1,8 +1,10 @@
-"""The thesis's link test: the variance of Mahalanobis distances between times at two zones (table 4.3, eq. 4.3-4.4).
+"""The thesis's link test: the variance of Mahalanobis distances between times at two zones (table
+4.3, eq. 4.3-4.4).
 
-Two zones are linked when ``Var(d) <= 1``. With S taken from the linked pairs themselves, as the thesis does, that holds
-for everything (its experiment 1 links all 28 pairs). Here S is the variance of lags at chance, over the range of lags
-looked at: unrelated zones then have ``Var(d)`` near 1, and a link has less the better its transit time is kept.
+Two zones are linked when ``Var(d) <= 1``. With S taken from the linked pairs themselves, as the
+thesis does, that holds for everything (its experiment 1 links all 28 pairs). Here S is the variance
+of lags at chance, over the range of lags looked at: unrelated zones then have ``Var(d)`` near 1,
+and a link has less the better its transit time is kept.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ def chance_variance(lag_min: float, lag_max: float) -> float:
 
 
 def distance(left: Floats, came: Floats, variance: float) -> Floats:
-    """Mahalanobis distance between times of departure and arrival, (n,) each; signed, for overlapping views."""
+    """Mahalanobis distance between times of departure and arrival, (n,) each; signed, for
+    overlapping views.
+    """
     d: Floats = (came - left) / np.sqrt(variance)
     return d
 

@@ -1,13 +1,14 @@
 """What missed passages explain away: A -> B -> C makes a link A -> C of whoever B did not see.
 
-If a camera misses a share m of the passages through its view, then for every object seen on the way u -> a, a -> b
-through that camera, b -> v there are ``odds = m / (1 - m)`` that were seen at u and next at v, a transit, a stay and a
-transit later. How many that makes is known from the links and the passages but for the odds. Those are read off all the
-other pairs of zones that such ways join: most of them have no link of their own, so that what they have is the odds,
-and the few that have one stand out. One camera often has too few such pairs, so the others count a little, too.
+If a camera misses a share m of the passages through its view, then for every object seen on the way
+u -> a, a -> b through that camera, b -> v there are ``odds = m / (1 - m)`` that were seen at u and
+next at v, a transit, a stay and a transit later. How many that makes is known from the links and
+the passages but for the odds. Those are read off all the other pairs of zones that such ways join:
+most of them have no link of their own, so that what they have is the odds, and the few that have
+one stand out. One camera often has too few such pairs, so the others count a little, too.
 
-What a pair has beyond that, or at other lags, is its own. Several missed in a row need no more: what the first one
-makes is a way itself.
+What a pair has beyond that, or at other lags, is its own. Several missed in a row need no more:
+what the first one makes is a way itself.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from camtopod.learn.settings import Settings
 from camtopod.topology import LagBins
 
 WINDOW_SD = 2.0
-"""A way's lags lie within this many standard deviations of its median: those of its parts added up, as a slow walker is
-slow on all of them ...
+"""A way's lags lie within this many standard deviations of its median: those of its parts added up,
+as a slow walker is slow on all of them ...
 """
 WINDOW_SECONDS = 1.0
 """... and this."""
@@ -35,12 +36,14 @@ TELLING_SHARE_MIN = 0.8
 TELLING_TRANSITIONS_MAX = 50.0
 """It counts for as many of them, but for no more than this, as it may have a link of its own."""
 OTHERS_TRANSITIONS = 150.0
-"""For the odds of one camera the pairs of all together count as much as this many transitions over it."""
+"""For the odds of one camera the pairs of all together count as much as this many transitions over
+it.
+"""
 ODDS_QUANTILE = 0.75
 """Of the pairs' odds, as the fit leaves nothing for many that have few transitions."""
 MISSED_SHARE_MIN = 0.1
-"""No camera is taken to miss less, if the setting allows as much: few events tell of few ways, and with the least of
-them the fit has nothing left.
+"""No camera is taken to miss less, if the setting allows as much: few events tell of few ways, and
+with the least of them the fit has nothing left.
 """
 UNCERTAINTY = 2.0
 """What is expected of missed passages is right to within this factor."""
@@ -49,8 +52,9 @@ OWN_SD = 2.0
 
 
 class Ways(NamedTuple):
-    """Ways over one missed passage, (W,) each: the pair of zones they join (by its number), the camera, expected
-    transitions if it saw every second one, median and spread of the lag in seconds.
+    """Ways over one missed passage, (W,) each: the pair of zones they join (by its number), the
+    camera, expected transitions if it saw every second one, median and spread of the lag in
+    seconds.
     """
 
     pair: Rows
@@ -61,10 +65,14 @@ class Ways(NamedTuple):
 
 
 def without_missed(
-    between: LinkTable, through: LinkTable, found: NDArray[np.bool_], camera: Rows, settings: Settings
+    between: LinkTable,
+    through: LinkTable,
+    found: NDArray[np.bool_],
+    camera: Rows,
+    settings: Settings,
 ) -> NDArray[np.bool_]:
-    """``found`` (P,) less the links that missed passages explain. ``between`` are the pairs of zones of different
-    cameras or visits, ``through`` those joined by passages; ``camera`` (zones,).
+    """``found`` (P,) less the links that missed passages explain. ``between`` are the pairs of
+    zones of different cameras or visits, ``through`` those joined by passages; ``camera`` (zones,).
     """
     own = unexplained(between, through, found, camera, settings)
     total = np.maximum(between.transit.total, 1e-9)
@@ -74,9 +82,15 @@ def without_missed(
 
 
 def unexplained(
-    between: LinkTable, through: LinkTable, found: NDArray[np.bool_], camera: Rows, settings: Settings
+    between: LinkTable,
+    through: LinkTable,
+    found: NDArray[np.bool_],
+    camera: Rows,
+    settings: Settings,
 ) -> Floats:
-    """Expected transitions (P,) of each pair of zones; of those ``found`` only what missed passages do not explain."""
+    """Expected transitions (P,) of each pair of zones; of those ``found`` only what missed passages
+    do not explain.
+    """
     bins = LagBins(-settings.overlap_max_seconds, settings.transit_max_seconds)
     ways = find_ways(between, through, np.flatnonzero(found), camera)
     own = between.transit.total.astype(float)
@@ -94,7 +108,9 @@ def unexplained(
 
 
 def find_ways(between: LinkTable, through: LinkTable, links: Rows, camera: Rows) -> Ways:
-    """All ways that lead along one of the ``links``, through a view and along another of the links."""
+    """All ways that lead along one of the ``links``, through a view and along another of the
+    links.
+    """
     zones = len(camera)
     passages = np.flatnonzero(through.transit.total >= TRANSITIONS_MIN)
     entered, left = (
@@ -105,30 +121,47 @@ def find_ways(between: LinkTable, through: LinkTable, links: Rows, camera: Rows)
     step, last = joined(through.target[passages][middle], between.source[links])
     k, j, m = links[first[step]], passages[middle[step]], links[last]
     total = between.transit.total
-    expected = total[k] * through.transit.total[j] / entered[through.source[j]] * total[m] / left[through.target[j]]
+    expected = (
+        total[k]
+        * through.transit.total[j]
+        / entered[through.source[j]]
+        * total[m]
+        / left[through.target[j]]
+    )
     return Ways(
-        between.source[k].astype(np.intp) * zones + between.target[m], camera[between.target[k]], expected,
+        between.source[k].astype(np.intp) * zones + between.target[m],
+        camera[between.target[k]],
+        expected,
         median(between)[k] + median(through)[j] + median(between)[m],
         between.transit.sd[k] + through.transit.sd[j] + between.transit.sd[m],
-    )  # fmt: skip
+    )
 
 
 class Odds:
     """Odds of a passage being missed, as pairs of zones tell of them.
 
-    ``at`` (W,): row of each way in ``seen``, the transitions of each pair that the ways join at their lags.
+    ``at`` (W,): row of each way in ``seen``, the transitions of each pair that the ways join at
+    their lags.
     """
 
     def __init__(self, ways: Ways, at: Rows, seen: Floats, missed_share_max: float) -> None:
-        cell, number = np.unique(at * (int(ways.camera.max()) + 1) + ways.camera, return_inverse=True)
+        cell, number = np.unique(
+            at * (int(ways.camera.max()) + 1) + ways.camera, return_inverse=True
+        )
         self._expected = np.bincount(number, ways.expected)
         self._pair, self._camera = np.divmod(cell, int(ways.camera.max()) + 1)
         self._start = np.searchsorted(self._pair, np.arange(len(seen) + 1))
         whole = np.bincount(self._pair, self._expected)[self._pair]
-        tells = (self._expected >= TELLING_TRANSITIONS_MIN) & (self._expected >= TELLING_SHARE_MIN * whole)
+        tells = (self._expected >= TELLING_TRANSITIONS_MIN) & (
+            self._expected >= TELLING_SHARE_MIN * whole
+        )
         ratio = seen[self._pair[tells]] / whole[tells]
         order = np.argsort(ratio, kind="stable")
-        self._ratio, self._teller, self._seer = ratio[order], self._pair[tells][order], self._camera[tells][order]
+        self._ratio, self._teller, self._seer = (
+            ratio[order],
+            self._pair[tells][order],
+            self._camera[tells][order],
+        )
         self._weight = np.minimum(self._expected[tells][order], TELLING_TRANSITIONS_MAX)
         self._most = missed_share_max / (1.0 - missed_share_max)
         self._least = min(MISSED_SHARE_MIN / (1.0 - MISSED_SHARE_MIN), self._most)
@@ -154,18 +187,23 @@ def median(table: LinkTable) -> Floats:
 
 
 def _inside(ways: Ways, at: Rows, delay: Floats, bins: LagBins) -> NDArray[np.bool_]:
-    """Whether each lag bin lies where one of a pair's ways can end: (pairs, bins). ``delay`` (pairs,): seconds to add
-    to the lags of the bins.
+    """Whether each lag bin lies where one of a pair's ways can end: (pairs, bins). ``delay``
+    (pairs,): seconds to add to the lags of the bins.
     """
     reach = WINDOW_SD * ways.spread + WINDOW_SECONDS
     inside = np.zeros((len(delay), bins.size), bool)
     for rows in rows_together(len(at)):
-        near = np.abs(bins.centres + (delay[at[rows]] - ways.median[rows])[:, None]) <= reach[rows, None]
+        near = (
+            np.abs(bins.centres + (delay[at[rows]] - ways.median[rows])[:, None])
+            <= reach[rows, None]
+        )
         np.logical_or.at(inside, at[rows], near)
     return inside
 
 
-def joined(left: NDArray[np.signedinteger[Any]], right: NDArray[np.signedinteger[Any]]) -> tuple[Rows, Rows]:
+def joined(
+    left: NDArray[np.signedinteger[Any]], right: NDArray[np.signedinteger[Any]]
+) -> tuple[Rows, Rows]:
     """Every pair of rows that have the same key, as rows of ``left`` and of ``right``."""
     order = np.argsort(right, kind="stable")
     low, high = (np.searchsorted(right[order], left, side=side) for side in ("left", "right"))

@@ -1,8 +1,10 @@
-"""Monte Carlo observations of a link (thesis 4.3, table 4.2): more transit times than were seen, for the tests.
+"""Monte Carlo observations of a link (thesis 4.3, table 4.2): more transit times than were seen,
+for the tests.
 
-The thesis adds random displacements to observed values, N = 8 sigma / epsilon times over (eq. 4.1), without ever
-refusing one, so its samples drift away from the data. Here a displacement is accepted by the Metropolis rule on the
-link's transit density, which makes that density the stationary distribution of the walk.
+The thesis adds random displacements to observed values, N = 8 sigma / epsilon times over (eq. 4.1),
+without ever refusing one, so its samples drift away from the data. Here a displacement is accepted
+by the Metropolis rule on the link's transit density, which makes that density the stationary
+distribution of the walk.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ OBSERVATIONS = 89
 EPSILON_SECONDS = 0.0134
 """Precision asked for; sigma = 0.5828 then takes the 348 iterations of section 5.1."""
 ITERATIONS_MAX = 64
-"""The walk starts from observed lags, already distributed as they should be, so it need not run long."""
+"""The walk starts from observed lags, already distributed as they should be, so it need not run
+long.
+"""
 
 
 def iterations_needed(sigma: float, epsilon: float = EPSILON_SECONDS) -> int:
@@ -26,15 +30,19 @@ def iterations_needed(sigma: float, epsilon: float = EPSILON_SECONDS) -> int:
 
 
 def observe(density: Floats, sigma: Floats, bins: LagBins, seed: int) -> Floats:
-    """Monte Carlo transit times, (L, OBSERVATIONS) seconds, from the density (L, bins) of L links and their sigma
-    (L,).
+    """Monte Carlo transit times, (L, OBSERVATIONS) seconds, from the density (L, bins) of L links
+    and their sigma (L,).
     """
     links = len(density)
     random = np.random.Generator(np.random.Philox(key=seed))
     mass = density * bins.widths
     reached = np.cumsum(mass, axis=1) / np.maximum(mass.sum(axis=1, keepdims=True), 1e-300)
     level = (np.arange(OBSERVATIONS) + 0.5) / OBSERVATIONS
-    at = np.stack([np.searchsorted(row, level) for row in reached]) if links else np.zeros((0, OBSERVATIONS), int)
+    at = (
+        np.stack([np.searchsorted(row, level) for row in reached])
+        if links
+        else np.zeros((0, OBSERVATIONS), int)
+    )
     at = np.minimum(at, bins.size - 1)
     lag: Floats = bins.edges[at] + random.random((links, OBSERVATIONS)) * bins.widths[at]
     here = np.take_along_axis(density, at, axis=1)

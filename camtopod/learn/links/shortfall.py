@@ -1,8 +1,10 @@
-"""What a weak link still lacks until it is published: passages, and the time they take at this traffic.
+"""What a weak link still lacks until it is published: passages, and the time they take at this
+traffic.
 
-The rule for publishing asks for a certain evidence (`significance`), and each further passage adds about as much as
-the earlier ones did. Held-out evidence (`crossfit`) counts for the rule. It starts late, as a link has to be learned
-before it can predict anything, so the evidence per passage is estimated from the fit.
+The rule for publishing asks for a certain evidence (`significance`), and each further passage adds
+about as much as the earlier ones did. Held-out evidence (`crossfit`) counts for the rule. It starts
+late, as a link has to be learned before it can predict anything, so the evidence per passage is
+estimated from the fit.
 """
 
 from __future__ import annotations
@@ -21,14 +23,21 @@ PASSAGES_MIN = 1.0
 
 
 class Lacking(NamedTuple):
-    """Of each weak link, (L,): further passages, and seconds until they have been. NaN where waiting does not help."""
+    """Of each weak link, (L,): further passages, and seconds until they have been. NaN where
+    waiting does not help.
+    """
 
     passages: Floats
     seconds: Floats
 
 
 def lacking(
-    weak: LinkTable, between: LinkTable, published: int, zones: int, seconds: float, settings: Settings
+    weak: LinkTable,
+    between: LinkTable,
+    published: int,
+    zones: int,
+    seconds: float,
+    settings: Settings,
 ) -> Lacking:
     """What each of the ``weak`` links (L,) lacks.
 
@@ -45,7 +54,8 @@ def lacking(
     held_out = np.zeros(len(key))
     held_out[tested] = between.ratio[at[tested]]
 
-    # A passage brings as much evidence as those so far; a share that is too small stays so, however many come.
+    # A passage brings as much evidence as those so far; a share that is too small stays so, however
+    # many come.
     transitions = weak.transit.total
     each = weak.ratio / np.maximum(transitions, 1e-9)
     helps = (each > 0) & (weak.probability >= settings.publish_probability_min)

@@ -1,11 +1,14 @@
-"""Transit times of the links: the histogram's peak (thesis 4.5), mean, spread and quantiles, and how sure they are.
+"""Transit times of the links: the histogram's peak (thesis 4.5), mean, spread and quantiles, and
+how sure they are.
 
-The thesis takes the most popular bin of the histogram. Bins here are wider for longer lags, so the peak is that of the
-density per second, on a smoothed histogram, placed between bins by a parabola through the three highest.
+The thesis takes the most popular bin of the histogram. Bins here are wider for longer lags, so the
+peak is that of the density per second, on a smoothed histogram, placed between bins by a parabola
+through the three highest.
 
-The median rests on two estimates, each counting as it is sure. One is the median of the lags. The other is that of
-the lags as objects of usual speed would have had them: speeds vary far more between objects than within one, and how
-fast an object was is known from the views it came from and went to, where many more have been seen than on this way.
+The median rests on two estimates, each counting as it is sure. One is the median of the lags. The
+other is that of the lags as objects of usual speed would have had them: speeds vary far more
+between objects than within one, and how fast an object was is known from the views it came from and
+went to, where many more have been seen than on this way.
 """
 
 from __future__ import annotations
@@ -33,8 +36,9 @@ SPREAD_MIN_SECONDS = 0.2
 LAG_ERROR = 0.01
 PACE_ERROR = 0.02
 MEAN_ERROR = 0.015
-"""What does not become surer with numbers (false transitions, speeds that are only nearly kept), as a share: of the
-median of the lags as they are, of the median of those at usual speed, of the mean. Found on made-up networks.
+"""What does not become surer with numbers (false transitions, speeds that are only nearly kept), as
+a share: of the median of the lags as they are, of the median of those at usual speed, of the mean.
+Found on made-up networks.
 """
 ERRORS_CORRELATION = 0.7
 """Of the two estimates, which are from the same transitions."""
@@ -50,24 +54,33 @@ class TransitFigures(NamedTuple):
     quantiles: Floats
     """(P, 3): q10, q50, q90."""
     ahead: Floats
-    """Share of the transitions with a negative lag: the object was seen there before it left here."""
+    """Share of the transitions with a negative lag: the object was seen there before it left
+    here.
+    """
     median_error: Floats
     """Standard error of the median."""
     mean_error: Floats
 
 
 def transit_figures(
-    pair: NDArray[np.int32], lag: Floats, weight: Floats, density: Floats, bins: LagBins,
-    slow: Floats | None = None, slow_error: Floats | None = None,
-) -> TransitFigures:  # fmt: skip
+    pair: NDArray[np.int32],
+    lag: Floats,
+    weight: Floats,
+    density: Floats,
+    bins: LagBins,
+    slow: Floats | None = None,
+    slow_error: Floats | None = None,
+) -> TransitFigures:
     """Figures per pair from weighted lags (M,), and the peak of ``density`` (P, bins) per second.
 
-    ``slow`` (M,): by what power of e the object was slower than usual; nan: unknown. ``slow_error`` (P,): the standard
-    error of what is usual.
+    ``slow`` (M,): by what power of e the object was slower than usual; nan: unknown. ``slow_error``
+    (P,): the standard error of what is usual.
     """
     pairs = len(density)
     total: Floats = np.bincount(pair, weight, minlength=pairs).astype(float)
-    quantiles, quartiles = np.hsplit(weighted_quantiles(pair, lag, weight, pairs, QUANTILES + QUARTILES), 2)
+    quantiles, quartiles = np.hsplit(
+        weighted_quantiles(pair, lag, weight, pairs, QUANTILES + QUARTILES), 2
+    )
     median, error, spread = _median(quartiles, total)
     near = np.abs(lag - median[pair]) <= FAR_SD * spread[pair]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -78,13 +91,17 @@ def transit_figures(
         sd = np.sqrt(np.bincount(pair, inner * (lag - mean[pair]) ** 2, minlength=pairs) / number)
         sure = np.bincount(pair, inner * weight, minlength=pairs)
         few = np.sqrt(number / np.maximum(number - 1.0, 0.5))
-        mean_error = np.hypot(np.maximum(sd, SPREAD_MIN_SECONDS) * few / np.sqrt(sure), MEAN_ERROR * mean)
+        mean_error = np.hypot(
+            np.maximum(sd, SPREAD_MIN_SECONDS) * few / np.sqrt(sure), MEAN_ERROR * mean
+        )
         error = np.hypot(error, LAG_ERROR * median)
         if slow is not None and slow_error is not None:
             usual = np.isfinite(slow)
             known = np.bincount(pair[usual], weight[usual], minlength=pairs).astype(float)
             at_usual = lag[usual] * np.exp(-slow[usual])
-            at_quartiles = weighted_quantiles(pair[usual], at_usual, weight[usual], pairs, QUARTILES)
+            at_quartiles = weighted_quantiles(
+                pair[usual], at_usual, weight[usual], pairs, QUARTILES
+            )
             other, other_error, _ = _median(at_quartiles, known)
             other_error = np.hypot(other_error, np.hypot(slow_error, PACE_ERROR) * other)
             both, error = _weighed(median, error, other, other_error)
@@ -99,8 +116,12 @@ def _median(quartiles: Floats, total: Floats) -> tuple[Floats, Floats, Floats]:
     return middle, MEDIAN_ERROR * spread / np.sqrt(total), spread
 
 
-def _weighed(one: Floats, one_error: Floats, other: Floats, other_error: Floats) -> tuple[Floats, Floats]:
-    """Mean (P,) of two estimates, the surer counting more, and its standard error; the first where it is alone."""
+def _weighed(
+    one: Floats, one_error: Floats, other: Floats, other_error: Floats
+) -> tuple[Floats, Floats]:
+    """Mean (P,) of two estimates, the surer counting more, and its standard error; the first where
+    it is alone.
+    """
     share = one_error**2 / (one_error**2 + other_error**2)
     a, b = (1.0 - share) * one_error, share * other_error
     error = np.sqrt(a * a + b * b + 2.0 * ERRORS_CORRELATION * a * b)
@@ -109,9 +130,15 @@ def _weighed(one: Floats, one_error: Floats, other: Floats, other_error: Floats)
 
 
 def weighted_quantiles(
-    pair: NDArray[np.int32], lag: Floats, weight: Floats, pairs: int, shares: tuple[float, ...] = QUANTILES
+    pair: NDArray[np.int32],
+    lag: Floats,
+    weight: Floats,
+    pairs: int,
+    shares: tuple[float, ...] = QUANTILES,
 ) -> Floats:
-    """Quantiles of the lags of each pair, (P, shares): the first lag at which the share of the weight is reached."""
+    """Quantiles of the lags of each pair, (P, shares): the first lag at which the share of the
+    weight is reached.
+    """
     likely = weight > WEIGHT_MIN
     some_likely = np.bincount(pair[likely], minlength=pairs) > 0
     kept = likely | ((weight > 0.0) & ~some_likely[pair])

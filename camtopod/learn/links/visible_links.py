@@ -1,7 +1,8 @@
-"""Visible links: the passages through one camera's view, from the zone of entry to the zone of exit.
+"""Visible links: the passages through one camera's view, from the zone of entry to the zone of
+exit.
 
-Where tracks tie an exit to its entry, they are counted. Where they do not, entries and exits of one camera are joined
-by the same fit as departures and arrivals of different ones.
+Where tracks tie an exit to its entry, they are counted. Where they do not, entries and exits of one
+camera are joined by the same fit as departures and arrivals of different ones.
 """
 
 from __future__ import annotations
@@ -13,30 +14,52 @@ import numpy as np
 from camtopod.arrays import Floats, Longs, rows_of
 from camtopod.learn.association import find_candidates, fit_jointly, in_reach, newest
 from camtopod.learn.limits import fair_share
-from camtopod.learn.links.link_table import TRANSITIONS_MIN, LinkTable, Transitions, join, transitions_of
+from camtopod.learn.links.link_table import (
+    TRANSITIONS_MIN,
+    LinkTable,
+    Transitions,
+    join,
+    transitions_of,
+)
 from camtopod.learn.traffic import Arrivals, Departures, Scene, local_rates
 from camtopod.topology import LagBins
 
 
 def visible_transitions(scene: Scene, bins: LagBins, candidates_max: int) -> Transitions:
-    """Transitions through every camera's view; lags are the seconds a passage lasts. Cameras without tracks have
-    ``candidates_max`` candidates together.
+    """Transitions through every camera's view; lags are the seconds a passage lasts. Cameras
+    without tracks have ``candidates_max`` candidates together.
     """
     camera_of = np.array([zone.camera for zone in scene.zones], np.int32)
-    tracked = scene.tracked[camera_of[scene.passages.source]] if len(scene.passages.source) else np.zeros(0, bool)
+    tracked = (
+        scene.tracked[camera_of[scene.passages.source]]
+        if len(scene.passages.source)
+        else np.zeros(0, bool)
+    )
     p = scene.passages
     n = int(tracked.sum())
-    parts = [Transitions(p.source[tracked], p.target[tracked], (p.left - p.entered)[tracked], np.ones(n), np.zeros(n))]
+    parts = [
+        Transitions(
+            p.source[tracked],
+            p.target[tracked],
+            (p.left - p.entered)[tracked],
+            np.ones(n),
+            np.zeros(n),
+        )
+    ]
 
     views = [_view(scene, int(camera)) for camera in np.flatnonzero(~scene.tracked)]
     reach = [in_reach(view.starts.t, view.ends.t, bins) for view in views]
-    most = fair_share(np.array([int((high - low).sum()) for low, high in reach], np.intp), candidates_max)
+    most = fair_share(
+        np.array([int((high - low).sum()) for low, high in reach], np.intp), candidates_max
+    )
     parts.extend(_joined(view, bins, most, scene.last) for view in views)
     return join(parts)
 
 
 def in_view(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
-    """Passages by zone of ``entry`` (n,) that last until a lag bin begins, counted from the entry: (zones, bins)."""
+    """Passages by zone of ``entry`` (n,) that last until a lag bin begins, counted from the entry:
+    (zones, bins).
+    """
     result = np.zeros((zones, bins.size))
     for zone, mine in enumerate(rows_of(entry, zones)):
         stays = np.sort(stay[mine])
@@ -45,21 +68,25 @@ def in_view(stay: Floats, entry: Longs, bins: LagBins, zones: int) -> Floats:
 
 
 def with_usual_stays(departures: Departures, through: LinkTable) -> Departures:
-    """Departures whose passage is unknown get the time at which it has begun with 90 % probability, by zone of exit.
+    """Departures whose passage is unknown get the time at which it has begun with 90 % probability,
+    by zone of exit.
 
-    Without it every object would seem to have been in view for ever, and what it did before would look like an overlap.
+    Without it every object would seem to have been in view for ever, and what it did before would
+    look like an overlap.
     """
     stay, weight = np.nan_to_num(through.transit.quantiles[:, -1]), through.transit.total
     size = max(int(departures.zone.max(initial=0)), int(through.target.max(initial=0))) + 1
     total = np.bincount(through.target, weight, minlength=size)
     usual = np.bincount(through.target, weight * stay, minlength=size) / np.maximum(total, 1e-300)
     known = np.isfinite(departures.since) | (total[departures.zone] < TRANSITIONS_MIN)
-    return departures._replace(since=np.where(known, departures.since, departures.t - usual[departures.zone]))
+    return departures._replace(
+        since=np.where(known, departures.since, departures.t - usual[departures.zone])
+    )
 
 
 class _View(NamedTuple):
-    """Entries and exits of a camera as departures and arrivals. Zones are counted from the camera's ``first``: what
-    others there are does not matter here.
+    """Entries and exits of a camera as departures and arrivals. Zones are counted from the camera's
+    ``first``: what others there are does not matter here.
     """
 
     starts: Departures
@@ -74,11 +101,20 @@ def _view(scene: Scene, camera: int) -> _View:
     of_camera = [index for index, zone in enumerate(scene.zones) if zone.camera == camera]
     first, zones = min(of_camera, default=0), len(of_camera)
     starts = Departures.untold(
-        scene.arrivals.t[came], scene.arrivals.zone[came] - np.int32(first), scene.arrivals.camera[came],
-        scene.arrivals.t[came], scene.arrivals.slow[came],
-    )  # fmt: skip
+        scene.arrivals.t[came],
+        scene.arrivals.zone[came] - np.int32(first),
+        scene.arrivals.camera[came],
+        scene.arrivals.t[came],
+        scene.arrivals.slow[came],
+    )
     t, zone = scene.departures.t[left], scene.departures.zone[left] - np.int32(first)
-    ends = Arrivals(t, zone, scene.departures.camera[left], local_rates(t, zone, zones), scene.departures.slow[left])
+    ends = Arrivals(
+        t,
+        zone,
+        scene.departures.camera[left],
+        local_rates(t, zone, zones),
+        scene.departures.slow[left],
+    )
     return _View(starts, ends, first, zones)
 
 

@@ -1,10 +1,11 @@
 """What else is known of an object that leaves, and what it says about where it goes.
 
-Where it came in, where exactly it left, and which camera it probably came from before: people and vehicles have a
-direction. Each level of context counts departures and transitions and backs off to the level before it where it has
-seen little: ``p = (f N + k p') / (f n + k)``, interpolated as in the language models of Jelinek and Mercer (1980). As
-nobody is identified, n departures say less than n; ``f`` is the share of their transitions that is sure (the mean
-responsibility of a transition).
+Where it came in, where exactly it left, and which camera it probably came from before: people and
+vehicles have a direction. Each level of context counts departures and transitions and backs off to
+the level before it where it has seen little: ``p = (f N + k p') / (f n + k)``, interpolated as in
+the language models of Jelinek and Mercer (1980). As nobody is identified, n departures say less
+than n; ``f`` is the share of their transitions that is sure (the mean responsibility of a
+transition).
 """
 
 from __future__ import annotations
@@ -23,11 +24,15 @@ from camtopod.topology import BACK_OFF_DEPARTURES, MULTIPLIER_MAX
 LEVELS = ("entry", "block", "entry+block", "previous")
 """In this order: the zone of entry; the block of the image of the exit; both; the camera before."""
 PREVIOUS_RESPONSIBILITY_MIN = 0.02
-"""Less likely sources of an arrival are not looked at when it is asked which camera an object came from."""
+"""Less likely sources of an arrival are not looked at when it is asked which camera an object came
+from.
+"""
 
 
 class Level(NamedTuple):
-    """One level: context ``k`` belongs to zone ``zone[k]`` and has the parts ``parts[k]`` (-1: no such part)."""
+    """One level: context ``k`` belongs to zone ``zone[k]`` and has the parts ``parts[k]`` (-1: no
+    such part).
+    """
 
     zone: Longs
     """(contexts,)"""
@@ -51,26 +56,38 @@ class Counted(NamedTuple):
     departures: Floats
     """(contexts,) sure departures."""
     row: Longs
-    """(n,) where the row of the context of each departure begins in ``moved``, were that one row ..."""
+    """(n,) where the row of the context of each departure begins in ``moved``, were that one row
+    ...
+    """
     mine: Singles
     """... (n,), how sure the departure itself is in it, ..."""
     scale: Singles
-    """... (n,), how sure the context is over the departures in it, those backed off to included, ..."""
+    """... (n,), how sure the context is over the departures in it, those backed off to included,
+    ...
+    """
     unsure: Singles
     """... and (n,), how unsure it is."""
     moved: Singles
     """(contexts, columns) sure transitions."""
 
-    def of(self, departure: NDArray[np.intp], target: Longs, responsibility: Singles) -> tuple[Longs, Singles]:
-        """Of some candidates (m,): the cell in ``moved`` and what the candidate itself adds there."""
+    def of(
+        self, departure: NDArray[np.intp], target: Longs, responsibility: Singles
+    ) -> tuple[Longs, Singles]:
+        """Of some candidates (m,): the cell in ``moved`` and what the candidate itself adds
+        there.
+        """
         cell = self.row.take(departure)
         cell += target
         own = self.mine.take(departure)
         own *= responsibility
         return cell, own
 
-    def judged(self, departure: NDArray[np.intp], cell: Longs, own: Singles, share: Singles) -> Singles:
-        """The probabilities of some candidates (m,) by the others of their context; ``share`` (m,) without it."""
+    def judged(
+        self, departure: NDArray[np.intp], cell: Longs, own: Singles, share: Singles
+    ) -> Singles:
+        """The probabilities of some candidates (m,) by the others of their context; ``share`` (m,)
+        without it.
+        """
         here = self.moved.take(cell)
         here -= own
         here += BACK_OFF_DEPARTURES * share
@@ -83,12 +100,16 @@ class Counted(NamedTuple):
 class Contexts:
     """The contexts of all departures of a fit and what the responsibilities say of them."""
 
-    def __init__(self, departures: Departures, arrivals: Arrivals, zones: int, cameras: int) -> None:
+    def __init__(
+        self, departures: Departures, arrivals: Arrivals, zones: int, cameras: int
+    ) -> None:
         self.zones, self.cameras = zones, cameras
         self.departures, self.arrivals = departures, arrivals
         zone, block = departures.zone.astype(np.int64), departures.block.astype(np.int64)
         self._zone = zone
-        self.entry = np.where(departures.own >= 0, arrivals.zone[departures.own], -1).astype(np.int64)
+        self.entry = np.where(departures.own >= 0, arrivals.zone[departures.own], -1).astype(
+            np.int64
+        )
         nothing = np.full(len(zone), -1)
         self._fixed = [
             _numbered(zone, first, second)
@@ -99,10 +120,11 @@ class Contexts:
     def count(
         self, candidates: Candidates, responsibility: Singles, gone: Floats, leave: Floats
     ) -> tuple[list[Counted], Floats]:
-        """What is counted level by level, and the probability of each departure (n,) to leave in its context.
+        """What is counted level by level, and the probability of each departure (n,) to leave in
+        its context.
 
-        ``leave`` (n,): the same without context; ``gone`` (n,): probability of not having been seen again. Each is
-        judged by the others (leave one out).
+        ``leave`` (n,): the same without context; ``gone`` (n,): probability of not having been seen
+        again. Each is judged by the others (leave one out).
         """
         c = candidates
         sure = self._sureness(c, responsibility)[self._zone]
@@ -117,7 +139,9 @@ class Contexts:
             left = np.bincount(number, mine * gone, minlength=len(keys))
             stays = np.maximum(left[number] - mine * gone + BACK_OFF_DEPARTURES * leave, 0.0)
             leave = told * stays / below + (1.0 - told) * leave
-            own, scale, unsure = (each.astype(np.float32) for each in (mine, told / below, 1.0 - told))
+            own, scale, unsure = (
+                each.astype(np.float32) for each in (mine, told / below, 1.0 - told)
+            )
             moved = np.zeros((len(keys), width), np.float32)
             levels.append(Counted(keys, n, number * width, own, scale, unsure, moved))
         for part in together(c.arrival):
@@ -127,15 +151,21 @@ class Contexts:
                 np.add.at(level.moved.ravel(), cell, own)
         return levels, leave
 
-    def judged(self, candidates: Candidates, responsibility: Singles, share: Floats, levels: list[Counted]) -> Singles:
-        """Probability of each candidate (M,) in its context, judged by the others; ``share`` (P,): without context."""
+    def judged(
+        self, candidates: Candidates, responsibility: Singles, share: Floats, levels: list[Counted]
+    ) -> Singles:
+        """Probability of each candidate (M,) in its context, judged by the others; ``share`` (P,):
+        without context.
+        """
         c, column = candidates, self._columns(candidates)[0]
         after, without = np.empty(len(c.lag), np.float32), share.astype(np.float32)
         for part in together(c.arrival):
             departure, pair = c.departure[part].astype(np.intp), c.pair[part].astype(np.intp)
             target, here = column.take(pair), without.take(pair)
             for level in levels:
-                here = level.judged(departure, *level.of(departure, target, responsibility[part]), here)
+                here = level.judged(
+                    departure, *level.of(departure, target, responsibility[part]), here
+                )
             after[part] = here
         return after
 
@@ -147,28 +177,47 @@ class Contexts:
             reached = candidates.target[first[level.keys[context, 0]] + at].astype(np.int64)
             rows = np.searchsorted(context, np.arange(len(level.keys) + 1))
             transitions = level.moved[context, at].astype(float)
-            result.append(Level(level.keys[:, 0], level.keys[:, 1:], level.departures, rows, reached, transitions))
+            result.append(
+                Level(
+                    level.keys[:, 0],
+                    level.keys[:, 1:],
+                    level.departures,
+                    rows,
+                    reached,
+                    transitions,
+                )
+            )
         return result
 
     def _columns(self, candidates: Candidates) -> tuple[Longs, int]:
-        """Of each zone's pairs, which come by source, the first, the second, ... (P,): the columns of the tables of
-        transitions; and how many there are.
+        """Of each zone's pairs, which come by source, the first, the second, ... (P,): the columns
+        of the tables of transitions; and how many there are.
         """
         source = candidates.source
         column = np.arange(len(source)) - np.searchsorted(source, np.arange(self.zones))[source]
         return column, int(column.max(initial=0)) + 1
 
-    def _contexts(self, candidates: Candidates, responsibility: Singles) -> list[tuple[tuple[Longs, Longs], Floats]]:
-        """(Context of each departure, keys of the contexts) and how sure the context is (n,), level by level."""
+    def _contexts(
+        self, candidates: Candidates, responsibility: Singles
+    ) -> list[tuple[tuple[Longs, Longs], Floats]]:
+        """(Context of each departure, keys of the contexts) and how sure the context is (n,), level
+        by level.
+        """
         told = [known.astype(float) for known in self._known]
         camera, sure = self._previous(candidates, responsibility)
-        present, number = np.unique(self._zone * self.cameras + np.maximum(camera, 0), return_inverse=True)
-        keys = np.column_stack((present // self.cameras, present % self.cameras, np.full(len(present), -1)))
+        present, number = np.unique(
+            self._zone * self.cameras + np.maximum(camera, 0), return_inverse=True
+        )
+        keys = np.column_stack(
+            (present // self.cameras, present % self.cameras, np.full(len(present), -1))
+        )
         previous = (number.astype(np.int64), keys)
         return list(zip([*self._fixed, previous], [*told, sure], strict=True))
 
     def _previous(self, candidates: Candidates, responsibility: Singles) -> tuple[Longs, Floats]:
-        """Camera each object most probably came from (n,), -1: unknown, and the probability of that."""
+        """Camera each object most probably came from (n,), -1: unknown, and the probability of
+        that.
+        """
         c, d = candidates, self.departures
         likely = np.flatnonzero(responsibility > PREVIOUS_RESPONSIBILITY_MIN)
         key = c.arrival[likely].astype(np.int64) * self.cameras + d.camera[c.departure[likely]]
@@ -185,7 +234,10 @@ class Contexts:
         """Share of the transitions from each zone (zones,) that is sure."""
         squares, all_of = np.zeros(self.zones), np.zeros(self.zones)
         for part in together(candidates.arrival):
-            zone, r = self._zone.take(candidates.departure[part]), responsibility[part].astype(float)
+            zone, r = (
+                self._zone.take(candidates.departure[part]),
+                responsibility[part].astype(float),
+            )
             np.add.at(squares, zone, r * r)
             np.add.at(all_of, zone, r)
         sure: Floats = squares / np.maximum(all_of, 1e-300)
@@ -194,17 +246,21 @@ class Contexts:
 
 def multipliers(before: Floats, after: Floats) -> Floats:
     """By how much a context raises probabilities."""
-    ratio: Floats = np.clip(after / np.maximum(before, 1e-300), 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX)
+    ratio: Floats = np.clip(
+        after / np.maximum(before, 1e-300), 1.0 / MULTIPLIER_MAX, MULTIPLIER_MAX
+    )
     return ratio
 
 
 def _commonest(number: Longs, keys: Longs, told: Floats, most: int) -> tuple[Longs, Longs, Floats]:
-    """Context number of each departure (n,), the keys and how sure each context is (n,) when at most so many contexts
-    count: those of the most departures.
+    """Context number of each departure (n,), the keys and how sure each context is (n,) when at
+    most so many contexts count: those of the most departures.
     """
     if len(keys) <= most:
         return number, keys, told
-    kept = np.sort(np.argsort(-np.bincount(number, told, minlength=len(keys)), kind="stable")[:most])
+    kept = np.sort(
+        np.argsort(-np.bincount(number, told, minlength=len(keys)), kind="stable")[:most]
+    )
     renamed = np.full(len(keys), -1)
     renamed[kept] = np.arange(most)
     number = renamed[number]

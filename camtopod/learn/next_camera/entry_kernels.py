@@ -1,7 +1,8 @@
 """Entry kernels: where views overlap, how long after it entered one an object appears in the next.
 
-Of the pairs of a zone of entry and a zone of the next appearance there may be twenty thousand, nearly all of them made
-by chance. Only what the candidates need is kept of them: a table of all would be larger than the rest of a fit.
+Of the pairs of a zone of entry and a zone of the next appearance there may be twenty thousand,
+nearly all of them made by chance. Only what the candidates need is kept of them: a table of all
+would be larger than the rest of a fit.
 """
 
 from __future__ import annotations
@@ -20,12 +21,19 @@ from camtopod.topology import LagBins, smooth
 
 
 class Entering:
-    """The candidates that appear before the exit of a passage whose entry is known, and the kernels they make."""
+    """The candidates that appear before the exit of a passage whose entry is known, and the kernels
+    they make.
+    """
 
     def __init__(
-        self, candidates: Candidates, departures: Departures, arrivals: Arrivals, entry: NDArray[np.int64],
-        bins: LagBins, zones: int,
-    ) -> None:  # fmt: skip
+        self,
+        candidates: Candidates,
+        departures: Departures,
+        arrivals: Arrivals,
+        entry: NDArray[np.int64],
+        bins: LagBins,
+        zones: int,
+    ) -> None:
         """``entry`` (n,): zone where the passage of each departure began, -1 unknown."""
         c, d, a = candidates, departures, arrivals
         self._departures, self._arrivals, self._bins, self._zones = d, a, bins, zones
@@ -39,7 +47,12 @@ class Entering:
         if len(present) > most:  # the rarest have no kernel: their lags count from the exit
             usual = np.sort(np.argsort(-often, kind="stable")[:most])
             kept = np.isin(number, usual)
-            early, at, number, present = early[kept], at[kept], np.searchsorted(usual, number[kept]), present[usual]
+            early, at, number, present = (
+                early[kept],
+                at[kept],
+                np.searchsorted(usual, number[kept]),
+                present[usual],
+            )
         self.early = early
         """(m,) the candidates, ascending."""
         self.source = (present // max(zones, 1)).astype(np.int32)
@@ -49,8 +62,8 @@ class Entering:
         self.cell = number.astype(np.int64) * bins.size + at
         """(m,) place of each in a table of the kernels (Q, bins)."""
         self.hazard, self.own, self.part = np.zeros((3, len(early)))
-        """(m,) hazard by the kernel; by how much its smoothed count grows with the candidate's own; and the share of
-        what speaks for the candidate that is the kernel's.
+        """(m,) hazard by the kernel; by how much its smoothed count grows with the candidate's own;
+        and the share of what speaks for the candidate that is the kernel's.
         """
         self._order = np.argsort(self.cell, kind="stable")
         self._reached = self.cell[self._order]
@@ -63,11 +76,15 @@ class Entering:
         a, order = self._arrivals, np.argsort(self._began, kind="stable")
         if len(self.early) == 0:
             return
-        rates = Chance(self._began[order], self._entered[order].astype(np.int32), a.t, a.zone, self._zones)
+        rates = Chance(
+            self._began[order], self._entered[order].astype(np.int32), a.t, a.zone, self._zones
+        )
         for rows, some, seen in self._counts(np.ones(len(self.early))):
             source = self.source[rows]
             chance = rates.of(source, self.target[rows])
-            first = first_hazards(seen, chance, self.exposure, source, self._bins, noise_sd, START_FLOOR)
+            first = first_hazards(
+                seen, chance, self.exposure, source, self._bins, noise_sd, START_FLOOR
+            )
             self.hazard[some] = first.take(self.cell[some] - rows.start * self._bins.size)
 
     def learn(self, weight: Floats) -> None:
@@ -75,19 +92,27 @@ class Entering:
         for rows, some, counts in self._counts(weight):
             cell = self.cell[some] - rows.start * self._bins.size
             smoothed, stays = smooth(counts)
-            self.own[some] = stays.take(cell // self._bins.size) / np.maximum(smoothed.take(cell), 1e-300)
+            self.own[some] = stays.take(cell // self._bins.size) / np.maximum(
+                smoothed.take(cell), 1e-300
+            )
             self.hazard[some] = (smoothed / self._exposed(rows)).take(cell)
 
     def kernels(self, weight: Floats) -> Floats:
-        """The kernels (Q, bins), per second and passage in view, by the ``weight`` (m,) of each candidate."""
+        """The kernels (Q, bins), per second and passage in view, by the ``weight`` (m,) of each
+        candidate.
+        """
         each = [smooth(counts)[0] / self._exposed(rows) for rows, _, counts in self._counts(weight)]
         return np.concatenate([np.zeros((0, self._bins.size)), *each])
 
     def _counts(self, weight: Floats) -> Iterator[tuple[slice, NDArray[np.intp], Floats]]:
-        """Of some pairs at a time: which of all, their candidates, and these counted (rows, bins)."""
+        """Of some pairs at a time: which of all, their candidates, and these counted (rows,
+        bins).
+        """
         size = self._bins.size
         for rows in rows_together(len(self.source)):
-            first, last = np.searchsorted(self._reached, (rows.start * size, rows.stop * size)).tolist()
+            first, last = np.searchsorted(
+                self._reached, (rows.start * size, rows.stop * size)
+            ).tolist()
             some, cell = self._order[first:last], self._reached[first:last] - rows.start * size
             counts = np.bincount(cell, weight[some], minlength=(rows.stop - rows.start) * size)
             yield rows, some, counts.astype(float, copy=False).reshape(-1, size)

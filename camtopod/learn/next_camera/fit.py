@@ -1,7 +1,7 @@
 """The posterior for prediction: where objects go next, all weak evidence included.
 
-What is published as a link must be beyond doubt; a prediction should use everything that is known, as far as it is.
-Beside the hazards of the joint fit this one has
+What is published as a link must be beyond doubt; a prediction should use everything that is known,
+as far as it is. Beside the hazards of the joint fit this one has
 
 * *entry kernels*: where views overlap, an object often appears in the next view a certain time after it *entered* this
   one, whenever it will leave it. The hazard of an appearance before the exit is the sum of one that counts from the
@@ -23,14 +23,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
-from camtopod.learn.association import NOTHING, Candidates, Fit, JointFitter, Tables, not_overlapping, within
+from camtopod.learn.association import (
+    NOTHING,
+    Candidates,
+    Fit,
+    JointFitter,
+    Tables,
+    not_overlapping,
+    within,
+)
 from camtopod.learn.limits import FOLLOWED_MAX
 from camtopod.learn.next_camera.contexts import Contexts, Counted, Level, multipliers
 from camtopod.learn.next_camera.entry_kernels import Entering
 from camtopod.learn.next_camera.prior import Prior
 from camtopod.learn.next_camera.sampling import Sources, with_faint
 from camtopod.learn.next_camera.skip_rate import Skipping
-from camtopod.learn.next_camera.skipped_cameras import Legs, legs_of, skip_hazards, skipped_beside, ways_through
+from camtopod.learn.next_camera.skipped_cameras import (
+    Legs,
+    legs_of,
+    skip_hazards,
+    skipped_beside,
+    ways_through,
+)
 from camtopod.learn.next_camera.spurious import doubts
 from camtopod.learn.traffic import Arrivals, Departures
 from camtopod.topology import LEAVE_FLOOR, LagBins
@@ -42,7 +56,9 @@ FIRST_ROUNDS, FIRST_ITERATIONS = 3, 5
 SCOUT_ITERATIONS = 5
 """After so many it is asked which candidates are worth following."""
 NEGLIGIBLE = 1e-4
-"""Candidates with a smaller responsibility after the first few iterations are left out of the others."""
+"""Candidates with a smaller responsibility after the first few iterations are left out of the
+others.
+"""
 ITERATIONS = 8
 """With contexts, which are learned in every other one."""
 SWEEPS_MIN, SWEEPS_MAX = 12, 30
@@ -81,11 +97,16 @@ class Posterior(NamedTuple):
 
 
 def followed_of(
-    departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int, until: float,
+    departures: Departures,
+    arrivals: Arrivals,
+    candidates: Candidates,
+    bins: LagBins,
+    zones: int,
+    until: float,
     overlapping: NDArray[np.bool_],
-) -> Candidates:  # fmt: skip
-    """The candidates that `fit_followed` is to look at. Who has them need not keep all, which take more memory.
-    ``overlapping`` (cameras, cameras): views that are known to overlap.
+) -> Candidates:
+    """The candidates that `fit_followed` is to look at. Who has them need not keep all, which take
+    more memory. ``overlapping`` (cameras, cameras): views that are known to overlap.
     """
     scout = PosteriorFitter(departures, arrivals, candidates, bins, zones, until)
     scout.look()
@@ -96,13 +117,21 @@ def followed_of(
 
 
 def fit_followed(
-    departures: Departures, arrivals: Arrivals, followed: Candidates, bins: LagBins, zones: int, until: float,
-    evidence: Floats, screened: bool = False,
-) -> Posterior:  # fmt: skip
-    """The posterior of all that left and came up to ``until`` (seconds), from the candidates of `followed_of`.
-    ``evidence``: that zones are linked, in nats (`cross_evidence`); ``screened``: candidates may be missing.
+    departures: Departures,
+    arrivals: Arrivals,
+    followed: Candidates,
+    bins: LagBins,
+    zones: int,
+    until: float,
+    evidence: Floats,
+    screened: bool = False,
+) -> Posterior:
+    """The posterior of all that left and came up to ``until`` (seconds), from the candidates of
+    `followed_of`. ``evidence``: that zones are linked, in nats (`cross_evidence`); ``screened``:
+    candidates may be missing.
 
-    Always from nothing: one that goes on from the last as events come in believes early mistakes ever more.
+    Always from nothing: one that goes on from the last as events come in believes early mistakes
+    ever more.
     """
     fitter = PosteriorFitter(departures, arrivals, followed, bins, zones, until)
     fitter.learn()
@@ -112,9 +141,16 @@ def fit_followed(
     found = fitter.result()
     doubt = doubts(found.candidates.pair, found.responsibility, fitter.pairs, evidence, left)
     posterior = Posterior(
-        found, fitter.share, fitter.leave, doubt, fitter.entering.source, fitter.entering.target,
-        fitter.entry_kernels(), np.zeros(fitter.pairs), levels,
-    )  # fmt: skip
+        found,
+        fitter.share,
+        fitter.leave,
+        doubt,
+        fitter.entering.source,
+        fitter.entering.target,
+        fitter.entry_kernels(),
+        np.zeros(fitter.pairs),
+        levels,
+    )
     return fitter.with_skips(posterior) if screened else posterior
 
 
@@ -122,9 +158,14 @@ class PosteriorFitter(JointFitter):
     """The fit in progress."""
 
     def __init__(
-        self, departures: Departures, arrivals: Arrivals, candidates: Candidates, bins: LagBins, zones: int,
+        self,
+        departures: Departures,
+        arrivals: Arrivals,
+        candidates: Candidates,
+        bins: LagBins,
+        zones: int,
         until: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(departures, arrivals, candidates, bins, zones, until)
         self._prior = Prior(candidates, self._camera, self.exposure, self._per_zone)
         self.hazard = np.zeros(0, np.float32)
@@ -144,9 +185,13 @@ class PosteriorFitter(JointFitter):
         self._iterate(SCOUT_ITERATIONS, contexts=False)
 
     def worth_following(self, overlapping: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The candidates (M,) that are neither negligible nor impossible, the likeliest `FOLLOWED_MAX` of them."""
+        """The candidates (M,) that are neither negligible nor impossible, the likeliest
+        `FOLLOWED_MAX` of them.
+        """
         c = self.candidates
-        impossible = not_overlapping(c, self.departures, self.arrivals, self.responsibility, overlapping)
+        impossible = not_overlapping(
+            c, self.departures, self.arrivals, self.responsibility, overlapping
+        )
         kept = (self.responsibility > NEGLIGIBLE) & ~impossible
         rows = np.flatnonzero(kept)
         if len(rows) > FOLLOWED_MAX:
@@ -169,7 +214,9 @@ class PosteriorFitter(JointFitter):
         self._iterate(ITERATIONS, contexts=True)
 
     def sample(self) -> None:
-        """Weigh what the fit says with what is believed on average over draws of who came from where."""
+        """Weigh what the fit says with what is believed on average over draws of who came from
+        where.
+        """
         fitted, entering, skipping = self.responsibility.copy(), self.entering, self._skipping
         sources = Sources(self.candidates.arrival, len(self.arrivals.t), SAMPLING_SEED)
         believed, skipped = np.zeros((2, len(fitted)), np.float32)
@@ -191,7 +238,9 @@ class PosteriorFitter(JointFitter):
                 skipped[skipping.some] += self.responsibility[skipping.some] * skipping.part
                 entered += self.responsibility[entering.early] * entering.part
         some = np.flatnonzero(skipped)
-        skipping.believe(some, (skipped[some] / np.maximum(believed[some], NOTHING)).astype(np.float32))
+        skipping.believe(
+            some, (skipped[some] / np.maximum(believed[some], NOTHING)).astype(np.float32)
+        )
         entering.part = entered / np.maximum(believed[entering.early], NOTHING)
         believed *= SAMPLES_SHARE / (sweeps - settled)
         fitted *= 1.0 - SAMPLES_SHARE
@@ -215,20 +264,26 @@ class PosteriorFitter(JointFitter):
         return with_faint(hazard, self._some_exposed, self.candidates.source, self.bins)
 
     def result(self) -> Fit:
-        """All that leaves a view and appears in the next; ``hazard`` is that counted from the exit, ``counts`` nothing,
-        as nobody asks for them. After this there is no further iteration.
+        """All that leaves a view and appears in the next; ``hazard`` is that counted from the exit,
+        ``counts`` nothing, as nobody asks for them. After this there is no further iteration.
         """
         self._own, self._multiplier = self._own[:0], None
         hazard = self._after_exit(self.hazard, slice(0, self.pairs))
         return self.found(Tables(hazard, np.zeros((0, self.bins.size))), self.flatness(hazard))
 
     def with_skips(self, posterior: Posterior) -> Posterior:
-        """The posterior with what skipped views lead to beside the pairs of zones that were followed."""
+        """The posterior with what skipped views lead to beside the pairs of zones that were
+        followed.
+        """
         c = posterior.fit.candidates
-        source, target, unit = skipped_beside(self._legs(self.hazard), c, self._through, self.bins, self.zones)
+        source, target, unit = skipped_beside(
+            self._legs(self.hazard), c, self._through, self.bins, self.zones
+        )
         hazard = (self._skipping.odds * unit).astype(np.float32)
         share = hazard @ self.bins.widths
-        key = np.concatenate((c.source, source)).astype(np.int64) * self.zones + np.concatenate((c.target, target))
+        key = np.concatenate((c.source, source)).astype(np.int64) * self.zones + np.concatenate(
+            (c.target, target)
+        )
         order = np.argsort(key, kind="stable")
         number = np.argsort(order)  # where each pair has gone
 
@@ -239,15 +294,19 @@ class PosteriorFitter(JointFitter):
         fit = posterior.fit._replace(
             hazard=np.concatenate((posterior.fit.hazard, hazard))[order],
             candidates=c._replace(
-                pair=number[c.pair].astype(np.int32), source=(key[order] // self.zones).astype(np.int32),
+                pair=number[c.pair].astype(np.int32),
+                source=(key[order] // self.zones).astype(np.int32),
                 target=(key[order] % self.zones).astype(np.int32),
             ),
-        )  # fmt: skip
+        )
         gone = posterior.leave - np.bincount(source, share, minlength=self.zones)
         return posterior._replace(
-            fit=fit, share=mixed(posterior.share, share), doubt=mixed(posterior.doubt, np.zeros(len(source))),
-            delay=np.zeros(len(order)), leave=np.maximum(gone, LEAVE_FLOOR),
-        )  # fmt: skip
+            fit=fit,
+            share=mixed(posterior.share, share),
+            doubt=mixed(posterior.doubt, np.zeros(len(source))),
+            delay=np.zeros(len(order)),
+            leave=np.maximum(gone, LEAVE_FLOOR),
+        )
 
     def _to_count(self) -> Singles:
         return np.concatenate([np.zeros(0, np.float32), *map(self._at_exit, self._parts)])
@@ -260,7 +319,9 @@ class PosteriorFitter(JointFitter):
                 self._learn_contexts()
 
     def _learn_hazards(self) -> Singles:
-        """M step: hazards (P, bins) counted from the exit without those of skipped views; and all other tables."""
+        """M step: hazards (P, bins) counted from the exit without those of skipped views; and all
+        other tables.
+        """
         self._handed_on()  # they were as large as the new ones
         self.entering.learn(self._entered())
         self._skipping.learn(self.responsibility, self._left[self.candidates.source])
@@ -276,7 +337,10 @@ class PosteriorFitter(JointFitter):
         """Responsibilities of a part as far as lags count from the exit and no view is skipped."""
         shares = self.responsibility[part].copy()
         other = np.zeros(len(shares), np.float32)
-        for some, elsewhere in (self._skipping.some, self._skipping.part), (self.entering.early, self.entering.part):
+        for some, elsewhere in (
+            (self._skipping.some, self._skipping.part),
+            (self.entering.early, self.entering.part),
+        ):
             if isinstance(part, slice):
                 here = within(some, part)
                 other[some[here] - part.start] += elsewhere[here]
@@ -299,13 +363,19 @@ class PosteriorFitter(JointFitter):
 
     def _find_skips(self, hazard: Singles) -> None:
         """Hazards of skipped views, by the links and passages as they are known now."""
-        pair, unit = skip_hazards(self._legs(hazard), self.candidates, self._through, self.bins, self.zones)
+        pair, unit = skip_hazards(
+            self._legs(hazard), self.candidates, self._through, self.bins, self.zones
+        )
         self._skipping.use(pair, unit, self.candidates, self._cell, self._parts)
 
     def _legs(self, hazard: Singles) -> Legs:
         """What appears next, as legs of ways over a skipped view."""
-        share = np.concatenate([self._appears(hazard[rows], rows).sum(axis=1) for rows in rows_together(self.pairs)])
-        return legs_of(share, lambda some: self._appears(hazard[some], some), self.candidates, self.bins)
+        share = np.concatenate(
+            [self._appears(hazard[rows], rows).sum(axis=1) for rows in rows_together(self.pairs)]
+        )
+        return legs_of(
+            share, lambda some: self._appears(hazard[some], some), self.candidates, self.bins
+        )
 
     def _weights(self, hazard: Singles, part: slice) -> Singles:
         """Hazard of each candidate of a part that the others make."""
@@ -342,7 +412,9 @@ class PosteriorFitter(JointFitter):
         c, counted = self.candidates, self._count_contexts()
         multiplier = self.contexts.judged(c, self.responsibility, self.share, counted)
         for part in self._parts:
-            multiplier[part] = multipliers(self.share.take(c.pair[part]), multiplier[part].astype(float))
+            multiplier[part] = multipliers(
+                self.share.take(c.pair[part]), multiplier[part].astype(float)
+            )
         self._multiplier = multiplier
 
     def _count_contexts(self) -> list[Counted]:

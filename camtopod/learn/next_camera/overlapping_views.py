@@ -1,14 +1,14 @@
 """Overlapping views: which cameras see an object at the moment it leaves the view of another.
 
-At each exit the passages that are open in other views are counted by *offset*: the seconds by which they began later
-than the passage that ends. Passages of one object begin at nearly constant offsets. The null model is the same count
-with all exits shifted by some seconds, which keeps rhythms and platoons and breaks identities. What exceeds it is
-attributed to the same object. This is the cross-correlation of Makris, Ellis and Black (2004), for intervals instead of
-instants.
+At each exit the passages that are open in other views are counted by *offset*: the seconds by which
+they began later than the passage that ends. Passages of one object begin at nearly constant
+offsets. The null model is the same count with all exits shifted by some seconds, which keeps
+rhythms and platoons and breaks identities. What exceeds it is attributed to the same object. This
+is the cross-correlation of Makris, Ellis and Black (2004), for intervals instead of instants.
 
-A pair of views overlaps if each half of the exits predicts the offsets of the other half better than two null models:
-no overlap at all, and passages that coexist more often than expected but at the null model's offsets. Platoons alone
-produce the second.
+A pair of views overlaps if each half of the exits predicts the offsets of the other half better
+than two null models: no overlap at all, and passages that coexist more often than expected but at
+the null model's offsets. Platoons alone produce the second.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ NULL_MIN = 0.02
 NOISE_SD = 0.5
 """An excess over the null model counts from this many standard deviations on."""
 SCREENED_SD = 3.0
-"""Pairs of cameras are tested if their open passages exceed the null model by this many standard deviations."""
+"""Pairs of cameras are tested if their open passages exceed the null model by this many standard
+deviations.
+"""
 SCREENED_PER_CAMERA_MAX = 16
 """Pairs tested for each camera that is left: those with the largest excess."""
 FALSE_PROBABILITY = 0.001
@@ -57,7 +59,9 @@ class Overlapping(NamedTuple):
 
 
 def table_of(overlapping: list[Overlapping], cameras: int) -> NDArray[np.bool_]:
-    """Whether objects that leave the view of one of the ``cameras`` are seen by another: (cameras, cameras)."""
+    """Whether objects that leave the view of one of the ``cameras`` are seen by another: (cameras,
+    cameras).
+    """
     table = np.zeros((cameras, cameras), np.bool_)
     for one in overlapping:
         table[one.source, one.target] = True
@@ -81,7 +85,9 @@ def views_of(scene: Scene) -> Views:
 
 
 def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapping]:
-    """The overlapping pairs of ``cameras`` views, by source, then target. ``bins``: of offsets (`offset_bins`)."""
+    """The overlapping pairs of ``cameras`` views, by source, then target. ``bins``: of offsets
+    (`offset_bins`).
+    """
     if len(views.left) == 0:
         return []
     newest, end = _newest(views, OPEN_PAIRS_MAX), len(views.left)
@@ -97,8 +103,13 @@ def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapp
     number = np.full((cameras, cameras), -1)
     number[source, target] = np.arange(len(source))
     middle = (newest + end) // 2
-    first, second = (_count(views, half, number, bins) for half in (slice(newest, middle), slice(middle, end)))
-    exits = [np.bincount(views.camera[half], minlength=cameras) for half in (slice(newest, middle), slice(middle, end))]
+    first, second = (
+        _count(views, half, number, bins) for half in (slice(newest, middle), slice(middle, end))
+    )
+    exits = [
+        np.bincount(views.camera[half], minlength=cameras)
+        for half in (slice(newest, middle), slice(middle, end))
+    ]
     ratio = exits[1][source] / np.maximum(exits[0][source], 1)
 
     # Test each half on the other.
@@ -109,7 +120,10 @@ def find_overlapping(views: Views, cameras: int, bins: LagBins) -> list[Overlapp
     # Estimate the offsets from both halves.
     same, others = _Counted(first.seen + second.seen, first.null + second.null).split()
     left = np.maximum(exits[0] + exits[1], 1)[source]
-    return [Overlapping(int(source[k]), int(target[k]), same[k] / left[k], others[k] / left[k]) for k in overlap]
+    return [
+        Overlapping(int(source[k]), int(target[k]), same[k] / left[k], others[k] / left[k])
+        for k in overlap
+    ]
 
 
 class _Counted(NamedTuple):
@@ -127,8 +141,8 @@ class _Counted(NamedTuple):
 
 
 def _predicts(known: _Counted, judged: _Counted, ratio: Floats) -> Floats:
-    """Log likelihood ratios (2, P) in nats, against both null models, of the counts ``judged`` as the counts ``known``
-    predict them. ``ratio`` (P,): exits judged for each that is known.
+    """Log likelihood ratios (2, P) in nats, against both null models, of the counts ``judged`` as
+    the counts ``known`` predict them. ``ratio`` (P,): exits judged for each that is known.
     """
     same, others = known.split()
     weight = np.log1p(same / others)
@@ -139,10 +153,14 @@ def _predicts(known: _Counted, judged: _Counted, ratio: Floats) -> Floats:
 
 
 def _screened(excess: Floats) -> tuple[Rows, Rows]:
-    """Sources and targets (P,) of the pairs worth a test. ``excess`` (cameras, cameras): in standard deviations."""
+    """Sources and targets (P,) of the pairs worth a test. ``excess`` (cameras, cameras): in
+    standard deviations.
+    """
     largest = np.argsort(-excess, axis=1, kind="stable")[:, :SCREENED_PER_CAMERA_MAX]
     kept = np.zeros(excess.shape, np.bool_)
-    np.put_along_axis(kept, largest, np.take_along_axis(excess, largest, axis=1) > SCREENED_SD, axis=1)
+    np.put_along_axis(
+        kept, largest, np.take_along_axis(excess, largest, axis=1) > SCREENED_SD, axis=1
+    )
     source, target = np.nonzero(kept)
     return source, target
 
@@ -154,23 +172,34 @@ def _shifted(count: Callable[[float], NDArray[Any]]) -> Floats:
 
 
 def _open(views: Views, exits: slice, shift: float) -> Iterator[tuple[Rows, Rows]]:
-    """Exits and passages (m,) of other cameras that are open ``shift`` seconds after them, in parts."""
+    """Exits and passages (m,) of other cameras that are open ``shift`` seconds after them, in
+    parts.
+    """
     left = views.left[exits]
     first, stop = (np.searchsorted(left, t - shift) for t in (views.entered, views.left))
     reached = np.concatenate(([0], np.cumsum(np.maximum(stop - first, 0))))
     begin = 0
     while begin < len(first):
-        end = max(int(np.searchsorted(reached, reached[begin] + OPEN_PAIRS_AT_ONCE, "right")) - 1, begin + 1)
+        end = max(
+            int(np.searchsorted(reached, reached[begin] + OPEN_PAIRS_AT_ONCE, "right")) - 1,
+            begin + 1,
+        )
         n = np.diff(reached[begin : end + 1])
         passage = np.repeat(np.arange(begin, end), n)
-        exit_ = np.arange(len(passage)) + np.repeat(first[begin:end] - (np.cumsum(n) - n), n) + exits.start
+        exit_ = (
+            np.arange(len(passage))
+            + np.repeat(first[begin:end] - (np.cumsum(n) - n), n)
+            + exits.start
+        )
         other = np.flatnonzero(views.camera[exit_] != views.camera[passage])
         yield exit_[other], passage[other]
         begin = end
 
 
 def _newest(views: Views, most: int) -> int:
-    """The oldest exit that is counted: from there on at most ``most`` passages are open, added up over the exits."""
+    """The oldest exit that is counted: from there on at most ``most`` passages are open, added up
+    over the exits.
+    """
     begun = np.searchsorted(np.sort(views.entered), views.left, "right")
     over = np.searchsorted(views.left, views.left, "right")
     open_ = np.maximum(begun - over, 0)
@@ -181,14 +210,17 @@ def _totals(views: Views, exits: slice, shift: float, cameras: int) -> Longs:
     """Pairs of an exit and a passage open ``shift`` seconds after it, (cameras, cameras)."""
     total = np.zeros(cameras * cameras, np.int64)
     for exit_, passage in _open(views, exits, shift):
-        total += np.bincount(views.camera[exit_] * cameras + views.camera[passage], minlength=len(total))
+        total += np.bincount(
+            views.camera[exit_] * cameras + views.camera[passage], minlength=len(total)
+        )
     return total.reshape(cameras, cameras)
 
 
 def _count(views: Views, exits: slice, number: Longs, bins: LagBins) -> _Counted:
     """By offset, of the pairs of cameras that have a ``number`` (cameras, cameras), -1: none."""
     return _Counted(
-        _offsets(views, exits, 0.0, number, bins), _shifted(lambda shift: _offsets(views, exits, shift, number, bins))
+        _offsets(views, exits, 0.0, number, bins),
+        _shifted(lambda shift: _offsets(views, exits, shift, number, bins)),
     )
 
 

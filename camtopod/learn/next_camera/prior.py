@@ -1,10 +1,12 @@
-"""What is expected of a pair of zones before anything has been seen there: a hierarchical prior over the hazards.
+"""What is expected of a pair of zones before anything has been seen there: a hierarchical prior
+over the hazards.
 
-Two things are known of any site. What leaves a camera's view goes much the same ways, whichever of its zones it left
-by. And a way is as a rule taken in both directions, by about the same share and in about the same time: of a few
-departures, what comes back from a zone says more about who goes there than they do. Both are counted as transitions of
-so many further departures, so enough of a zone's own outweigh them. How far ways are taken in both directions is
-learned from the site: where traffic goes one way only, nothing is made of what does not come back.
+Two things are known of any site. What leaves a camera's view goes much the same ways, whichever of
+its zones it left by. And a way is as a rule taken in both directions, by about the same share and
+in about the same time: of a few departures, what comes back from a zone says more about who goes
+there than they do. Both are counted as transitions of so many further departures, so enough of a
+zone's own outweigh them. How far ways are taken in both directions is learned from the site: where
+traffic goes one way only, nothing is made of what does not come back.
 """
 
 from __future__ import annotations
@@ -19,19 +21,25 @@ from camtopod.learn.association import Candidates
 from camtopod.topology import smooth
 
 POOLING = 1.0
-"""What leaves anywhere in a camera's view counts for each of its zones as much as this many departures."""
+"""What leaves anywhere in a camera's view counts for each of its zones as much as this many
+departures.
+"""
 RETURNING = 10.0
-"""What comes from a zone counts for what goes there as much as this many departures, where all ways are two-way."""
+"""What comes from a zone counts for what goes there as much as this many departures, where all ways
+are two-way.
+"""
 TWO_WAY_TRANSITIONS = 20.0
 """That they are is believed beforehand as much as this many transitions say."""
 
 
 class Prior:
-    """Of the pairs of zones of ``candidates``; ``camera``, ``came`` (zones,): each zone's camera and arrivals, at least
-    1; ``exposure`` (zones, bins).
+    """Of the pairs of zones of ``candidates``; ``camera``, ``came`` (zones,): each zone's camera
+    and arrivals, at least 1; ``exposure`` (zones, bins).
     """
 
-    def __init__(self, candidates: Candidates, camera: NDArray[np.int64], exposure: Floats, came: Floats) -> None:
+    def __init__(
+        self, candidates: Candidates, camera: NDArray[np.int64], exposure: Floats, came: Floats
+    ) -> None:
         cameras = int(camera.max(initial=0)) + 1
         source, target = camera[candidates.source], camera[candidates.target]
         self._views, self.pair = numbered(source * cameras + target, cameras * cameras)
@@ -68,9 +76,9 @@ class Expected:
         self.departures = POOLING + self._returning
 
     def of(self, rows: slice, rates: Callable[[NDArray[np.int64]], Floats]) -> Floats:
-        """Of some pairs of zones (rows, bins): if only the cameras counted, and in them the traffic of the zones; and
-        if every way were taken in both directions alike. ``rates``: transitions per exposed departure of pairs (n,) as
-        seen, smoothed.
+        """Of some pairs of zones (rows, bins): if only the cameras counted, and in them the traffic
+        of the zones; and if every way were taken in both directions alike. ``rates``: transitions
+        per exposed departure of pairs (n,) as seen, smoothed.
         """
         back = self._prior.back[rows]
         alike = np.where(back[:, None] < 0, 0.0, rates(back))
@@ -80,7 +88,9 @@ class Expected:
 
 
 def _leading_back(candidates: Candidates, zones: int) -> NDArray[np.int64]:
-    """The pair (P,) from each pair's target to its source, -1 if there is none. Pairs come by source, then target."""
+    """The pair (P,) from each pair's target to its source, -1 if there is none. Pairs come by
+    source, then target.
+    """
     source, target = candidates.source.astype(np.int64), candidates.target.astype(np.int64)
     there, back = source * zones + target, target * zones + source
     if len(there) == 0:

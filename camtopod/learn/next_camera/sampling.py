@@ -1,8 +1,9 @@
-"""Monte Carlo over who came from where (thesis section 4.1; Marinakis and Dudek 2005 sample the same).
+"""Monte Carlo over who came from where (thesis section 4.1; Marinakis and Dudek 2005 sample the
+same).
 
-Where there is little to go by, a fit that has settled is surer than it may be: it believes in its own first guesses. A
-sampler draws one source for each arrival, learns from the draw as if it were the truth, and draws again; what it
-believes on average is what the events say.
+Where there is little to go by, a fit that has settled is surer than it may be: it believes in its
+own first guesses. A sampler draws one source for each arrival, learns from the draw as if it were
+the truth, and draws again; what it believes on average is what the events say.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ from camtopod.arrays import Floats, Indices, Ints, Singles, rows_together
 from camtopod.topology import LagBins
 
 FAINT_TRANSITIONS = 0.2
-"""Every pair of zones that is followed has this many transitions beforehand, at any lag after the exit: what has not
-been drawn may still happen.
+"""Every pair of zones that is followed has this many transitions beforehand, at any lag after the
+exit: what has not been drawn may still happen.
 """
 
 
 class Sources:
-    """Draws of one source, or the outside, for each of ``n`` arrivals; ``arrival`` (M,) is that of each candidate,
-    ascending.
+    """Draws of one source, or the outside, for each of ``n`` arrivals; ``arrival`` (M,) is that of
+    each candidate, ascending.
     """
 
     def __init__(self, arrival: Indices, n: int, seed: int) -> None:
@@ -38,8 +39,8 @@ class Sources:
 
 
 def with_faint(hazard: Singles, exposed: Floats, source: Ints, bins: LagBins) -> Singles:
-    """Hazards (P, bins) as they are with the faint transitions that every pair has, in the place of those without;
-    ``exposed`` (zones, bins) departures, at least 1, ``source`` (P,).
+    """Hazards (P, bins) as they are with the faint transitions that every pair has, in the place of
+    those without; ``exposed`` (zones, bins) departures, at least 1, ``source`` (P,).
     """
     after = bins.edges[1:] > 0
     more = FAINT_TRANSITIONS * np.bincount(source, minlength=len(exposed))

@@ -1,7 +1,7 @@
 """Which candidates may have skipped a view, and how often views are skipped.
 
-Of ten thousand pairs of zones some hundred are ends of ways over a skipped view (`skipped`), and of the candidates one
-in ten may have taken such a way: only of these anything is kept.
+Of ten thousand pairs of zones some hundred are ends of ways over a skipped view (`skipped`), and of
+the candidates one in ten may have taken such a way: only of these anything is kept.
 """
 
 from __future__ import annotations
@@ -36,9 +36,11 @@ class Skipping:
         self.part: Singles = np.zeros(0, np.float32)
         """(s,) share of what speaks for each that is the skipped view's."""
 
-    def use(self, pair: Longs, unit: Floats, candidates: Candidates, cell: Ints, parts: Sequence[slice]) -> None:
-        """From here on the hazards ``unit`` (K, bins) of `skip_hazards`; ``cell`` (M,): place of each candidate in a
-        table (P, bins).
+    def use(
+        self, pair: Longs, unit: Floats, candidates: Candidates, cell: Ints, parts: Sequence[slice]
+    ) -> None:
+        """From here on the hazards ``unit`` (K, bins) of `skip_hazards`; ``cell`` (M,): place of
+        each candidate in a table (P, bins).
         """
         self.pair, self._unit = pair, unit.astype(np.float32)
         row = np.full(len(candidates.source), -1, np.int32)
@@ -74,7 +76,9 @@ class Skipping:
         return both
 
     def learn(self, responsibility: Singles, left: Floats) -> None:
-        """M step of the odds; ``responsibility`` (M,) of all candidates, ``left`` (P,) departures at the sources."""
+        """M step of the odds; ``responsibility`` (M,) of all candidates, ``left`` (P,) departures
+        at the sources.
+        """
         recorded = float(self._unit @ self._bins.widths @ left[self.pair])
         skipped = float(responsibility[self.some].astype(float) @ self.part)
         odds = (skipped + ODDS_FIRST * ODDS_PASSAGES) / (recorded + ODDS_PASSAGES)

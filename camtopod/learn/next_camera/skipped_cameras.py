@@ -1,9 +1,11 @@
-"""Skipped views: an object that a camera on its way did not record appears next where that camera would have led it.
+"""Skipped views: an object that a camera on its way did not record appears next where that camera
+would have led it.
 
-Who takes u -> a, passes that view from a to b and takes b -> v is seen at u and next at v when the camera missed the
-passage: for every one that it recorded there are ``odds = m / (1 - m)`` such, m being the share that it misses. There
-are far more such pairs (u, v) than links, each with a percent or so of the departures, too few to be found one by one;
-but the links and the passages say how likely and how late each of them is, and only the odds have to be learned.
+Who takes u -> a, passes that view from a to b and takes b -> v is seen at u and next at v when the
+camera missed the passage: for every one that it recorded there are ``odds = m / (1 - m)`` such, m
+being the share that it misses. There are far more such pairs (u, v) than links, each with a percent
+or so of the departures, too few to be found one by one; but the links and the passages say how
+likely and how late each of them is, and only the odds have to be learned.
 
 `missed` uses the same ways to publish no link that they explain.
 """
@@ -38,7 +40,9 @@ WAYS_AT_ONCE = 1024
 
 
 class Through(NamedTuple):
-    """Ways through views, (n,) each: zones of entry and exit, share of those who enter there, usual seconds."""
+    """Ways through views, (n,) each: zones of entry and exit, share of those who enter there, usual
+    seconds.
+    """
 
     entry: Longs
     exit: Longs
@@ -47,7 +51,9 @@ class Through(NamedTuple):
 
 
 class Legs(NamedTuple):
-    """Next appearances that enough take, (n,) each: zones, share of the departures, lags (n, quantiles) in seconds."""
+    """Next appearances that enough take, (n,) each: zones, share of the departures, lags (n,
+    quantiles) in seconds.
+    """
 
     source: Ints
     target: Ints
@@ -55,9 +61,11 @@ class Legs(NamedTuple):
     lag: Floats
 
 
-def legs_of(share: Floats, appears: Callable[[Indices], Floats], candidates: Candidates, bins: LagBins) -> Legs:
-    """``share`` (P,) of those who leave at the source of each pair of zones that appears next at its target;
-    ``appears``: of pairs (n,), by lag (n, bins).
+def legs_of(
+    share: Floats, appears: Callable[[Indices], Floats], candidates: Candidates, bins: LagBins
+) -> Legs:
+    """``share`` (P,) of those who leave at the source of each pair of zones that appears next at
+    its target; ``appears``: of pairs (n,), by lag (n, bins).
     """
     some = np.flatnonzero(share >= LINK_SHARE_MIN)
     reached = np.cumsum(appears(some), axis=1) / share[some][:, None]
@@ -66,13 +74,15 @@ def legs_of(share: Floats, appears: Callable[[Indices], Floats], candidates: Can
 
 
 def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through:
-    """The likely ways through all views. ``entry`` (departures,): zone where the passage began, -1 unknown; ``camera``
-    (zones,).
+    """The likely ways through all views. ``entry`` (departures,): zone where the passage began, -1
+    unknown; ``camera`` (zones,).
     """
     zones, cameras, d = len(camera), int(camera.max(initial=-1)) + 1, departures
     tied = (entry >= 0) & np.isfinite(departures.since)
     of_camera = np.bincount(camera[d.zone], minlength=cameras)
-    ties = np.bincount(camera[d.zone], tied, minlength=cameras) >= TIED_SHARE_MIN * np.maximum(of_camera, 1)
+    ties = np.bincount(camera[d.zone], tied, minlength=cameras) >= TIED_SHARE_MIN * np.maximum(
+        of_camera, 1
+    )
     key, n, seconds = _medians(entry[tied] * zones + d.zone[tied], (d.t - d.since)[tied])
     came, left = key // zones, key % zones
     share = n / np.bincount(came, n, minlength=zones)[came]
@@ -87,7 +97,9 @@ def ways_through(departures: Departures, entry: Longs, camera: Longs) -> Through
 
 
 def _any_to_any(departures: Departures, camera: Longs, wanted: NDArray[np.bool_]) -> Through:
-    """The ways through the views of the cameras ``wanted`` (cameras,) as if all who enter left alike."""
+    """The ways through the views of the cameras ``wanted`` (cameras,) as if all who enter left
+    alike.
+    """
     d = departures
     timed = np.isfinite(d.since)
     where, _, stay = _medians(camera[d.zone[timed]], (d.t - d.since)[timed])
@@ -112,32 +124,40 @@ def _medians(key: Longs, seconds: Floats) -> tuple[Longs, Longs, Floats]:
 def skip_hazards(
     legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int
 ) -> tuple[Longs, Floats]:
-    """The pairs of the candidates (K,), ascending, to whose target a skipped view may have led, and the hazards (K,
-    bins) of appearing there because it was, if every second one is.
+    """The pairs of the candidates (K,), ascending, to whose target a skipped view may have led, and
+    the hazards (K, bins) of appearing there because it was, if every second one is.
     """
     ways = _ways(legs, through)
-    pair, known = _rows(candidates.source.astype(np.int64) * zones + candidates.target, ways.key(legs, zones))
+    pair, known = _rows(
+        candidates.source.astype(np.int64) * zones + candidates.target, ways.key(legs, zones)
+    )
     present, number = np.unique(pair[known], return_inverse=True)
-    return present.astype(np.int64), _along(ways.take(known), number, len(present), legs, through, bins)
+    return present.astype(np.int64), _along(
+        ways.take(known), number, len(present), legs, through, bins
+    )
 
 
 def skipped_beside(
     legs: Legs, candidates: Candidates, through: Through, bins: LagBins, zones: int
 ) -> tuple[Ints, Ints, Floats]:
-    """Sources and targets (X,) of the ways over skipped views that are no pairs of the candidates, and the hazards
-    (X, bins), as `skip_hazards`.
+    """Sources and targets (X,) of the ways over skipped views that are no pairs of the candidates,
+    and the hazards (X, bins), as `skip_hazards`.
     """
     ways = _ways(legs, through)
     key = ways.key(legs, zones)
     _, known = _rows(candidates.source.astype(np.int64) * zones + candidates.target, key)
     present, number = np.unique(key[~known], return_inverse=True)
     hazard = _along(ways.take(~known), number, len(present), legs, through, bins)
-    return (present // max(zones, 1)).astype(np.int32), (present % max(zones, 1)).astype(np.int32), hazard
+    return (
+        (present // max(zones, 1)).astype(np.int32),
+        (present % max(zones, 1)).astype(np.int32),
+        hazard,
+    )
 
 
 class _Ways(NamedTuple):
-    """Ways over one skipped view, (n,) each: the leg before it, the way through it, the leg after it; and the share
-    that takes it of those who leave where it begins.
+    """Ways over one skipped view, (n,) each: the leg before it, the way through it, the leg after
+    it; and the share that takes it of those who leave where it begins.
     """
 
     before: Indices
@@ -163,22 +183,32 @@ def _ways(legs: Legs, through: Through) -> _Ways:
     return _Ways(before, way, after, taken).take(taken >= WAY_SHARE_MIN)
 
 
-def _along(ways: _Ways, number: NDArray[np.intp], rows: int, legs: Legs, through: Through, bins: LagBins) -> Floats:
+def _along(
+    ways: _Ways, number: NDArray[np.intp], rows: int, legs: Legs, through: Through, bins: LagBins
+) -> Floats:
     """Hazards (rows, bins) of the ways; ``number`` (n,): the row of each."""
     mass = np.zeros(rows * bins.size)
     for k in range(0, len(number), WAYS_AT_ONCE):
         part = slice(k, k + WAYS_AT_ONCE)
         some, middle = ways.take(part), through.seconds[ways.through[part]]
-        lag = legs.lag[some.before][:, :, None] + middle[:, None, None] + legs.lag[some.after][:, None, :]
+        lag = (
+            legs.lag[some.before][:, :, None]
+            + middle[:, None, None]
+            + legs.lag[some.after][:, None, :]
+        )
         at = bins.index(lag)
         cell = number[part][:, None, None] * bins.size + at
         weight = np.broadcast_to((some.taken / len(LEG_QUANTILES) ** 2)[:, None, None], lag.shape)
         np.add.at(mass, cell[at >= 0], weight[at >= 0])
-    hazard: Floats = mass.reshape(-1, bins.size) @ smoother(bins.size, SPREAD_SD_BINS).T / bins.widths
+    hazard: Floats = (
+        mass.reshape(-1, bins.size) @ smoother(bins.size, SPREAD_SD_BINS).T / bins.widths
+    )
     return hazard
 
 
 def _rows(pairs: Longs, wanted: Longs) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Rows of ``pairs`` (ascending) in which the ``wanted`` are, and whether they are there at all."""
+    """Rows of ``pairs`` (ascending) in which the ``wanted`` are, and whether they are there at
+    all.
+    """
     at = np.minimum(np.searchsorted(pairs, wanted), max(len(pairs) - 1, 0))
     return at, pairs[at] == wanted if len(pairs) else np.zeros(len(wanted), bool)

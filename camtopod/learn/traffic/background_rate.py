@@ -19,13 +19,17 @@ RATE_PRIOR_EVENTS = 2.0
 """The mean rate of the zone counts as much as this many events."""
 CHANCE_BIN_SECONDS = 300.0
 TABLE_ZONES_MAX = 2000
-"""Of so many zones the rates of all pairs are worked out at once (32 MB); of more, those asked for ..."""
+"""Of so many zones the rates of all pairs are worked out at once (32 MB); of more, those asked for
+...
+"""
 PAIRS_AT_ONCE = 500
 """... so many at a time."""
 
 
 def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
-    """Rate (1/s) at each arrival's own zone within ten minutes of it, itself left out; ``t`` (n,) ascending, in s."""
+    """Rate (1/s) at each arrival's own zone within ten minutes of it, itself left out; ``t`` (n,)
+    ascending, in s.
+    """
     rates = np.zeros(len(t))
     if len(t) == 0:
         return rates
@@ -43,14 +47,20 @@ def local_rates(t: Floats, zone: NDArray[np.int32], zones: int) -> Floats:
 
 
 class Chance:
-    """Arrivals per second at a zone around a departure from another if they have nothing to do with each other.
+    """Arrivals per second at a zone around a departure from another if they have nothing to do with
+    each other.
 
-    Both are counted in bins of some minutes, so a rhythm common to all zones is part of chance. Times (n,) ascend, are
-    in seconds and are not none.
+    Both are counted in bins of some minutes, so a rhythm common to all zones is part of chance.
+    Times (n,) ascend, are in seconds and are not none.
     """
 
     def __init__(
-        self, left_t: Floats, left_zone: NDArray[np.int32], came_t: Floats, came_zone: NDArray[np.int32], zones: int
+        self,
+        left_t: Floats,
+        left_zone: NDArray[np.int32],
+        came_t: Floats,
+        came_zone: NDArray[np.int32],
+        zones: int,
     ) -> None:
         first = min(left_t[0], came_t[0])
         n = int((max(left_t[-1], came_t[-1]) - first) // CHANCE_BIN_SECONDS) + 1
@@ -69,7 +79,9 @@ class Chance:
             rate = self._around / self._seconds
             self._table = (self._left.astype(float) @ rate.T) / self._number[:, None]
 
-    def of(self, source: NDArray[np.signedinteger[Any]], target: NDArray[np.signedinteger[Any]]) -> Floats:
+    def of(
+        self, source: NDArray[np.signedinteger[Any]], target: NDArray[np.signedinteger[Any]]
+    ) -> Floats:
         """Rates (P,) in 1/s at zones ``target`` (P,) around departures from ``source`` (P,)."""
         if self._table is not None:
             known: Floats = self._table[source, target]
@@ -77,7 +89,10 @@ class Chance:
         rates: Floats = np.zeros(len(source))
         for k in range(0, len(source), PAIRS_AT_ONCE):
             some = slice(k, k + PAIRS_AT_ONCE)
-            left, rate = self._left[source[some]].astype(float), self._around[target[some]] / self._seconds
+            left, rate = (
+                self._left[source[some]].astype(float),
+                self._around[target[some]] / self._seconds,
+            )
             rates[some] = np.einsum("pn,pn->p", left, rate)
         rates /= self._number[source]
         return rates

@@ -1,4 +1,6 @@
-"""Departures and arrivals: the window's exits and entries as columns, the input of the joint fit."""
+"""Departures and arrivals: the window's exits and entries as columns, the input of the joint
+fit.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,11 @@ from camtopod.arrays import Floats, Indices, Ints
 
 
 class Departures(NamedTuple):
-    """Objects leaving, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, ``since`` when the passage began (-inf:
-    unknown), its log slowness (nan: unknown), the arrival that began it (-1: unknown), and the block of the image
-    where it left (-1: no position). Where there are delayed copies (see `long_ways`), ``of`` is the row of each
-    departure's original, for an original its own: together they have at most one arrival.
+    """Objects leaving, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, ``since`` when the
+    passage began (-inf: unknown), its log slowness (nan: unknown), the arrival that began it (-1:
+    unknown), and the block of the image where it left (-1: no position). Where there are delayed
+    copies (see `long_ways`), ``of`` is the row of each departure's original, for an original its
+    own: together they have at most one arrival.
     """
 
     t: Floats
@@ -28,10 +31,18 @@ class Departures(NamedTuple):
 
     def take(self, kept: NDArray[np.bool_], arrivals: NDArray[np.bool_]) -> Departures:
         """The departures ``kept`` when of the arrivals only those of the mask ``arrivals`` are."""
-        number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(np.int32)  # -1 looks at the last
+        number = np.append(np.where(arrivals, np.cumsum(arrivals) - 1, -1), -1).astype(
+            np.int32
+        )  # -1 looks at the last
         own = number[self.own[kept]]
         return Departures(
-            self.t[kept], self.zone[kept], self.camera[kept], self.since[kept], self.slow[kept], own, self.block[kept]
+            self.t[kept],
+            self.zone[kept],
+            self.camera[kept],
+            self.since[kept],
+            self.slow[kept],
+            own,
+            self.block[kept],
         )
 
     @staticmethod
@@ -42,8 +53,8 @@ class Departures(NamedTuple):
 
 
 class Arrivals(NamedTuple):
-    """Objects appearing, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, the local rate of arrivals there
-    (1/s), and the log slowness of the passage that begins (nan: unknown).
+    """Objects appearing, by time, (n,) each: ``t`` seconds, ``zone``, ``camera``, the local rate of
+    arrivals there (1/s), and the log slowness of the passage that begins (nan: unknown).
     """
 
     t: Floats
@@ -54,4 +65,6 @@ class Arrivals(NamedTuple):
 
     def take(self, kept: NDArray[Any]) -> Arrivals:
         """The arrivals ``kept``: a mask, or rows."""
-        return Arrivals(self.t[kept], self.zone[kept], self.camera[kept], self.rate[kept], self.slow[kept])
+        return Arrivals(
+            self.t[kept], self.zone[kept], self.camera[kept], self.rate[kept], self.slow[kept]
+        )

@@ -1,4 +1,6 @@
-"""The window seen through the zones: which event belongs to which zone, who left, who came, who passed through."""
+"""The window seen through the zones: which event belongs to which zone, who left, who came, who
+passed through.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ NO_ZONE = -1
 
 
 class ZoneRef(NamedTuple):
-    """A zone of the whole network: its camera's index, its number there, and its shape (None: no positions)."""
+    """A zone of the whole network: its camera's index, its number there, and its shape (None: no
+    positions).
+    """
 
     camera: int
     number: int
@@ -28,7 +32,9 @@ class ZoneRef(NamedTuple):
 
 
 class Passages(NamedTuple):
-    """Passages through one camera's view known by their track: zones of entry and exit, times in seconds."""
+    """Passages through one camera's view known by their track: zones of entry and exit, times in
+    seconds.
+    """
 
     source: Ints
     target: Ints
@@ -53,8 +59,8 @@ class Scene(NamedTuple):
 
 
 def number_zones(window: Window, maps: list[ZoneMap]) -> tuple[list[ZoneRef], NDArray[np.int32]]:
-    """All zones of the network, and per camera and cell the zone's index: (cameras, cells + 1), the last for no
-    position.
+    """All zones of the network, and per camera and cell the zone's index: (cameras, cells + 1), the
+    last for no position.
     """
     zones: list[ZoneRef] = []
     tables = []
@@ -84,7 +90,9 @@ def see(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Sce
         t = t - ahead[camera]
         last -= max(float(ahead.max(initial=0.0)), 0.0)  # up to here all cameras have been heard
     entry = window.column("entry").astype(bool)
-    zone = tables[camera, cells_of(window.column("px").astype(np.int64), window.column("py").astype(np.int64))]
+    zone = tables[
+        camera, cells_of(window.column("px").astype(np.int64), window.column("py").astype(np.int64))
+    ]
     mate = window.column("mate").astype(np.int64) - window.base
     n = len(zones)
     leaves = np.flatnonzero(~entry & (zone >= 0))
@@ -101,7 +109,9 @@ def see(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Sce
     arrival[comes] = np.arange(len(comes), dtype=np.int32)
     own = arrival[np.where(began >= 0, began, len(t))]
     block = blocks_of(window.column("px")[leaves], window.column("py")[leaves])
-    departures = Departures(t[leaves], zone[leaves], camera[leaves], since, slow[leaves], own, block)
+    departures = Departures(
+        t[leaves], zone[leaves], camera[leaves], since, slow[leaves], own, block
+    )
     rate = local_rates(t[comes], zone[comes], n)
     arrivals = Arrivals(t[comes], zone[comes], camera[comes], rate, slow[comes])
     passages = Passages(zone[start], zone[known], t[start], t[known])
@@ -109,7 +119,13 @@ def see(window: Window, maps: list[ZoneMap], ahead: Floats | None = None) -> Sce
     exits_of = np.bincount(camera[~entry], minlength=cameras)
     tied_of = np.bincount(camera[~entry & (mate >= 0)], minlength=cameras)
     return Scene(
-        zones, departures, arrivals, passages,
-        np.bincount(zone[comes], minlength=n), np.bincount(zone[leaves], minlength=n),
-        2 * tied_of > exits_of, float(t.min()) if len(t) else 0.0, last,
-    )  # fmt: skip
+        zones,
+        departures,
+        arrivals,
+        passages,
+        np.bincount(zone[comes], minlength=n),
+        np.bincount(zone[leaves], minlength=n),
+        2 * tied_of > exits_of,
+        float(t.min()) if len(t) else 0.0,
+        last,
+    )

@@ -1,15 +1,17 @@
-"""Reorder buffer with a watermark: whatever the order of arrival, the rest of the learner sees events by
-time.
+"""Reorder buffer with a watermark: whatever the order of arrival, the rest of the learner sees
+events by time.
 
-Theory of operation. The watermark trails event time by the lateness. An event at or above the watermark is held
-until the watermark has passed it; one below is late: counted, not learned. So any order of arrival within the
-lateness gives the same sequence out. Event time is where a second camera has come to, so that a single one whose
-clock is ahead makes nobody else late; but it is at most ``apart`` behind the first, so that silent cameras hold
-nobody up. A camera whose events are mostly late, but by no more than ``apart``, has a clock that is behind: from then
-on it is waited for. An event with (camera, boot, seq) counts once however often it comes.
+Theory of operation. The watermark trails event time by the lateness. An event at or above the
+watermark is held until the watermark has passed it; one below is late: counted, not learned. So any
+order of arrival within the lateness gives the same sequence out. Event time is where a second
+camera has come to, so that a single one whose clock is ahead makes nobody else late; but it is at
+most ``apart`` behind the first, so that silent cameras hold nobody up. A camera whose events are
+mostly late, but by no more than ``apart``, has a clock that is behind: from then on it is waited
+for. An event with (camera, boot, seq) counts once however often it comes.
 
-What is held is limited: of each camera and tick of event time the newest events count, up to a rate that nothing that
-is seen by a camera has. Which these are does not depend on the order of arrival either.
+What is held is limited: of each camera and tick of event time the newest events count, up to a rate
+that nothing that is seen by a camera has. Which these are does not depend on the order of arrival
+either.
 """
 
 from __future__ import annotations
@@ -26,10 +28,14 @@ from camtopod.records import Event
 BOOTS_PER_CAMERA_MAX = 16
 """Incarnations of one publisher that are remembered; the oldest is forgotten."""
 GAPS_PER_BOOT_MAX = 1024
-"""Gaps in one incarnation's count that are remembered; beyond, the oldest gap counts as delivered."""
+"""Gaps in one incarnation's count that are remembered; beyond, the oldest gap counts as
+delivered.
+"""
 
 EVENTS_PER_SECOND_MAX = 50.0
-"""Events that are learned from in a tick of event time, by camera and second: of more, the newest of the tick."""
+"""Events that are learned from in a tick of event time, by camera and second: of more, the newest
+of the tick.
+"""
 TICK_EVENTS_MIN = 1000
 """So many are in any case, however short the tick is."""
 
@@ -38,7 +44,9 @@ _Key = tuple[int, str, str, float, float, str, str, int]
 
 
 class IntakeState(Struct):
-    """What an `Intake` knows. ``seen``: (camera, boot, starts, ends) of every `Sequence`; ``newest``: see `Intake`."""
+    """What an `Intake` knows. ``seen``: (camera, boot, starts, ends) of every `Sequence`;
+    ``newest``: see `Intake`.
+    """
 
     newest_us: int | None
     second_us: int | None
@@ -88,7 +96,11 @@ class Intake:
     """Events in any order in, events by time out."""
 
     def __init__(
-        self, lateness_seconds: float, cameras_max: int, clocks_apart_seconds: float = 0.0, tick_seconds: float = 60.0
+        self,
+        lateness_seconds: float,
+        cameras_max: int,
+        clocks_apart_seconds: float = 0.0,
+        tick_seconds: float = 60.0,
     ) -> None:
         self.time = EventTime(lateness_seconds, clocks_apart_seconds)
         """How far event time has come."""
@@ -102,8 +114,8 @@ class Intake:
         self._oldest_us: int | None = None  # of those held
         self._seen: dict[str, dict[str, Sequence]] = {}
         self.newest_of: dict[str, int] = {}
-        """Time of the newest event of each camera, late ones included, in microseconds; the camera that has been heard
-        of last comes last.
+        """Time of the newest event of each camera, late ones included, in microseconds; the camera
+        that has been heard of last comes last.
         """
 
     @property
@@ -130,13 +142,26 @@ class Intake:
         ]
         time = self.time.save()
         return IntakeState(
-            time.newest_us, time.second_us, time.leader, time.watermark_us, self.counts, self._all_held(),
-            list(self._seen), seen, time.behind, self.newest_of, self.surplus,
-        )  # fmt: skip
+            time.newest_us,
+            time.second_us,
+            time.leader,
+            time.watermark_us,
+            self.counts,
+            self._all_held(),
+            list(self._seen),
+            seen,
+            time.behind,
+            self.newest_of,
+            self.surplus,
+        )
 
     def load(self, state: IntakeState) -> None:
         """Go on from there."""
-        self.time.load(EventTimeState(state.newest_us, state.second_us, state.leader, state.watermark_us, state.behind))
+        self.time.load(
+            EventTimeState(
+                state.newest_us, state.second_us, state.leader, state.watermark_us, state.behind
+            )
+        )
         self.counts, self.surplus = state.counts, state.surplus
         for event in state.held:
             self._hold(event, microseconds(event.t))
@@ -147,8 +172,8 @@ class Intake:
         self.newest_of = state.newest
 
     def receive(self, event: Event) -> str:
-        """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too many
-        cameras)."""
+        """Take one event; the verdict is ``accepted``, ``duplicate``, ``late`` or ``refused`` (too
+        many cameras)."""
         verdict = self._judge(event)
         self.counts[verdict] += 1
         return verdict
@@ -196,8 +221,8 @@ class Intake:
         self.time.forget(names)
 
     def take(self, until_us: int) -> list[tuple[int, Event]]:
-        """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in canonical
-        order."""
+        """Remove and return the held events with time <= ``until_us`` as (microseconds, event), in
+        canonical order."""
         held = [event for waiting in self._held.values() for event in self._newest(waiting)]
         self._held, self._oldest_us = {}, None
         due = []
@@ -213,7 +238,9 @@ class Intake:
         key = -(-t_us // self._tick_us), event.camera
         waiting = self._held.setdefault(key, [])
         waiting.append(event)
-        if 4 * len(waiting) > 5 * self._tick_events_max:  # a few more than count, as sorting takes its time
+        if (
+            4 * len(waiting) > 5 * self._tick_events_max
+        ):  # a few more than count, as sorting takes its time
             self._held[key] = self._newest(waiting)
         self._oldest_us = t_us if self._oldest_us is None else min(self._oldest_us, t_us)
 
@@ -239,7 +266,9 @@ class Intake:
 
 
 def _in_order(timed: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
-    """Events with their times (microseconds) in canonical order; whole keys are made only of those at one time."""
+    """Events with their times (microseconds) in canonical order; whole keys are made only of those
+    at one time.
+    """
     timed.sort(key=itemgetter(0))
     first = 0
     for k in range(1, len(timed) + 1):
@@ -251,8 +280,8 @@ def _in_order(timed: list[tuple[int, Event]]) -> list[tuple[int, Event]]:
 
 
 def _order(event: Event) -> _Key:
-    """Total order of events: by time, then by everything else, so that ties do not depend on the order of
-    arrival."""
+    """Total order of events: by time, then by everything else, so that ties do not depend on the
+    order of arrival."""
     x, y = (-1.0, -1.0) if event.x is None or event.y is None else (event.x, event.y)
     seq = -1 if event.seq is None else event.seq
     track = "" if event.track is None else f"={event.track}"

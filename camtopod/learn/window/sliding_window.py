@@ -1,8 +1,10 @@
-"""Sliding window of event time: the events that count, and integer sums over them that are undone exactly.
+"""Sliding window of event time: the events that count, and integer sums over them that are undone
+exactly.
 
-Rows are kept by column, oldest first; a row's absolute number changes with `forget_camera` and `forget_cameras` only,
-so a passage (an exit and the entry that began it) is one number in the column ``mate``. Positions are fixed point and
-summed per grid cell and camera, so a zone's mean and covariance are exact whatever has come and gone.
+Rows are kept by column, oldest first; a row's absolute number changes with `forget_camera` and
+`forget_cameras` only, so a passage (an exit and the entry that began it) is one number in the
+column ``mate``. Positions are fixed point and summed per grid cell and camera, so a zone's mean and
+covariance are exact whatever has come and gone.
 """
 
 from __future__ import annotations
@@ -24,17 +26,28 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 OPEN_PASSAGES_MAX = 100_000
 """Entries whose exit has not come, over all cameras; beyond, the oldest is forgotten."""
 FLOOD_SHARE, FLOOD_CAMERAS_MIN = 0.75, 3
-"""A camera floods that has more than this share of a full window, where there are at least so many cameras."""
+"""A camera floods that has more than this share of a full window, where there are at least so many
+cameras.
+"""
 NO_CELL = -1
 NO_MATE = -1
 GONE = -1
 """In place of the index of a camera that is forgotten."""
 
-_COLUMNS = {"t": np.int64, "camera": np.int32, "entry": np.bool_, "px": np.int32, "py": np.int32, "mate": np.int64}
+_COLUMNS = {
+    "t": np.int64,
+    "camera": np.int32,
+    "entry": np.bool_,
+    "px": np.int32,
+    "py": np.int32,
+    "mate": np.int64,
+}
 
 
 class WindowState(Struct):
-    """What a `Window` knows; its sums follow from the rows. ``open``: (camera, track, row) of passages under way."""
+    """What a `Window` knows; its sums follow from the rows. ``open``: (camera, track, row) of
+    passages under way.
+    """
 
     base: int
     cameras: list[str]
@@ -56,8 +69,12 @@ class Window:
         self.seen: list[int] = []
         """Events with positions of each camera that have ever come in."""
         self._index: dict[str, int] = {}
-        self._open: dict[tuple[int, str], int] = {}  # (camera, track): row, by row; all in the window
-        self._columns: dict[str, NDArray[Any]] = {name: np.zeros(1024, dtype) for name, dtype in _COLUMNS.items()}
+        self._open: dict[
+            tuple[int, str], int
+        ] = {}  # (camera, track): row, by row; all in the window
+        self._columns: dict[str, NDArray[Any]] = {
+            name: np.zeros(1024, dtype) for name, dtype in _COLUMNS.items()
+        }
         self._start = 0
         self._stop = 0
 
@@ -117,7 +134,8 @@ class Window:
         self._count(rows, 1)
 
     def forget(self, before_us: int) -> int:
-        """Drop what is older than ``before_us`` or beyond the size of the window; returns the number of rows.
+        """Drop what is older than ``before_us`` or beyond the size of the window; returns the
+        number of rows.
 
         Of what is beyond, a camera that floods loses its own oldest, not everybody's.
         """
@@ -132,7 +150,10 @@ class Window:
             self._count(slice(self._start, self._start + drop), -1)
             self._start += drop
             self.base += drop
-            gone = [key for key, _ in takewhile(lambda passage: passage[1] < self.base, self._open.items())]
+            gone = [
+                key
+                for key, _ in takewhile(lambda passage: passage[1] < self.base, self._open.items())
+            ]
             for key in gone:
                 del self._open[key]
 
@@ -149,7 +170,8 @@ class Window:
         return self.forget_camera(camera, self.base + int(rows[surplus - 1]) + 1)
 
     def forget_camera(self, camera: int, before: int) -> int:
-        """Drop the camera's rows older than row number ``before`` (absolute), whatever their age; returns how many.
+        """Drop the camera's rows older than row number ``before`` (absolute), whatever their age;
+        returns how many.
 
         The rows that stay move up, so their numbers change; passages are renumbered with them.
         """
@@ -159,8 +181,8 @@ class Window:
         return self._drop(gone)
 
     def forget_cameras(self, names: Set[str]) -> NDArray[np.int64]:
-        """Forget these cameras and their events. The others are numbered anew: returns the new index of each camera by
-        its old one, `GONE` for those that are forgotten.
+        """Forget these cameras and their events. The others are numbered anew: returns the new
+        index of each camera by its old one, `GONE` for those that are forgotten.
         """
         kept = np.array([name not in names for name in self.cameras], np.bool_)
         number = np.where(kept, np.cumsum(kept) - 1, GONE)
@@ -169,10 +191,15 @@ class Window:
             self._drop(gone)
         rows = slice(self._start, self._stop)
         self._columns["camera"][rows] = number[self._columns["camera"][rows]]
-        self._open = {(int(number[camera]), track): row for (camera, track), row in self._open.items()}
+        self._open = {
+            (int(number[camera]), track): row for (camera, track), row in self._open.items()
+        }
         stay = np.flatnonzero(kept).tolist()
         self.sums.keep(stay)
-        self.unplaced, self.seen = [self.unplaced[camera] for camera in stay], [self.seen[camera] for camera in stay]
+        self.unplaced, self.seen = (
+            [self.unplaced[camera] for camera in stay],
+            [self.seen[camera] for camera in stay],
+        )
         self.cameras = [self.cameras[camera] for camera in stay]
         self._index = {name: camera for camera, name in enumerate(self.cameras)}
         return number
@@ -185,7 +212,11 @@ class Window:
         mate = self.column("mate")
         renumbered = np.where(mate >= self.base, number[np.maximum(mate - self.base, 0)], mate)
         self._columns["mate"][self._start : self._stop] = renumbered
-        self._open = {key: int(number[row - self.base]) for key, row in self._open.items() if not gone[row - self.base]}
+        self._open = {
+            key: int(number[row - self.base])
+            for key, row in self._open.items()
+            if not gone[row - self.base]
+        }
         for column in self._columns.values():
             column[self._start + drop : self._stop] = column[self._start : self._stop][~gone]
         self._start += drop
@@ -252,7 +283,9 @@ class Window:
             self.unplaced[index] += sign * np.array([came, len(here) - len(placed) - came])
 
     def _room(self, n: int) -> None:
-        """Make room for ``n`` more rows at the end, moving the rows to the front of larger columns if need be."""
+        """Make room for ``n`` more rows at the end, moving the rows to the front of larger columns
+        if need be.
+        """
         size = len(self._columns["t"])
         if self._stop + n <= size:
             return

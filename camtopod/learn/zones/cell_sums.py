@@ -1,5 +1,5 @@
-"""Integer sums over events by camera and grid cell. Only cells that have events take memory: a camera with one event
-takes some hundred bytes, one that is busy everywhere 50 KB.
+"""Integer sums over events by camera and grid cell. Only cells that have events take memory: a
+camera with one event takes some hundred bytes, one that is busy everywhere 50 KB.
 """
 
 from __future__ import annotations
@@ -16,10 +16,14 @@ PLANES = ("count", "sx", "sy", "sxx", "sxy", "syy", "entries")
 
 
 class GridSums:
-    """``sums[camera]`` (planes, rows, columns) is a copy. Cameras are counted from 0 in the order they come."""
+    """``sums[camera]`` (planes, rows, columns) is a copy. Cameras are counted from 0 in the order
+    they come.
+    """
 
     def __init__(self) -> None:
-        self._cells: list[NDArray[np.intp]] = []  # of each camera: flat index of the cells with events, ascending
+        self._cells: list[
+            NDArray[np.intp]
+        ] = []  # of each camera: flat index of the cells with events, ascending
         self._sums: list[Longs] = []  # (planes, cells)
 
     def __getitem__(self, camera: int) -> Longs:
@@ -43,8 +47,8 @@ class GridSums:
         return int(self._sums[camera][0].sum())
 
     def add(self, camera: int, cell: NDArray[np.intp], values: Longs) -> None:
-        """Add ``values`` (planes, n) of events in the cells ``cell`` (n,); those of events that are taken back are
-        negative.
+        """Add ``values`` (planes, n) of events in the cells ``cell`` (n,); those of events that are
+        taken back are negative.
         """
         cells, sums = self._cells[camera], self._sums[camera]
         at = np.searchsorted(cells, cell)

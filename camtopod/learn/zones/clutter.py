@@ -1,8 +1,9 @@
-"""The density floor, and DaSpec over what stands out of it: the first groups of cells (see `partition`).
+"""The density floor, and DaSpec over what stands out of it: the first groups of cells (see
+`partition`).
 
-A camera also sees things begin and end anywhere, by broken tracks and false alarms: clutter, of which DaSpec makes
-zones of its own (5 % uniform clutter gives 6 to 9 instead of 3). Its rate is known from the sparse cells; it changes
-over the image, but over wider stretches than a zone's.
+A camera also sees things begin and end anywhere, by broken tracks and false alarms: clutter, of
+which DaSpec makes zones of its own (5 % uniform clutter gives 6 to 9 instead of 3). Its rate is
+known from the sparse cells; it changes over the image, but over wider stretches than a zone's.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ Counts = NDArray[np.int64] | Floats
 CONTRAST_MIN = 2.5
 """A zone is at least so many times as dense as the clutter around it."""
 FLOOR_CHANCE = 0.01
-"""A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most this
-probability."""
+"""A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most
+this probability."""
 FOUND_CHANCE = 0.0001
 """The same for looking again among what was left as clutter."""
 FLOOR_WIDTHS = (0.75, 1.75)
@@ -34,7 +35,9 @@ PEELS_MAX = 3
 WIDTH = 4.0
 """Clutter's rate is a mean over this width, grid steps: broader than a zone."""
 DENSER = 2.0
-"""A cell so many times as dense as the clutter around it is not clutter, however many events there are."""
+"""A cell so many times as dense as the clutter around it is not clutter, however many events there
+are.
+"""
 DENSER_MAX = 4.0
 """Clutter is nowhere denser than this many times its mean."""
 EVENTS_ALIKE = 30.0
@@ -49,7 +52,9 @@ def _surroundings(width: float) -> tuple[Floats, Floats, Floats]:
     return rows, columns, area / np.outer((rows**2).sum(axis=0), (columns**2).sum(axis=0))
 
 
-_ROWS, _COLUMNS, _SCALES = (np.array(parts) for parts in zip(*map(_surroundings, FLOOR_WIDTHS), strict=True))
+_ROWS, _COLUMNS, _SCALES = (
+    np.array(parts) for parts in zip(*map(_surroundings, FLOOR_WIDTHS), strict=True)
+)
 
 
 def clutter_rate(count: Counts) -> float:
@@ -66,7 +71,8 @@ def clutter_rate(count: Counts) -> float:
 
 
 def clutter_rates(count: Counts) -> Floats:
-    """`clutter_rate` around each cell, shape of ``count``: clutter is thicker where people walk or light flickers.
+    """`clutter_rate` around each cell, shape of ``count``: clutter is thicker where people walk or
+    light flickers.
 
     From at most `DENSER_MAX` of the whole image's rate it falls until nothing stands out.
     """
@@ -84,13 +90,14 @@ def clutter_rates(count: Counts) -> Floats:
 
 
 def _chance(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
-    """Probability that clutter fills a cell's surroundings like this, for the size of surroundings where it is least,
-    of the cells of the mask ``which``; 1 where it is not small.
+    """Probability that clutter fills a cell's surroundings like this, for the size of surroundings
+    where it is least, of the cells of the mask ``which``; 1 where it is not small.
 
     A kernel-weighted sum of Poisson counts is much like one count over (sum K)^2 / (sum K^2) cells.
     """
     inside, expected = (_ROWS @ np.array((count, rate))[:, None] @ _COLUMNS * _SCALES)[:, :, which]
-    # Up to a standard deviation above what is expected it is a seventh and more, far from any chance asked for.
+    # Up to a standard deviation above what is expected it is a seventh and more, far from any
+    # chance asked for.
     some = inside > expected + np.sqrt(expected)
     chances = np.ones(inside.shape)
     chances[some] = gammainc(np.maximum(inside[some], 1e-9), expected[some])
@@ -98,8 +105,8 @@ def _chance(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
 
 
 def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
-    """Counts above the clutter's ``rate``, 0 in cells whose surroundings clutter would fill like this with at least
-    ``chance``."""
+    """Counts above the clutter's ``rate``, 0 in cells whose surroundings clutter would fill like
+    this with at least ``chance``."""
     keep = (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
     if not keep.any():
         return np.zeros(keep.shape)

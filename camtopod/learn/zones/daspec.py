@@ -1,11 +1,11 @@
 """Data Spectroscopy over weighted grid cells (thesis sections 2.4, 4.2, 5.1).
 
-Source: Shi, Belkin, Yu, "Data spectroscopy: eigenspaces of convolution operators and clustering", Annals of
-Statistics 37(6B), 2009. There, n points give the matrix ``K_ij = exp(-|x_i - x_j|^2 / 2 w^2) / n``. Points
-that lie in the same grid cell share their row, so the operator is the same as ``D^1/2 K D^1/2`` over the
-occupied cells, D being each cell's share of the points: the same eigenvalues (but for zeros), and the
-eigenvector of a point is that of its cell divided by the root of the cell's count. It costs the same for a
-hundred points as for ten million.
+Source: Shi, Belkin, Yu, "Data spectroscopy: eigenspaces of convolution operators and clustering",
+Annals of Statistics 37(6B), 2009. There, n points give the matrix ``K_ij = exp(-|x_i - x_j|^2 / 2
+w^2) / n``. Points that lie in the same grid cell share their row, so the operator is the same as
+``D^1/2 K D^1/2`` over the occupied cells, D being each cell's share of the points: the same
+eigenvalues (but for zeros), and the eigenvector of a point is that of its cell divided by the root
+of the cell's count. It costs the same for a hundred points as for ten million.
 
 Distances are in grid steps, rows and columns alike.
 """
@@ -31,16 +31,18 @@ EIGENVECTORS_MAX = 48
 
 
 def _chi_95(d: int) -> float:
-    """Root of the 95 % quantile of chi-squared with ``d`` degrees of freedom (`scipy.stats` takes long to load)."""
+    """Root of the 95 % quantile of chi-squared with ``d`` degrees of freedom (`scipy.stats` takes
+    long to load).
+    """
     return float(np.sqrt(2.0 * gammaincinv(d / 2.0, 0.95)))
 
 
 class Spectrum(NamedTuple):
     """The kept eigenvectors of a grid of counts: G groups over m occupied cells.
 
-    ``vectors[c, g]`` is the value at any *point* in cell ``cells[c]`` (a flat index) of the g-th unit
-    eigenvector over all points; ``values`` are the eigenvalues, falling; ``labels`` has each occupied cell's
-    group.
+    ``vectors[c, g]`` is the value at any *point* in cell ``cells[c]`` (a flat index) of the g-th
+    unit eigenvector over all points; ``values`` are the eigenvalues, falling; ``labels`` has each
+    occupied cell's group.
     """
 
     shape: tuple[int, int]
@@ -63,8 +65,8 @@ class Spectrum(NamedTuple):
         return table.reshape(self.shape)
 
     def extend(self) -> NDArray[np.int16]:
-        """Group of a new point in each cell by the eigenfunction ``phi(x) = sum_i K(x, x_i) v(i) / (n
-        lambda)``."""
+        """Group of a new point in each cell by the eigenfunction ``phi(x) = sum_i K(x, x_i) v(i) /
+        (n lambda)``."""
         rows, columns = (kernel_1d(size, self.bandwidth) for size in self.shape)
         phi = np.empty((self.groups, *self.shape))
         total = self.counts.sum()
@@ -77,8 +79,8 @@ class Spectrum(NamedTuple):
 
 
 def kernel_1d(size: int, bandwidth: float) -> Floats:
-    """Gaussian kernel along one axis of the grid, shape (size, size); the kernel of two axes is their
-    product."""
+    """Gaussian kernel along one axis of the grid, shape (size, size); the kernel of two axes is
+    their product."""
     steps = np.arange(size)
     kernel: Floats = np.exp(-0.5 * ((steps[:, None] - steps) / bandwidth) ** 2)
     return kernel
@@ -87,8 +89,8 @@ def kernel_1d(size: int, bandwidth: float) -> Floats:
 def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum:
     """Group the occupied cells of ``counts`` (rows, columns), at least one of them positive.
 
-    An eigenvector is kept when it does not change sign up to ``max|v| / n``. Its sign is fixed so that its
-    largest entry is positive, which makes the result a function of the counts.
+    An eigenvector is kept when it does not change sign up to ``max|v| / n``. Its sign is fixed so
+    that its largest entry is positive, which makes the result a function of the counts.
     """
     grid = np.asarray(counts, dtype=np.float64)
     cells = np.flatnonzero(grid)
@@ -117,10 +119,11 @@ def data_spectroscopy(counts: NDArray[np.generic], bandwidth: float) -> Spectrum
 
 
 def authors_bandwidth(points: Floats) -> float:
-    """The authors' rule ``Q95_i(Q05_j |x_i - x_j|) / sqrt(chi2_{0.95, d})`` over points of shape (n, d).
+    """The authors' rule ``Q95_i(Q05_j |x_i - x_j|) / sqrt(chi2_{0.95, d})`` over points of shape
+    (n, d).
 
-    On repeated grid positions it collapses (0.63 for table 5.1's points, zero when most repeat), with clutter
-    it blows up; `bandwidth` below is what the zones use.
+    On repeated grid positions it collapses (0.63 for table 5.1's points, zero when most repeat),
+    with clutter it blows up; `bandwidth` below is what the zones use.
     """
     distances = np.sqrt(((points[:, None, :] - points[None, :, :]) ** 2).sum(axis=2))
     near = np.quantile(distances, 0.05, axis=1)
@@ -128,11 +131,12 @@ def authors_bandwidth(points: Floats) -> float:
 
 
 def bandwidth(counts: NDArray[np.generic]) -> float:
-    """Bandwidth in grid steps for a grid of counts (rows, columns) from which clutter has been taken out.
+    """Bandwidth in grid steps for a grid of counts (rows, columns) from which clutter has been
+    taken out.
 
-    The authors' rule with two changes. A neighbourhood is the circle that holds 5 % of the points *and* at
-    least five, itself included, which few points need; and the result is at least `BANDWIDTH_MIN`, which many
-    points in tight doors need, for they all share a cell.
+    The authors' rule with two changes. A neighbourhood is the circle that holds 5 % of the points
+    *and* at least five, itself included, which few points need; and the result is at least
+    `BANDWIDTH_MIN`, which many points in tight doors need, for they all share a cell.
     """
     grid = np.asarray(counts, dtype=np.float64)
     cells = np.flatnonzero(grid)
@@ -146,4 +150,6 @@ def bandwidth(counts: NDArray[np.generic]) -> float:
     radius = np.sqrt(np.take_along_axis(distances, order, axis=1)[np.arange(len(cells)), last])
     by_radius = radius.argsort(kind="stable")
     share = np.cumsum(weights[by_radius]) / weights.sum()
-    return max(float(radius[by_radius[(share >= 0.95 - 1e-9).argmax()]]) / _chi_95(2), BANDWIDTH_MIN)
+    return max(
+        float(radius[by_radius[(share >= 0.95 - 1e-9).argmax()]]) / _chi_95(2), BANDWIDTH_MIN
+    )

@@ -38,10 +38,11 @@ class Component(Protocol):
 
 
 def log_density(x: Floats, y: Floats, component: Component) -> Floats:
-    """Log of the Gaussian density (eq. 2.5, whose printed normaliser lacks a root) averaged over a cell at
-    (x, y).
+    """Log of the Gaussian density (eq. 2.5, whose printed normaliser lacks a root) averaged over a
+    cell at (x, y).
 
-    A zone may be narrower than a cell, so the cell's own spread, a twelfth of its squared sides, is added.
+    A zone may be narrower than a cell, so the cell's own spread, a twelfth of its squared sides, is
+    added.
     """
     return _log_density(x, y, *_figures(component))
 
@@ -52,7 +53,9 @@ def _figures(component: Component) -> tuple[float, float, float, float, float]:
 
 
 def _log_density(x: Floats, y: Floats, *figures: float | Floats) -> Floats:
-    """`log_density` of one component's figures, or of arrays of them that broadcast with the positions."""
+    """`log_density` of one component's figures, or of arrays of them that broadcast with the
+    positions.
+    """
     mean_x, mean_y, xx, xy, yy = figures
     xx, yy = xx + 1 / (12 * GRID_COLUMNS**2), yy + 1 / (12 * GRID_ROWS**2)
     dx, dy = x - mean_x, y - mean_y
@@ -65,10 +68,11 @@ def _log_density(x: Floats, y: Floats, *figures: float | Floats) -> Floats:
 
 
 def classify_cells(components: Sequence[Component], clutter: float | Floats) -> NDArray[np.int16]:
-    """The component with the largest posterior (eq. 2.6) in each cell, or -1 where clutter is likelier.
+    """The component with the largest posterior (eq. 2.6) in each cell, or -1 where clutter is
+    likelier.
 
-    ``clutter`` is the number of events outside all zones per event inside, times how dense it is in each cell in terms
-    of an even spread. Shape (GRID_ROWS, GRID_COLUMNS).
+    ``clutter`` is the number of events outside all zones per event inside, times how dense it is in
+    each cell in terms of an even spread. Shape (GRID_ROWS, GRID_COLUMNS).
     """
     scores = np.empty((len(components) + 1, GRID_ROWS, GRID_COLUMNS))
     scores[0] = np.log(np.maximum(clutter, 1e-3))

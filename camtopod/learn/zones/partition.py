@@ -8,9 +8,9 @@
    are dropped, cells go to the Gaussian that explains them best, groups that are two zones are split, and
    DaSpec looks again among the clutter.
 
-Two groups are two zones when two Gaussians explain them better than one (`evidence`) and there is a valley
-between them (`valley`). The first alone would cut every zone that is not Gaussian, the second is weak with
-few events.
+Two groups are two zones when two Gaussians explain them better than one (`evidence`) and there is a
+valley between them (`valley`). The first alone would cut every zone that is not Gaussian, the
+second is weak with few events.
 """
 
 from __future__ import annotations
@@ -22,8 +22,20 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from camtopod.arrays import Floats
-from camtopod.learn.zones.clutter import CONTRAST_MIN, FLOOR_CHANCE, FOUND_CHANCE, dense_cells, groups_of
-from camtopod.learn.zones.marginal_likelihood import covariance, gaussians, log_zone, log_zones, moments
+from camtopod.learn.zones.clutter import (
+    CONTRAST_MIN,
+    FLOOR_CHANCE,
+    FOUND_CHANCE,
+    dense_cells,
+    groups_of,
+)
+from camtopod.learn.zones.marginal_likelihood import (
+    covariance,
+    gaussians,
+    log_zone,
+    log_zones,
+    moments,
+)
 from camtopod.learn.zones.separation import discriminant, far, sd_along, valley
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
@@ -32,23 +44,25 @@ Labels = NDArray[np.intp]
 EVENTS_MIN = 5
 """Below this a camera is one zone."""
 ZONE_EVENTS_MIN = 3
-"""Two events make no zone beside others, however close together: where there is hardly any clutter it is unlikely that
-two coincide, but they show no place, which has an extent either way."""
+"""Two events make no zone beside others, however close together: where there is hardly any clutter
+it is unlikely that two coincide, but they show no place, which has an extent either way."""
 PAIR_EVENTS = 1000.0
-"""No zone is exactly Gaussian: in splitting and merging, n events weigh as n / (1 + n / PAIR_EVENTS) (Miller,
-Dunson: Robust Bayesian inference via coarsening, JASA 2019)."""
+"""No zone is exactly Gaussian: in splitting and merging, n events weigh as n / (1 + n /
+PAIR_EVENTS) (Miller, Dunson: Robust Bayesian inference via coarsening, JASA 2019)."""
 VALLEY_MIN = 3.5
 """Log likelihood ratio of a valley that two Gaussians' evidence needs beside it."""
 VALLEY_ALONE = 8.0
-"""One that needs no other evidence (several doors in a row look like one Gaussian to any single cut)."""
+"""One that needs no other evidence (several doors in a row look like one Gaussian to any single
+cut).
+"""
 UNLIKE = 2.0
 """So much log likelihood for each event of the smaller group shows two zones without a valley."""
 EXCESS_MIN = 11.0
-"""Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's zone,
-say, though half of the events in its cells are clutter and so its Gaussian fits badly."""
+"""Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's
+zone, say, though half of the events in its cells are clutter and so its Gaussian fits badly."""
 HOLD = 1.5
-"""While zones are held, what makes a new one must be so many times as clear as at first, and one goes when it is so
-many times less clear; else the numbers of zones would flicker."""
+"""While zones are held, what makes a new one must be so many times as clear as at first, and one
+goes when it is so many times less clear; else the numbers of zones would flicker."""
 HOLD_GAIN = 3.0
 """The same where evidence is compared with none: so much log likelihood for the change."""
 _ROUNDS_MAX = 6
@@ -63,8 +77,8 @@ _FIRST = np.arange(len(_ANGLES))[:, None]
 
 
 class Cells(NamedTuple):
-    """The m occupied cells: flat index, sums (6, m) in image units (see `evidence`), the same for each event, and the
-    spread of the events within the cell (3, m: xx, xy, yy)."""
+    """The m occupied cells: flat index, sums (6, m) in image units (see `evidence`), the same for
+    each event, and the spread of the events within the cell (3, m: xx, xy, yy)."""
 
     index: NDArray[np.intp]  # type: ignore[assignment]  # hides a method of tuple nobody needs
     sums: Floats
@@ -80,9 +94,11 @@ class Cells(NamedTuple):
         return cls(index, sums, average, spread)
 
 
-def partition(cells: Cells, count: NDArray[np.int64], rates: Floats, held: Labels | None = None) -> Labels:
-    """The zone of each occupied cell, counted from 0, or -1 for clutter; ``count`` (rows, columns) are all
-    events, ``rates`` those of clutter (`clutter_rates`).
+def partition(
+    cells: Cells, count: NDArray[np.int64], rates: Floats, held: Labels | None = None
+) -> Labels:
+    """The zone of each occupied cell, counted from 0, or -1 for clutter; ``count`` (rows, columns)
+    are all events, ``rates`` those of clutter (`clutter_rates`).
 
     ``held`` is the partition so far. It is changed only where the evidence is clear (`HOLD`).
     """
@@ -99,8 +115,8 @@ def partition(cells: Cells, count: NDArray[np.int64], rates: Floats, held: Label
 
 
 class _Moves:
-    """A partition of the cells being improved. ``zones`` (K, 6) are the sums of the groups, ``clutter`` the
-    number of events outside."""
+    """A partition of the cells being improved. ``zones`` (K, 6) are the sums of the groups,
+    ``clutter`` the number of events outside."""
 
     def __init__(self, cells: Cells, labels: Labels, rates: Floats, held: bool = False) -> None:
         self.cells = cells
@@ -125,7 +141,9 @@ class _Moves:
         numbers[0] = -1
         self.labels = numbers[labels + 1]
         # Sums of positions in fixed point have no rounding, in whatever order they are added.
-        self.zones = (self.labels == np.arange(numbers[-1] + 1)[:, None]).astype(np.float64) @ self.cells.sums.T
+        self.zones = (self.labels == np.arange(numbers[-1] + 1)[:, None]).astype(
+            np.float64
+        ) @ self.cells.sums.T
         self.mean, self.scatter = moments(self.zones.T)
         self.cov = covariance(self.zones[:, 0], self.scatter)
         self.as_clutter = np.bincount(self.labels + 1, self.weighed, len(self.zones) + 1)[1:]
@@ -144,10 +162,11 @@ class _Moves:
         return self.labels
 
     def _found(self) -> bool:
-        """Make zones of what DaSpec finds among the clutter, where it is more than clutter; whether any was.
+        """Make zones of what DaSpec finds among the clutter, where it is more than clutter; whether
+        any was.
 
-        Such are zones that DaSpec had put together with a bigger one, and whose cells that one's Gaussian
-        then left.
+        Such are zones that DaSpec had put together with a bigger one, and whose cells that one's
+        Gaussian then left.
         """
         outside = self.labels < 0
         if len(self.zones) == 0 or not outside.any():
@@ -170,11 +189,14 @@ class _Moves:
         return len(self.zones) > known
 
     def _is_tail(self, k: int) -> bool:
-        """Whether the density falls all the way from a bigger zone to this one, however far: a heavy tail's
-        events."""
+        """Whether the density falls all the way from a bigger zone to this one, however far: a
+        heavy tail's events."""
         others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
         return any(
-            self._valley_between(self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k)) < VALLEY_MIN
+            self._valley_between(
+                self.zones[j], self.zones[k], (self.labels == j) | (self.labels == k)
+            )
+            < VALLEY_MIN
             for j in others
         )
 
@@ -185,24 +207,32 @@ class _Moves:
         self._set(np.where(self.labels == k, -1, self.labels))
 
     def _merge(self) -> None:
-        """Merge pairs that are not two zones, the likeliest first; a small one that is unlike its neighbour
-        goes to the clutter instead where that costs less."""
+        """Merge pairs that are not two zones, the likeliest first; a small one that is unlike its
+        neighbour goes to the clutter instead where that costs less."""
         while len(self.zones) > 1:
             zones = np.arange(len(self.zones))
             a, b = np.nonzero(zones[:, None] < zones)
             two = np.stack((a, b))
             sides = self.zones[two, 0], self.mean[:, two], self.scatter[:, two]
-            gain, clear = self._apart(*sides, self.zones.T[:, two].sum(axis=1), slice(None), -self.hold_gain)
+            gain, clear = self._apart(
+                *sides, self.zones.T[:, two].sum(axis=1), slice(None), -self.hold_gain
+            )
             wanted = np.where(gain > -self.hold_gain, VALLEY_MIN, VALLEY_ALONE) / self.hold
             for pair in gain.argsort(kind="stable"):
                 i, j = int(a[pair]), int(b[pair])
                 inside = (self.labels == i) | (self.labels == j)
-                if not clear[pair] and self._valley_between(self.zones[i], self.zones[j], inside) < wanted[pair]:
+                if (
+                    not clear[pair]
+                    and self._valley_between(self.zones[i], self.zones[j], inside) < wanted[pair]
+                ):
                     break
             else:
                 return
             small = i if self.zones[i, 0] < self.zones[j, 0] else j
-            if gain[pair] > 0 and self._drop_gain(np.array([small]), 1 / self.hold)[0] > -gain[pair]:
+            if (
+                gain[pair] > 0
+                and self._drop_gain(np.array([small]), 1 / self.hold)[0] > -gain[pair]
+            ):
                 self._remove(small)
             else:
                 self._join(i, j)
@@ -217,11 +247,15 @@ class _Moves:
             self._remove(k)
 
     def _drop_gain(self, which: Labels, hold: float) -> Floats:
-        """What the log posterior gains when a zone is clutter instead; but nothing where it stands out (`EXCESS_MIN`),
-        and something where it is hardly denser than the clutter around it."""
+        """What the log posterior gains when a zone is clutter instead; but nothing where it stands
+        out (`EXCESS_MIN`), and something where it is hardly denser than the clutter around it."""
         n, count = self.zones[which, 0], len(self.zones)
         total = np.array(self.total)
-        gain = log_zones(count - 1, total) - log_zones(count, total) - log_zone(n, self.scatter[:, which])
+        gain = (
+            log_zones(count - 1, total)
+            - log_zones(count, total)
+            - log_zone(n, self.scatter[:, which])
+        )
         gain += gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1) + self.as_clutter[which]
         inside, expected = self._inside(which)
         surplus, contrast = _log_surplus(inside, np.array((expected, CONTRAST_MIN * expected)))
@@ -229,7 +263,9 @@ class _Moves:
         return np.asarray(np.maximum(gain, -contrast))
 
     def _inside(self, which: Labels) -> tuple[Floats, Floats]:
-        """Events within two standard deviations of each zone that are in no other one; those expected of clutter."""
+        """Events within two standard deviations of each zone that are in no other one; those
+        expected of clutter.
+        """
         xx, xy, yy = (self.cov[:, which] + _CELL_SPREAD)[:, :, None, None]
         x, y = self.mean[:, which, None, None]
         dx, dy = _X - x, _Y - y
@@ -244,14 +280,20 @@ class _Moves:
         return np.maximum(n, 1e-9), np.maximum(expected, self.density.min()) * scale
 
     def _apart(
-        self, n: Floats, mean: Floats, scatter: Floats, both: Floats, of: Labels | slice, least: float
+        self,
+        n: Floats,
+        mean: Floats,
+        scatter: Floats,
+        both: Floats,
+        of: Labels | slice,
+        least: float,
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """What the log posterior gains by two zones instead of one, and whether that alone shows two: where they are
-        far apart, or where an event of the smaller one is very unlike the other. Otherwise the gain is a coarsened one,
-        and a valley is wanted.
+        """What the log posterior gains by two zones instead of one, and whether that alone shows
+        two: where they are far apart, or where an event of the smaller one is very unlike the
+        other. Otherwise the gain is a coarsened one, and a valley is wanted.
 
-        The numbers of events of the two (2, ..., m) and their `moments`; ``both`` (6, wholes) are the sums of both
-        together, of which ``of`` says which is whose.
+        The numbers of events of the two (2, ..., m) and their `moments`; ``both`` (6, wholes) are
+        the sums of both together, of which ``of`` says which is whose.
         """
         well_apart = far(n, mean, scatter)
         weigh = 1 / (1 + both[0] / PAIR_EVENTS)
@@ -259,7 +301,10 @@ class _Moves:
         wholes = self._one_zone(both[:, None] * weights, self.total * weights)[:, of]
         weight, whole = weigh[of], wholes[0]
         if well_apart.any():
-            weight, whole = np.where(well_apart, 1.0, weight), np.where(well_apart, wholes[1], whole)
+            weight, whole = (
+                np.where(well_apart, 1.0, weight),
+                np.where(well_apart, wholes[1], whole),
+            )
         first, second = log_zone(n * weight, scatter * weight)
         gain = first + second - whole
         unlike = gain > UNLIKE * np.minimum(*n) * weight
@@ -268,10 +313,16 @@ class _Moves:
     def _one_zone(self, groups: Floats, total: Floats) -> Floats:
         """Log posterior of groups (6, ...) as one zone, but for what stays when they become two."""
         count = len(self.zones)
-        return log_zone(groups[0], moments(groups)[1]) + log_zones(count, total) - log_zones(count + 1, total)
+        return (
+            log_zone(groups[0], moments(groups)[1])
+            + log_zones(count, total)
+            - log_zones(count + 1, total)
+        )
 
     def _valley_between(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
-        """Log likelihood ratio of a valley between groups with sums ``a`` and ``b`` (6,), cells ``inside``."""
+        """Log likelihood ratio of a valley between groups with sums ``a`` and ``b`` (6,), cells
+        ``inside``.
+        """
         key = min(a.tobytes() + b.tobytes(), b.tobytes() + a.tobytes())
         if key not in self.valleys:
             self.valleys[key] = self._valley(a, b, inside)
@@ -299,15 +350,23 @@ class _Moves:
         return valley(n, along[chosen], sd, -2 * sd_a, apart + 2 * sd_b)
 
     def _assign(self) -> bool:
-        """Each cell to the Gaussian, or the clutter, that explains its events best on average; whether any changed."""
+        """Each cell to the Gaussian, or the clutter, that explains its events best on average;
+        whether any changed.
+        """
         if not len(self.zones):
             return False
         (x, y), (xx, xy, yy) = self.mean, self.cov
         determinant = xx * yy - xy * xy
         to_x, to_y = (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
-        share = np.log(self.zones[:, 0] + 1) - np.log(2 * np.pi) - 0.5 * (np.log(determinant) + to_x * x + to_y * y)
+        share = (
+            np.log(self.zones[:, 0] + 1)
+            - np.log(2 * np.pi)
+            - 0.5 * (np.log(determinant) + to_x * x + to_y * y)
+        )
         # The mean log density of a cell's events is linear in their mean sums.
-        score = np.array((share, to_x, to_y, -0.5 * yy / determinant, xy / determinant, -0.5 * xx / determinant)).T
+        score = np.array(
+            (share, to_x, to_y, -0.5 * yy / determinant, xy / determinant, -0.5 * xx / determinant)
+        ).T
         score = score @ self.cells.average
         explained = score.max(axis=0) > np.log(self.clutter + 1) + self.log_density
         labels = np.where(explained, score.argmax(axis=0), -1)
@@ -333,7 +392,9 @@ class _Moves:
         return changed
 
     def _cuts(self, which: list[int]) -> dict[int, NDArray[np.intp]]:
-        """Of each of these zones that a straight cut makes two zones the cells on one side of the best such cut."""
+        """Of each of these zones that a straight cut makes two zones the cells on one side of the
+        best such cut.
+        """
         filled = np.bincount(self.labels + 1)[1:]
         which = [k for k in which if filled[k] > 1]
         if not which:
@@ -361,16 +422,24 @@ class _Moves:
         for nth in np.flatnonzero(best.max(axis=1) > _GAIN_HOPELESS).tolist():
             members = slice(end[nth] - size[nth], end[nth])
             cuts = slice(end[nth] - size[nth] - nth, end[nth] - nth - 1)
-            part = self._best_cut(best[nth], order[:, members], sides[..., cuts], gain[:, cuts], clear[:, cuts])
+            part = self._best_cut(
+                best[nth], order[:, members], sides[..., cuts], gain[:, cuts], clear[:, cuts]
+            )
             if part is not None:
                 result[which[nth]] = part
         return result
 
     def _best_cut(
-        self, best: Floats, order: NDArray[np.intp], sides: Floats, gain: Floats, clear: NDArray[np.bool_]
+        self,
+        best: Floats,
+        order: NDArray[np.intp],
+        sides: Floats,
+        gain: Floats,
+        clear: NDArray[np.bool_],
     ) -> NDArray[np.intp] | None:
-        """The cells beyond the best cut that shows two zones. ``best`` gains (directions,), ``order`` of the cells
-        (directions, cells); ``sides`` and what follows are of the cuts (..., directions, cuts)."""
+        """The cells beyond the best cut that shows two zones. ``best`` gains (directions,),
+        ``order`` of the cells (directions, cells); ``sides`` and what follows are of the cuts (...,
+        directions, cuts)."""
         inside = np.zeros(len(self.labels), dtype=np.bool_)
         inside[order[0]] = True
         for angle in best.argsort(kind="stable")[::-1][:_CUTS_TRIED].tolist():
@@ -384,5 +453,7 @@ class _Moves:
 
 
 def _log_surplus(n: Floats, expected: Floats) -> Floats:
-    """Log likelihood ratio of ``n`` events where ``expected`` were (Poisson), negative where there are fewer."""
+    """Log likelihood ratio of ``n`` events where ``expected`` were (Poisson), negative where there
+    are fewer.
+    """
     return np.asarray((n * np.log(n / expected) - n + expected) * np.sign(n - expected))

@@ -1,4 +1,6 @@
-"""How far apart two groups of events are, along the line that tells them apart best (see `partition`)."""
+"""How far apart two groups of events are, along the line that tells them apart best (see
+`partition`).
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,15 @@ FAR = 3.0
 
 
 def far(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]:
-    """Whether two groups are `FAR` apart, from their numbers, means and squared deviations (..., 2, ...)."""
+    """Whether two groups are `FAR` apart, from their numbers, means and squared deviations (..., 2,
+    ...).
+    """
     cov, difference = covariance(n, scatter), mean[:, 1] - mean[:, 0]
     (xx, xy, yy), (x, y) = cov.sum(axis=1), difference
     # Along no line are they further apart than by the Mahalanobis distance.
-    result: NDArray[np.bool_] = (yy * x - 2 * xy * y) * x + xx * y * y > 0.999 * FAR**2 * (xx * yy - xy * xy)
+    result: NDArray[np.bool_] = (yy * x - 2 * xy * y) * x + xx * y * y > 0.999 * FAR**2 * (
+        xx * yy - xy * xy
+    )
     if result.any():
         own, difference = cov[:, :, result], difference[:, result]
         line = discriminant(own.sum(axis=1), difference)
@@ -33,7 +39,9 @@ def far(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]:
 
 
 def discriminant(cov: _Parts, difference: _Parts) -> tuple[Any, Any]:
-    """Unit vectors (x, y) along which groups with this summed covariance (xx, xy, yy) are told apart best."""
+    """Unit vectors (x, y) along which groups with this summed covariance (xx, xy, yy) are told
+    apart best.
+    """
     (xx, xy, yy), (x, y) = cov, difference
     line_x, line_y = yy * x - xy * y, xx * y - xy * x
     length = (line_x * line_x + line_y * line_y) ** 0.5 + 1e-300
@@ -54,12 +62,17 @@ _STEPS = 18
 _STEP = np.arange(_STEPS)
 _WIDTH = np.maximum(_STEP - _STEP[:, None], 1)
 _INNER = [(low, high) for low in range(1, _STEPS - 2) for high in range(low + 1, _STEPS - 1)]
-"""Stretches that may be a valley: there is something on either side. Below, each with each of its flanks to the left,
-then each with each to the right, by the flat index (from, to) of the valley, of the flank, and of both together."""
+"""Stretches that may be a valley: there is something on either side. Below, each with each of its
+flanks to the left, then each with each to the right, by the flat index (from, to) of the valley, of
+the flank, and of both together."""
 _VALLEYS, _FLANKS, _WHOLES = np.array(
     [
         *[(b * _STEPS + c, a * _STEPS + b, a * _STEPS + c) for b, c in _INNER for a in range(b)],
-        *[(b * _STEPS + c, c * _STEPS + d, b * _STEPS + d) for b, c in _INNER for d in range(c + 1, _STEPS)],
+        *[
+            (b * _STEPS + c, c * _STEPS + d, b * _STEPS + d)
+            for b, c in _INNER
+            for d in range(c + 1, _STEPS)
+        ],
     ]
 ).T.copy()
 _STARTS = np.flatnonzero(np.diff(_VALLEYS, prepend=-1))

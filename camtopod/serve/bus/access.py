@@ -1,6 +1,7 @@
 """Who is let onto the bus: the settings for it, what is open, and who came.
 
-The daemon that is the meeting point enforces `camtopod.keys.rules`; with a router of its own, that one does.
+The daemon that is the meeting point enforces `camtopod.keys.rules`; with a router of its own, that
+one does.
 """
 
 from __future__ import annotations
@@ -24,8 +25,12 @@ class AccessError(OSError):
     """The access list or a certificate cannot be used; ``str()`` says which and what to do."""
 
 
-def settings(config: Config, mode: str, access: rules.Access | None = None, shared: bool = False) -> rules.Settings:
-    """Everything that a session of zenoh is told, except the endpoints. ``shared``: as `camtopod.serve.bus.session.meet`."""
+def settings(
+    config: Config, mode: str, access: rules.Access | None = None, shared: bool = False
+) -> rules.Settings:
+    """Everything that a session of zenoh is told, except the endpoints. ``shared``: as
+    `camtopod.serve.bus.session.meet`.
+    """
     values = rules.quiet(mode)
     tls = config.bus.tls
     if tls.ca:
@@ -34,7 +39,9 @@ def settings(config: Config, mode: str, access: rules.Access | None = None, shar
     if mode == "router":
         if not shared:  # it receives no topology nor parts of one, so nothing large
             largest = min(largest, rules.spool_bytes_max(config.limits.pull_events_max))
-        values |= rules.sizes(config.site.name, config.limits.pull_events_max) | rules.priorities(config.site.name)
+        values |= rules.sizes(config.site.name, config.limits.pull_events_max) | rules.priorities(
+            config.site.name
+        )
         if access is not None:
             values |= rules.access_control(access)
     values["transport/link/rx/max_message_size"] = largest
@@ -42,7 +49,9 @@ def settings(config: Config, mode: str, access: rules.Access | None = None, shar
 
 
 def read_access(config: Config, clock: Clock) -> rules.Access | None:
-    """Who may do what, None if everybody may do everything. Warns of what expires soon. Raises `AccessError`."""
+    """Who may do what, None if everybody may do everything. Warns of what expires soon. Raises
+    `AccessError`.
+    """
     path = config.bus.tls.access
     if not config.bus.tls.ca:
         return None
@@ -56,18 +65,24 @@ def read_access(config: Config, clock: Clock) -> rules.Access | None:
         raise AccessError(f"{path} is for site {access.site}, but this is site {config.site.name}")
     for certificate, days in rules.expiring(access, clock()):
         when = f"expires in {days:.0f} days" if days > 0 else f"expired {-days:.0f} days ago"
-        log.warning("the certificate of %s %s: `camtopod keys` makes another", certificate.name, when)
+        log.warning(
+            "the certificate of %s %s: `camtopod keys` makes another", certificate.name, when
+        )
     return access
 
 
 def boxes(config: Config) -> dict[str, str]:
-    """By camera the certificate under which it is published; none without authentication. Raises `AccessError`."""
+    """By camera the certificate under which it is published; none without authentication. Raises
+    `AccessError`.
+    """
     if not config.bus.tls.access:
         return {}
     try:
         access = rules.read_access(Path(config.bus.tls.access).read_bytes())
     except (OSError, ValueError) as error:
-        raise AccessError(f"cannot read who may do what, {config.bus.tls.access}: {error}") from None
+        raise AccessError(
+            f"cannot read who may do what, {config.bus.tls.access}: {error}"
+        ) from None
     return {
         camera: certificate.name
         for certificate in access.certificates
@@ -90,13 +105,17 @@ def check_files(config: Config) -> None:
 
 
 def openness(config: Config) -> str | None:
-    """What is open to whom without authentication, and what to do about it; None with authentication."""
+    """What is open to whom without authentication, and what to do about it; None with
+    authentication.
+    """
     if config.bus.tls.ca:
         return None
     what = "write events, read everything learned and answer in the daemon's place"
     cure = "`camtopod keys init` and [bus.tls] close it, see README, 'Security'"
     if not config.listens:
-        return f"no [bus.tls]: whoever reaches the bus at {', '.join(config.dials)} can {what}; {cure}"
+        return (
+            f"no [bus.tls]: whoever reaches the bus at {', '.join(config.dials)} can {what}; {cure}"
+        )
     if beyond := [endpoint for endpoint in config.listens if not is_local(endpoint)]:
         where = ", ".join(beyond)
         return f"ANYBODY ON THE NETWORK who reaches {where} can {what}: there is no authentication; {cure}"
@@ -121,7 +140,9 @@ class Doorkeeper:
     """Notes which certificates are on the bus; one without rights is counted, and said once."""
 
     def __init__(self, access: rules.Access | None) -> None:
-        self._known = None if access is None else {certificate.name for certificate in access.certificates}
+        self._known = (
+            None if access is None else {certificate.name for certificate in access.certificates}
+        )
         self._mutex = threading.Lock()
         self._said: set[str | None] = set()
         self.strangers = 0
@@ -137,4 +158,8 @@ class Doorkeeper:
             if first:
                 self._said.add(name)
         if first:
-            log.warning("certificate %r from %s is not on the access list: it can do nothing here", name, address)
+            log.warning(
+                "certificate %r from %s is not on the access list: it can do nothing here",
+                name,
+                address,
+            )

@@ -1,5 +1,5 @@
-"""Whether the bus still lives at which this daemon is the meeting point: it is a client of its own, and looks for
-itself there as any other program would.
+"""Whether the bus still lives at which this daemon is the meeting point: it is a client of its own,
+and looks for itself there as any other program would.
 
 What it publishes and answers does not tell: a session hands that to itself without a connection.
 """
@@ -45,7 +45,9 @@ class SelfCheck:
                     mark.beat()
 
     def _dial(self) -> Bus | None:
-        """None where it is not reached from here: a firewall, an interface or a certificate may be the reason."""
+        """None where it is not reached from here: a firewall, an interface or a certificate may be
+        the reason.
+        """
         try:
             return dial(self._config)
         except BusError as error:

@@ -1,8 +1,9 @@
-"""The bus: the only module that knows zenoh. Keys as in contract 5, always below ``camtopo/{site}/``.
+"""The bus: the only module that knows zenoh. Keys as in contract 5, always below
+``camtopo/{site}/``.
 
-Clients dial explicit endpoints; the daemon may be the meeting point itself (mode ``router``). No multicast
-scouting and no shared memory: both cost more in trouble than they bring. What arrives is handed to callbacks
-which must not block: a handler that is full starves the whole session.
+Clients dial explicit endpoints; the daemon may be the meeting point itself (mode ``router``). No
+multicast scouting and no shared memory: both cost more in trouble than they bring. What arrives is
+handed to callbacks which must not block: a handler that is full starves the whole session.
 """
 
 from __future__ import annotations
@@ -47,16 +48,22 @@ HANGS_SECONDS = 1.0
 
 _WAIT, _ONE_WAITS = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.BLOCK_FIRST
 _DROP = zenoh.CongestionControl.DROP
-"""What becomes of a message for a link that is full: the caller waits; one such message waits, and not the caller, and
-further ones are dropped; it is dropped."""
-_FIRST, _USUAL, _ASKED = zenoh.Priority.INTERACTIVE_HIGH, zenoh.Priority.DATA, zenoh.Priority.INTERACTIVE_LOW
-"""Each is a queue of its own on every link. Questions and answers are in the third; the meeting point puts those of
-readers there, whatever they ask for (`camtopod.keys.rules.priorities`)."""
+"""What becomes of a message for a link that is full: the caller waits; one such message waits, and
+not the caller, and further ones are dropped; it is dropped."""
+_FIRST, _USUAL, _ASKED = (
+    zenoh.Priority.INTERACTIVE_HIGH,
+    zenoh.Priority.DATA,
+    zenoh.Priority.INTERACTIVE_LOW,
+)
+"""Each is a queue of its own on every link. Questions and answers are in the third; the meeting
+point puts those of readers there, whatever they ask for (`camtopod.keys.rules.priorities`)."""
 
 OnMessage = Callable[[str, bytes], None]
 """Called with (key below the site, payload), from a thread of the bus; must not block."""
 Answer = Callable[[str, dict[str, str]], Any]
-"""Called with (key below the site, parameters); returns the noun to answer or raises `QueryError`."""
+"""Called with (key below the site, parameters); returns the noun to answer or raises
+`QueryError`.
+"""
 
 
 class BusError(OSError):
@@ -72,8 +79,8 @@ Heard = tuple[str, bytes, bytes]
 
 
 class Ear:
-    """What is published, for one thread that asks for it: where many messages come, far cheaper than a callback for
-    each, and what comes alone is there no later.
+    """What is published, for one thread that asks for it: where many messages come, far cheaper
+    than a callback for each, and what comes alone is there no later.
     """
 
     def __init__(self, subscriber: Any, above: str) -> None:
@@ -81,10 +88,15 @@ class Ear:
         self._closing = threading.Lock()
 
     def take(self, wait: bool = True) -> list[Heard] | None:
-        """What comes next, and that alone, waited for; or all that has come. None when it is closed and everything has
-        been taken.
+        """What comes next, and that alone, waited for; or all that has come. None when it is closed
+        and everything has been taken.
         """
-        messages, skipped, put, heard = self._messages, self._skipped, zenoh.SampleKind.PUT, list[Heard]()
+        messages, skipped, put, heard = (
+            self._messages,
+            self._skipped,
+            zenoh.SampleKind.PUT,
+            list[Heard](),
+        )
         try:
             sample = messages.recv() if wait else messages.try_recv()
             while sample is not None:
@@ -111,11 +123,13 @@ class Ear:
 class Bus:
     """One session on the bus of one site.
 
-    Not for use inside its own callbacks, except `put` (asking there waits for itself). Close it before
-    leaving: a process with callbacks and an open session does not end.
+    Not for use inside its own callbacks, except `put` (asking there waits for itself). Close it
+    before leaving: a process with callbacks and an open session does not end.
     """
 
-    def __init__(self, session: zenoh.Session, site: str, endpoint: str, settings: BusSettings) -> None:
+    def __init__(
+        self, session: zenoh.Session, site: str, endpoint: str, settings: BusSettings
+    ) -> None:
         self.site = site
         self.endpoint = endpoint
         """The endpoint listened at, with its real port, or the first one dialled."""
@@ -126,17 +140,24 @@ class Bus:
         self._ears: list[Ear] = []
         self._closed = threading.Event()
         self._doorkeeper: access.Doorkeeper | None = None
-        self._putting: dict[int, tuple[float, str]] = {}  # by thread: since when (monotonic), and on which key
+        self._putting: dict[
+            int, tuple[float, str]
+        ] = {}  # by thread: since when (monotonic), and on which key
 
     def put(self, key: str, noun: Any, schema: str) -> None:
-        """Publish a noun, as MessagePack. What becomes of it is not known; see `camtopod.serve.outbox.spool`."""
+        """Publish a noun, as MessagePack. What becomes of it is not known; see
+        `camtopod.serve.outbox.spool`.
+        """
         self.put_raw(key, codec.to_pack(noun), schema)
 
-    def put_raw(self, key: str, payload: bytes, schema: str, attachment: bytes | None = None) -> None:
+    def put_raw(
+        self, key: str, payload: bytes, schema: str, attachment: bytes | None = None
+    ) -> None:
         """Publish bytes that are MessagePack already. Does nothing once the bus is closed.
 
-        Does not wait for a program that has stopped reading, except with events and parts. On its full link the rest is
-        dropped, but for one topology that the link takes as it empties; the program notices by the versions, and asks.
+        Does not wait for a program that has stopped reading, except with events and parts. On its
+        full link the rest is dropped, but for one topology that the link takes as it empties; the
+        program notices by the versions, and asks.
         """
         if self._closed.is_set():
             return
@@ -148,7 +169,11 @@ class Bus:
                 self._full(key),
                 payload,
                 encoding=_encoding(schema),
-                congestion_control=_DROP if schema in _PROMPT else _WAIT if schema in _UNREPEATED else _ONE_WAITS,
+                congestion_control=_DROP
+                if schema in _PROMPT
+                else _WAIT
+                if schema in _UNREPEATED
+                else _ONE_WAITS,
                 priority=_FIRST if schema in _PROMPT else _USUAL,
                 attachment=attachment,
             )
@@ -160,12 +185,16 @@ class Bus:
 
     @property
     def hanging(self) -> tuple[float, str]:
-        """(seconds, key) of the publication that has been under way for longest; (0, "") if there is none."""
+        """(seconds, key) of the publication that has been under way for longest; (0, "") if there
+        is none.
+        """
         since, key = min(self._putting.copy().values(), default=(math.inf, ""))
         return max(0.0, time.monotonic() - since), key
 
     def subscribe(self, key: str, on_message: OnMessage) -> Callable[[], None]:
-        """Hand every publication on ``key`` (may hold ``*``) to ``on_message``; returns what ends it."""
+        """Hand every publication on ``key`` (may hold ``*``) to ``on_message``; returns what ends
+        it.
+        """
 
         def receive(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
@@ -182,20 +211,26 @@ class Bus:
         return end
 
     def listen(self, key: str, most: int) -> Ear:
-        """What is published on ``key`` (may hold ``*``). Where more than ``most`` messages wait to be taken, the whole
-        session waits, so they are to be taken whatever else there is to do.
+        """What is published on ``key`` (may hold ``*``). Where more than ``most`` messages wait to
+        be taken, the whole session waits, so they are to be taken whatever else there is to do.
         """
-        subscriber = self._session.declare_subscriber(self._full(key), zenoh.handlers.FifoChannel(most))
+        subscriber = self._session.declare_subscriber(
+            self._full(key), zenoh.handlers.FifoChannel(most)
+        )
         ear = Ear(subscriber, self._full(""))
         self._ears.append(ear)
         return ear
 
     def answer(self, key: str, answer: Answer, schema: str) -> None:
-        """Answer queries on ``key`` (may hold ``*``) in MessagePack, or JSON if format=application/json."""
+        """Answer queries on ``key`` (may hold ``*``) in MessagePack, or JSON if
+        format=application/json.
+        """
 
         def reply(query: zenoh.Query) -> None:
             with query:
-                parameters = {name: str(query.parameters.get(name)) for name in _names(str(query.parameters))}
+                parameters = {
+                    name: str(query.parameters.get(name)) for name in _names(str(query.parameters))
+                }
                 asked = str(query.key_expr) if "*" in key else self._full(key)
                 try:
                     noun = answer(self._below(asked), parameters)
@@ -212,13 +247,17 @@ class Bus:
         self._declared.append(self._session.declare_queryable(self._full(key), reply))
 
     def ask(
-        self, key: str, parameters: Mapping[str, object] | None = None, seconds: float | None = None,
+        self,
+        key: str,
+        parameters: Mapping[str, object] | None = None,
+        seconds: float | None = None,
         one: bool = False,
-    ) -> list[tuple[str, bytes]]:  # fmt: skip
-        """All answers to a query as (key below the site, payload). The list is empty when the time is over first.
+    ) -> list[tuple[str, bytes]]:
+        """All answers to a query as (key below the site, payload). The list is empty when the time
+        is over first.
 
-        ``one``: return as soon as there is one answer. On a busy machine zenoh (1.10.2) sometimes loses the message
-        that ends a query, which then lasts for its whole time limit.
+        ``one``: return as soon as there is one answer. On a busy machine zenoh (1.10.2) sometimes
+        loses the message that ends a query, which then lasts for its whole time limit.
 
         Raises `QueryError` if the only answer is that it cannot be answered.
         """
@@ -237,7 +276,9 @@ class Bus:
             )
             for reply in replies:
                 if reply.ok is not None:
-                    answers.append((self._below(str(reply.ok.key_expr)), reply.ok.payload.to_bytes()))
+                    answers.append(
+                        (self._below(str(reply.ok.key_expr)), reply.ok.payload.to_bytes())
+                    )
                     if one:
                         break
                 elif reply.err is not None and str(reply.err.encoding).startswith("text/plain"):
@@ -254,15 +295,23 @@ class Bus:
         self._declared.append(token)
 
     def present(self, role: str) -> list[str]:
-        """The names of those of a role who are there; a name that is none by `CAMERA_PATTERN` is left out."""
+        """The names of those of a role who are there; a name that is none by `CAMERA_PATTERN` is
+        left out.
+        """
         answers = self._session.liveliness().get(
-            self._full(f"alive/{role}/*"), zenoh.handlers.FifoChannel(_REPLIES_MAX), timeout=self._query_seconds
+            self._full(f"alive/{role}/*"),
+            zenoh.handlers.FifoChannel(_REPLIES_MAX),
+            timeout=self._query_seconds,
         )
-        names = [str(reply.ok.key_expr).rsplit("/", 1)[-1] for reply in answers if reply.ok is not None]
+        names = [
+            str(reply.ok.key_expr).rsplit("/", 1)[-1] for reply in answers if reply.ok is not None
+        ]
         return [name for name in names if re.match(CAMERA_PATTERN, name)]
 
     def watch_alive(self, role: str, on_change: Callable[[str, bool], None]) -> None:
-        """Call ``on_change(name, alive)`` for those of a role who are there, appear, and vanish; names as `present`."""
+        """Call ``on_change(name, alive)`` for those of a role who are there, appear, and vanish;
+        names as `present`.
+        """
 
         def change(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr).rsplit("/", 1)[-1]
@@ -270,7 +319,9 @@ class Bus:
                 on_change(name, sample.kind == zenoh.SampleKind.PUT)
 
         key = self._full(f"alive/{role}/*")
-        self._declared.append(self._session.liveliness().declare_subscriber(key, change, history=True))
+        self._declared.append(
+            self._session.liveliness().declare_subscriber(key, change, history=True)
+        )
 
     def watch_door(self, doorkeeper: access.Doorkeeper) -> None:
         """Tell ``doorkeeper`` who connects. Closing these connections will not block the bus."""
@@ -287,7 +338,9 @@ class Bus:
 
     @property
     def refused(self) -> dict[str, int]:
-        """How many were not let in, by reason; those without a good certificate only inside `refusals_heard`."""
+        """How many were not let in, by reason; those without a good certificate only inside
+        `refusals_heard`.
+        """
         strangers = 0 if self._doorkeeper is None else self._doorkeeper.strangers
         return {**refusals.refusals.counts, "no-rights": strangers}
 
@@ -316,13 +369,17 @@ class Bus:
         self.close()
 
     def _mind_size(self, key: str, payload: bytes) -> None:
-        """Said once of a key: who does not take what is too large does not even hear that there was something."""
+        """Said once of a key: who does not take what is too large does not even hear that there was
+        something.
+        """
         if len(payload) > self._bytes_max and key not in self._too_large:
             self._too_large.add(key)
             log.error(
                 "%s has %d bytes, and nobody takes more than bus.message_bytes_max, %d: set it higher for all programs",
-                key, len(payload), self._bytes_max,
-            )  # fmt: skip
+                key,
+                len(payload),
+                self._bytes_max,
+            )
 
     def _full(self, key: str) -> str:
         return f"{PREFIX}/{self.site}/{key}"
@@ -357,8 +414,8 @@ def dial(config: Config) -> Bus:
 def meet(config: Config, shared: bool = False) -> Bus:
     """The daemon's session: the meeting point at ``config.listens``, or a client if there are none.
 
-    ``shared``: the other shards of the site come here with what they have learned. A port 0 stands for a free one. Says
-    what is open to whom. Raises `BusError`.
+    ``shared``: the other shards of the site come here with what they have learned. A port 0 stands
+    for a free one. Says what is open to whom. Raises `BusError`.
     """
     if (open_to := access.openness(config)) is not None:
         log.warning("%s", open_to)
@@ -385,26 +442,37 @@ def meet(config: Config, shared: bool = False) -> Bus:
 
 @contextlib.contextmanager
 def refusals_heard(config: Config) -> Iterator[None]:
-    """Count and log who is refused while the block runs. Once in a process, which leaves standard output alone."""
+    """Count and log who is refused while the block runs. Once in a process, which leaves standard
+    output alone.
+    """
     with refusals.standard_output_heard():
-        zenoh.init_log_from_env_or(refusals.FILTER_OF_STRANGERS if config.bus.tls.ca else refusals.FILTER)
+        zenoh.init_log_from_env_or(
+            refusals.FILTER_OF_STRANGERS if config.bus.tls.ca else refusals.FILTER
+        )
         yield
 
 
 def _open(
-    config: Config, values: Mapping[str, object], connect: Sequence[str] = (), listen: Sequence[str] = ()
+    config: Config,
+    values: Mapping[str, object],
+    connect: Sequence[str] = (),
+    listen: Sequence[str] = (),
 ) -> zenoh.Session:
     settings = zenoh.Config()
     endpoints = {"connect/endpoints": list(connect), "listen/endpoints": list(listen)}
     for key, value in {**values, **endpoints}.items():
         settings.insert_json5(key, json.dumps(value))
     if not listen:
-        settings.insert_json5("connect/timeout_ms", json.dumps(int(config.bus.connect_seconds * 1000)))
+        settings.insert_json5(
+            "connect/timeout_ms", json.dumps(int(config.bus.connect_seconds * 1000))
+        )
     return zenoh.open(settings)
 
 
 def _with_port(endpoint: str) -> str:
-    """``tcp/host:0`` with a port that is free now: zenoh takes port 0 but does not tell which it got."""
+    """``tcp/host:0`` with a port that is free now: zenoh takes port 0 but does not tell which it
+    got.
+    """
     if not endpoint.endswith(":0"):
         return endpoint
     host = endpoint.split("/", 1)[1].removesuffix(":0")

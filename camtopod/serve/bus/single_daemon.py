@@ -1,9 +1,10 @@
 """Another daemon for the same site: two would both acknowledge, and each have half of the events.
 
-One that starts beside another refuses to. Where neither could see the other (a cut between them that heals), both go
-on and say so loudly until one is stopped: nothing that was acknowledged is given up. A daemon is known by a name that
-stays with its state directory, so it does not mistake its own trace from before a crash for another. The shards of a
-site (``2of8-NAME``) are no rivals, as long as all are of as many.
+One that starts beside another refuses to. Where neither could see the other (a cut between them
+that heals), both go on and say so loudly until one is stopped: nothing that was acknowledged is
+given up. A daemon is known by a name that stays with its state directory, so it does not mistake
+its own trace from before a crash for another. The shards of a site (``2of8-NAME``) are no rivals,
+as long as all are of as many.
 """
 
 from __future__ import annotations
@@ -62,7 +63,11 @@ class Rivals:
             self._there.discard(name)
         elif name not in self._there and len(self._there) < NAMED_MAX:
             self._there.add(name)
-            log.error("another daemon (%s) serves site %s on this bus: stop one of them", name, self._bus.site)
+            log.error(
+                "another daemon (%s) serves site %s on this bus: stop one of them",
+                name,
+                self._bus.site,
+            )
 
     def _is_rival(self, name: str) -> bool:
         if name == self.name:

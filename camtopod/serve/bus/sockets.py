@@ -1,4 +1,5 @@
-"""Options of the bus's sockets that zenoh has no setting for: a program that stops reading must not delay the others.
+"""Options of the bus's sockets that zenoh has no setting for: a program that stops reading must not
+delay the others.
 
 Linux only, as they need the list of a process's sockets; elsewhere nothing is changed.
 """
@@ -12,32 +13,45 @@ import struct
 from collections.abc import Callable, Sequence
 
 STALLED_SECONDS_MAX = 4.0
-"""A program is disconnected when data has waited this long for it to be read; it may connect again."""
+"""A program is disconnected when data has waited this long for it to be read; it may connect
+again.
+"""
 _DESCRIPTORS = "/proc/self/fd"
-_LISTENS, _LINGERS = (socket.SOL_SOCKET, socket.SO_ACCEPTCONN), (socket.SOL_SOCKET, socket.SO_LINGER)
+_LISTENS, _LINGERS = (
+    (socket.SOL_SOCKET, socket.SO_ACCEPTCONN),
+    (socket.SOL_SOCKET, socket.SO_LINGER),
+)
 _NO_LINGER = struct.pack("ii", 0, 0)
 
 
 def limit_waiting(endpoints: Sequence[str]) -> None:
-    """Let the kernel end connections to these endpoints that have taken nothing for `STALLED_SECONDS_MAX`.
+    """Let the kernel end connections to these endpoints that have taken nothing for
+    `STALLED_SECONDS_MAX`.
 
-    Zenoh itself ends one whose program has stopped only when its lease is over, after ten seconds. A connection has
-    this option from the socket that listens.
+    Zenoh itself ends one whose program has stopped only when its lease is over, after ten seconds.
+    A connection has this option from the socket that listens.
     """
-    ports = {int(port) for port in (endpoint.rpartition(":")[2] for endpoint in endpoints) if port.isdecimal()}
+    ports = {
+        int(port)
+        for port in (endpoint.rpartition(":")[2] for endpoint in endpoints)
+        if port.isdecimal()
+    }
 
     def limit(one: socket.socket) -> None:
         if one.getsockopt(*_LISTENS) and one.getsockname()[1] in ports:
-            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * STALLED_SECONDS_MAX))
+            one.setsockopt(
+                socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * STALLED_SECONDS_MAX)
+            )
 
     _with_each_socket(limit)
 
 
 def close_without_waiting() -> None:
-    """Turn SO_LINGER off on all connections: closing one returns at once, and the kernel sends the rest.
+    """Turn SO_LINGER off on all connections: closing one returns at once, and the kernel sends the
+    rest.
 
-    Zenoh (1.10) sets it to ten seconds. If a program has stopped reading, closing its connection blocks a thread of the
-    bus for that long, and no message is delivered meanwhile.
+    Zenoh (1.10) sets it to ten seconds. If a program has stopped reading, closing its connection
+    blocks a thread of the bus for that long, and no message is delivered meanwhile.
     """
 
     def turn_off(one: socket.socket) -> None:
@@ -53,7 +67,10 @@ def _with_each_socket(act: Callable[[socket.socket], None]) -> None:
         with contextlib.suppress(OSError):  # another file, or closed meanwhile
             one = socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=fd)
             try:
-                if one.getsockopt(socket.SOL_SOCKET, socket.SO_DOMAIN) in (socket.AF_INET, socket.AF_INET6):
+                if one.getsockopt(socket.SOL_SOCKET, socket.SO_DOMAIN) in (
+                    socket.AF_INET,
+                    socket.AF_INET6,
+                ):
                     act(one)
             finally:
                 one.detach()

@@ -1,4 +1,6 @@
-"""The topology as a subscriber sees it: subscribe, then get, then apply by version, get again on a gap."""
+"""The topology as a subscriber sees it: subscribe, then get, then apply by version, get again on a
+gap.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from camtopod.topology import apply_delta
 log = logging.getLogger(__name__)
 
 WAITING_MAX = 1000
-"""Deltas that wait for `TopologyView.update`; beyond it they are dropped and the whole is fetched."""
+"""Deltas that wait for `TopologyView.update`; beyond it they are dropped and the whole is
+fetched.
+"""
 BEHIND_SECONDS = 1.0
 """A delta is taken for lost when the daemon has had a newer version for this long."""
 _ASK_AGAIN_SECONDS = 0.5
@@ -34,8 +38,9 @@ class _Status(Struct):
 class TopologyView:
     """Follows the versions of one site's daemon. `update` from one thread, as often as one likes.
 
-    Late joiners, missed deltas, a daemon that restarts and one that begins a new epoch all end the same way:
-    the whole topology is fetched. That a delta is missing shows with the next, or in the daemon's status.
+    Late joiners, missed deltas, a daemon that restarts and one that begins a new epoch all end the
+    same way: the whole topology is fetched. That a delta is missing shows with the next, or in the
+    daemon's status.
     """
 
     def __init__(self, bus: Bus) -> None:
@@ -53,7 +58,9 @@ class TopologyView:
         bus.watch_alive("daemon", self._on_daemon)
 
     def update(self) -> Topology | None:
-        """Work off what has arrived; returns the newest version if it is newer than before, else None."""
+        """Work off what has arrived; returns the newest version if it is newer than before, else
+        None.
+        """
         before = self.topology
         while True:
             try:
@@ -65,7 +72,9 @@ class TopologyView:
         return self.topology if self.topology is not before else None
 
     def wait_for(self, version: int, seconds: float) -> Topology | None:
-        """`update` until at least ``version`` is there; returns the newest, or None when the time is over."""
+        """`update` until at least ``version`` is there; returns the newest, or None when the time
+        is over.
+        """
         deadline = time.monotonic() + seconds
         while True:
             self.update()
@@ -93,7 +102,9 @@ class TopologyView:
             log.debug("a status that cannot be read: %s", error)
             return
         held, now = self.topology, time.monotonic()
-        if newest.version == 0 or (held is not None and (newest.epoch, newest.version) <= (held.epoch, held.version)):
+        if newest.version == 0 or (
+            held is not None and (newest.epoch, newest.version) <= (held.epoch, held.version)
+        ):
             self._behind_since = None
         elif self._behind_since is None:
             self._behind_since = now
@@ -136,7 +147,7 @@ class TopologyView:
             return
         self.fetched += 1
         held = self.topology
-        # An epoch before the one held: a daemon has lost its state while its clock was behind. A version before
-        # the one held, in the same epoch: the delta was faster than the answer.
+        # An epoch before the one held: a daemon has lost its state while its clock was behind. A
+        # version before the one held, in the same epoch: the delta was faster than the answer.
         if held is None or newest.epoch != held.epoch or newest.version > held.version:
             self.topology = newest

@@ -1,4 +1,6 @@
-"""How far each stream is stored, and the saying so: at intervals, of those that have got further since."""
+"""How far each stream is stored, and the saying so: at intervals, of those that have got further
+since.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +28,19 @@ class Counts(Struct):
 
 
 class Acks:
-    """``stored``: as `Journal.streams`. ``owns``: the cameras whose events it is for this daemon to acknowledge;
-    ``daemon``: its name; ``event_time``: as the learner has it for what is stored.
+    """``stored``: as `Journal.streams`. ``owns``: the cameras whose events it is for this daemon to
+    acknowledge; ``daemon``: its name; ``event_time``: as the learner has it for what is stored.
 
     `again`, `duplicate` and `forget` from one thread at a time, `note` and `put` from another.
     """
 
     def __init__(
-        self, bus: Bus, stored: dict[Key, int], owns: Callable[[str], bool], daemon: str, event_time: EventTime
+        self,
+        bus: Bus,
+        stored: dict[Key, int],
+        owns: Callable[[str], bool],
+        daemon: str,
+        event_time: EventTime,
     ) -> None:
         self._bus, self._owns, self._daemon, self._event_time = bus, owns, daemon, event_time
         self.stored = stored
@@ -81,7 +88,9 @@ class Acks:
         self._forgotten.extend(keys)
 
     def put(self, now: float, interval: float, beat: Beat) -> None:
-        """Unless that was less than ``interval`` seconds ago; ``now`` is of a clock that never steps."""
+        """Unless that was less than ``interval`` seconds ago; ``now`` is of a clock that never
+        steps.
+        """
         if now < self._next:
             return
         self._next = now + interval

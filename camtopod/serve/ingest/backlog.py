@@ -1,9 +1,9 @@
 """Backlogs brought back into one order.
 
-After the daemon or the network was away every spool gives what it has, one sooner than the other. Learned as it comes,
-the first would make all others late. So while backlogs come in, what is ready waits a moment, and is then released by
-time, as far as every camera has come that has more to give. A backlog that ends before what has been released already
-is late anyway, and nobody waits for it.
+After the daemon or the network was away every spool gives what it has, one sooner than the other.
+Learned as it comes, the first would make all others late. So while backlogs come in, what is ready
+waits a moment, and is then released by time, as far as every camera has come that has more to give.
+A backlog that ends before what has been released already is late anyway, and nobody waits for it.
 """
 
 from __future__ import annotations
@@ -22,13 +22,17 @@ BACKLOG_SECONDS = 2.0
 SETTLE_SECONDS = 1.5
 """After the first answer with a backlog, and after the last, so long is waited for others."""
 STUCK_SECONDS = 5.0
-"""A camera that has more, and has not given it for so long, is not waited for; nor, when none has more, for others."""
+"""A camera that has more, and has not given it for so long, is not waited for; nor, when none has
+more, for others.
+"""
 HOLD_SECONDS_MAX = 120.0
 """Nor is anything, longer than this altogether: a camera that floods may never come to its end."""
 
 
 class _Backlog(Struct):
-    """``reached``: event time up to which its camera has given all, while it has ``more``; ``answered``: when."""
+    """``reached``: event time up to which its camera has given all, while it has ``more``;
+    ``answered``: when.
+    """
 
     waiting: collections.deque[tuple[float, Received]] = field(default_factory=collections.deque)
     reached: float = -math.inf
@@ -67,16 +71,24 @@ class Merge:
         return backlog is not None and len(backlog.waiting) >= self._events_max
 
     def release(self, ready: list[Received], now: float, room: Callable[[], int]) -> list[Received]:
-        """What goes on: of these, and of what waits, then as many as there is ``room`` for. Each camera's in the order
-        it came.
+        """What goes on: of these, and of what waits, then as many as there is ``room`` for. Each
+        camera's in the order it came.
         """
         if self._began is not None:
             for received in ready:
                 waiting = self._backlogs.setdefault(received.entry.camera, _Backlog()).waiting
                 before = waiting[-1][0] if waiting else -math.inf
-                waiting.append((max(before, -math.inf if received.event is None else received.event.t), received))
+                waiting.append(
+                    (
+                        max(before, -math.inf if received.event is None else received.event.t),
+                        received,
+                    )
+                )
             ready = self._merged(self._horizon(now), room())
-        newest = max((received.event.t for received in ready if received.event is not None), default=-math.inf)
+        newest = max(
+            (received.event.t for received in ready if received.event is not None),
+            default=-math.inf,
+        )
         self._released = max(self._released, newest)
         return ready
 
@@ -93,8 +105,14 @@ class Merge:
         if now - self._began < SETTLE_SECONDS:
             return -math.inf
         for one in self._backlogs.values():
-            one.answered = now if one.waiting else one.answered  # it is not asked for more than may wait
-        come = [one.reached for one in self._backlogs.values() if one.more and now - one.answered < STUCK_SECONDS]
+            one.answered = (
+                now if one.waiting else one.answered
+            )  # it is not asked for more than may wait
+        come = [
+            one.reached
+            for one in self._backlogs.values()
+            if one.more and now - one.answered < STUCK_SECONDS
+        ]
         if come or any(map(self.full, self._backlogs)):
             return min(come, default=math.inf)
         return math.inf if now >= self._settled else -math.inf
@@ -102,7 +120,9 @@ class Merge:
     def _merged(self, horizon: float, most: int) -> list[Received]:
         if horizon == -math.inf:
             return []
-        heap = [(one.waiting[0][0], camera) for camera, one in self._backlogs.items() if one.waiting]
+        heap = [
+            (one.waiting[0][0], camera) for camera, one in self._backlogs.items() if one.waiting
+        ]
         heapq.heapify(heap)
         released: list[Received] = []
         while heap and heap[0][0] <= horizon and len(released) < most:

@@ -1,19 +1,22 @@
 """What is known of each camera that sends, and which of its events are to be believed.
 
-Clocks are not trusted. An event stamped far ahead of this machine's clock is set aside. One stamped a little ahead
-would make everybody else's late, as the learner's time is that of the newest event; so it, and what its camera sends
-after it, waits here until its time has come: a wild camera delays itself.
+Clocks are not trusted. An event stamped far ahead of this machine's clock is set aside. One stamped
+a little ahead would make everybody else's late, as the learner's time is that of the newest event;
+so it, and what its camera sends after it, waits here until its time has come: a wild camera delays
+itself.
 
-Cameras are taken at their word against this machine's clock as far as it is known to be behind: by how much it was set
-back, or is before the moment at which the newest entries were stored. Beyond that several boxes have to agree, each
-with one vote however many cameras it has, as the cameras of a box share its clock. When this machine's clock is set
-forward, so are the clocks of cameras on this machine, and event time would go with them: so that counts when it has
-lasted, or at once as far as cameras were ahead already. Where event time is ahead all the same it is taken back.
+Cameras are taken at their word against this machine's clock as far as it is known to be behind: by
+how much it was set back, or is before the moment at which the newest entries were stored. Beyond
+that several boxes have to agree, each with one vote however many cameras it has, as the cameras of
+a box share its clock. When this machine's clock is set forward, so are the clocks of cameras on
+this machine, and event time would go with them: so that counts when it has lasted, or at once as
+far as cameras were ahead already. Where event time is ahead all the same it is taken back.
 
-A camera that has more events within a second than any view can show floods; what is too much is not learned.
+A camera that has more events within a second than any view can show floods; what is too much is not
+learned.
 
-Names can be invented, so places are limited. When all are taken, one that has been silent for an hour is given away,
-and to a camera whose grabber has been seen alive that of one that merely sends.
+Names can be invented, so places are limited. When all are taken, one that has been silent for an
+hour is given away, and to a camera whose grabber has been seen alive that of one that merely sends.
 """
 
 from __future__ import annotations
@@ -35,9 +38,13 @@ from camtopod.serve.storage import Entry, Rewind
 log = logging.getLogger(__name__)
 
 EARLY_SECONDS_MAX = 1.0
-"""An event this far ahead of the clock is taken at once; far below the lateness that the learner allows for."""
+"""An event this far ahead of the clock is taken at once; far below the lateness that the learner
+allows for.
+"""
 VOTES_MIN = 3
-"""Boxes heard lately that have to agree before this machine's clock is doubted beyond what is known of it."""
+"""Boxes heard lately that have to agree before this machine's clock is doubted beyond what is known
+of it.
+"""
 LEADS_SECONDS = 60.0
 """Heard lately."""
 LOOK_SECONDS = 1.0
@@ -45,10 +52,12 @@ LOOK_SECONDS = 1.0
 STEP_SECONDS_MIN = 5.0
 """This machine's clock is set when it moves so much against the one that does not step."""
 BELIEVED_SECONDS = 600.0
-"""A clock that was set forward is believed when it has stayed so for this long, by the one that does not step."""
+"""A clock that was set forward is believed when it has stayed so for this long, by the one that
+does not step.
+"""
 REWIND_SECONDS = 10.0
-"""Event time that has been ahead for so long is taken back; when this machine's clock was set back it has to have been
-for `BELIEVED_SECONDS`, as that may have been the mistake."""
+"""Event time that has been ahead for so long is taken back; when this machine's clock was set back
+it has to have been for `BELIEVED_SECONDS`, as that may have been the mistake."""
 DOUBLED_SECONDS = 600.0
 """How long the status mentions a camera after two programs were seen to publish it."""
 FLOOD_SECONDS_KEPT = 128
@@ -64,7 +73,9 @@ NAMED_MAX = 3
 
 
 class Received(Struct, frozen=True, gc=False):
-    """On its way into the journal: an event (none if it is not to be learned), an advance of event time, a rewind."""
+    """On its way into the journal: an event (none if it is not to be learned), an advance of event
+    time, a rewind.
+    """
 
     entry: Entry
     event: Event | None = None
@@ -73,9 +84,10 @@ class Received(Struct, frozen=True, gc=False):
 
 
 class Camera(Struct):
-    """``heard``: when something of it came last (steady). ``lead``: seconds by which what came fresh from it was ahead
-    of this machine's clock, and ``lead_at``: when that was; ``box``: whose clock it has, "" if that is not known.
-    ``publisher``: whose events come fresh; ``doubled``: when two were last seen to publish at the same time (steady).
+    """``heard``: when something of it came last (steady). ``lead``: seconds by which what came
+    fresh from it was ahead of this machine's clock, and ``lead_at``: when that was; ``box``: whose
+    clock it has, "" if that is not known. ``publisher``: whose events come fresh; ``doubled``: when
+    two were last seen to publish at the same time (steady).
     """
 
     heard: float
@@ -91,13 +103,16 @@ class Camera(Struct):
 
 
 class Cameras:
-    """At most ``limits.cameras_max``. ``now`` is always of a clock that never steps, ``wall`` is seconds since 1970.
+    """At most ``limits.cameras_max``. ``now`` is always of a clock that never steps, ``wall`` is
+    seconds since 1970.
 
-    ``behind``: seconds by which this machine's clock is known to be behind from the beginning. ``boxes``: by camera the
-    certificate under which it is published, where there are certificates.
+    ``behind``: seconds by which this machine's clock is known to be behind from the beginning.
+    ``boxes``: by camera the certificate under which it is published, where there are certificates.
     """
 
-    def __init__(self, limits: Limits, behind: float = 0.0, boxes: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, limits: Limits, behind: float = 0.0, boxes: Mapping[str, str] | None = None
+    ) -> None:
         self.limits = limits
         self._boxes = boxes or {}
         self._cameras: dict[str, Camera] = {}
@@ -108,19 +123,24 @@ class Cameras:
         self._beside: float | None = None  # this machine's clock less the one that does not step
         self._noticed = -math.inf  # when that was looked at last
         self._set_back = max(0.0, behind)
-        self._doubted: list[tuple[float, float]] = []  # when it was set forward, and by how much; oldest first
+        self._doubted: list[
+            tuple[float, float]
+        ] = []  # when it was set forward, and by how much; oldest first
         self._restored = -math.inf  # when that was last undone
         self._ahead_since: float | None = None  # event time, of this machine's clock (steady)
         self.clock_ahead = 0.0
         """Seconds by which this machine's clock has been set forward that are not believed yet."""
         self.clock_behind = 0.0
-        """Seconds by which most cameras are ahead of this machine's clock, less those that are not believed."""
+        """Seconds by which most cameras are ahead of this machine's clock, less those that are not
+        believed.
+        """
 
     def __contains__(self, name: object) -> bool:
         return name in self._cameras
 
     def admit(self, name: str, now: float, with_publisher: Set[str] = frozenset()) -> bool:
-        """Whether there is room for this camera, of which something came; it has a place from now on.
+        """Whether there is room for this camera, of which something came; it has a place from now
+        on.
 
         ``with_publisher``: cameras whose publisher has been seen alive.
         """
@@ -137,7 +157,9 @@ class Cameras:
         return True
 
     def _gives_way(self, now: float, with_publisher: Set[str], preferred: bool) -> str | None:
-        """The camera whose place may be given to another, to one without a publisher unless that is ``preferred``."""
+        """The camera whose place may be given to another, to one without a publisher unless that is
+        ``preferred``.
+        """
         if now < self._full_until and not preferred:
             return None
         may = [
@@ -152,17 +174,28 @@ class Cameras:
         return min(may)[-1]
 
     def crowded(self, now: float, with_publisher: Set[str] = frozenset()) -> str:
-        """Which cameras are refused as there are too many, and what to do; "" if none is. Any thread."""
+        """Which cameras are refused as there are too many, and what to do; "" if none is. Any
+        thread.
+        """
         cameras, lately = self._cameras.copy(), now - REFUSED_SECONDS
-        refused = [name for name, at in self._refused.copy().items() if at >= lately and name not in cameras]
+        refused = [
+            name
+            for name, at in self._refused.copy().items()
+            if at >= lately and name not in cameras
+        ]
         if not refused:
             return ""
         who, others = f"camera {refused[-1]} is", len(refused) - 1
         if others:
             least = "at least " if len(refused) == REFUSED_MAX else ""
             who = f"camera {refused[-1]} and {least}{others} other{'s' * (others > 1)} are"
-        fewest = sorted(cameras, key=lambda name: (name in with_publisher, cameras[name].events, name))[:NAMED_MAX]
-        named, most = ", ".join(f"{name} ({cameras[name].events})" for name in fewest), self.limits.cameras_max
+        fewest = sorted(
+            cameras, key=lambda name: (name in with_publisher, cameras[name].events, name)
+        )[:NAMED_MAX]
+        named, most = (
+            ", ".join(f"{name} ({cameras[name].events})" for name in fewest),
+            self.limits.cameras_max,
+        )
         return (
             f"{who} refused, as limits.cameras_max ({most}) is reached; the fewest events are those of {named}: if "
             "they are no cameras of this site, stop what sends them, and their places are free within an hour; "
@@ -170,8 +203,8 @@ class Cameras:
         )
 
     def is_future(self, event: Event, wall: float, now: float, fresh: bool, box: str = "") -> bool:
-        """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too far ahead to be
-        true. ``box``: whose clock has stamped it, as its publisher says.
+        """Whether an event that arrives now (``fresh`` from the camera, or out of a spool) is too
+        far ahead to be true. ``box``: whose clock has stamped it, as its publisher says.
         """
         self._notice_step(wall - now, now)
         if fresh:
@@ -186,7 +219,9 @@ class Cameras:
         return event.t - wall > self.clock_behind + self.limits.future_seconds_max
 
     def note(self, event: Event) -> bool:
-        """It is about to be stored; False if its camera has had too many events in this second, for it to count too."""
+        """It is about to be stored; False if its camera has had too many events in this second, for
+        it to count too.
+        """
         camera = self._cameras.get(event.camera) or self._place(event.camera)
         t, seconds = event.t, camera.seconds
         second = int(t)
@@ -203,7 +238,9 @@ class Cameras:
 
     def full(self, name: str) -> bool:
         """Whether no more of this camera's events can wait for their time."""
-        return name in self._waiting and len(self._place(name).waiting) >= self.limits.held_events_max
+        return (
+            name in self._waiting and len(self._place(name).waiting) >= self.limits.held_events_max
+        )
 
     def in_time(self, ready: list[Received], wall: float, now: float) -> list[Received]:
         """Those whose time has come, of these and of what waits; in order for each camera."""
@@ -227,7 +264,9 @@ class Cameras:
         return sum(len(cameras[name].waiting) for name in self._waiting.copy() if name in cameras)
 
     def status(self) -> dict[str, dict[str, Any]]:
-        """For each camera what the status says; ``ahead``: of this machine's clock, in seconds, or None. Any thread."""
+        """For each camera what the status says; ``ahead``: of this machine's clock, in seconds, or
+        None. Any thread.
+        """
         return {
             name: {
                 "events": one.events,
@@ -239,7 +278,9 @@ class Cameras:
         }
 
     def reason(self, watermark: float, wall: float) -> str:
-        """Why what comes is not learned, and what to do; "" if it is. ``watermark``: nothing older is. Any thread."""
+        """Why what comes is not learned, and what to do; "" if it is. ``watermark``: nothing older
+        is. Any thread.
+        """
         if self.clock_ahead > self.limits.future_seconds_max:
             return (
                 f"this machine's clock was set forward by {self.clock_ahead:.0f} s: events of that time are set aside, "
@@ -256,8 +297,8 @@ class Cameras:
         return ""
 
     def wild(self, now: float) -> str:
-        """Which cameras have clocks so far ahead that their events are set aside, by box; "" if there are none. Any
-        thread.
+        """Which cameras have clocks so far ahead that their events are set aside, by box; "" if
+        there are none. Any thread.
         """
         boxes: dict[tuple[str, float], list[str]] = {}
         for name, camera in sorted(self._cameras.copy().items()):
@@ -272,13 +313,17 @@ class Cameras:
 
     def doubled(self, now: float) -> str:
         """Which cameras two programs publish at the same time; "" if none are. Any thread."""
-        names = [name for name, one in sorted(self._cameras.copy().items()) if now - one.doubled <= DOUBLED_SECONDS]
+        names = [
+            name
+            for name, one in sorted(self._cameras.copy().items())
+            if now - one.doubled <= DOUBLED_SECONDS
+        ]
         what = "two programs at the same time publish"
         return f"{what} {_in_words(names)}: give what one of them sees another id" if names else ""
 
     def rewind_to(self, watermark: float | None, wall: float, now: float) -> float | None:
-        """To which moment (Unix seconds) event time is to be taken back now, as it has been ahead of what this
-        machine's clock and the cameras say for long enough; None: not now.
+        """To which moment (Unix seconds) event time is to be taken back now, as it has been ahead
+        of what this machine's clock and the cameras say for long enough; None: not now.
         """
         right = wall + self.clock_behind
         doubtful = self.clock_ahead > 0.0 or (self._set_back > 0.0 and not self._leads(now))
@@ -297,14 +342,18 @@ class Cameras:
         return BELIEVED_SECONDS if self._set_back > 0.0 else REWIND_SECONDS
 
     def _place(self, name: str) -> Camera:
-        """A camera's; made anew if it was given away while something of the camera was still under way."""
+        """A camera's; made anew if it was given away while something of the camera was still under
+        way.
+        """
         camera = self._cameras.get(name)
         if camera is None:
             camera = self._cameras[name] = Camera(-math.inf)
         return camera
 
     def _leads(self, now: float) -> list[float]:
-        """Of the boxes heard lately, each the median of its cameras; the cameras of unknown boxes are taken for one."""
+        """Of the boxes heard lately, each the median of its cameras; the cameras of unknown boxes
+        are taken for one.
+        """
         boxes: dict[str, list[float]] = {}
         for camera in self._cameras.values():
             if now - camera.lead_at <= LEADS_SECONDS:
@@ -312,7 +361,9 @@ class Cameras:
         return [statistics.median_low(leads) for leads in boxes.values()]
 
     def _look(self, now: float) -> None:
-        """Whether this machine's clock is behind. What was stamped by the wrong clock is no witness."""
+        """Whether this machine's clock is behind. What was stamped by the wrong clock is no
+        witness.
+        """
         leads = self._leads(now)
         behind = max(0.0, statistics.median_low(leads)) if leads else 0.0
         if len(leads) < VOTES_MIN or now - self._restored <= LEADS_SECONDS:
@@ -320,7 +371,9 @@ class Cameras:
         self.clock_behind = behind - self.clock_ahead
 
     def _notice_step(self, beside: float, now: float) -> None:
-        """This machine's clock may have been set; ``beside``: it less the one that does not step, now."""
+        """This machine's clock may have been set; ``beside``: it less the one that does not step,
+        now.
+        """
         if now == self._noticed and beside == self._beside:
             return
         step = beside - (beside if self._beside is None else self._beside)
@@ -332,7 +385,9 @@ class Cameras:
         lasted = [seconds for since, seconds in self._doubted if now - since >= BELIEVED_SECONDS]
         if lasted:
             del self._doubted[: len(lasted)]
-            log.warning("this machine's clock has stayed %.0f s further on: it is believed now", sum(lasted))
+            log.warning(
+                "this machine's clock has stayed %.0f s further on: it is believed now", sum(lasted)
+            )
         if lasted or abs(step) >= STEP_SECONDS_MIN:
             self.clock_ahead = sum(seconds for _, seconds in self._doubted)
             for camera in self._cameras.values():
@@ -348,8 +403,9 @@ class Cameras:
             self._doubted.append((now, doubted))
             log.warning(
                 "this machine's clock was set forward by %.0f s: it is believed when it has stayed so for %g s",
-                doubted, BELIEVED_SECONDS,
-            )  # fmt: skip
+                doubted,
+                BELIEVED_SECONDS,
+            )
 
     def _go_back(self, step: float, now: float) -> None:
         while self._doubted and step > 0.0:

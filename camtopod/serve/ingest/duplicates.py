@@ -1,6 +1,6 @@
-"""Events that come under a number that is taken: nearly always the same event once more. Where it is another one, a
-publisher has gone back in time (a virtual machine set back while it ran), or two share their numbers; then something
-is not stored, and that is said.
+"""Events that come under a number that is taken: nearly always the same event once more. Where it
+is another one, a publisher has gone back in time (a virtual machine set back while it ran), or two
+share their numbers; then something is not stored, and that is said.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Duplicates:
             self._waiting.append(entry)
 
     def compare(self, stored: Mapping[Key, int]) -> None:
-        """Compare some of those noted. ``stored``: the highest seq of each stream that is stored; what is above waits.
-        Raises `sqlite3.Error`.
+        """Compare some of those noted. ``stored``: the highest seq of each stream that is stored;
+        what is above waits. Raises `sqlite3.Error`.
         """
         for _ in range(min(len(self._waiting), COMPARED_MAX)):
             entry = self._waiting.popleft()

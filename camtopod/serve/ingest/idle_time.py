@@ -6,17 +6,24 @@ from collections.abc import Iterable
 
 
 class EventTime:
-    """When events in step with the clock have stopped and the learner waits for time, time follows the clock.
+    """When events in step with the clock have stopped and the learner waits for time, time follows
+    the clock.
 
     By the clock that does not step: when somebody sets this machine's clock, event time stays.
     """
 
     def __init__(self) -> None:
-        self._live: tuple[float, float, float] | None = None  # newest event time in step; wall and steady clock then
+        self._live: tuple[float, float, float] | None = (
+            None  # newest event time in step; wall and steady clock then
+        )
         self.deadline: float | None = None
-        """Event time at which the learner wants to be told that time went on; set from any thread."""
+        """Event time at which the learner wants to be told that time went on; set from any
+        thread.
+        """
 
-    def note(self, times: Iterable[float], wall: float, now: float, apart_seconds_max: float) -> None:
+    def note(
+        self, times: Iterable[float], wall: float, now: float, apart_seconds_max: float
+    ) -> None:
         """Times of events; in step are those no further from the clock."""
         newest = max((t for t in times if abs(t - wall) <= apart_seconds_max), default=None)
         if newest is not None:

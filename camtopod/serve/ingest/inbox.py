@@ -1,7 +1,9 @@
-"""What came in and is not yet stored: a queue for each camera, emptied in turns, so that a flood waits behind itself.
+"""What came in and is not yet stored: a queue for each camera, emptied in turns, so that a flood
+waits behind itself.
 
-Cameras never stored before share one queue, so a flood of made-up names has one camera's turn. When everything
-together is too much, it is the longest queue that loses its newest: what a spool has is pulled again later.
+Cameras never stored before share one queue, so a flood of made-up names has one camera's turn. When
+everything together is too much, it is the longest queue that loses its newest: what a spool has is
+pulled again later.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ STRANGERS = ""
 
 
 class Message(Struct, frozen=True, gc=False):
-    """A publication on ``event/{camera}``; ``box``: whose clock has stamped it, "" if its publisher does not say."""
+    """A publication on ``event/{camera}``; ``box``: whose clock has stamped it, "" if its publisher
+    does not say.
+    """
 
     camera: str
     raw: bytes
@@ -28,14 +32,22 @@ class Message(Struct, frozen=True, gc=False):
 class Inbox:
     """`put` never blocks and may be called from any thread; `take` from one.
 
-    ``known(camera)``: whether it has a queue of its own. At most ``events_max`` wait, ``camera_events_max`` of them
-    in one queue; ``quantum`` is what a queue gives in its turn.
+    ``known(camera)``: whether it has a queue of its own. At most ``events_max`` wait,
+    ``camera_events_max`` of them in one queue; ``quantum`` is what a queue gives in its turn.
     """
 
-    def __init__(self, events_max: int, camera_events_max: int, quantum: int, known: Callable[[str], bool]) -> None:
-        self._events_max, self._camera_events_max, self._quantum = events_max, camera_events_max, quantum
+    def __init__(
+        self, events_max: int, camera_events_max: int, quantum: int, known: Callable[[str], bool]
+    ) -> None:
+        self._events_max, self._camera_events_max, self._quantum = (
+            events_max,
+            camera_events_max,
+            quantum,
+        )
         self._known = known
-        self._queues: dict[str, collections.deque[tuple[int, Message]]] = {}  # by whose turn it is; none is empty
+        self._queues: dict[
+            str, collections.deque[tuple[int, Message]]
+        ] = {}  # by whose turn it is; none is empty
         self._waiting = 0
         self._arrived = 0
         self._changed = threading.Condition()
@@ -89,13 +101,18 @@ class Inbox:
                 self._changed.wait(seconds)
 
     def take(self, most: int) -> list[Message]:
-        """Up to ``most`` messages, chosen in turns; in the order they came, or else quick cameras would be late."""
+        """Up to ``most`` messages, chosen in turns; in the order they came, or else quick cameras
+        would be late.
+        """
         taken: list[tuple[int, Message]] = []
         with self._changed:
             while len(taken) < most and self._queues:
                 name = next(iter(self._queues))
                 queue = self._queues.pop(name)
-                taken += [queue.popleft() for _ in range(min(self._quantum, most - len(taken), len(queue)))]
+                taken += [
+                    queue.popleft()
+                    for _ in range(min(self._quantum, most - len(taken), len(queue)))
+                ]
                 if queue:
                     self._queues[name] = queue  # behind the others
             self._waiting -= len(taken)

@@ -1,4 +1,6 @@
-"""Asks the publishers' spools for what has not arrived: at a gap, when one appears, and once a second."""
+"""Asks the publishers' spools for what has not arrived: at a gap, when one appears, and once a
+second.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,14 @@ _GAP_PULLS_SECONDS = 0.1
 _ROUNDS_MAX = 20
 """Answers taken in a row from one spool before it is another's turn."""
 _BOOT = re.compile(CAMERA_PATTERN)
-"""A boot that can be asked for; for another the spool is asked what is oldest, which comes to the same in the end."""
+"""A boot that can be asked for; for another the spool is asked what is oldest, which comes to the
+same in the end.
+"""
 
 
 class Puller:
-    """``wanted(camera)``: the (boot, seq) to ask from, or None; ``deliver`` takes an answer, or refuses;
-    ``daemon``: its name.
+    """``wanted(camera)``: the (boot, seq) to ask from, or None; ``deliver`` takes an answer, or
+    refuses; ``daemon``: its name.
     """
 
     def __init__(
@@ -49,7 +53,9 @@ class Puller:
         self._wanted, self._deliver = wanted, deliver
         self._poke = poke
         self._mutex = threading.Lock()
-        self._asking: dict[str, float] = {}  # camera -> when its last question was put; infinity: not yet
+        self._asking: dict[
+            str, float
+        ] = {}  # camera -> when its last question was put; infinity: not yet
         self.alive: set[str] = set()
         """Cameras whose publisher is there."""
         self.pulls = 0
@@ -118,14 +124,19 @@ class Puller:
                 self._rejects.add(error.reason, f"spool/{camera}", str(error), payload)
                 continue
             delivered = self._deliver(Pulled(batch, start if batch.boot == boot else -1))
-            if delivered and batch.more and batch.events and (batch.boot != boot or batch.events[-1][0] >= start):
+            if (
+                delivered
+                and batch.more
+                and batch.events
+                and (batch.boot != boot or batch.events[-1][0] >= start)
+            ):
                 following = (batch.boot, batch.events[-1][0] + 1)
         return following
 
 
 def read_batch(payload: bytes, camera: str, most: int) -> SpoolBatch:
-    """The answer of a camera's spool, of at most ``most`` events. Raises `codec.Rejected` also for one that contradicts
-    itself.
+    """The answer of a camera's spool, of at most ``most`` events. Raises `codec.Rejected` also for
+    one that contradicts itself.
     """
     batch = codec.read(SpoolBatch, payload, pack=True)
     if batch.camera != camera:

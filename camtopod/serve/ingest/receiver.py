@@ -1,9 +1,10 @@
 """From bytes on the bus to events in the journal, in order, once each; and the acks for them.
 
-What comes is put in order and shown to the live predictions by the thread that has heard it, so that it waits for no
-other; more than is dealt with at once waits in the bounded inbox, and what is due without a message is for another
-thread. Only one of the two is at it at a time. A third owns the journal: it commits what is ready, so many at a time as
-have come meanwhile, then hands it on to the learner, in the same order, and acknowledges it.
+What comes is put in order and shown to the live predictions by the thread that has heard it, so
+that it waits for no other; more than is dealt with at once waits in the bounded inbox, and what is
+due without a message is for another thread. Only one of the two is at it at a time. A third owns
+the journal: it commits what is ready, so many at a time as have come meanwhile, then hands it on to
+the learner, in the same order, and acknowledges it.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ _QUANTUM_EVENTS = 100
 PREDICT_SECONDS_MAX = 0.25
 """For the predictions of what is ready at a time; ..."""
 BUSY_EVENTS, PREDICT_SECONDS_BUSY = 1_000, 0.002
-"""... when so many wait in the inbox only so long, as predictions that are late help nobody and events come first."""
+"""... when so many wait in the inbox only so long, as predictions that are late help nobody and
+events come first.
+"""
 _SHOWN_EVENTS = 20
 """So often it is looked whether so many wait meanwhile."""
 _HUSH_SECONDS = 1.0
@@ -54,7 +57,9 @@ _HUSH_SECONDS = 1.0
 BOX_BYTES_MAX = 64
 """Of what a publisher says of its box."""
 BOOTS_MAX = 16
-"""Incarnations of one camera's publisher that are followed; the one not heard for longest is forgotten."""
+"""Incarnations of one camera's publisher that are followed; the one not heard for longest is
+forgotten.
+"""
 
 
 class Pulled(NamedTuple):
@@ -65,15 +70,16 @@ class Pulled(NamedTuple):
 
 
 class Receiver:
-    """Give it an ear for the events, or bytes with `on_event`, and with `on_pulled` (any thread); and run `work`,
-    `store` and, with an ear, `listen` in a thread each.
+    """Give it an ear for the events, or bytes with `on_event`, and with `on_pulled` (any thread);
+    and run `work`, `store` and, with an ear, `listen` in a thread each.
 
-    ``see`` is shown what is about to be stored, once, in journal order, and may take so many seconds for it; ``learn``
-    takes it when it is stored, and must not block; ``room()``: how many ``learn`` takes. ``publish``: called with each
-    version after it is stored. ``owns``: the cameras whose events it is for this daemon to acknowledge; ``daemon``: its
-    name; ``learned_time``: event time as the learner has it after what is stored; ``boxes``: as of `Cameras`.
-    ``corrected``: called with the Unix seconds to which event time is to be taken back; returns the epoch that ends and
-    the one that begins.
+    ``see`` is shown what is about to be stored, once, in journal order, and may take so many
+    seconds for it; ``learn`` takes it when it is stored, and must not block; ``room()``: how many
+    ``learn`` takes. ``publish``: called with each version after it is stored. ``owns``: the cameras
+    whose events it is for this daemon to acknowledge; ``daemon``: its name; ``learned_time``: event
+    time as the learner has it after what is stored; ``boxes``: as of `Cameras`. ``corrected``:
+    called with the Unix seconds to which event time is to be taken back; returns the epoch that
+    ends and the one that begins.
     """
 
     def __init__(
@@ -116,20 +122,26 @@ class Receiver:
         self.duplicates = Duplicates(journal, self._steady)
         self._ready = Handover()
         self._event_time = EventTime()
-        self.streams: Streams[Received] = Streams(stored, limits.held_events_max, limits.streams_max, BOOTS_MAX, owns)
+        self.streams: Streams[Received] = Streams(
+            stored, limits.held_events_max, limits.streams_max, BOOTS_MAX, owns
+        )
         heard = dict.fromkeys(camera for camera, _ in reversed(stored))  # those heard last first
         for camera in list(heard)[: limits.cameras_max]:
             self.cameras.admit(camera, self._steady())
         self.with_spool: set[str] = set()
         """Cameras whose publisher has been seen alive, so that it has a spool."""
         self.rejects = Rejects()
-        self.counts = dict.fromkeys(("received", "stored", "duplicate", "future", "flood", "held_full", "refilled"), 0)
+        self.counts = dict.fromkeys(
+            ("received", "stored", "duplicate", "future", "flood", "held_full", "refilled"), 0
+        )
         self.gap = threading.Event()
         """Set when a gap appears: time to pull."""
         self._beat: Beat = no_beat
 
     def on_event(self, key: str, payload: bytes) -> None:
-        """A publication on ``event/{camera}``. Never blocks: what does not fit is left to the spool."""
+        """A publication on ``event/{camera}``. Never blocks: what does not fit is left to the
+        spool.
+        """
         self._inbox.put(_message(key, payload))
 
     def on_pulled(self, pulled: Pulled) -> bool:
@@ -154,17 +166,23 @@ class Receiver:
         self._event_time.deadline = deadline
 
     def use(self, limits: Limits) -> None:
-        """Obey other limits from now on, as far as they are not the sizes of what exists. Any thread."""
+        """Obey other limits from now on, as far as they are not the sizes of what exists. Any
+        thread.
+        """
         self._limits = self.cameras.limits = limits
 
     @property
     def crowded(self) -> str:
-        """Which cameras are refused as there are too many, and what to do; "" if none is. Any thread."""
+        """Which cameras are refused as there are too many, and what to do; "" if none is. Any
+        thread.
+        """
         return self.cameras.crowded(self._steady(), self.with_spool)
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Publications there was no room for, by camera ("": all that were unknown); a spool still has them."""
+        """Publications there was no room for, by camera ("": all that were unknown); a spool still
+        has them.
+        """
         return dict(self._inbox.dropped)
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
@@ -186,12 +204,19 @@ class Receiver:
             self._ready.end()
 
     def listen(self) -> None:
-        """Order what the ear hears until `work` ends that; what there is no room for now is left to `work`."""
+        """Order what the ear hears until `work` ends that; what there is no room for now is left to
+        `work`.
+        """
         if (ear := self.ear) is None:
             return
         try:
             while (heard := ear.take()) is not None:
-                if len(heard) == 1 and not self._inbox and self._room() > 0 and self._turn.acquire(blocking=False):
+                if (
+                    len(heard) == 1
+                    and not self._inbox
+                    and self._room() > 0
+                    and self._turn.acquire(blocking=False)
+                ):
                     try:  # as nearly always: what comes alone has nobody to wait for
                         self._round([_message(*heard[0])], ear)
                     finally:
@@ -239,11 +264,12 @@ class Receiver:
         return True
 
     def _round(self, messages: list[Message | Pulled], ear: Ear | None = None) -> None:
-        """From messages to what is ready to be stored. ``ear``: to be emptied now and then while that takes long.
+        """From messages to what is ready to be stored. ``ear``: to be emptied now and then while
+        that takes long.
 
-        Predictions do not wait for the disk: unlike an ack they promise nothing. Each event is shown for them once,
-        when its turn has come, and no duplicate or refused one comes so far. After a crash before the commit it comes
-        again.
+        Predictions do not wait for the disk: unlike an ack they promise nothing. Each event is
+        shown for them once, when its turn has come, and no duplicate or refused one comes so far.
+        After a crash before the commit it comes again.
         """
         now, wall = self._steady(), self._clock()
         ready: list[Received] = []
@@ -253,10 +279,16 @@ class Receiver:
             else:
                 ready += self._published(message, wall, now)
         ready += self.streams.give_up(time.monotonic(), self._limits.gap_seconds, self.with_spool)
-        ready = self.merge.release(self.cameras.in_time(ready, wall, now), time.monotonic(), self._room)
+        ready = self.merge.release(
+            self.cameras.in_time(ready, wall, now), time.monotonic(), self._room
+        )
         ready = self._without_floods(ready)
         if (advanced := self._event_time.went_on(now, self._limits.settle_seconds)) is not None:
-            ready.append(Received(Entry("advance", "", None, None, repr(advanced).encode()), advance=advanced))
+            ready.append(
+                Received(
+                    Entry("advance", "", None, None, repr(advanced).encode()), advance=advanced
+                )
+            )
         if ready:
             self._show(ready, ear)  # before anything else
             self._ready.put(ready)
@@ -268,7 +300,9 @@ class Receiver:
             self.gap.set()
 
     def _take_event_time_back(self) -> None:
-        """If a wrong clock had taken it along: an entry in the journal, which the learner obeys in its turn."""
+        """If a wrong clock had taken it along: an entry in the journal, which the learner obeys in
+        its turn.
+        """
         watermark = self._learned_time.watermark_us
         to = self.cameras.rewind_to(
             None if watermark is None else watermark / MICROSECONDS, self._clock(), self._steady()
@@ -278,8 +312,10 @@ class Receiver:
         ended, begun = self._corrected(to)
         log.error(
             "event time was %.0f s ahead of this machine's clock: what lies ahead is dropped, and event time goes on "
-            "from that clock, in epoch %s", (watermark or 0) / MICROSECONDS - to, begun,
-        )  # fmt: skip
+            "from that clock, in epoch %s",
+            (watermark or 0) / MICROSECONDS - to,
+            begun,
+        )
         entry, lesson = rewind(to, ended, begun)
         self._event_time.rewind()
         self.merge.rewind(to)
@@ -301,7 +337,9 @@ class Receiver:
                 self._note_heard(ear.take(wait=False))
 
     def _room(self) -> int:
-        """How many events may be put in order now: another transaction's worth while one is being stored."""
+        """How many events may be put in order now: another transaction's worth while one is being
+        stored.
+        """
         return min(2 * self._limits.commit_events_max, self._learner_room()) - self._ready.waiting
 
     def _wait(self) -> None:
@@ -332,7 +370,9 @@ class Receiver:
             self.rejects.add(error.reason, f"event/{camera}", str(error), raw)
             return []
         if event.camera != camera:
-            self.rejects.add("wrong-camera", f"event/{camera}", f"says camera {event.camera!r}", raw)
+            self.rejects.add(
+                "wrong-camera", f"event/{camera}", f"says camera {event.camera!r}", raw
+            )
             return []
         if not self._admitted(camera, now, raw):
             return []
@@ -347,14 +387,18 @@ class Receiver:
         ready = self.streams.begins_at(key, batch.first, time.monotonic())
         times = []
         for seq, raw in batch.events:
-            received = Received(Entry("refused", batch.camera, batch.boot, seq, raw[: codec.EVENT_BYTES_MAX]))
+            received = Received(
+                Entry("refused", batch.camera, batch.boot, seq, raw[: codec.EVENT_BYTES_MAX])
+            )
             try:
                 event = codec.event_from_bytes(raw)
                 if (event.camera, event.boot, event.seq) == (batch.camera, batch.boot, seq):
                     received = self._judge(event, raw, wall, now, fresh=False)
                     times.append(event.t)
                 else:
-                    self.rejects.add("wrong-camera", f"spool/{batch.camera}", "says another stream", raw)
+                    self.rejects.add(
+                        "wrong-camera", f"spool/{batch.camera}", "says another stream", raw
+                    )
             except codec.Rejected as error:
                 self.rejects.add(error.reason, f"spool/{batch.camera}", str(error), raw)
             ready += self._order(received)
@@ -366,27 +410,37 @@ class Receiver:
         return ready
 
     def _notice_loss(self, batch: SpoolBatch) -> None:
-        """Say it when a publisher has been told that more is stored than is: it is being filled in again."""
+        """Say it when a publisher has been told that more is stored than is: it is being filled in
+        again.
+        """
         stored = self._acks.stored.get((batch.camera, batch.boot), -1)
         missing = sum(stored < seq <= (batch.acked or 0) for seq, _ in batch.events)
         if missing and self._owns(batch.camera):
             if not self.counts["refilled"]:
                 log.error(
                     "the journal has come back shorter than it was: what camera %s had stored after %d, and perhaps "
-                    "others', is filled in from the spools", batch.camera, stored,
-                )  # fmt: skip
+                    "others', is filled in from the spools",
+                    batch.camera,
+                    stored,
+                )
             self.counts["refilled"] += missing
 
     def _admitted(self, camera: str, now: float, raw: bytes) -> bool:
         admitted = self.cameras.admit(camera, now, self.with_spool)
         if not admitted:
-            self.rejects.add("too-many-cameras", f"event/{camera}", "limits.cameras_max is reached", raw)
+            self.rejects.add(
+                "too-many-cameras", f"event/{camera}", "limits.cameras_max is reached", raw
+            )
         return admitted
 
-    def _judge(self, event: Event, raw: bytes, wall: float, now: float, fresh: bool, box: str = "") -> Received:
+    def _judge(
+        self, event: Event, raw: bytes, wall: float, now: float, fresh: bool, box: str = ""
+    ) -> Received:
         if self.cameras.is_future(event, wall, now, fresh, box):
             self.counts["future"] += 1
-            self.rejects.add("future", f"event/{event.camera}", "t is ahead of this machine's clock", raw)
+            self.rejects.add(
+                "future", f"event/{event.camera}", "t is ahead of this machine's clock", raw
+            )
             return Received(Entry("future", event.camera, event.boot, event.seq, raw))
         return Received(Entry("event", event.camera, event.boot, event.seq, raw), event)
 
@@ -407,13 +461,19 @@ class Receiver:
         elif verdict == "dropped":
             self.counts["held_full"] += 1
         elif verdict == "refused":
-            self.rejects.add("too-many-streams", f"event/{camera}", "limits.streams_max is reached", entry.raw)
+            self.rejects.add(
+                "too-many-streams", f"event/{camera}", "limits.streams_max is reached", entry.raw
+            )
         elif verdict == "jump":
-            self.rejects.add("seq-jump", f"event/{camera}", f"seq {seq} is too far ahead", entry.raw)
+            self.rejects.add(
+                "seq-jump", f"event/{camera}", f"seq {seq} is too far ahead", entry.raw
+            )
         return ready
 
     def _without_floods(self, ready: list[Received]) -> list[Received]:
-        """What a camera sends beyond what a view can show is not learned; of it only the count is stored."""
+        """What a camera sends beyond what a view can show is not learned; of it only the count is
+        stored.
+        """
         kept = []
         for received in ready:
             if received.event is not None and not self.cameras.note(received.event):
@@ -438,5 +498,11 @@ class Receiver:
 
 
 def _message(key: str, payload: bytes, attachment: bytes = b"") -> Message:
-    name = key.removeprefix("event/")[: CAMERA_CHARACTERS_MAX + 1]  # so much says that it is too long
-    return Message(name, payload[: codec.EVENT_BYTES_MAX + 1], attachment[:BOX_BYTES_MAX].decode("ascii", "replace"))
+    name = key.removeprefix("event/")[
+        : CAMERA_CHARACTERS_MAX + 1
+    ]  # so much says that it is too long
+    return Message(
+        name,
+        payload[: codec.EVENT_BYTES_MAX + 1],
+        attachment[:BOX_BYTES_MAX].decode("ascii", "replace"),
+    )

@@ -1,5 +1,5 @@
-"""Order within each (camera, boot): what comes next is ready, what came before is a duplicate, what comes too
-early waits for the gap to be filled from the publisher's spool. No I/O, no clock.
+"""Order within each (camera, boot): what comes next is ready, what came before is a duplicate, what
+comes too early waits for the gap to be filled from the publisher's spool. No I/O, no clock.
 
 Of each camera the streams heard last are followed, so that years of nightly reboots fill nothing.
 """
@@ -15,7 +15,9 @@ from msgspec import Struct
 FIRST_SEQS = (0, 1)
 """A stream seen for the first time may begin with one of these; a higher one is a gap."""
 JUMP_MAX = 1_000_000
-"""A seq further ahead than this is no gap but damage: believing it would make everything below it a duplicate."""
+"""A seq further ahead than this is no gap but damage: believing it would make everything below it a
+duplicate.
+"""
 COUNT_MAX = 2**63 - 1
 """A spool may say anything; larger numbers have no place in a status."""
 
@@ -27,8 +29,8 @@ T = TypeVar("T")
 class _Stream(Struct):
     """``next``: the lowest seq not ready yet, None for a stream never seen.
 
-    What the publisher's spool said of the gap: it ``lacks_next`` and goes on with ``goes_on``; the held seqs in
-    ``unknown`` it has never heard of.
+    What the publisher's spool said of the gap: it ``lacks_next`` and goes on with ``goes_on``; the
+    held seqs in ``unknown`` it has never heard of.
     """
 
     next: int | None
@@ -40,18 +42,29 @@ class _Stream(Struct):
 
 
 class Streams(Generic[T]):
-    """``stored``: the highest seq of each (camera, boot) in the journal, those heard last at the end.
+    """``stored``: the highest seq of each (camera, boot) in the journal, those heard last at the
+    end.
 
-    At most ``held_max`` items of one camera wait behind gaps. At most ``boots_max`` streams of one camera are
-    followed, and ``streams_max`` altogether; one that is complete and has not been heard for longest gives way.
-    Items are of the caller's kind. ``owns``: the cameras of which everything ought to come; of another one nobody has
-    lost what was not heard.
+    At most ``held_max`` items of one camera wait behind gaps. At most ``boots_max`` streams of one
+    camera are followed, and ``streams_max`` altogether; one that is complete and has not been heard
+    for longest gives way. Items are of the caller's kind. ``owns``: the cameras of which everything
+    ought to come; of another one nobody has lost what was not heard.
     """
 
     def __init__(
-        self, stored: dict[Key, int], held_max: int, streams_max: int, boots_max: int, owns: Callable[[str], bool]
+        self,
+        stored: dict[Key, int],
+        held_max: int,
+        streams_max: int,
+        boots_max: int,
+        owns: Callable[[str], bool],
     ) -> None:
-        self._held_max, self._streams_max, self._boots_max, self._owns = held_max, streams_max, boots_max, owns
+        self._held_max, self._streams_max, self._boots_max, self._owns = (
+            held_max,
+            streams_max,
+            boots_max,
+            owns,
+        )
         self._streams: dict[Key, _Stream] = {}  # the one heard last is last, here and in _boots
         self._boots: dict[str, dict[str, None]] = {}
         self._held: collections.Counter[str] = collections.Counter()
@@ -60,7 +73,9 @@ class Streams(Generic[T]):
         self.lost = 0
         """Events given up: in nobody's spool, or from a publisher without one."""
         self.unknown = 0
-        """Events thrown away that waited behind a gap and are not in the spool they should have come from."""
+        """Events thrown away that waited behind a gap and are not in the spool they should have
+        come from.
+        """
         for key, seq in stored.items():
             if self._room_for(key):
                 self._add(key, _Stream(seq + 1, {}))
@@ -68,8 +83,8 @@ class Streams(Generic[T]):
     def offer(self, key: Key, seq: int, item: T, now: float) -> tuple[Verdict, list[T]]:
         """One event of stream ``key``; returns its verdict and what is ready now, in order.
 
-        ``dropped``: too many are held back already, it will have to be pulled. ``refused``: too many streams.
-        ``jump``: too far ahead to be true.
+        ``dropped``: too many are held back already, it will have to be pulled. ``refused``: too
+        many streams. ``jump``: too far ahead to be true.
         """
         stream = self._heard(key)
         if stream is None:
@@ -97,17 +112,23 @@ class Streams(Generic[T]):
         return "held", []
 
     def begins_at(self, key: Key, first: int, now: float) -> list[T]:
-        """The spool says that it has nothing below ``first``: what is still missing there is lost."""
+        """The spool says that it has nothing below ``first``: what is still missing there is
+        lost.
+        """
         stream = self._heard(key)
         if stream is None or (stream.next is not None and stream.next >= first):
             return []
         return self._skip_to(key, stream, first, now)
 
-    def answered(self, key: Key, asked_from: int, seqs: Sequence[int], more: bool, knows: bool = True) -> None:
-        """A spool gave ``seqs``, rising, of what it has from ``asked_from`` on; were there ``more``?
+    def answered(
+        self, key: Key, asked_from: int, seqs: Sequence[int], more: bool, knows: bool = True
+    ) -> None:
+        """A spool gave ``seqs``, rising, of what it has from ``asked_from`` on; were there
+        ``more``?
 
-        If the gap is still there it cannot fill it. A spool that does not even know the boot says nothing about what
-        is held; one that does had every event before it was put, so what it lacks twice is nobody's.
+        If the gap is still there it cannot fill it. A spool that does not even know the boot says
+        nothing about what is held; one that does had every event before it was put, so what it
+        lacks twice is nobody's.
         """
         stream = self._streams.get(key)
         if stream is None or not stream.held or (stream.next or 0) < asked_from:
@@ -136,11 +157,15 @@ class Streams(Generic[T]):
             hopeless = stream.lacks_next or key[0] not in has_spool
             if hopeless and now - stream.gap_since >= gap_seconds:
                 lowest = min(stream.held)
-                ready += self._skip_to(key, stream, lowest if stream.goes_on is None else stream.goes_on, now)
+                ready += self._skip_to(
+                    key, stream, lowest if stream.goes_on is None else stream.goes_on, now
+                )
         return ready
 
     def wanted(self, camera: str) -> tuple[str, int] | None:
-        """(boot, lowest seq not ready yet) of a camera's newest stream, to ask its spool for. Any thread."""
+        """(boot, lowest seq not ready yet) of a camera's newest stream, to ask its spool for. Any
+        thread.
+        """
         boots = list(self._boots.get(camera, ()))
         stream = self._streams.get((camera, boots[-1])) if boots else None
         return None if stream is None else (boots[-1], stream.next or 0)
@@ -163,7 +188,9 @@ class Streams(Generic[T]):
         return len(self._streams)
 
     def _heard(self, key: Key) -> _Stream | None:
-        """The stream, now the one heard last; None if there are too many and none of them can be forgotten."""
+        """The stream, now the one heard last; None if there are too many and none of them can be
+        forgotten.
+        """
         stream = self._streams.pop(key, None)
         if stream is None:
             if not self._room_for(key):
@@ -182,8 +209,8 @@ class Streams(Generic[T]):
         boots[key[1]] = None
 
     def _room_for(self, key: Key) -> bool:
-        """Make room for one more, by forgetting the complete stream that has not been heard for longest: of the camera
-        if it has too many, else of all.
+        """Make room for one more, by forgetting the complete stream that has not been heard for
+        longest: of the camera if it has too many, else of all.
         """
         boots = self._boots.get(key[0], {})
         if len(boots) < self._boots_max and len(self._streams) < self._streams_max:

@@ -1,5 +1,5 @@
-"""What is ready and not yet stored, on its way from the thread that orders to the one that stores, so that a disk that
-is slow holds up no prediction.
+"""What is ready and not yet stored, on its way from the thread that orders to the one that stores,
+so that a disk that is slow holds up no prediction.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Handover:
             self._changed.notify_all()
 
     def take(self, most: int, seconds: float, more_seconds: float) -> list[Received]:
-        """Up to ``most`` that wait, or that come within ``seconds`` and ``more_seconds`` after the first; they count
-        until `done`.
+        """Up to ``most`` that wait, or that come within ``seconds`` and ``more_seconds`` after the
+        first; they count until `done`.
         """
         with self._changed:
             if not self._ready and not self._ended:

@@ -5,7 +5,13 @@ from __future__ import annotations
 from camtopod.serve.learner_process.feeder import Learning
 from camtopod.serve.learner_process.messages import Portion, Told
 from camtopod.serve.learner_process.process import LearnerProcess
-from camtopod.serve.learner_process.recovery import Recovered, newest_topology, recent_events, recover, told_by
+from camtopod.serve.learner_process.recovery import (
+    Recovered,
+    newest_topology,
+    recent_events,
+    recover,
+    told_by,
+)
 
 __all__ = [
     "LearnerProcess",

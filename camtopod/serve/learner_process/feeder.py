@@ -1,7 +1,7 @@
-"""What the learner is taught, in what order, and what becomes of it: what the journal has beyond the snapshot, then
-what comes, and again from the journal what has come meanwhile when that is more than is kept in memory. The learning
-itself is done in a process of its own, so that a refit holds nothing up; order, ledger and failures are looked after
-here.
+"""What the learner is taught, in what order, and what becomes of it: what the journal has beyond
+the snapshot, then what comes, and again from the journal what has come meanwhile when that is more
+than is kept in memory. The learning itself is done in a process of its own, so that a refit holds
+nothing up; order, ledger and failures are looked after here.
 """
 
 from __future__ import annotations
@@ -44,13 +44,19 @@ FINISH_SECONDS = 3.0
 SAVE_SECONDS_MAX = 3.0
 """And the snapshot of the end."""
 GATHER_SECONDS = 0.02
-"""What comes within this time is taught together: a message for each event would cost more than learning it."""
+"""What comes within this time is taught together: a message for each event would cost more than
+learning it.
+"""
 QUEUED_EVENTS_MAX = 20_000
 """Kept in memory for the learner, beside the journal, from which what is more is read again."""
 THOROUGH_EVERY = 250
-"""Versions until it is looked for what would otherwise stay in memory for ever; it holds everything up for a moment."""
+"""Versions until it is looked for what would otherwise stay in memory for ever; it holds everything
+up for a moment.
+"""
 GIVE_WAY_SECONDS = 0.0001
-"""Whoever wants the interpreter while a version is made ready has it after this; a prediction wants it often."""
+"""Whoever wants the interpreter while a version is made ready has it after this; a prediction wants
+it often.
+"""
 REFUSED_SECONDS = 60.0
 """It is said that cameras are refused for so long after an event of one."""
 _TICK_SECONDS = 0.2
@@ -58,9 +64,10 @@ _PROGRESS_ENTRIES = 200_000
 
 
 class Learning:
-    """Teaches the learner of ``process``, for which it is the only one to ask. Its thread gives each new version to
-    ``on_version``, and whether that is hurried; snapshots to ``on_snapshot`` (each after the versions it has in it),
-    and the deadline to ``on_deadline``; ``new_epoch`` begins and stores an epoch.
+    """Teaches the learner of ``process``, for which it is the only one to ask. Its thread gives
+    each new version to ``on_version``, and whether that is hurried; snapshots to ``on_snapshot``
+    (each after the versions it has in it), and the deadline to ``on_deadline``; ``new_epoch``
+    begins and stores an epoch.
     """
 
     def __init__(
@@ -78,7 +85,11 @@ class Learning:
         self.position, self.epoch, taught, self.left_out = recovered
         self._process, self._journal = process, journal
         self._events_max, self._snapshot_events = events_max, snapshot_events
-        self._on_version, self._on_snapshot, self._on_deadline = on_version, on_snapshot, on_deadline
+        self._on_version, self._on_snapshot, self._on_deadline = (
+            on_version,
+            on_snapshot,
+            on_deadline,
+        )
         self._new_epoch = new_epoch
         self._replay_until = self._stored = len(journal)
         self._saved = self.position
@@ -109,7 +120,9 @@ class Learning:
             if self._behind:
                 return
             self._queued += len(batch)
-        self._queue.put([one.entry.raw if one.event is not None else one.rewind or one.advance for one in batch])
+        self._queue.put(
+            [one.entry.raw if one.event is not None else one.rewind or one.advance for one in batch]
+        )
 
     def room(self) -> int:
         """How many events may be fed at the moment."""
@@ -127,7 +140,9 @@ class Learning:
 
     @property
     def crowded(self) -> str:
-        """Why some cameras are stored and not learned, and what to do; "" if none is. Any thread."""
+        """Why some cameras are stored and not learned, and what to do; "" if none is. Any
+        thread.
+        """
         if time.monotonic() - self._refused_at > REFUSED_SECONDS:
             return ""
         return (
@@ -136,7 +151,9 @@ class Learning:
         )
 
     def work(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
-        """Teach until ``stopping``; what is not learned by then is in the journal. Raises `LearnerEnded`."""
+        """Teach until ``stopping``; what is not learned by then is in the journal. Raises
+        `LearnerEnded`.
+        """
         try:
             self._learn(Refresh(self.position), stopping, beat)
             while not stopping.is_set():
@@ -148,13 +165,16 @@ class Learning:
             if stopping.is_set():
                 return
             if ended.at:
-                killed, out_of_memory = ended.status == -signal.SIGKILL, ended.status == OUT_OF_MEMORY
+                killed, out_of_memory = (
+                    ended.status == -signal.SIGKILL,
+                    ended.status == OUT_OF_MEMORY,
+                )
                 note_failure(self._journal, ended.at, killed, out_of_memory)
             raise
 
     def snapshot(self) -> Snapshot | None:
-        """The learner as it is, for the next start; None if nothing has been learned since the last, or if it is in the
-        middle of something. Only while `work` does not run.
+        """The learner as it is, for the next start; None if nothing has been learned since the
+        last, or if it is in the middle of something. Only while `work` does not run.
         """
         if self._busy or (self.position == self._saved and not self._due):
             return None
@@ -185,7 +205,10 @@ class Learning:
                 log.info("replayed %d of %d journal entries", number - begun, until - begun)
         self.position = max(self.position, until)
         if self.damaged > damaged:
-            log.error("%d damaged entries of the journal are left out; they are still in the file", self.damaged)
+            log.error(
+                "%d damaged entries of the journal are left out; they are still in the file",
+                self.damaged,
+            )
         with self._mutex:
             self._behind = self.position < self._stored
         self._tell(stopping, beat)
@@ -218,7 +241,11 @@ class Learning:
         assert isinstance(taught, Taught)
         if taught.statistics.get("refused", 0) > self.statistics.get("refused", 0):
             self._refused_at = time.monotonic()
-        self.position, self.statistics, self.epoch = taught.position, taught.statistics, taught.epoch
+        self.position, self.statistics, self.epoch = (
+            taught.position,
+            taught.statistics,
+            taught.epoch,
+        )
         self.reached = taught.reached
         if taught.strangers is not None:
             self.strangers = frozenset(taught.strangers)
@@ -248,7 +275,9 @@ class Learning:
             memory.give_back()
 
     def _ask(self, question: Question, stopping: threading.Event, beat: Beat) -> Answer:
-        """Everything it has to say about that; it gets on when it is at another entry. Raises `LearnerEnded`."""
+        """Everything it has to say about that; it gets on when it is at another entry. Raises
+        `LearnerEnded`.
+        """
         self._busy = True
         self._process.send(question)
         told_at = None
@@ -270,25 +299,32 @@ class Learning:
                     self._process.kill()
 
     def _take(self, made: Made) -> None:
-        """A new version. It may take its time, unless the journal is replayed and one comes after the other."""
+        """A new version. It may take its time, unless the journal is replayed and one comes after
+        the other.
+        """
         self._due = True
         self.made += 1
         with _giving_way(), memory.kept(thorough=self.made % THOROUGH_EVERY == 0):
-            version = Version(head_of(made.packed), made.content, made.packed, made.delta, made.told)
+            version = Version(
+                head_of(made.packed), made.content, made.packed, made.delta, made.told
+            )
             self._on_version(version, self.replaying > 0)
 
     def _begin_epoch(self, version: int) -> None:
         self.epoch = self._new_epoch()
         log.warning(
             "version %d comes out otherwise than it was (another program or processor?): epoch %s begins",
-            version, self.epoch,
-        )  # fmt: skip
+            version,
+            self.epoch,
+        )
         self._process.send(NewEpoch(self.epoch))
 
 
 @contextlib.contextmanager
 def _giving_way() -> Iterator[None]:
-    """What takes a tenth of a second, in a thread beside which others have little to do, but that at once."""
+    """What takes a tenth of a second, in a thread beside which others have little to do, but that
+    at once.
+    """
     usual = sys.getswitchinterval()
     sys.setswitchinterval(min(usual, GIVE_WAY_SECONDS))
     try:

@@ -1,7 +1,9 @@
-"""What the daemon and the learner's process say to each other, in turns, over two pipes and a piece of memory.
+"""What the daemon and the learner's process say to each other, in turns, over two pipes and a piece
+of memory.
 
-The daemon asks; the process answers with any number of `Made` and `Otherwise`, then with one of the others. A message
-is its length and itself as MessagePack. Both are this program: what does not fit is a mistake in it.
+The daemon asks; the process answers with any number of `Made` and `Otherwise`, then with one of the
+others. A message is its length and itself as MessagePack. Both are this program: what does not fit
+is a mistake in it.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ from camtopod.serve.storage import Rewind
 from camtopod.sharding import Part, Sharding
 
 LESSONS_MAX = 4_000
-"""In one message: some hundred kilobytes, some hundredths of a second without a fit. Where the daemon's threads are
-busy each message costs it several turns of waiting for the interpreter, milliseconds each."""
+"""In one message: some hundred kilobytes, some hundredths of a second without a fit. Where the
+daemon's threads are busy each message costs it several turns of waiting for the interpreter,
+milliseconds each."""
 READ_BYTES_MAX = 1 << 20
 OUT_OF_MEMORY = 71
 """Exit status of the learner's process when it was refused memory."""
@@ -30,8 +33,8 @@ _LENGTH = struct.Struct("<Q")
 
 
 Lesson = bytes | float | Rewind | None
-"""What an entry of the journal teaches: an event as it was received, that event time has come so far, that it has to
-go back, nothing."""
+"""What an entry of the journal teaches: an event as it was received, that event time has come so
+far, that it has to go back, nothing."""
 
 
 class Portion(Struct, frozen=True):
@@ -42,16 +45,18 @@ class Portion(Struct, frozen=True):
 
 
 class Load(Struct, tag=True):
-    """Is this the state of a learner, or of a shard's? To be followed by `Begin`. Answer: `Loaded` or `Unusable`."""
+    """Is this the state of a learner, or of a shard's? To be followed by `Begin`. Answer: `Loaded`
+    or `Unusable`.
+    """
 
     state: bytes
     sharded: bool = False
 
 
 class Begin(Struct, tag=True):
-    """A learner, with what was loaded last if anything was. ``stored``: digests of the epoch's versions that may have
-    been published; ``portion``: none for the whole site; ``without``: cameras that are left out of what was loaded.
-    Answer: `Taught`.
+    """A learner, with what was loaded last if anything was. ``stored``: digests of the epoch's
+    versions that may have been published; ``portion``: none for the whole site; ``without``:
+    cameras that are left out of what was loaded. Answer: `Taught`.
     """
 
     settings: Settings
@@ -64,7 +69,9 @@ class Begin(Struct, tag=True):
 
 
 class Refresh(Struct, tag=True):
-    """Make the first version of the epoch of what is known; to be asked once, before any lesson. Answer: `Taught`."""
+    """Make the first version of the epoch of what is known; to be asked once, before any lesson.
+    Answer: `Taught`.
+    """
 
     position: int
 
@@ -107,8 +114,8 @@ class Unusable(Struct, tag=True):
 
 
 class Made(Struct, tag=True):
-    """A new version, not stored yet, as JSON and MessagePack; what changed since the one before, as MessagePack; and of
-    a shard what the others are told with it, as MessagePack.
+    """A new version, not stored yet, as JSON and MessagePack; what changed since the one before, as
+    MessagePack; and of a shard what the others are told with it, as MessagePack.
     """
 
     epoch: str
@@ -121,17 +128,19 @@ class Made(Struct, tag=True):
 
 
 class Otherwise(Struct, tag=True):
-    """A stored version has come out with another digest. Nothing more is learned before there is a `NewEpoch`."""
+    """A stored version has come out with another digest. Nothing more is learned before there is a
+    `NewEpoch`.
+    """
 
     version: int
 
 
 class Taught(Struct, tag=True):
-    """Everything up to ``position`` is learned, which is less than was asked if there was no time. ``deadline``: event
-    time at which time may have to be said to have gone on; ``unreadable``: events that could not be read any more;
-    ``epoch``: that of the versions to come. Of a shard: what it has ``reached``, and its ``strangers``, None if they
-    are those it said last. At the beginning: how far ``event_time`` has come, in a shard in the district that has come
-    furthest.
+    """Everything up to ``position`` is learned, which is less than was asked if there was no time.
+    ``deadline``: event time at which time may have to be said to have gone on; ``unreadable``:
+    events that could not be read any more; ``epoch``: that of the versions to come. Of a shard:
+    what it has ``reached``, and its ``strangers``, None if they are those it said last. At the
+    beginning: how far ``event_time`` has come, in a shard in the district that has come furthest.
     """
 
     position: int
@@ -145,7 +154,9 @@ class Taught(Struct, tag=True):
 
 
 class Shown(Struct, tag=True):
-    """The newest version as MessagePack, None before the first; and of a shard what the others are told with it."""
+    """The newest version as MessagePack, None before the first; and of a shard what the others are
+    told with it.
+    """
 
     packed: bytes | None
     told: bytes | None = None
@@ -201,8 +212,8 @@ def _exactly(fd: int, length: int) -> bytearray:
 
 
 class Board:
-    """Memory that both see: what is being learned at this moment, and that it should end soon. It tells even of a
-    process that was killed, and costs less than a message for every entry.
+    """Memory that both see: what is being learned at this moment, and that it should end soon. It
+    tells even of a process that was killed, and costs less than a message for every entry.
     """
 
     _AT, _HURRY = 0, 1
@@ -243,8 +254,9 @@ class Board:
 
 
 class Told(Struct):
-    """On ``part/{shard}``: parts of a shard's districts in the order they were made, and the event time (seconds) up to
-    which it has told all there are, none where nothing has come yet. A question is answered with the newest of each.
+    """On ``part/{shard}``: parts of a shard's districts in the order they were made, and the event
+    time (seconds) up to which it has told all there are, none where nothing has come yet. A
+    question is answered with the newest of each.
     """
 
     shard: int

@@ -24,11 +24,16 @@ _FOR_THE_DAEMON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class LearnerEnded(RuntimeError):
-    """The process has ended by itself; ``status`` as `subprocess` gives it, ``at``: the entry it was at, 0: none."""
+    """The process has ended by itself; ``status`` as `subprocess` gives it, ``at``: the entry it
+    was at, 0: none.
+    """
 
     def __init__(self, status: int, at: int) -> None:
         how = f"status {status}" if status >= 0 else f"signal {-status}"
-        super().__init__(f"the learner's process has ended ({how})" + (f" at entry {at} of the journal" if at else ""))
+        super().__init__(
+            f"the learner's process has ended ({how})"
+            + (f" at entry {at} of the journal" if at else "")
+        )
         self.status, self.at = status, at
 
 
@@ -45,8 +50,8 @@ def _blocked() -> Iterator[None]:
 class LearnerProcess:
     """Runs from the beginning until `close`, which has to be called. One thread asks at a time.
 
-    It is a program of its own and no fork or copy of this one, whatever that is: there are threads here, a bus and a
-    database. ``program``: the module to run.
+    It is a program of its own and no fork or copy of this one, whatever that is: there are threads
+    here, a bus and a database. ``program``: the module to run.
     """
 
     def __init__(self, program: str = PROGRAM) -> None:
@@ -56,9 +61,12 @@ class LearnerProcess:
         with _blocked():
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", program, str(self._board.fd)],
-                bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                pass_fds=[self._board.fd], env={**os.environ, "PYTHONPATH": here},
-            )  # fmt: skip
+                bufsize=0,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                pass_fds=[self._board.fd],
+                env={**os.environ, "PYTHONPATH": here},
+            )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._in, self._out = self._process.stdin, self._process.stdout
@@ -127,7 +135,9 @@ class LearnerProcess:
     def _end(self) -> LearnerEnded:
         try:
             status = self._process.wait(END_SECONDS)
-        except subprocess.TimeoutExpired:  # it has closed its end and lives on, or the system is very slow
+        except (
+            subprocess.TimeoutExpired
+        ):  # it has closed its end and lives on, or the system is very slow
             self.kill()
             status = self._process.wait(END_SECONDS)
         return LearnerEnded(status, self._board.at)

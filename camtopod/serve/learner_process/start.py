@@ -1,9 +1,11 @@
-"""How the learner's process begins: without what NumPy would load by the way and nobody here asks for.
+"""How the learner's process begins: without what NumPy would load by the way and nobody here asks
+for.
 
     python -m camtopod.serve.learner_process.start BOARD
 
-SciPy looks at everything that NumPy names, which loads NumPy's test tools and its Fortran front end: 8 MB. With
-something else in their places they are not loaded until somebody imports them by name.
+SciPy looks at everything that NumPy names, which loads NumPy's test tools and its Fortran front
+end: 8 MB. With something else in their places they are not loaded until somebody imports them by
+name.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""The learner in a process of its own, so that a refit takes the interpreter from nobody who receives or predicts.
+"""The learner in a process of its own, so that a refit takes the interpreter from nobody who
+receives or predicts.
 
-`camtopod.serve.learner_process.process` starts it by `learner_start`, asks on its standard input and reads its standard output.
-It neither stores nor publishes and keeps no ledger: it ends, at once and with what it knows, when the daemon does. An
-exception ends it, too; its traceback goes to standard error, and the daemon sees on the board at which entry of the
-journal it was.
+`camtopod.serve.learner_process.process` starts it by `learner_start`, asks on its standard input
+and reads its standard output. It neither stores nor publishes and keeps no ledger: it ends, at once
+and with what it knows, when the daemon does. An exception ends it, too; its traceback goes to
+standard error, and the daemon sees on the board at which entry of the journal it was.
 """
 
 from __future__ import annotations
@@ -18,7 +19,16 @@ import traceback
 from collections.abc import Callable
 
 from camtopod import codec
-from camtopod.learn import Learner, LearnerState, NewerSnapshot, Settings, SnapshotError, pack, rewound, unpack
+from camtopod.learn import (
+    Learner,
+    LearnerState,
+    NewerSnapshot,
+    Settings,
+    SnapshotError,
+    pack,
+    rewound,
+    unpack,
+)
 from camtopod.records import Topology
 from camtopod.serve.learner_process import messages
 from camtopod.serve.learner_process.messages import (
@@ -49,14 +59,17 @@ from camtopod.sharding import ShardLearner, ShardState, pack_shard, unpack_shard
 from camtopod.topology import make_delta
 
 NICENESS = 5
-"""Added to the daemon's: where all cores are busy, predictions and acknowledgements come before a fit, which has time.
-Still enough of the processor that a machine with other work to do gets its versions."""
+"""Added to the daemon's: where all cores are busy, predictions and acknowledgements come before a
+fit, which has time. Still enough of the processor that a machine with other work to do gets its
+versions."""
 
 
 class Pupil:
     """Answers questions; ``learner`` makes the learner."""
 
-    def __init__(self, asked: queue.SimpleQueue[Question], out: int, board: Board, learner: type[Learner]) -> None:
+    def __init__(
+        self, asked: queue.SimpleQueue[Question], out: int, board: Board, learner: type[Learner]
+    ) -> None:
         self._asked, self._out, self._board, self._kind = asked, out, board, learner
         self._loaded: LearnerState | ShardState | None = None
         self._learner: Learner | ShardLearner
@@ -84,7 +97,12 @@ class Pupil:
                     self._tell(self._teach(position, lessons))
                 case Show():
                     newest = self._learner.topology
-                    self._tell(Shown(None if newest is None else codec.to_pack(newest), self._told(everything=True)))
+                    self._tell(
+                        Shown(
+                            None if newest is None else codec.to_pack(newest),
+                            self._told(everything=True),
+                        )
+                    )
                 case Save():
                     self._tell(Saved(self._save()))
                     memory.give_back()  # all that was learned was there twice for a moment
@@ -105,7 +123,9 @@ class Pupil:
                 return Loaded(state.settings, state.site, state.epoch)
             case ShardState() as state:
                 of = state.districts[0].learner
-                return Loaded(of.settings, of.site, state.line.epoch, Portion(state.sharding, state.shard))
+                return Loaded(
+                    of.settings, of.site, state.line.epoch, Portion(state.sharding, state.shard)
+                )
 
     def _begin(self, given: Begin) -> None:
         self._learner = self._new(given.settings, given.portion, given.site, given.epoch)
@@ -126,10 +146,14 @@ class Pupil:
         with contextlib.suppress(PermissionError):  # where the unit allows no change of priorities
             os.nice(NICENESS)  # only now, as a start is waited for
         self._stored, self._newest_stored = given.stored, max(given.stored, default=0)
-        self._passed_over = False  # whether there are versions of which it is not known that the others were told
+        self._passed_over = (
+            False  # whether there are versions of which it is not known that the others were told
+        )
         self._newest = self._learner.topology
 
-    def _new(self, settings: Settings, portion: Portion | None, site: str, epoch: str) -> Learner | ShardLearner:
+    def _new(
+        self, settings: Settings, portion: Portion | None, site: str, epoch: str
+    ) -> Learner | ShardLearner:
         if portion is not None:
             return ShardLearner(settings, portion.sharding, portion.shard, site, epoch)
         learner = self._kind(settings, site, epoch)
@@ -148,7 +172,9 @@ class Pupil:
                 shard.change(change)
 
     def _rewind(self, lesson: Rewind) -> None:
-        """What is later than some moment is dropped, and an epoch begins, unless a later one has begun already."""
+        """What is later than some moment is dropped, and an epoch begins, unless a later one has
+        begun already.
+        """
         self._change(lambda state: rewound(state, lesson.to))
         if lesson.epoch > self._learner.epoch:
             self._stored, self._newest_stored = dict(lesson.stored), max(lesson.stored, default=0)
@@ -180,7 +206,11 @@ class Pupil:
 
     def _taught(self, position: int, unreadable: int) -> Taught:
         taught = Taught(
-            position, self._learner.next_deadline(), self._learner.statistics(), unreadable, epoch=self._learner.epoch
+            position,
+            self._learner.next_deadline(),
+            self._learner.statistics(),
+            unreadable,
+            epoch=self._learner.epoch,
         )
         if isinstance(self._learner, ShardLearner):
             taught.reached, strangers = self._learner.reached(), self._learner.strangers
@@ -189,7 +219,9 @@ class Pupil:
         return taught
 
     def _told(self, everything: bool = False) -> bytes | None:
-        """What the other shards are told: parts that they do not know yet, or ``everything``: the newest of each."""
+        """What the other shards are told: parts that they do not know yet, or ``everything``: the
+        newest of each.
+        """
         if not isinstance(self._learner, ShardLearner):
             return None
         made = self._learner.parts()
@@ -197,8 +229,8 @@ class Pupil:
         return codec.to_pack(Told(*self._learner.shard, self._learner.reached(), parts))
 
     def _take_versions(self) -> None:
-        """One step's; those of an epoch are taken before the next step, or a version would be learned on from that is
-        not the one that was published.
+        """One step's; those of an epoch are taken before the next step, or a version would be
+        learned on from that is not the one that was published.
         """
         while made := self._learner.updates():
             for topology in made:
@@ -206,8 +238,8 @@ class Pupil:
             memory.give_back()  # a fit takes a lot for a moment
 
     def _hand_out(self, topology: Topology) -> None:
-        """A version that is stored already must come out as it was, one that was and is not kept any more is passed
-        over; a new one is handed on.
+        """A version that is stored already must come out as it was, one that was and is not kept
+        any more is passed over; a new one is handed on.
         """
         if topology.epoch != self._learner.epoch:
             return  # made in the same step as the one that ended its epoch
@@ -224,10 +256,15 @@ class Pupil:
         delta = None if before is None else codec.to_pack(make_delta(before, topology))
         self._tell(
             Made(
-                topology.epoch, topology.version, topology.digest,
-                codec.to_json(topology), codec.to_pack(topology), delta, self._told(everything=self._passed_over),
+                topology.epoch,
+                topology.version,
+                topology.digest,
+                codec.to_json(topology),
+                codec.to_pack(topology),
+                delta,
+                self._told(everything=self._passed_over),
             )
-        )  # fmt: skip
+        )
         self._passed_over = False
 
     def _begin_epoch(self, version: int) -> None:

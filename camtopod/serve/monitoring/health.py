@@ -1,8 +1,9 @@
-"""``GET /healthz``: does it get on? ``GET /readyz``: can it be relied on? Answered in JSON, 200 or 503. What other
-pages there are is for the caller to say.
+"""``GET /healthz``: does it get on? ``GET /readyz``: can it be relied on? Answered in JSON, 200 or
+503. What other pages there are is for the caller to say.
 
-A client gets two seconds and four kilobytes for its request; a few are heard at a time, and whoever comes then
-waits until one of them is over. So a client that sends slowly, or nothing, holds nobody up for long.
+A client gets two seconds and four kilobytes for its request; a few are heard at a time, and whoever
+comes then waits until one of them is over. So a client that sends slowly, or nothing, holds nobody
+up for long.
 """
 
 from __future__ import annotations
@@ -113,12 +114,17 @@ class _Server(socketserver.ThreadingTCPServer):
         """A client that has gone is its own business; anything else is ours."""
         error = sys.exception()
         log.log(
-            logging.DEBUG if isinstance(error, OSError) else logging.ERROR, "the health page: %s", error, exc_info=error
+            logging.DEBUG if isinstance(error, OSError) else logging.ERROR,
+            "the health page: %s",
+            error,
+            exc_info=error,
         )
 
 
 def _head(connection: socket.socket) -> bytes:
-    """What the client sends up to the empty line; nothing if that is over a limit, which ends the connection."""
+    """What the client sends up to the empty line; nothing if that is over a limit, which ends the
+    connection.
+    """
     deadline = time.monotonic() + CONNECTION_SECONDS_MAX
     head = b""
     while b"\r\n\r\n" not in head and b"\n\n" not in head and len(head) < HEAD_BYTES_MAX:
@@ -139,27 +145,40 @@ def _head(connection: socket.socket) -> bytes:
 
 def _judgement(question: Reasons) -> Page:
     reasons = question()[:REASONS_MAX]
-    body = json.dumps({"status": "failing" if reasons else "ok", "reasons": reasons}).encode() + b"\n"
-    return Page(HTTPStatus.SERVICE_UNAVAILABLE if reasons else HTTPStatus.OK, "application/json", body)
+    body = (
+        json.dumps({"status": "failing" if reasons else "ok", "reasons": reasons}).encode() + b"\n"
+    )
+    return Page(
+        HTTPStatus.SERVICE_UNAVAILABLE if reasons else HTTPStatus.OK, "application/json", body
+    )
 
 
 @contextmanager
-def serving(listen: str, healthy: Reasons, ready: Reasons, others: Pages = MappingProxyType({})) -> Iterator[str]:
+def serving(
+    listen: str, healthy: Reasons, ready: Reasons, others: Pages = MappingProxyType({})
+) -> Iterator[str]:
     """Answer at ``listen`` (host:port, port 0: a free one) while the block runs; gives the address.
 
-    ``listen`` "" means nowhere. ``others``: pages beside /healthz and /readyz. Raises `ListenError`.
+    ``listen`` "" means nowhere. ``others``: pages beside /healthz and /readyz. Raises
+    `ListenError`.
     """
     if not listen:
         yield ""
         return
     host, _, port = listen.rpartition(":")
-    pages = {"/healthz": lambda: _judgement(healthy), "/readyz": lambda: _judgement(ready), **others}
+    pages = {
+        "/healthz": lambda: _judgement(healthy),
+        "/readyz": lambda: _judgement(ready),
+        **others,
+    }
     try:
         made = _Server(host.strip("[]"), int(port), pages)
     except (OSError, OverflowError) as error:
         raise ListenError(f"cannot listen at {listen} ([health] listen): {error}") from None
     with made as server:
-        thread = threading.Thread(target=server.serve_forever, args=(0.1,), name="health", daemon=True)
+        thread = threading.Thread(
+            target=server.serve_forever, args=(0.1,), name="health", daemon=True
+        )
         thread.start()
         try:
             yield f"{host}:{server.server_address[1]}"

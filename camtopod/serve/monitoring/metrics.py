@@ -1,8 +1,8 @@
-"""``GET /metrics``: what the daemon counts anyway, for Prometheus. The one home of prometheus-client, an extra
-(``[metrics]``).
+"""``GET /metrics``: what the daemon counts anyway, for Prometheus. The one home of
+prometheus-client, an extra (``[metrics]``).
 
-Everything is read when it is asked for, from the daemon's status and, by a question on the bus, from those of the
-cameras' own processes; nothing is counted here. The only label is ``camera``.
+Everything is read when it is asked for, from the daemon's status and, by a question on the bus,
+from those of the cameras' own processes; nothing is counted here. The only label is ``camera``.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _MISSING = "/metrics needs the package prometheus-client: pip install 'camtopod[
 
 
 class Metric(NamedTuple):
-    """One metric: its name below `PREFIX` (a counter's ends in ``_total``, anything else is a gauge), where its value
-    is in a status (names joined by dots), and what it means.
+    """One metric: its name below `PREFIX` (a counter's ends in ``_total``, anything else is a
+    gauge), where its value is in a status (names joined by dots), and what it means.
     """
 
     name: str
@@ -44,32 +44,80 @@ SITE = (
     Metric("events_received_total", "events.received", "Publications of events that came in"),
     Metric("events_stored_total", "events.stored", "Events in the journal since the start"),
     Metric("events_duplicate_total", "events.duplicate", "Events that had come before"),
-    Metric("events_future_total", "events.future", "Events too far ahead of this machine's clock, set aside"),
-    Metric("events_flood_total", "events.flood", "Events beyond what one view can show, not learned"),
-    Metric("events_put_off_total", "events.held_full", "Events too many of whose camera waited, to be pulled later"),
-    Metric("events_refilled_total", "events.refilled", "Events filled in again from a spool after damage"),
+    Metric(
+        "events_future_total",
+        "events.future",
+        "Events too far ahead of this machine's clock, set aside",
+    ),
+    Metric(
+        "events_flood_total", "events.flood", "Events beyond what one view can show, not learned"
+    ),
+    Metric(
+        "events_put_off_total",
+        "events.held_full",
+        "Events too many of whose camera waited, to be pulled later",
+    ),
+    Metric(
+        "events_refilled_total",
+        "events.refilled",
+        "Events filled in again from a spool after damage",
+    ),
     Metric("events_lost_total", "events.lost", "Events that no spool had any more"),
-    Metric("events_unknown_total", "events.unknown", "Events thrown away, as the spool they name has never had them"),
+    Metric(
+        "events_unknown_total",
+        "events.unknown",
+        "Events thrown away, as the spool they name has never had them",
+    ),
     Metric("events_learned_total", "learner.learned", "Events learned in this epoch"),
-    Metric("events_late_total", "learner.late", "Events later than the lateness, stored and not learned"),
-    Metric("events_not_learned_total", "learner.refused", "Events of too many cameras or incarnations, not learned"),
+    Metric(
+        "events_late_total",
+        "learner.late",
+        "Events later than the lateness, stored and not learned",
+    ),
+    Metric(
+        "events_not_learned_total",
+        "learner.refused",
+        "Events of too many cameras or incarnations, not learned",
+    ),
     Metric("events_waiting", "events.waiting", "Events stored and not learned yet"),
     Metric("events_early", "events.early", "Events ahead of the clock that wait for their time"),
     Metric("events_merging", "events.merging", "Events of backlogs that wait for each other"),
-    Metric("learner_held_events", "learner.held", "Events the learner holds until time has passed them"),
+    Metric(
+        "learner_held_events", "learner.held", "Events the learner holds until time has passed them"
+    ),
     Metric("learner_window_events", "learner.window", "Events in the window that is learned from"),
-    Metric("watermark_timestamp_seconds", "learner.watermark", "Event time up to which everything is learned"),
-    Metric("connections_refused_total", "refused.connections", "Connections to the bus that were not let in"),
+    Metric(
+        "watermark_timestamp_seconds",
+        "learner.watermark",
+        "Event time up to which everything is learned",
+    ),
+    Metric(
+        "connections_refused_total",
+        "refused.connections",
+        "Connections to the bus that were not let in",
+    ),
     Metric("messages_denied_total", "refused.denied", "Messages that a certificate does not allow"),
     Metric("messages_oversized_total", "refused.too-large", "Messages dropped for their size"),
     Metric("predictions_total", "predictions", "Predictions published"),
-    Metric("predictions_skipped_total", "predictions_skipped", "Exits for whose prediction there was no time"),
-    Metric("questions_refused_total", "questions_refused", "Questions for a prediction that had no answer"),
+    Metric(
+        "predictions_skipped_total",
+        "predictions_skipped",
+        "Exits for whose prediction there was no time",
+    ),
+    Metric(
+        "questions_refused_total",
+        "questions_refused",
+        "Questions for a prediction that had no answer",
+    ),
     Metric("pulls_total", "pulls", "Questions to the cameras' spools"),
     Metric("journal_entries_total", "journal.entries", "Entries the journal has ever had"),
     Metric("journal_bytes", "journal.bytes", "Size of the journal"),
     Metric("journal_damaged_entries", "journal.damaged", "Damaged entries that were left out"),
-    Metric("journal_missing_entries", "journal.missing", "Entries the journal had lost when it was opened"),
+    Metric(
+        "journal_missing_entries",
+        "journal.missing",
+        "Entries the journal had lost when it was opened",
+    ),
     Metric("journal_damaged_files", "journal.damaged_files", "Files set aside for damage"),
     Metric("degraded", "degraded", "1 while the status gives a reason for not being well"),
     Metric("topology_version", "version", "Newest version of the topology"),
@@ -82,24 +130,52 @@ SITE = (
     Metric("score_top1", "score.top1", "Share of next cameras that were the likeliest"),
     Metric("score_top3", "score.top3", "Share of next cameras among the likeliest three"),
     Metric("score_log_loss", "score.log_loss", "Mean log loss of the predictions, nats"),
-    Metric("score_baseline_top1", "score.baseline_top1", "The share of always naming the most frequent next camera"),
+    Metric(
+        "score_baseline_top1",
+        "score.baseline_top1",
+        "The share of always naming the most frequent next camera",
+    ),
     Metric("score_baseline_log_loss", "score.baseline_log_loss", "And its log loss, nats"),
 )
 REASONS = (
-    "malformed", "bad-value", "not-utf8", "too-deep", "too-long", "half-position", "half-sequence", "wrong-camera",
-    "too-many-cameras", "too-many-streams", "seq-jump", "future", "spool-refuses", "bad-batch",
-)  # fmt: skip
-"""Why something is rejected. Each is a metric of its own; a reason that is not among them is in the sum only."""
+    "malformed",
+    "bad-value",
+    "not-utf8",
+    "too-deep",
+    "too-long",
+    "half-position",
+    "half-sequence",
+    "wrong-camera",
+    "too-many-cameras",
+    "too-many-streams",
+    "seq-jump",
+    "future",
+    "spool-refuses",
+    "bad-batch",
+)
+"""Why something is rejected. Each is a metric of its own; a reason that is not among them is in the
+sum only.
+"""
 CAMERA = (
     Metric("events_total", "events", "Events taken from the camera since the start"),
     Metric("event_timestamp_seconds", "newest", "Time of the camera's newest event"),
-    Metric("clock_ahead_seconds", "ahead", "How far the camera's last event was ahead of this machine's clock"),
+    Metric(
+        "clock_ahead_seconds",
+        "ahead",
+        "How far the camera's last event was ahead of this machine's clock",
+    ),
     Metric("camera_alive", "alive", "1 while whoever publishes the camera's events is there"),
-    Metric("events_dropped_total", "dropped", "Publications there was no room for; a spool still has them"),
+    Metric(
+        "events_dropped_total",
+        "dropped",
+        "Publications there was no room for; a spool still has them",
+    ),
 )
 GRABBER = (
     Metric("grabber_running", "running", "1 while the camera gives pictures"),
-    Metric("grabber_restarts_total", "restarts", "How often the camera's process was started again"),
+    Metric(
+        "grabber_restarts_total", "restarts", "How often the camera's process was started again"
+    ),
     Metric("grabber_connections_total", "connections", "Connections to the camera"),
     Metric("grabber_failures_total", "failures", "Connections that failed or were lost"),
     Metric("grabber_frames_total", "frames_grabbed", "Pictures that came"),
@@ -147,7 +223,9 @@ class _Scrape:
         yield _family("rejected_total", "What came in and did not fit", {"": sum(rejects.values())})
         for reason in REASONS:
             name = f"rejected_{reason.replace('-', '_')}_total"
-            yield _family(name, f"Of these the ones counted as {reason}", {"": rejects.get(reason, 0)})
+            yield _family(
+                name, f"Of these the ones counted as {reason}", {"": rejects.get(reason, 0)}
+            )
         yield from self._families(CAMERA, status["cameras"])
         if status.get("shard", "0/1").startswith("0/"):  # one of the shards asks
             yield from self._families(GRABBER, grabbers(daemon.bus))
@@ -183,7 +261,9 @@ def site_status(daemon: Daemon) -> dict[str, Any]:
 
 
 def grabbers(bus: Bus) -> dict[str, dict[str, Any]]:
-    """What the cameras' processes say of themselves; one that hangs is waited for, `bus.query_seconds` at most."""
+    """What the cameras' processes say of themselves; one that hangs is waited for,
+    `bus.query_seconds` at most.
+    """
     try:
         answers = bus.ask("status/*")
     except QueryError:
@@ -217,7 +297,9 @@ def _family(name: str, text: str, values: Mapping[str, float]) -> Family:
     from prometheus_client import Metric as Family
 
     counter = name.endswith("_total")
-    family = Family(PREFIX + name.removesuffix("_total"), f"{text}.", "counter" if counter else "gauge")
+    family = Family(
+        PREFIX + name.removesuffix("_total"), f"{text}.", "counter" if counter else "gauge"
+    )
     for camera, value in values.items():
         family.add_sample(PREFIX + name, {"camera": camera} if camera else {}, value)
     return family

@@ -1,4 +1,6 @@
-"""Events onto the bus so that none is lost: into the spool first, then the put; and answers to pulls."""
+"""Events onto the bus so that none is lost: into the spool first, then the put; and answers to
+pulls.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +20,26 @@ from camtopod.serve.storage import StateError
 log = logging.getLogger(__name__)
 
 PENDING_EVENTS_MAX = 10_000
-"""Events kept in memory while the spool cannot be written (disk full); beyond it the newest are dropped."""
+"""Events kept in memory while the spool cannot be written (disk full); beyond it the newest are
+dropped.
+"""
 SEQ_MAX = 2**63 - 1
 NAME_CHARACTERS_MAX = 64
 """Of a daemon's name."""
 
 
 class Publisher:
-    """Publishes the events of some cameras. `publish` and `retry` from one thread; they raise `database.Damaged`.
+    """Publishes the events of some cameras. `publish` and `retry` from one thread; they raise
+    `database.Damaged`.
 
-    Works without a bus: events then wait in the spool until `attach`. The spool belongs to the caller, who closes the
-    bus before it. ``on_ack``: called with each ack, from a thread of the bus.
+    Works without a bus: events then wait in the spool until `attach`. The spool belongs to the
+    caller, who closes the bus before it. ``on_ack``: called with each ack, from a thread of the
+    bus.
     """
 
-    def __init__(self, spool: Spool, limit_batch_events: int, on_ack: Callable[[Ack], None] | None = None) -> None:
+    def __init__(
+        self, spool: Spool, limit_batch_events: int, on_ack: Callable[[Ack], None] | None = None
+    ) -> None:
         self._spool, self.on_ack = spool, on_ack
         self._box = clock.box().encode()
         self._bus: Bus | None = None
@@ -48,13 +56,17 @@ class Publisher:
         """Events lost because the spool could not be written for too long."""
 
     def attach(self, bus: Bus, cameras: Sequence[str] = ()) -> None:
-        """From now on put on ``bus``, for these cameras, those in the spool, and those whose events come."""
+        """From now on put on ``bus``, for these cameras, those in the spool, and those whose events
+        come.
+        """
         for camera in {*cameras, *self._spool.cameras()}:
             self._introduce(bus, camera)
         self._bus = bus
 
     def publish(self, *events: Event) -> None:
-        """Spool and put. A spool that cannot be written is said once and tried again with the next events."""
+        """Spool and put. A spool that cannot be written is said once and tried again with the next
+        events.
+        """
         room = PENDING_EVENTS_MAX - len(self._pending)
         self._pending.extend(events[:room])
         self.dropped += max(0, len(events) - room)
@@ -79,10 +91,14 @@ class Publisher:
             if self._bus is not None:
                 for event in numbered:
                     self._introduce(self._bus, event.camera)
-                    self._bus.put_raw(f"event/{event.camera}", codec.to_pack(event), "event", self._box)
+                    self._bus.put_raw(
+                        f"event/{event.camera}", codec.to_pack(event), "event", self._box
+                    )
 
     def drained(self, seconds: float, most: int = 0) -> bool:
-        """Wait until at most ``most`` events are unacknowledged; False if that takes over ``seconds``."""
+        """Wait until at most ``most`` events are unacknowledged; False if that takes over
+        ``seconds``.
+        """
         with self._acked:
             return self._acked.wait_for(lambda: self.unacknowledged <= most, seconds)
 
@@ -119,7 +135,9 @@ class Publisher:
         camera = key.removeprefix("spool/")
         try:
             self._spool.asked_by(parameters.get("daemon", "")[:NAME_CHARACTERS_MAX], endpoint)
-            return self._spool.batch(camera, parameters.get("boot"), start, max(1, min(most, 10_000)))
+            return self._spool.batch(
+                camera, parameters.get("boot"), start, max(1, min(most, 10_000))
+            )
         except (sqlite3.Error, StateError) as error:
             raise QueryError(f"the spool cannot be read: {error}") from None
 

@@ -1,11 +1,14 @@
-"""The publisher's spool: every event is here, durably, from before it is put until it is acknowledged.
+"""The publisher's spool: every event is here, durably, from before it is put until it is
+acknowledged.
 
-What a put says is not believed; the daemon asks the spool for what it has not got. Each time a spool is opened a new
-``boot`` begins, and each camera's events are counted within it: a file that comes back as it was some time ago (a
-restored image) never gives a number to a second event. An event that brings its own boot and seq keeps them.
+What a put says is not believed; the daemon asks the spool for what it has not got. Each time a
+spool is opened a new ``boot`` begins, and each camera's events are counted within it: a file that
+comes back as it was some time ago (a restored image) never gives a number to a second event. An
+event that brings its own boot and seq keeps them.
 
-A spool belongs to one site. The newest acknowledged events stay for a while, for the daemon that acknowledged them, and
-what was acknowledged is told with every answer: a daemon whose journal came back shorter notices, and gets them again.
+A spool belongs to one site. The newest acknowledged events stay for a while, for the daemon that
+acknowledged them, and what was acknowledged is told with every answer: a daemon whose journal came
+back shorter notices, and gets them again.
 """
 
 from __future__ import annotations
@@ -32,11 +35,15 @@ log = logging.getLogger(__name__)
 
 _DEFAULT = Limits()
 _DELETED_MAX = 5_000
-"""Events deleted at a time, for the log takes what a transaction changes; a spool that is full adds fewer."""
+"""Events deleted at a time, for the log takes what a transaction changes; a spool that is full adds
+fewer.
+"""
 _INSERT = "INSERT OR IGNORE INTO event (camera, boot, seq, raw, crc) VALUES (?, ?, ?, ?, ?)"
 
 PROMISED = ("promised to", "promised at")
-"""In the table ``meta``: the name of the daemon that acknowledged last, and the endpoint at which it was."""
+"""In the table ``meta``: the name of the daemon that acknowledged last, and the endpoint at which
+it was.
+"""
 
 Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Stream = tuple[str, str]
@@ -46,10 +53,11 @@ Stream = tuple[str, str]
 class SpoolBatch(Struct, frozen=True):
     """Events of one (camera, boot), by rising seq; each as the bytes that were put.
 
-    ``first`` is the lowest seq of this boot that the spool still has or will give next: what is below it was
-    acknowledged, or dropped because the spool was full (``dropped`` counts those, all cameras together).
-    ``more``: this boot has further ones. ``acked``: the highest seq of this boot that a daemon acknowledged;
-    one whose journal has less has lost it. None: nothing yet, or a grabber that does not say.
+    ``first`` is the lowest seq of this boot that the spool still has or will give next: what is
+    below it was acknowledged, or dropped because the spool was full (``dropped`` counts those, all
+    cameras together). ``more``: this boot has further ones. ``acked``: the highest seq of this boot
+    that a daemon acknowledged; one whose journal has less has lost it. None: nothing yet, or a
+    grabber that does not say.
     """
 
     camera: CameraId
@@ -62,11 +70,12 @@ class SpoolBatch(Struct, frozen=True):
 
 
 class Spool:
-    """A spool file, for one publishing process. Thread-safe. Raises `database.StateError` on opening, and
-    `database.Damaged` as soon as damage shows.
+    """A spool file, for one publishing process. Thread-safe. Raises `database.StateError` on
+    opening, and `database.Damaged` as soon as damage shows.
 
-    At most ``events_max`` events and ``bytes_max`` bytes of file; of these at most ``kept_events_max`` that
-    are acknowledged. A damaged file is set aside, and what can be read of it goes on in the new one.
+    At most ``events_max`` events and ``bytes_max`` bytes of file; of these at most
+    ``kept_events_max`` that are acknowledged. A damaged file is set aside, and what can be read of
+    it goes on in the new one.
     """
 
     def __init__(
@@ -92,7 +101,9 @@ class Spool:
                     self._promised = tuple(spool_schema.meta(self._db, key) for key in PROMISED)
                     self._recount()
             except sqlite3.Error as error:
-                raise sqlite_file.StateError(f"cannot read {path}: {error}; it is left as it is") from None
+                raise sqlite_file.StateError(
+                    f"cannot read {path}: {error}; it is left as it is"
+                ) from None
             undo.pop_all()
         self.boot = self._first_boot = boot
         """This spool's incarnation."""
@@ -110,8 +121,9 @@ class Spool:
     def append(self, events: Sequence[Event]) -> list[Event]:
         """Store in one transaction; returns the events with boot and seq. Raises `sqlite3.Error`.
 
-        An event that is in the spool already (same camera, boot and seq) is stored once. After an error the
-        same call may be repeated: whether its events were durable after all is asked of the file.
+        An event that is in the spool already (same camera, boot and seq) is stored once. After an
+        error the same call may be repeated: whether its events were durable after all is asked of
+        the file.
         """
         with self._mutex, sqlite_file.damage_noticed(self.path):
             if not self._sure:
@@ -130,7 +142,11 @@ class Spool:
             self.dropped += dropped
             if dropped and not self._said_full:
                 self._said_full = True
-                log.error("the spool %s is full: its oldest events are dropped, %d so far", self.path, self.dropped)
+                log.error(
+                    "the spool %s is full: its oldest events are dropped, %d so far",
+                    self.path,
+                    self.dropped,
+                )
             self._boot_written = True
             self._unwritten.clear()
             if forgotten:
@@ -138,11 +154,12 @@ class Spool:
             return numbered
 
     def asked_by(self, daemon: str, endpoint: str) -> None:
-        """The daemon of that name, reached at ``endpoint``, asks for events or acknowledges some. Raises
-        `sqlite3.Error`.
+        """The daemon of that name, reached at ``endpoint``, asks for events or acknowledges some.
+        Raises `sqlite3.Error`.
 
-        What was acknowledged is kept for the daemon that has done so, or for its successor at the same endpoint. When
-        it is neither, the kept events are deleted: it would take them for its own.
+        What was acknowledged is kept for the daemon that has done so, or for its successor at the
+        same endpoint. When it is neither, the kept events are deleted: it would take them for its
+        own.
         """
         with self._mutex, sqlite_file.damage_noticed(self.path):
             if self._promised == (daemon, endpoint):
@@ -163,12 +180,14 @@ class Spool:
     def ack(self, camera: str, boot: str, seq: int) -> bool:
         """Everything of (camera, boot) up to ``seq`` is safe elsewhere. Raises `sqlite3.Error`.
 
-        False for more than the present boot has given: another program has counted on under it, as happens when this
-        machine is set back to an earlier moment. Nothing is acknowledged then, and a new boot begins.
+        False for more than the present boot has given: another program has counted on under it, as
+        happens when this machine is set back to an earlier moment. Nothing is acknowledged then,
+        and a new boot begins.
 
-        Of this spool's own boot it is written with the next events, or on closing. Should it be lost before that, the
-        daemon is told of these events once more, and acknowledges them again. Of an older boot it is written at once:
-        the daemon knows only a camera's newest boots again, and there may be many after a time without it.
+        Of this spool's own boot it is written with the next events, or on closing. Should it be
+        lost before that, the daemon is told of these events once more, and acknowledges them again.
+        Of an older boot it is written at once: the daemon knows only a camera's newest boots again,
+        and there may be many after a time without it.
         """
         with self._mutex, sqlite_file.damage_noticed(self.path):
             before = self._acked.get((camera, boot), -1)
@@ -177,19 +196,24 @@ class Spool:
                 self._begin_boot()
                 return False
             seq = min(seq, given)
-            newly = self._count("camera = ? AND boot = ? AND seq > ? AND seq <= ?", camera, boot, before, seq)
+            newly = self._count(
+                "camera = ? AND boot = ? AND seq > ? AND seq <= ?", camera, boot, before, seq
+            )
             if newly:
                 self._kept += newly
                 self._acked[camera, boot] = seq
                 self._unwritten.add((camera, boot))
                 if boot != self.boot:
-                    with contextlib.suppress(sqlite3.OperationalError):  # no room: then with the next events
+                    with contextlib.suppress(
+                        sqlite3.OperationalError
+                    ):  # no room: then with the next events
                         self._write_acks()
             return True
 
     def batch(self, camera: str, boot: str | None, from_seq: int, events_max: int) -> SpoolBatch:
-        """Events of ``camera`` from ``from_seq`` of ``boot`` on, acknowledged or not; if there are none, those
-        not acknowledged of the oldest other boot. Should there be both, by turns. No ``boot``: of the oldest.
+        """Events of ``camera`` from ``from_seq`` of ``boot`` on, acknowledged or not; if there are
+        none, those not acknowledged of the oldest other boot. Should there be both, by turns. No
+        ``boot``: of the oldest.
         """
         with self._mutex, sqlite_file.damage_noticed(self.path):
             chosen, start = self._choose(camera, boot, from_seq)
@@ -253,15 +277,23 @@ class Spool:
         return numbered, seqs
 
     def _given(self, camera: str, boot: str) -> int:
-        """The highest seq of a boot that events here have, or of the present boot have had; -1: none."""
+        """The highest seq of a boot that events here have, or of the present boot have had; -1:
+        none.
+        """
         numbered = self._seqs.get(camera, 0) if boot == self.boot else -1
         newest = "SELECT COALESCE(MAX(seq), -1) FROM event WHERE camera = ? AND boot = ?"
         return max(numbered, int(self._db.execute(newest, (camera, boot)).fetchone()[0]))
 
     def _begin_boot(self) -> None:
         self._boots_begun += 1
-        self.boot, self._seqs, self._boot_written = f"{self._first_boot}.{self._boots_begun}", {}, False
-        log.error("more is acknowledged of the spool %s than it has given: it counts anew", self.path)
+        self.boot, self._seqs, self._boot_written = (
+            f"{self._first_boot}.{self._boots_begun}",
+            {},
+            False,
+        )
+        log.error(
+            "more is acknowledged of the spool %s than it has given: it counts anew", self.path
+        )
 
     def _write_down(self) -> None:
         """Within a transaction: what is known and not in the file yet."""
@@ -291,7 +323,9 @@ class Spool:
         self._recount()
 
     def _make_room(self, held: int) -> tuple[int, int]:
-        """Within a transaction; returns how many acknowledged and how many other events were deleted."""
+        """Within a transaction; returns how many acknowledged and how many other events were
+        deleted.
+        """
         surplus = 0 if self._kept <= self._kept_max * 9 // 8 else self._kept - self._kept_max
         forgotten = self._forget(min(surplus, _DELETED_MAX))
         surplus = min(self._surplus(held - forgotten), _DELETED_MAX)
@@ -299,7 +333,10 @@ class Spool:
         only_others = surplus > 0 and forgotten == self._kept
         dropped = min(self._surplus(held - forgotten), _DELETED_MAX) if only_others else 0
         if dropped:
-            self._db.execute("DELETE FROM event WHERE id IN (SELECT id FROM event ORDER BY id LIMIT ?)", (dropped,))
+            self._db.execute(
+                "DELETE FROM event WHERE id IN (SELECT id FROM event ORDER BY id LIMIT ?)",
+                (dropped,),
+            )
             spool_schema.set_row(self._db, "meta", "dropped", str(self.dropped + dropped))
         return forgotten, dropped
 
@@ -322,7 +359,8 @@ class Spool:
     def _surplus(self, held: int) -> int:
         """How many events there are too many, or so many that the file is too large."""
         pages, free, size = (
-            self._db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
+            self._db.execute(f"PRAGMA {name}").fetchone()[0]
+            for name in ("page_count", "freelist_count", "page_size")
         )
         used = (pages - free) * size
         too_large = -(-held * (used - self._bytes_max) // used) if used > self._bytes_max else 0
@@ -353,7 +391,9 @@ class Spool:
         """Those with events of ``camera``; each found by a step in the index."""
         boots: list[str] = []
         following = "SELECT MIN(boot) FROM event WHERE camera = ? AND boot >= ''"
-        while (boot := self._db.execute(following, (camera, *boots[-1:])).fetchone()[0]) is not None:
+        while (
+            boot := self._db.execute(following, (camera, *boots[-1:])).fetchone()[0]
+        ) is not None:
             boots.append(boot)
             following = "SELECT MIN(boot) FROM event WHERE camera = ? AND boot > ?"
         return boots
@@ -369,15 +409,20 @@ class Spool:
     def _first(self, camera: str, boot: str, after_seq: int) -> int:
         """The lowest seq after ``after_seq`` that is here or will be given next."""
         row = self._db.execute(
-            "SELECT MIN(seq) FROM event WHERE camera = ? AND boot = ? AND seq > ?", (camera, boot, after_seq)
+            "SELECT MIN(seq) FROM event WHERE camera = ? AND boot = ? AND seq > ?",
+            (camera, boot, after_seq),
         ).fetchone()
         if row[0] is not None:
             return int(row[0])
         known = self._acked.get((camera, boot), -1)
         return 1 + (max(known, self._seqs.get(camera, 0)) if boot == self.boot else known)
 
-    def _good_rows(self, camera: str, boot: str, start: int, events_max: int) -> tuple[list[tuple[int, bytes]], bool]:
-        """At most ``events_max`` events that are as they were stored; and whether there are more."""
+    def _good_rows(
+        self, camera: str, boot: str, start: int, events_max: int
+    ) -> tuple[list[tuple[int, bytes]], bool]:
+        """At most ``events_max`` events that are as they were stored; and whether there are
+        more.
+        """
         rows: list[tuple[int, bytes]] = []
         for id_, *row in self._db.execute(
             "SELECT id, camera, boot, seq, raw, crc FROM event WHERE camera = ? AND boot = ? AND seq >= ? ORDER BY seq",
@@ -386,7 +431,12 @@ class Spool:
             if sqlite_file.crc(*row[:-1]) != row[-1]:
                 if id_ not in self._damaged:
                     self._damaged.add(id_)
-                    log.error("event %s of camera %s in the spool %s is damaged", row[2], camera, self.path)
+                    log.error(
+                        "event %s of camera %s in the spool %s is damaged",
+                        row[2],
+                        camera,
+                        self.path,
+                    )
             elif len(rows) == events_max:
                 return rows, True
             else:
@@ -396,18 +446,27 @@ class Spool:
     def _recount(self) -> None:
         self._held = self._count("TRUE")
         self._kept = sum(
-            self._count("camera = ? AND boot = ? AND seq <= ?", *stream, seq) for stream, seq in self._acked.items()
+            self._count("camera = ? AND boot = ? AND seq <= ?", *stream, seq)
+            for stream, seq in self._acked.items()
         )
         self.dropped = int(spool_schema.meta(self._db, "dropped") or 0)
         """Events dropped because the spool was full, since its file was made."""
 
     def _count(self, where: str, *parameters: str | int) -> int:
-        return int(self._db.execute(f"SELECT COUNT(*) FROM event WHERE {where}", parameters).fetchone()[0])
+        return int(
+            self._db.execute(f"SELECT COUNT(*) FROM event WHERE {where}", parameters).fetchone()[0]
+        )
 
 
 def _row(event: Event) -> tuple[str, str | None, int | None, bytes, int]:
     raw = codec.to_pack(event)
-    return event.camera, event.boot, event.seq, raw, sqlite_file.crc(event.camera, event.boot, event.seq, raw)
+    return (
+        event.camera,
+        event.boot,
+        event.seq,
+        raw,
+        sqlite_file.crc(event.camera, event.boot, event.seq, raw),
+    )
 
 
 def spool_path(directory: Path, site: str, name: str) -> Path:
@@ -416,13 +475,15 @@ def spool_path(directory: Path, site: str, name: str) -> Path:
 
 
 def open_spool(directory: Path, site: str, name: str, limits: Limits) -> Spool:
-    """The spool ``name`` of a publishing process for a site, with its limits, below the state directory ``directory``.
-    Raises `database.StateError`.
+    """The spool ``name`` of a publishing process for a site, with its limits, below the state
+    directory ``directory``. Raises `database.StateError`.
     """
     path = spool_path(directory, site, name)
     _adopt(directory / f"spool-{name}.db", path)
     boot = clock.ulid(clock.wall())
-    return Spool(path, boot, limits.spool_events_max, limits.spool_bytes_max, limits.spool_kept_events)
+    return Spool(
+        path, boot, limits.spool_events_max, limits.spool_bytes_max, limits.spool_kept_events
+    )
 
 
 def _adopt(older: Path, path: Path) -> None:

@@ -37,8 +37,8 @@ class Opened(NamedTuple):
 
 
 def open_file(path: Path) -> Opened:
-    """Open or make a spool's file; one that is there is not written to, so that a full disk is no hindrance. Raises
-    `database.StateError`, `sqlite3.Error`.
+    """Open or make a spool's file; one that is there is not written to, so that a full disk is no
+    hindrance. Raises `database.StateError`, `sqlite3.Error`.
     """
     connection, _ = sqlite_file.connect_or_begin_anew(path, SCHEMA, _prepare)
     with contextlib.ExitStack() as undo:
@@ -75,18 +75,25 @@ def counts(connection: sqlite3.Connection) -> dict[str, int]:
 
 def acked(connection: sqlite3.Connection) -> dict[tuple[str, str], int]:
     """The highest acknowledged seq of each (camera, boot)."""
-    return {(camera, boot): seq for camera, boot, seq in connection.execute("SELECT camera, boot, seq FROM acked")}
+    return {
+        (camera, boot): seq
+        for camera, boot, seq in connection.execute("SELECT camera, boot, seq FROM acked")
+    }
 
 
 def set_row(connection: sqlite3.Connection, table: str, *columns: str | int) -> None:
     """Insert or replace a row of one of the small tables."""
     marks = "?, " * len(columns)
-    connection.execute(f"INSERT OR REPLACE INTO {table} VALUES ({marks}?)", (*columns, sqlite_file.crc(*columns)))
+    connection.execute(
+        f"INSERT OR REPLACE INTO {table} VALUES ({marks}?)", (*columns, sqlite_file.crc(*columns))
+    )
 
 
 def _prepare(connection: sqlite3.Connection) -> None:
     """Check what is there, and bring it up to this format. Raises `database.StateError`."""
-    names = {row[0] for row in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+    names = {
+        row[0] for row in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")
+    }
     if not names:
         return
     columns = {row[0] for row in connection.execute("SELECT name FROM pragma_table_info('meta')")}
@@ -128,7 +135,10 @@ def _from_format_1(connection: sqlite3.Connection) -> None:
         set_row(connection, "count", camera, seq)
     connection.executemany(
         "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?)",
-        ((*row, sqlite_file.crc(*row[1:])) for row in connection.execute("SELECT * FROM event_1 ORDER BY id")),
+        (
+            (*row, sqlite_file.crc(*row[1:]))
+            for row in connection.execute("SELECT * FROM event_1 ORDER BY id")
+        ),
     )
     for table in tables:
         connection.execute(f"DROP TABLE {table}_1")
@@ -139,7 +149,9 @@ def _rescue(connection: sqlite3.Connection, aside: Path) -> int:
     events = 0
     for row in sqlite_file.readable(aside, "event", "id"):
         if len(row) == 6 and sqlite_file.crc(*row[1:-1]) == row[-1]:
-            events += connection.execute("INSERT OR IGNORE INTO event VALUES (?, ?, ?, ?, ?, ?)", row).rowcount
+            events += connection.execute(
+                "INSERT OR IGNORE INTO event VALUES (?, ?, ?, ?, ?, ?)", row
+            ).rowcount
     for row in sqlite_file.readable(aside, "acked", "camera"):
         if len(row) == 4 and sqlite_file.crc(*row[:-1]) == row[-1]:
             connection.execute("INSERT OR REPLACE INTO acked VALUES (?, ?, ?, ?)", row)

@@ -1,7 +1,8 @@
-"""Work that nobody waits for, beside threads that somebody waits for: a little of it, then a longer pause.
+"""Work that nobody waits for, beside threads that somebody waits for: a little of it, then a longer
+pause.
 
-A thread that answers gives the interpreter away several times an event, and each time one that works on keeps it for a
-moment: beside one without pauses fewer events are answered than come.
+A thread that answers gives the interpreter away several times an event, and each time one that
+works on keeps it for a moment: beside one without pauses fewer events are answered than come.
 """
 
 from __future__ import annotations
@@ -17,13 +18,19 @@ PAUSE_TIMES = 3.0
 PAUSE_SECONDS_MAX = 0.05
 """Whoever has not worked for so long was kept from it."""
 PARTS_DEEP = 3
-"""Parts of parts of parts of a topology or predictor are small: what follows on a zone, a context."""
+"""Parts of parts of parts of a topology or predictor are small: what follows on a zone, a
+context.
+"""
 
 
 class Leisure:
-    """Call it often while working. ``rest`` is given seconds: `time.sleep` or what ends early when all is to end."""
+    """Call it often while working. ``rest`` is given seconds: `time.sleep` or what ends early when
+    all is to end.
+    """
 
-    def __init__(self, rest: Callable[[float], object], steady: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, rest: Callable[[float], object], steady: Callable[[], float] = time.monotonic
+    ) -> None:
         self._rest, self._steady = rest, steady
         self._since = steady()
 
@@ -36,8 +43,8 @@ class Leisure:
 
 
 def let_go(wholes: list[object], pause: Callable[[], None]) -> None:
-    """Empty the list, and forget part by part what nobody else holds any more. That in one go takes a hundredth of a
-    second or two, in which no other thread has a turn.
+    """Empty the list, and forget part by part what nobody else holds any more. That in one go takes
+    a hundredth of a second or two, in which no other thread has a turn.
     """
     for deep in range(PARTS_DEEP):
         parts: list[object] = []

@@ -1,8 +1,9 @@
 """Whether the loops of a program get on. Healthy means making progress, not being alive.
 
-A loop beats when it has done something or has found nothing to do. One that hangs in a single step, or has work
-waiting and cannot do it, does not beat, and after its limit it is stuck. What is waited for elsewhere and known
-there (a full disk, the learner's room) is no reason not to beat: starting again would not help.
+A loop beats when it has done something or has found nothing to do. One that hangs in a single step,
+or has work waiting and cannot do it, does not beat, and after its limit it is stuck. What is waited
+for elsewhere and known there (a full disk, the learner's room) is no reason not to beat: starting
+again would not help.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""What did not fit: counted by reason, quoted once per reason, a few of each kept, never in the way."""
+"""What did not fit: counted by reason, quoted once per reason, a few of each kept, never in the
+way.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,11 @@ class Rejects:
             if reason not in self.counts and len(self.counts) >= REASONS_MAX:
                 reason = "other"
             self.counts[reason] += 1
-            text = raw if isinstance(raw, str) else raw[: 4 * QUOTE_CHARACTERS_MAX].decode("utf-8", "replace")
+            text = (
+                raw
+                if isinstance(raw, str)
+                else raw[: 4 * QUOTE_CHARACTERS_MAX].decode("utf-8", "replace")
+            )
             most = QUOTE_CHARACTERS_MAX
             sample = f"{where[:most]}: {detail[:most]}: {redact(text)[:most]!r}"
             self._samples.setdefault(reason, deque(maxlen=SAMPLES_MAX)).append(sample)
@@ -42,7 +48,10 @@ class Rejects:
     def samples(self) -> dict[str, list[str]]:
         """The newest of each reason: where, why, what."""
         with self._mutex:
-            return {reason: [redact(sample) for sample in kept] for reason, kept in self._samples.items()}
+            return {
+                reason: [redact(sample) for sample in kept]
+                for reason, kept in self._samples.items()
+            }
 
     def __bool__(self) -> bool:
         return bool(self.counts)

@@ -32,7 +32,11 @@ def changes(old: Config, new: Config) -> tuple[Limits, list[str]]:
         before, after = attrgetter(table)(old), attrgetter(table)(new)
         for name in after.__struct_fields__:
             title = f"{table}.{name}"
-            if getattr(before, name) == getattr(after, name) or table in _OF_OTHERS or title in TABLES:
+            if (
+                getattr(before, name) == getattr(after, name)
+                or table in _OF_OTHERS
+                or title in TABLES
+            ):
                 continue
             if table != "limits" or name not in obeyed:
                 waiting.append(title)

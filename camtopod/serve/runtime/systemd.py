@@ -1,4 +1,5 @@
-"""What systemd is told (sd_notify) by a service of Type=notify; nothing happens where there is no systemd.
+"""What systemd is told (sd_notify) by a service of Type=notify; nothing happens where there is no
+systemd.
 
 The watchdog is fed only while the program gets on, so that systemd starts again what hangs.
 """
@@ -62,7 +63,8 @@ def feed_seconds() -> float:
 
 @contextmanager
 def watchdog(failing: Callable[[], list[str]], starting: Callable[[], bool]) -> Iterator[None]:
-    """While the block runs feed the watchdog, unless ``failing()`` says why not; log when that changes.
+    """While the block runs feed the watchdog, unless ``failing()`` says why not; log when that
+    changes.
 
     While ``starting()`` the start may take longer, too, as long as it gets on.
     """

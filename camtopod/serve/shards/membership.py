@@ -1,6 +1,8 @@
-"""One shard's share of a site: which cameras are its own, which others it hears, and what it tells the other shards.
+"""One shard's share of a site: which cameras are its own, which others it hears, and what it tells
+the other shards.
 
-Which camera is whose follows from its name alone (`dealing`), so every shard knows it of every camera.
+Which camera is whose follows from its name alone (`dealing`), so every shard knows it of every
+camera.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ class Share:
 
     @property
     def first(self) -> bool:
-        """Shard 0, which makes the topology of the whole site and, unless there is a router, is the meeting point."""
+        """Shard 0, which makes the topology of the whole site and, unless there is a router, is the
+        meeting point.
+        """
         return self.shard[0] == 0
 
     @property
@@ -55,8 +59,8 @@ class Share:
         return self._dealing.district(camera) in self._districts
 
     def hears(self, camera: str, now: float) -> bool:
-        """Whether the camera's events at about ``now`` (seconds) are of use. The guests of the turn before are, too:
-        they may be neighbours, and the learner not have said so yet.
+        """Whether the camera's events at about ``now`` (seconds) are of use. The guests of the turn
+        before are, too: they may be neighbours, and the learner not have said so yet.
         """
         if self.owns(camera) or camera not in self.strangers:
             return True

@@ -1,5 +1,6 @@
-"""What a daemon does besides when it is one shard of several: it hears whom it has use for, tells the others what it
-has learned, and predicts with the topology that all of them made. Shard 0 puts that together (`merger`).
+"""What a daemon does besides when it is one shard of several: it hears whom it has use for, tells
+the others what it has learned, and predicts with the topology that all of them made. Shard 0 puts
+that together (`merger`).
 """
 
 from __future__ import annotations
@@ -31,9 +32,16 @@ class Sharing:
     """``use``: called with each version of the whole site, first with the newest there is."""
 
     def __init__(
-        self, config: Config, share: Share, directory: Path, bus: Bus, learning: Learning, told: bytes | None,
-        clock: Clock, use: Callable[[Version | Topology], None],
-    ) -> None:  # fmt: skip
+        self,
+        config: Config,
+        share: Share,
+        directory: Path,
+        bus: Bus,
+        learning: Learning,
+        told: bytes | None,
+        clock: Clock,
+        use: Callable[[Version | Topology], None],
+    ) -> None:
         self._bus, self._share, self._learning, self._use = bus, share, learning, use
         newest = Told(*share.shard, None) if told is None else codec.read(Told, told, pack=True)
         self._parts = {part.district: part for part in newest.parts}
@@ -45,7 +53,14 @@ class Sharing:
         """Of shard 0."""
         if share.shard[0] == 0:
             self.merger = Merger(
-                directory, config.keep, config.learn, config.site.name, share.sharding, share.shard[1], clock, use
+                directory,
+                config.keep,
+                config.learn,
+                config.site.name,
+                share.sharding,
+                share.shard[1],
+                clock,
+                use,
             )
             if self.merger.topology is not None:
                 use(self.merger.topology)
@@ -57,10 +72,14 @@ class Sharing:
 
     def serve(self, on_event: OnMessage, on_alive: Callable[[str, bool], None]) -> None:
         """Join the others."""
-        self.hearing = Hearing(self._bus, self._share, self._clock, on_event, on_alive, self._config.limits.streams_max)
+        self.hearing = Hearing(
+            self._bus, self._share, self._clock, on_event, on_alive, self._config.limits.streams_max
+        )
         self.hearing.know(self._config.cameras)
         self._bus.watch_alive("grabber", self.hearing.on_alive)
-        self._bus.answer(f"part/{self._share.shard[0]}", lambda key, parameters: self._answer(), "part")
+        self._bus.answer(
+            f"part/{self._share.shard[0]}", lambda key, parameters: self._answer(), "part"
+        )
         if self.merger is not None:
             self._bus.subscribe("part/*", self.merger.on_part)
             self._bus.watch_alive(ROLE, lambda name, alive: self._came.set())
@@ -78,8 +97,9 @@ class Sharing:
         self._bus.put_raw(f"part/{self._share.shard[0]}", version.told, "part")
 
     def tell(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
-        """Say how far this shard has come until ``stopping``; and hear who is of use. Shard 0 asks what the others
-        know when one has appeared: it may have said it while it was cut off, or while nobody put it together.
+        """Say how far this shard has come until ``stopping``; and hear who is of use. Shard 0 asks
+        what the others know when one has appeared: it may have said it while it was cut off, or
+        while nobody put it together.
         """
         while not stopping.wait(TELL_SECONDS):
             if self.merger is not None and self._came.is_set():
@@ -87,9 +107,13 @@ class Sharing:
                 self._ask(self.merger)
             self._share.strangers = self._learning.strangers
             reached = self._learning.reached
-            if self._learning.made == self._published:  # else not everything up to there has been told
+            if (
+                self._learning.made == self._published
+            ):  # else not everything up to there has been told
                 self._reached = reached
-            self._bus.put(f"part/{self._share.shard[0]}", Told(*self._share.shard, self._reached), "part")
+            self._bus.put(
+                f"part/{self._share.shard[0]}", Told(*self._share.shard, self._reached), "part"
+            )
             beat()
 
     def follow(self, stopping: threading.Event, beat: Beat = no_beat) -> None:
@@ -110,7 +134,9 @@ class Sharing:
 
     def _answer(self) -> Told:
         with self._mutex:
-            return Told(*self._share.shard, self._reached, [self._parts[key] for key in sorted(self._parts)])
+            return Told(
+                *self._share.shard, self._reached, [self._parts[key] for key in sorted(self._parts)]
+            )
 
     def _ask(self, merger: Merger) -> None:
         try:

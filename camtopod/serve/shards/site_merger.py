@@ -1,9 +1,9 @@
 """The parts of a site that several daemons learn, put together: one topology with one version line.
 
-It runs beside shard 0. A shard publishes ``part/{shard}`` after its own versions are stored, and answers questions for
-it; what is lost on the way is asked for again. A version is stored before it is published, in a journal of its own, so
-it never has two contents. A shard that is away holds nobody up for long: its cameras stay as they were until it is
-back.
+It runs beside shard 0. A shard publishes ``part/{shard}`` after its own versions are stored, and
+answers questions for it; what is lost on the way is asked for again. A version is stored before it
+is published, in a journal of its own, so it never has two contents. A shard that is away holds
+nobody up for long: its cameras stay as they were until it is back.
 """
 
 from __future__ import annotations
@@ -35,23 +35,34 @@ log = logging.getLogger(__name__)
 FOLDER = "site"
 """Of the state directory: where versions and what they were made of are kept."""
 PATIENCE_SECONDS = 10.0
-"""So long a part waits for shards that have not come so far: they may be away, or nobody walk at their cameras."""
+"""So long a part waits for shards that have not come so far: they may be away, or nobody walk at
+their cameras.
+"""
 INBOX_MAX = 1_000
 """Messages of shards that wait; of more only the newest part of each district is kept."""
 WAITING_PARTS_MAX = 10_000
-"""Parts that wait for a shard which is there but has not come so far; with more it is not waited for."""
+"""Parts that wait for a shard which is there but has not come so far; with more it is not waited
+for.
+"""
 _TICK_SECONDS = 0.2
 
 
 class Merger:
-    """Give it what shards say with `on_part` (any thread), and run `work` in a thread. ``publish`` is called with each
-    version after it is stored.
+    """Give it what shards say with `on_part` (any thread), and run `work` in a thread. ``publish``
+    is called with each version after it is stored.
     """
 
     def __init__(
-        self, directory: Path, keep: KeepSettings, settings: Settings, site: str, sharding: Sharding, shards: int,
-        clock: clocks.Clock, publish: Callable[[Version], None],
-    ) -> None:  # fmt: skip
+        self,
+        directory: Path,
+        keep: KeepSettings,
+        settings: Settings,
+        site: str,
+        sharding: Sharding,
+        shards: int,
+        clock: clocks.Clock,
+        publish: Callable[[Version], None],
+    ) -> None:
         self._journal = Journal(directory / FOLDER, keep)
         self._storing = Storing(self._journal, clock, clocks.steady_beside(clock), publish)
         self._clock, self._shards, self._dealing = clock, shards, Dealing(sharding)
@@ -65,7 +76,9 @@ class Merger:
             undo.pop_all()
         self._known = {part.district: age_of(part) for part in self._line.parts()}
         now = time.monotonic()
-        self._arrivals = collections.deque((now, part.topology.as_of) for part in self._line.parts())  # of parts
+        self._arrivals = collections.deque(
+            (now, part.topology.as_of) for part in self._line.parts()
+        )  # of parts
 
     @property
     def topology(self) -> Topology | None:
@@ -85,10 +98,15 @@ class Merger:
             log.error("what came on %s cannot be read: %s", key, error)
             return
         if told.shards != self._shards or key != f"part/{told.shard}":
-            log.error("shard %d of %d is none of this site's %d", told.shard, told.shards, self._shards)
+            log.error(
+                "shard %d of %d is none of this site's %d", told.shard, told.shards, self._shards
+            )
             return
         if not all(is_dealt(part, self._dealing) for part in told.parts):
-            log.error("shard %d has dealt out the site otherwise: all need the same [shards] settings", told.shard)
+            log.error(
+                "shard %d has dealt out the site otherwise: all need the same [shards] settings",
+                told.shard,
+            )
             return
         self.tell(told)
 
@@ -120,8 +138,9 @@ class Merger:
         self._journal.close()
 
     def _load(self) -> None:
-        """Go on from what is stored, without parts of a site that was dealt out otherwise. A new epoch begins where it
-        cannot be used, or is older than the newest version, which would have two contents otherwise.
+        """Go on from what is stored, without parts of a site that was dealt out otherwise. A new
+        epoch begins where it cannot be used, or is older than the newest version, which would have
+        two contents otherwise.
         """
         epoch = self._journal.meta("epoch")
         for snapshot in self._journal.snapshots():
@@ -132,11 +151,15 @@ class Merger:
                 self._line.load(state)
                 break
             except codec.Rejected as error:
-                log.error("what version %d was made of cannot be read: %s", snapshot.position, error)
+                log.error(
+                    "what version %d was made of cannot be read: %s", snapshot.position, error
+                )
         newest = 0 if epoch is None else max(self._journal.versions(epoch), default=0)
         known = self._line.topology
         if epoch is None or (self._line.epoch, known.version if known else 0) != (epoch, newest):
-            epoch = clocks.ulid(self._clock(), after=epoch or self._journal.meta("epoch before") or "")
+            epoch = clocks.ulid(
+                self._clock(), after=epoch or self._journal.meta("epoch before") or ""
+            )
             self._journal.set_meta("epoch", epoch)
             self._line.begin_epoch(epoch)
             log.info("the site's topology: epoch %s begins", epoch)

@@ -1,7 +1,9 @@
-"""Which cameras' events a shard subscribes to: all but strangers', which it hears as guests in their turns.
+"""Which cameras' events a shard subscribes to: all but strangers', which it hears as guests in
+their turns.
 
-So what comes over the bus grows with the shard's own cameras, not with the site. On a small site everything is heard:
-it costs little, and then it does not matter how fast recorded events are replayed.
+So what comes over the bus grows with the shard's own cameras, not with the site. On a small site
+everything is heard: it costs little, and then it does not matter how fast recorded events are
+replayed.
 """
 
 from __future__ import annotations
@@ -24,12 +26,19 @@ _LOOK_SECONDS = 1.0
 
 
 class Hearing:
-    """``on_heard(camera, alive)``: called as a camera that is heard appears, or is not heard any more."""
+    """``on_heard(camera, alive)``: called as a camera that is heard appears, or is not heard any
+    more.
+    """
 
     def __init__(
-        self, bus: Bus, share: Share, clock: Clock, on_event: OnMessage, on_heard: Callable[[str, bool], None],
+        self,
+        bus: Bus,
+        share: Share,
+        clock: Clock,
+        on_event: OnMessage,
+        on_heard: Callable[[str, bool], None],
         cameras_max: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._bus, self._share, self._clock = bus, share, clock
         self._on_event, self._on_heard, self._cameras_max = on_event, on_heard, cameras_max
         self._alive: dict[str, bool] = {}  # every camera known, and whether its publisher is there

@@ -1,6 +1,8 @@
-"""What is in the databases of a state directory, for somebody who looks for a fault; nothing is written or locked.
+"""What is in the databases of a state directory, for somebody who looks for a fault; nothing is
+written or locked.
 
-A file is read as it stood at its last checkpoint, at most a mebibyte of log ago, even while a program has it open.
+A file is read as it stood at its last checkpoint, at most a mebibyte of log ago, even while a
+program has it open.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ _SPOOL = {
 
 
 def journal(path: Path) -> dict[str, int | None]:
-    """Counts of a daemon's journal; none of them takes longer for a larger one. Raises `StateError`."""
+    """Counts of a daemon's journal; none of them takes longer for a larger one. Raises
+    `StateError`.
+    """
     return _answers(path, _JOURNAL)
 
 
@@ -43,6 +47,9 @@ def _answers(path: Path, questions: dict[str, str]) -> dict[str, int | None]:
         with contextlib.closing(
             sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
         ) as database:
-            return {name: (database.execute(sql).fetchone() or [None])[0] for name, sql in questions.items()}
+            return {
+                name: (database.execute(sql).fetchone() or [None])[0]
+                for name, sql in questions.items()
+            }
     except sqlite3.Error as error:
         raise StateError(f"cannot read {path}: {error}") from None

@@ -1,6 +1,7 @@
 """The tables of the journal, and how those of an older program become them.
 
-Every row ends with a checksum of its other columns, as SQLite does not notice a flipped bit in a value.
+Every row ends with a checksum of its other columns, as SQLite does not notice a flipped bit in a
+value.
 """
 
 from __future__ import annotations
@@ -38,16 +39,18 @@ CREATE TABLE IF NOT EXISTS snapshot (
     position INTEGER PRIMARY KEY, epoch TEXT NOT NULL, stored INTEGER NOT NULL, state BLOB NOT NULL,
     crc INTEGER NOT NULL)
 """
-"""``stored``: when, Unix seconds. ``stream``: the highest seq of each (camera, boot) and the entry it is in.
-``content``: the topology, packed; empty if only its digest is known. ``position``: the last entry that the state of
-the learner has in it."""
+"""``stored``: when, Unix seconds. ``stream``: the highest seq of each (camera, boot) and the entry
+it is in. ``content``: the topology, packed; empty if only its digest is known. ``position``: the
+last entry that the state of the learner has in it."""
 
 
 def prepare(database: sqlite3.Connection) -> None:
-    """Make the tables, or bring those of an older program up to date. Raises `StateError` for those of a newer one and
-    `Damaged` if it cannot be told.
+    """Make the tables, or bring those of an older program up to date. Raises `StateError` for those
+    of a newer one and `Damaged` if it cannot be told.
     """
-    tables = {name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+    tables = {
+        name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")
+    }
     if "meta" not in tables:
         create(database)
         return
@@ -57,7 +60,9 @@ def prepare(database: sqlite3.Connection) -> None:
     if row[1] == "1":
         _from_1(database)
     elif row[1] != str(FORMAT):
-        raise StateError(f"the journal has format {row[1]}, this program {FORMAT}: use the one that wrote it")
+        raise StateError(
+            f"the journal has format {row[1]}, this program {FORMAT}: use the one that wrote it"
+        )
 
 
 def create(database: sqlite3.Connection) -> None:
@@ -68,20 +73,30 @@ def create(database: sqlite3.Connection) -> None:
 
 
 def rescue(database: sqlite3.Connection, aside: Path) -> int:
-    """Take over what can still be read of a journal set aside: entries, versions, snapshots; returns how many entries.
+    """Take over what can still be read of a journal set aside: entries, versions, snapshots;
+    returns how many entries.
 
-    The epoch is not gone on with, as the versions to come may be others than some that were published. Nor is it taken
-    over how far the publishers had come: what they still have comes again, fills the holes, and counts once.
+    The epoch is not gone on with, as the versions to come may be others than some that were
+    published. Nor is it taken over how far the publishers had come: what they still have comes
+    again, fills the holes, and counts once.
     """
     for row in readable(aside, "meta", "key"):
         if row[0] == "epoch" and row == meta_row("epoch", str(row[1])):
-            database.execute("INSERT OR IGNORE INTO meta VALUES (?, ?, ?)", meta_row("epoch before", str(row[1])))
+            database.execute(
+                "INSERT OR IGNORE INTO meta VALUES (?, ?, ?)", meta_row("epoch before", str(row[1]))
+            )
     entries = 0
-    for table, key, columns in (("entry", "id", 8), ("version", "id", 8), ("snapshot", "position", 5)):
+    for table, key, columns in (
+        ("entry", "id", 8),
+        ("version", "id", 8),
+        ("snapshot", "position", 5),
+    ):
         places = ", ".join("?" * columns)
         for row in readable(aside, table, key):
             if len(row) == columns and crc(*row[:-1]) == row[-1]:
-                added = database.execute(f"INSERT OR IGNORE INTO {table} VALUES ({places})", row).rowcount
+                added = database.execute(
+                    f"INSERT OR IGNORE INTO {table} VALUES ({places})", row
+                ).rowcount
                 entries += added if table == "entry" else 0
     return entries
 
@@ -106,7 +121,9 @@ def write_meta(database: sqlite3.Connection, key: str, value: str) -> None:
 
 
 def last_entry(database: sqlite3.Connection) -> int:
-    """The number of the newest entry. Entries may all be forgotten, but never those behind the newest snapshot."""
+    """The number of the newest entry. Entries may all be forgotten, but never those behind the
+    newest snapshot.
+    """
     return int(
         database.execute(
             "SELECT MAX((SELECT COALESCE(MAX(id), 0) FROM entry), (SELECT COALESCE(MAX(position), 0) FROM snapshot))"
@@ -122,14 +139,16 @@ def last_version(database: sqlite3.Connection) -> int:
 def how_far(database: sqlite3.Connection) -> Known:
     """How far the journal has come."""
     epoch = max(read_meta(database, key) or "" for key in ("epoch", "epoch before"))
-    return Known(last_entry(database), last_version(database), epoch, read_meta(database, "name") or "")
+    return Known(
+        last_entry(database), last_version(database), epoch, read_meta(database, "name") or ""
+    )
 
 
 def begin_behind(database: sqlite3.Connection, known: Known) -> None:
     """Make a journal that came back older ready for a new epoch, in a transaction of the caller's.
 
-    Its own epoch has ended, as versions that were published may be missing; the next one sorts behind it, and behind
-    the newest that is known.
+    Its own epoch has ended, as versions that were published may be missing; the next one sorts
+    behind it, and behind the newest that is known.
     """
     found = how_far(database)
     database.execute("DELETE FROM meta WHERE key = 'epoch'")
@@ -146,21 +165,37 @@ def _from_1(database: sqlite3.Connection) -> None:
     for statement in SCHEMA.split(";"):
         database.execute(statement)
     meta = dict(database.execute("SELECT key, value FROM old_meta")) | {"format": str(FORMAT)}
-    database.executemany("INSERT INTO meta VALUES (?, ?, ?)", [meta_row(*item) for item in meta.items()])
+    database.executemany(
+        "INSERT INTO meta VALUES (?, ?, ?)", [meta_row(*item) for item in meta.items()]
+    )
     entries = database.execute("SELECT * FROM old_entry ORDER BY id")
     database.executemany(
         "INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
         (
-            (*row[:1], 0, *row[1:6], crc(row[0], 0, *row[1:6]) if zlib.crc32(row[5]) == row[6] else DAMAGED)
+            (
+                *row[:1],
+                0,
+                *row[1:6],
+                crc(row[0], 0, *row[1:6]) if zlib.crc32(row[5]) == row[6] else DAMAGED,
+            )
             for row in entries
         ),
     )
     newest = database.execute(
         "SELECT camera, boot, MAX(seq), MAX(id) FROM entry WHERE boot IS NOT NULL GROUP BY camera, boot"
     ).fetchall()
-    database.executemany("INSERT INTO stream VALUES (?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in newest])
-    digests = database.execute("SELECT version, digest FROM old_version ORDER BY version").fetchall()
-    rows = [(n, meta.get("epoch", ""), version, 0, digest, 0, b"") for n, (version, digest) in enumerate(digests, 1)]
-    database.executemany("INSERT INTO version VALUES (?, ?, ?, ?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in rows])
+    database.executemany(
+        "INSERT INTO stream VALUES (?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in newest]
+    )
+    digests = database.execute(
+        "SELECT version, digest FROM old_version ORDER BY version"
+    ).fetchall()
+    rows = [
+        (n, meta.get("epoch", ""), version, 0, digest, 0, b"")
+        for n, (version, digest) in enumerate(digests, 1)
+    ]
+    database.executemany(
+        "INSERT INTO version VALUES (?, ?, ?, ?, ?, ?, ?, ?)", [(*row, crc(*row)) for row in rows]
+    )
     for table in ("meta", "entry", "version"):
         database.execute(f"DROP TABLE old_{table}")

@@ -1,4 +1,6 @@
-"""A version of the topology as the daemon has it: packed, and what it says of it. Read, it is four times as large."""
+"""A version of the topology as the daemon has it: packed, and what it says of it. Read, it is four
+times as large.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,11 @@ class Newest(NamedTuple):
     @property
     def topology(self) -> Topology:
         """Read, in one go."""
-        return codec.read(Topology, self.whole, pack=True) if isinstance(self.whole, bytes) else self.whole
+        return (
+            codec.read(Topology, self.whole, pack=True)
+            if isinstance(self.whole, bytes)
+            else self.whole
+        )
 
     @property
     def raw(self) -> Topology | Raw:
@@ -60,8 +66,9 @@ class Newest(NamedTuple):
 
 
 class Version(NamedTuple):
-    """A new version on its way into the journal and then onto the bus: itself, as JSON and as MessagePack; what has
-    changed, as MessagePack, unless it is the first; and of a shard what the others are told.
+    """A new version on its way into the journal and then onto the bus: itself, as JSON and as
+    MessagePack; what has changed, as MessagePack, unless it is the first; and of a shard what the
+    others are told.
     """
 
     head: Head
@@ -85,9 +92,16 @@ def head_of(topology: Topology | bytes) -> Head:
     """Of a version, as such or as MessagePack."""
     one = codec.read(_Lists, topology, pack=True) if isinstance(topology, bytes) else topology
     return Head(
-        one.epoch, one.version, one.as_of, one.digest,
-        len(one.cameras), len(one.zones), len(one.links), one.alarms or [], one.score,
-    )  # fmt: skip
+        one.epoch,
+        one.version,
+        one.as_of,
+        one.digest,
+        len(one.cameras),
+        len(one.zones),
+        len(one.links),
+        one.alarms or [],
+        one.score,
+    )
 
 
 def for_prediction(packed: bytes, pause: Pause = no_pause) -> Topology:

@@ -1,8 +1,10 @@
-"""A SQLite file that keeps what it has committed, through kill -9 and a power cut on a disk that flushes.
+"""A SQLite file that keeps what it has committed, through kill -9 and a power cut on a disk that
+flushes.
 
-A damaged file is set aside, never deleted, and a new one is begun. SQLite itself notices little damage: a torn
-log reads as a shorter one, a flipped bit in a value as another value. So the log is looked at before (`wal`), every
-row carries a `crc`, and a grabber remembers what was acknowledged (`camtopod.serve.outbox.spool`).
+A damaged file is set aside, never deleted, and a new one is begun. SQLite itself notices little
+damage: a torn log reads as a shorter one, a flipped bit in a value as another value. So the log is
+looked at before (`wal`), every row carries a `crc`, and a grabber remembers what was acknowledged
+(`camtopod.serve.outbox.spool`).
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ log = logging.getLogger(__name__)
 DAMAGED_FILES_MAX = 8
 """Set aside beside one file; with more the disk is to be seen to before anything is begun anew."""
 SCAN_BYTES_MAX = 64 * 2**20
-"""Larger files are not scanned on opening, which may take a second for this much, unless they have shown damage."""
+"""Larger files are not scanned on opening, which may take a second for this much, unless they have
+shown damage.
+"""
 
 _AUTOCHECKPOINT_PAGES = 200
 _LOG_BYTES_MAX = 2**20
@@ -77,7 +81,9 @@ class Lock:
         self._place = Identity(path, self._fd)
 
     def check(self) -> None:
-        """Raise `Displaced` if the path leads to another file by now, which another process could hold."""
+        """Raise `Displaced` if the path leads to another file by now, which another process could
+        hold.
+        """
         self._place.check()
 
     def read(self, size: int) -> bytes:
@@ -96,7 +102,9 @@ class Lock:
 
 
 def held_by(path: Path) -> str:
-    """Why the database at ``path`` cannot be had at the moment, as another process has it; "" if it can."""
+    """Why the database at ``path`` cannot be had at the moment, as another process has it; "" if it
+    can.
+    """
     lock = path.with_suffix(".lock")
     if lock.exists():
         try:
@@ -125,16 +133,23 @@ class Connection(sqlite3.Connection):
         return fd
 
     def watch(self, path: Path, index: int | None) -> None:
-        """Make `check` look at the files of ``path``; ``index``: as of `wal.open_index`, kept. Raises `OSError`."""
+        """Make `check` look at the files of ``path``; ``index``: as of `wal.open_index`, kept.
+        Raises `OSError`.
+        """
         self.execute("PRAGMA page_count").fetchall()  # now SQLite has opened the log
-        database, log = (self.keep(os.open(f"{path}{suffix}", os.O_RDONLY | os.O_CLOEXEC)) for suffix in ("", "-wal"))
+        database, log = (
+            self.keep(os.open(f"{path}{suffix}", os.O_RDONLY | os.O_CLOEXEC))
+            for suffix in ("", "-wal")
+        )
         if index is None and (index := wal_check.open_index(path)) is not None:
             self.keep(index)
         if index is not None:
             self._files = OpenFiles(path, database, log, index)
 
     def check(self) -> None:
-        """Raise `Displaced` if a file of the database is not in place. Only outside of transactions."""
+        """Raise `Displaced` if a file of the database is not in place. Only outside of
+        transactions.
+        """
         if self._files is not None:
             self._files.check()
 
@@ -152,20 +167,31 @@ class Connection(sqlite3.Connection):
             warnings.warn(what, ResourceWarning, stacklevel=2, source=self)
 
 
-def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None) -> Connection:
+def connect(
+    path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None
+) -> Connection:
     """Open, or create with ``schema``, a database in WAL mode under synchronous=FULL.
 
-    ``prepare`` sees the file before the schema and in the same transaction, to migrate it or to raise
-    `StateError`. Created under EXTRA, then switched: created under FULL, power cuts lost the table in half of
-    the cases measured. Transactions are explicit (``isolation_level=None``). Raises `StateError`, `Damaged`.
+    ``prepare`` sees the file before the schema and in the same transaction, to migrate it or to
+    raise `StateError`. Created under EXTRA, then switched: created under FULL, power cuts lost the
+    table in half of the cases measured. Transactions are explicit (``isolation_level=None``).
+    Raises `StateError`, `Damaged`.
     """
     try:
         _make_private(path)
         written = wal_check.read(path)
-        if (written.frames or written.headless) and path.stat().st_size == 0:  # SQLite would delete the log
-            raise Damaged(f"{path} is damaged: it is empty or was missing, and its log is still there")
+        if (
+            written.frames or written.headless
+        ) and path.stat().st_size == 0:  # SQLite would delete the log
+            raise Damaged(
+                f"{path} is damaged: it is empty or was missing, and its log is still there"
+            )
         database = sqlite3.connect(
-            path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False, factory=Connection
+            path,
+            timeout=_BUSY_SECONDS,
+            isolation_level=None,
+            check_same_thread=False,
+            factory=Connection,
         )
         database.text_factory = _text
         with contextlib.ExitStack() as undo:
@@ -200,7 +226,9 @@ def connect(path: Path, schema: str, prepare: Callable[[sqlite3.Connection], Non
 def connect_or_begin_anew(
     path: Path, schema: str, prepare: Callable[[sqlite3.Connection], None] | None = None
 ) -> tuple[Connection, Path | None]:
-    """`connect`; if the file is damaged, it is set aside and another begun. Returns also where it is now."""
+    """`connect`; if the file is damaged, it is set aside and another begun. Returns also where it
+    is now.
+    """
     try:
         return connect(path, schema, prepare), None
     except Damaged as damage:
@@ -227,7 +255,8 @@ def move(path: Path, new: Path) -> None:
 
 
 def set_aside(path: Path) -> Path:
-    """Rename a database and its log; returns the new name. Raises `StateError` if there are too many already.
+    """Rename a database and its log; returns the new name. Raises `StateError` if there are too
+    many already.
 
     The log first: should the power go in between, an old log must not be taken for the new file's.
     """
@@ -244,15 +273,22 @@ def set_aside(path: Path) -> Path:
 
 
 def damaged_files(path: Path) -> list[Path]:
-    """What was set aside of ``path`` and is still there, the newest last; of a log if its path is given."""
+    """What was set aside of ``path`` and is still there, the newest last; of a log if its path is
+    given.
+    """
     start = f"{path.name}.damaged-"
     names = (one.name.removeprefix(start) for one in path.parent.glob(f"{start}*"))
-    return [path.with_name(f"{start}{number}") for number in sorted(int(name) for name in names if name.isdecimal())]
+    return [
+        path.with_name(f"{start}{number}")
+        for number in sorted(int(name) for name in names if name.isdecimal())
+    ]
 
 
 @contextlib.contextmanager
 def damage_noticed(path: Path) -> Iterator[None]:
-    """Raises `Damaged` if the block finds that ``path`` is; at the next start it is then scanned, however large."""
+    """Raises `Damaged` if the block finds that ``path`` is; at the next start it is then scanned,
+    however large.
+    """
     try:
         yield
     except sqlite3.Error as error:
@@ -264,7 +300,9 @@ def damage_noticed(path: Path) -> Iterator[None]:
 
 
 def is_damage(error: sqlite3.Error, path: Path) -> bool:
-    """Whether ``error`` says that the content of ``path`` is wrong, not that the disk is full or the file busy."""
+    """Whether ``error`` says that the content of ``path`` is wrong, not that the disk is full or
+    the file busy.
+    """
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     if code == sqlite3.SQLITE_READONLY:  # as a header that asks for a newer SQLite reads
         return os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
@@ -273,7 +311,9 @@ def is_damage(error: sqlite3.Error, path: Path) -> bool:
 
 @contextlib.contextmanager
 def transaction(database: sqlite3.Connection) -> Iterator[None]:
-    """All of the block or nothing. A commit can raise although it is durable: repeat only what may be."""
+    """All of the block or nothing. A commit can raise although it is durable: repeat only what may
+    be.
+    """
     database.execute("BEGIN IMMEDIATE")
     try:
         yield
@@ -329,7 +369,9 @@ def _sync_directory(directory: Path) -> None:
 
 
 def _text(raw: bytes) -> str:
-    """A flipped bit can make any text no UTF-8: that row then has a wrong CRC, and its neighbours can be read."""
+    """A flipped bit can make any text no UTF-8: that row then has a wrong CRC, and its neighbours
+    can be read.
+    """
     return raw.decode("utf-8", "replace")
 
 
@@ -355,7 +397,9 @@ def _switch_to_wal(database: sqlite3.Connection, path: Path) -> None:
     mode = database.execute("PRAGMA journal_mode").fetchone()[0]
     synchronous = database.execute("PRAGMA synchronous").fetchone()[0]
     if (mode, synchronous) != ("wal", 2):
-        raise StateError(f"{path}: SQLite cannot write safely on this file system ({mode}, {synchronous})")
+        raise StateError(
+            f"{path}: SQLite cannot write safely on this file system ({mode}, {synchronous})"
+        )
 
 
 def _scan(database: sqlite3.Connection, path: Path) -> None:
@@ -382,23 +426,30 @@ def _report_lost(path: Path, written: wal_check.Log, index: int | None) -> None:
             copy = f"a copy is {_copy_aside(Path(f'{path}-wal'))}"
         except StateError:
             raise
-        except OSError as error:  # SQLite throws the log away on closing, so that giving up would not save it
+        except (
+            OSError
+        ) as error:  # SQLite throws the log away on closing, so that giving up would not save it
             copy = f"there is no copy: {error.strerror}"
         log.error(
-            "the log of %s is damaged: %s cannot be read; %s", path,
-            "nothing of it" if lost.headless else f"{lost.transactions} transactions", copy,
-        )  # fmt: skip
+            "the log of %s is damaged: %s cannot be read; %s",
+            path,
+            "nothing of it" if lost.headless else f"{lost.transactions} transactions",
+            copy,
+        )
     elif lost.frames:
         log.warning(
             "the last transaction in the log of %s is not whole and left out: "
-            "it was being written when the program ended, or is damaged", path,
-        )  # fmt: skip
+            "it was being written when the program ended, or is damaged",
+            path,
+        )
 
 
 def _check_shape(database: sqlite3.Connection, schema: str, path: Path) -> None:
     """Raises `Damaged` if a table or an index is not as in ``schema``."""
     if not _shape_of(schema) <= set(database.execute(_SHAPE)):
-        raise Damaged(f"{path} is damaged: its tables are not those of this program; it is left as it is")
+        raise Damaged(
+            f"{path} is damaged: its tables are not those of this program; it is left as it is"
+        )
 
 
 @functools.cache
@@ -408,19 +459,27 @@ def _shape_of(schema: str) -> frozenset[tuple[object, ...]]:
         return frozenset(wanted.execute(_SHAPE))
 
 
-def readable(path: Path, table: str, key: str) -> Iterator[tuple[int | float | str | bytes | None, ...]]:
-    """The rows of ``table`` that can still be read from a damaged file, which is not changed; some of them twice.
+def readable(
+    path: Path, table: str, key: str
+) -> Iterator[tuple[int | float | str | bytes | None, ...]]:
+    """The rows of ``table`` that can still be read from a damaged file, which is not changed; some
+    of them twice.
 
-    By rising ``key`` up to the first damaged page, then from the other end. Only a row's CRC says whether it is good.
+    By rising ``key`` up to the first damaged page, then from the other end. Only a row's CRC says
+    whether it is good.
     """
     if path.stat().st_size == 0:
         return  # there are no rows, and SQLite would delete the log beside it
     try:
-        with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+        with contextlib.closing(
+            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+        ) as database:
             database.text_factory = _text
             for order in ("ASC", "DESC"):
                 try:
-                    yield from database.execute(f"SELECT * FROM {table} NOT INDEXED ORDER BY {key} {order}")
+                    yield from database.execute(
+                        f"SELECT * FROM {table} NOT INDEXED ORDER BY {key} {order}"
+                    )
                     return
                 except sqlite3.Error as error:
                     log.info("reading %s of %s by %s %s: %s", table, path, key, order, error)

@@ -1,6 +1,8 @@
-"""How much of SQLite's write-ahead log is lost: SQLite itself takes a damaged log for a shorter one and says nothing.
+"""How much of SQLite's write-ahead log is lost: SQLite itself takes a damaged log for a shorter one
+and says nothing.
 
-The layout is that of https://www.sqlite.org/fileformat2.html#walformat and https://www.sqlite.org/walformat.html.
+The layout is that of https://www.sqlite.org/fileformat2.html#walformat and
+https://www.sqlite.org/walformat.html.
 """
 
 from __future__ import annotations
@@ -17,12 +19,15 @@ _FRAME_HEADER_BYTES = 24
 _LAST_FRAME_AT = 16
 """Where the index of the log says how many frames are good."""
 INDEX_BYTES = 100
-"""The beginning of the index: its header, a copy of that, and the number of frames copied into the database."""
+"""The beginning of the index: its header, a copy of that, and the number of frames copied into the
+database.
+"""
 
 
 class Log(NamedTuple):
-    """What is written in a log, good or not. ``frames``: the number, from 1, of each that belongs to the log as it was
-    begun last; ``commits``: of each that ends a transaction. ``headless``: the beginning is damaged.
+    """What is written in a log, good or not. ``frames``: the number, from 1, of each that belongs
+    to the log as it was begun last; ``commits``: of each that ends a transaction. ``headless``: the
+    beginning is damaged.
     """
 
     frames: list[int]
@@ -31,9 +36,11 @@ class Log(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """``frames`` that SQLite leaves out, and among them ``transactions`` that had been written to their end.
+    """``frames`` that SQLite leaves out, and among them ``transactions`` that had been written to
+    their end.
 
-    At a kill or a power cut one may have been on its way; more than one, or a damaged head, is damage.
+    At a kill or a power cut one may have been on its way; more than one, or a damaged head, is
+    damage.
     """
 
     frames: int
@@ -54,10 +61,12 @@ def read(path: Path) -> Log:
             if len(head) < _HEADER_BYTES:
                 return Log([], [])
             magic, _, page_bytes, _, *salts = struct.unpack(">6I", head[:24])
-            if magic not in _MAGIC or _checksum(head[:24], big_endian=magic & 1 == 1) != struct.unpack(
-                ">2I", head[24:]
-            ):
-                return Log([], [], headless=len(file.read(_FRAME_HEADER_BYTES)) == _FRAME_HEADER_BYTES)
+            if magic not in _MAGIC or _checksum(
+                head[:24], big_endian=magic & 1 == 1
+            ) != struct.unpack(">2I", head[24:]):
+                return Log(
+                    [], [], headless=len(file.read(_FRAME_HEADER_BYTES)) == _FRAME_HEADER_BYTES
+                )
             found = Log([], [])
             number = 0
             while len(frame := file.read(_FRAME_HEADER_BYTES)) == _FRAME_HEADER_BYTES:
@@ -76,9 +85,10 @@ def read(path: Path) -> Log:
 
 
 def open_index(path: Path) -> int | None:
-    """A descriptor of the log's index (shared memory), while SQLite has the database open; None: there is none. To be
-    kept until SQLite has closed it, too: who closes a file loses all locks of the process on it, also SQLite's, and the
-    next process that reads the database would cut off the memory under this one. Raises `OSError`.
+    """A descriptor of the log's index (shared memory), while SQLite has the database open; None:
+    there is none. To be kept until SQLite has closed it, too: who closes a file loses all locks of
+    the process on it, also SQLite's, and the next process that reads the database would cut off the
+    memory under this one. Raises `OSError`.
     """
     try:
         return os.open(f"{path}-shm", os.O_RDONLY | os.O_CLOEXEC)
@@ -87,19 +97,22 @@ def open_index(path: Path) -> int | None:
 
 
 def lost(path: Path, log: Log, index: int | None) -> Lost:
-    """What of ``log`` SQLite, which has the database open by now, has left out; ``index``: see `open_index`. Raises
-    `OSError`.
+    """What of ``log`` SQLite, which has the database open by now, has left out; ``index``: see
+    `open_index`. Raises `OSError`.
     """
     last = 0 if index is None else int.from_bytes(os.pread(index, 4, _LAST_FRAME_AT), sys.byteorder)
-    transactions = sum(one > last and _is_frame_whole(path, one) for one in log.commits)  # 0 is of a log that has gone
+    transactions = sum(
+        one > last and _is_frame_whole(path, one) for one in log.commits
+    )  # 0 is of a log that has gone
     return Lost(sum(one > last for one in log.frames), transactions, log.headless)
 
 
 def is_whole(log: int, size: int, index: bytes) -> bool:
-    """Return True if an open log agrees with its index: its length, its beginning and its last frame.
+    """Return True if an open log agrees with its index: its length, its beginning and its last
+    frame.
 
-    ``log``: a descriptor of the log; ``size``: its bytes; ``index``: the first `INDEX_BYTES` of its index. Raises
-    `OSError`.
+    ``log``: a descriptor of the log; ``size``: its bytes; ``index``: the first `INDEX_BYTES` of its
+    index. Raises `OSError`.
     """
     page_bytes, last, *sums = struct.unpack("=14xHI4x2I", index[:32])
     salts = index[32:40]
@@ -116,7 +129,9 @@ def is_whole(log: int, size: int, index: bytes) -> bool:
 
 
 def _is_frame_whole(path: Path, frame: int) -> bool:
-    """Whether a frame is as it was written, going by the one before it: two that were torn can look like one."""
+    """Whether a frame is as it was written, going by the one before it: two that were torn can look
+    like one.
+    """
     with Path(f"{path}-wal").open("rb") as file:
         head = file.read(_HEADER_BYTES)
         magic, _, page_bytes = struct.unpack(">3I", head[:12])
@@ -130,7 +145,9 @@ def _is_frame_whole(path: Path, frame: int) -> bool:
     if len(page) < page_bytes:
         return False
     first, second = struct.unpack(">2I", before)
-    return _checksum(own[:8] + page, magic & 1 == 1, first, second) == struct.unpack(">2I", own[16:])
+    return _checksum(own[:8] + page, magic & 1 == 1, first, second) == struct.unpack(
+        ">2I", own[16:]
+    )
 
 
 def _checksum(data: bytes, big_endian: bool, first: int = 0, second: int = 0) -> tuple[int, int]:

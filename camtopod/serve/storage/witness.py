@@ -1,7 +1,8 @@
-"""The numbers of the newest rows of a journal, kept in a file beside it: they show if the journal comes back older.
+"""The numbers of the newest rows of a journal, kept in a file beside it: they show if the journal
+comes back older.
 
-The line is written after each transaction and never synced, so it is never ahead of the journal. After a power cut it
-may be older or unreadable; it then shows nothing.
+The line is written after each transaction and never synced, so it is never ahead of the journal.
+After a power cut it may be older or unreadable; it then shows nothing.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ _CRC_BYTES = 9
 
 
 class Known(NamedTuple):
-    """``entries``, ``versions``: the numbers of the newest ones. ``epoch``: the newest that was begun. ``name``: how
-    other daemons know this one.
+    """``entries``, ``versions``: the numbers of the newest ones. ``epoch``: the newest that was
+    begun. ``name``: how other daemons know this one.
     """
 
     entries: int = 0
@@ -32,7 +33,11 @@ class Known(NamedTuple):
 
     def is_older_than(self, other: Known) -> bool:
         """Return True if a journal that had come as far as ``other`` has lost something."""
-        return self.entries < other.entries or self.versions < other.versions or self.epoch < other.epoch
+        return (
+            self.entries < other.entries
+            or self.versions < other.versions
+            or self.epoch < other.epoch
+        )
 
 
 class Witness:
@@ -46,7 +51,9 @@ class Witness:
             self.known = _decode(lock.read(_LINE_BYTES))
 
     def note(self, known: Known) -> None:
-        """Write how far the journal has come, if that has changed. A line that cannot be written is left out."""
+        """Write how far the journal has come, if that has changed. A line that cannot be written is
+        left out.
+        """
         if known == self.known:
             return
         self.known = known
@@ -65,4 +72,6 @@ def _decode(line: bytes) -> Known:
     text, checksum = line[:-_CRC_BYTES], line[-_CRC_BYTES:]
     if len(line) != _LINE_BYTES or checksum != f"{zlib.crc32(text):08x}\n".encode():
         return Known()
-    return Known(int(text[:20]), int(text[21:41]), text[42:68].decode().strip(), text[69:95].decode().strip())
+    return Known(
+        int(text[:20]), int(text[21:41]), text[42:68].decode().strip(), text[69:95].decode().strip()
+    )

@@ -92,7 +92,8 @@ def find_blobs(motion: Motion, expected_height: ExpectedHeight) -> list[Blob]:
 
 
 def _fragments(mask: Luma) -> tuple[Luma, Luma]:
-    """Connected pixels of ``mask``: label of each pixel (0: not in the mask), and OpenCV's table of the labels.
+    """Connected pixels of ``mask``: label of each pixel (0: not in the mask), and OpenCV's table of
+    the labels.
 
     Labelling costs by the area looked at, so it is done only where there is something.
     """
@@ -103,7 +104,9 @@ def _fragments(mask: Luma) -> tuple[Luma, Luma]:
     if width == 0:
         return labels, np.zeros((1, 5), np.int32)
     part = slice(top, top + height), slice(left, left + width)
-    _, labels[part], stats, _ = cv2.connectedComponentsWithStats(mask[part], connectivity=8, ltype=depth)
+    _, labels[part], stats, _ = cv2.connectedComponentsWithStats(
+        mask[part], connectivity=8, ltype=depth
+    )
     stats[:, : cv2.CC_STAT_TOP + 1] += (left, top)
     return labels, stats
 
@@ -128,9 +131,11 @@ def _blob(group: list[int], box: Box, area: int, labels: Luma, motion: Motion) -
     return Blob(left, top, right, bottom, left + float(feet[0] + feet[-1] + 1) / 2, area)
 
 
-def _merge(fragments: list[tuple[int, Box]], expected_height: ExpectedHeight) -> list[tuple[list[int], Box]]:
-    """Groups of labels that are one person, and their boxes: one above the other, or nearly touching, and not too
-    tall together."""
+def _merge(
+    fragments: list[tuple[int, Box]], expected_height: ExpectedHeight
+) -> list[tuple[list[int], Box]]:
+    """Groups of labels that are one person, and their boxes: one above the other, or nearly
+    touching, and not too tall together."""
     groups = [([label], box) for label, box in fragments]
     reach = BESIDE_HEIGHTS * _tallest([box for _, box in groups], expected_height)
     merged = True
@@ -149,7 +154,9 @@ def _merge(fragments: list[tuple[int, Box]], expected_height: ExpectedHeight) ->
 
 
 def _tallest(boxes: list[Box], expected_height: ExpectedHeight) -> float:
-    """No two of the boxes, nor of what they are merged to, are taken for parts of a taller person than this."""
+    """No two of the boxes, nor of what they are merged to, are taken for parts of a taller person
+    than this.
+    """
     if not boxes:
         return 0.0
     unknown = _HEIGHT_UNKNOWN * (max(box[3] for box in boxes) - min(box[1] for box in boxes))

@@ -1,9 +1,9 @@
 """Moving pixels against the settled scene, and which of the scene may be learned meanwhile.
 
-Three things decide how well this works on real video: the background must not learn what stands under a
-confirmed track; light must not be motion (tone curve in `background`, gradients here); and freezing must
-end - a picture that changed as a whole is learned anew, and what nobody claims is adopted after some
-seconds.
+Three things decide how well this works on real video: the background must not learn what stands
+under a confirmed track; light must not be motion (tone curve in `background`, gradients here); and
+freezing must end - a picture that changed as a whole is learned anew, and what nobody claims is
+adopted after some seconds.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ DIFFERENCE_MIN = 15.0
 """A pixel moves from this difference on, grey levels, in a picture without noise."""
 NOISE_FACTOR = 4.0
 EDGE_MIN = 18.0
-"""Step of the logarithmic difference between neighbours that a change of light does not make; 100 is a
-factor of e."""
+"""Step of the logarithmic difference between neighbours that a change of light does not make; 100
+is a factor of e."""
 STRONG_MIN = 75.0
 """Logarithmic difference that no shadow makes."""
 WHOLE_PICTURE_SHARE = 0.5
@@ -36,9 +36,13 @@ ADOPT_SECONDS = 6.0
 """What differs from the model for this long and belongs to no object becomes part of the scene."""
 BOOTSTRAP_FRAMES_MAX = 24
 GHOST_RATIO = 1.5
-"""Along a ghost's outline the model has this many times the picture's gradient: what left is in the model."""
+"""Along a ghost's outline the model has this many times the picture's gradient: what left is in the
+model.
+"""
 SHAKE_PIXELS = 0.2
-"""From this mean shake on, a pixel may show what the scene has beside it (which hides some people)."""
+"""From this mean shake on, a pixel may show what the scene has beside it (which hides some
+people).
+"""
 SHAKE_PIXELS_MAX = 2.0
 _NOISE_RATE = 0.1
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -53,8 +57,9 @@ _LOGARITHM = np.clip(100 * np.log((np.arange(256) + _DARK) / _DARK), 0, 255).ast
 class Motion:
     """One frame against the settled scene, masks (H, W) of 0 and 255.
 
-    ``changed``: differs from the scene; ``moving``: of these, without shadows and reflections; ``edges``:
-    edges that the scene does not have; ``expected``: the picture of the scene in this light.
+    ``changed``: differs from the scene; ``moving``: of these, without shadows and reflections;
+    ``edges``: edges that the scene does not have; ``expected``: the picture of the scene in this
+    light.
     """
 
     moving: Luma
@@ -82,7 +87,9 @@ class MotionDetector:
 
     @property
     def disturbed(self) -> bool:
-        """Whether most of the latest picture differs from the scene: nothing in it can be told apart."""
+        """Whether most of the latest picture differs from the scene: nothing in it can be told
+        apart.
+        """
         return self._changed_seconds > 0.0
 
     @property
@@ -114,7 +121,8 @@ class MotionDetector:
         self._changed_seconds = 0.0
 
     def look(self, frame: Luma, dt: float) -> Motion | None:
-        """Moving pixels of ``frame``, ``dt`` seconds after the last; None when the whole picture has changed.
+        """Moving pixels of ``frame``, ``dt`` seconds after the last; None when the whole picture
+        has changed.
 
         After None the caller forgets its objects and bootstraps again.
         """
@@ -122,7 +130,9 @@ class MotionDetector:
         expected = self._background.expected(frame, self._settled, self._noise)
         x, y = shift(frame, expected, self._settled)
         self._shake += _NOISE_RATE * (min(abs(x) + abs(y), SHAKE_PIXELS_MAX) - self._shake)
-        difference = _beyond(frame, expected) if self._shake > SHAKE_PIXELS else cv2.absdiff(frame, expected)
+        difference = (
+            _beyond(frame, expected) if self._shake > SHAKE_PIXELS else cv2.absdiff(frame, expected)
+        )
         threshold = max(DIFFERENCE_MIN, NOISE_FACTOR * min(self._noise, NOISE_TO_FILTER))
         moving = cv2.threshold(difference, threshold, 255, cv2.THRESH_BINARY)[1]
         share = cv2.countNonZero(moving) / moving.size
@@ -137,14 +147,17 @@ class MotionDetector:
         near = cv2.dilate(edges, _WIDE)
         solid = cv2.bitwise_and(moving, cv2.bitwise_or(near, strong))
         solid = cv2.bitwise_and(moving, _filled(solid))
-        solid = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _CROSS)  # outlines of furniture are lines, people are not
+        solid = cv2.morphologyEx(
+            solid, cv2.MORPH_OPEN, _CROSS
+        )  # outlines of furniture are lines, people are not
         return Motion(solid, edges, moving, expected)
 
     def _own_texture(self, frame: Luma, expected: Luma) -> tuple[Luma, Luma]:
-        """Where the picture has edges the scene has not, and where it differs more than a shadow makes it.
+        """Where the picture has edges the scene has not, and where it differs more than a shadow
+        makes it.
 
-        A shadow or a reflection multiplies the scene by a factor that varies slowly, so in logarithms it
-        adds a flat patch, whatever texture lies below.
+        A shadow or a reflection multiplies the scene by a factor that varies slowly, so in
+        logarithms it adds a flat patch, whatever texture lies below.
         """
         ratio = cv2.absdiff(cv2.LUT(frame, _LOGARITHM), cv2.LUT(expected, _LOGARITHM))
         steps = cv2.morphologyEx(ratio, cv2.MORPH_GRADIENT, _CROSS)
@@ -152,7 +165,9 @@ class MotionDetector:
         return edges, cv2.threshold(ratio, STRONG_MIN, 255, cv2.THRESH_BINARY)[1]
 
     def learn(self, frame: Luma, motion: Motion, dt: float, claimed: Iterable[Box]) -> None:
-        """Follow the scene where nothing moves, outside ``claimed`` (the boxes of confirmed objects)."""
+        """Follow the scene where nothing moves, outside ``claimed`` (the boxes of confirmed
+        objects).
+        """
         assert self._background is not None, "bootstrap first"
         unclaimed = motion.changed.copy()
         self._settled = cv2.bitwise_not(cv2.dilate(motion.changed, _SQUARE))
@@ -168,7 +183,9 @@ class MotionDetector:
             return
         self._unclaimed_seconds = cv2.copyTo(self._unclaimed_seconds + np.float32(dt), unclaimed)
         if float(self._unclaimed_seconds.max()) > ADOPT_SECONDS:
-            self._adopt(frame, np.where(self._unclaimed_seconds > ADOPT_SECONDS, np.uint8(255), np.uint8(0)))
+            self._adopt(
+                frame, np.where(self._unclaimed_seconds > ADOPT_SECONDS, np.uint8(255), np.uint8(0))
+            )
 
     def _adopt(self, frame: Luma, where: Luma) -> None:
         assert self._background is not None
@@ -176,8 +193,8 @@ class MotionDetector:
         self._unclaimed_seconds[where != 0] = 0.0
 
     def is_ghost(self, frame: Luma, motion: Motion, box: Box) -> bool:
-        """Whether the moving pixels in ``box`` are where something *was*; if so the scene adopts what is
-        there now."""
+        """Whether the moving pixels in ``box`` are where something *was*; if so the scene adopts
+        what is there now."""
         assert self._background is not None, "bootstrap first"
         left, top, right, bottom = (max(0, int(value)) for value in box)
         rows, columns = slice(max(0, top - 2), bottom + 2), slice(max(0, left - 2), right + 2)
@@ -188,7 +205,9 @@ class MotionDetector:
         if not outline.any():
             return False
         now = cv2.morphologyEx(frame[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
-        model = cv2.morphologyEx(self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS)[outline].mean()
+        model = cv2.morphologyEx(
+            self._background.picture[rows, columns], cv2.MORPH_GRADIENT, _CROSS
+        )[outline].mean()
         if float(model) < GHOST_RATIO * max(1.0, float(now)):
             return False
         where = np.zeros(frame.shape, np.uint8)
@@ -209,13 +228,15 @@ def _filled(mask: Luma) -> Luma:
     flooded = cv2.copyMakeBorder(mask[part], 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0.0,))
     cv2.floodFill(flooded, None, (0, 0), (255.0,))
     filled = mask.copy()
-    filled[part] = cv2.bitwise_or(mask[part], cv2.bitwise_not(flooded[1 : height + 1, 1 : width + 1]))
+    filled[part] = cv2.bitwise_or(
+        mask[part], cv2.bitwise_not(flooded[1 : height + 1, 1 : width + 1])
+    )
     return filled
 
 
 def _beyond(frame: Luma, expected: Luma) -> Luma:
-    """How far each pixel is outside of what the scene shows there or one pixel beside: cameras on poles
-    shake."""
+    """How far each pixel is outside of what the scene shows there or one pixel beside: cameras on
+    poles shake."""
     above = cv2.subtract(frame, cv2.dilate(expected, _SQUARE))
     below = cv2.subtract(cv2.erode(expected, _SQUARE), frame)
     return cv2.max(above, below)

@@ -1,11 +1,11 @@
 """A file, an RTSP stream or a device -> frames with capture times.
 
-What was learned about OpenCV's FFmpeg backend the hard way: name the backend or the timeouts are ignored;
-one decoder thread, or a stall first hands out stale frames as good ones; a capture that said False once
-spins and never recovers; releasing it from another thread while it reads crashes; without
-``rtsp_transport;tcp`` it switches to UDP; the frame rate wanted must be had by skipping `retrieve`, never
-`grab`, or the stream falls behind. The luma plane must be asked for before the first `retrieve`: the
-conversion chosen there stays, whatever is asked for later.
+What was learned about OpenCV's FFmpeg backend the hard way: name the backend or the timeouts are
+ignored; one decoder thread, or a stall first hands out stale frames as good ones; a capture that
+said False once spins and never recovers; releasing it from another thread while it reads crashes;
+without ``rtsp_transport;tcp`` it switches to UDP; the frame rate wanted must be had by skipping
+`retrieve`, never `grab`, or the stream falls behind. The luma plane must be asked for before the
+first `retrieve`: the conversion chosen there stays, whatever is asked for later.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ class Grab(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A frame that is to be analysed: capture time in seconds and picture (H, W) at working size."""
+    """A frame that is to be analysed: capture time in seconds and picture (H, W) at working
+    size.
+    """
 
     t: float
     luma: Luma
@@ -47,7 +49,8 @@ class Capture:
     """One opened capture. All calls from one thread; dead after the first failed `grab`."""
 
     def __init__(self, source: str, settings: VisionSettings, colour: bool = False) -> None:
-        """Open ``source``; see `is_open` for whether that worked. Blocks for at most the open timeout.
+        """Open ``source``; see `is_open` for whether that worked. Blocks for at most the open
+        timeout.
 
         ``colour``: `jpeg` is wanted, too, for which frames have to be converted.
         """
@@ -59,15 +62,25 @@ class Capture:
         else:
             parameters = [cv2.CAP_PROP_N_THREADS, 1]
             if kind == "stream":
-                parameters += [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, round(1000 * settings.open_timeout_seconds)]
-                parameters += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, round(1000 * settings.read_timeout_seconds)]
+                parameters += [
+                    cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
+                    round(1000 * settings.open_timeout_seconds),
+                ]
+                parameters += [
+                    cv2.CAP_PROP_READ_TIMEOUT_MSEC,
+                    round(1000 * settings.read_timeout_seconds),
+                ]
             with _environment(kind == "stream"):
                 name = percent_encoded(source) if kind == "stream" else source
                 self._capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, parameters)
         self._width_max = settings.working_width
         self._picture: Luma | None = None
         """Used again for each frame: a new one of this size costs more than filling it."""
-        pixels = "" if kind == "device" else _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
+        pixels = (
+            ""
+            if kind == "device"
+            else _four_characters(self._capture, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
+        )
         if pixels in LUMA_FORMATS and not colour:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
 
@@ -107,12 +120,18 @@ class Capture:
         return shrunk(_grey(self._picture), self._width_max)
 
     def jpeg(self, width_max: int) -> bytes:
-        """The frame that was retrieved last, at most ``width_max`` pixels wide; b"" if there is none."""
+        """The frame that was retrieved last, at most ``width_max`` pixels wide; b"" if there is
+        none.
+        """
         if self._picture is None:
             return b""
         height, width = self._picture.shape[:2]
         size = (width_max, round(height * width_max / width))
-        small = cv2.resize(self._picture, size, interpolation=cv2.INTER_AREA) if width > width_max else self._picture
+        small = (
+            cv2.resize(self._picture, size, interpolation=cv2.INTER_AREA)
+            if width > width_max
+            else self._picture
+        )
         return cv2.imencode(".jpg", small)[1].tobytes()
 
     def release(self) -> None:
@@ -121,7 +140,9 @@ class Capture:
 
 
 class Cadence:
-    """Which frames to analyse: as near to a wanted rate as the source's own allows, by time stamps."""
+    """Which frames to analyse: as near to a wanted rate as the source's own allows, by time
+    stamps.
+    """
 
     def __init__(self, fps: float) -> None:
         self._interval = 1.0 / fps
@@ -135,7 +156,10 @@ class Cadence:
             step = min(stamp - self._last_stamp, 1.0)
             self._step += (step - self._step) * (_STEP_RATE if self._step else 1.0)
         self._last_stamp = stamp
-        due = self._last_taken is None or not 0.0 <= stamp - self._last_taken < self._interval - self._step / 2
+        due = (
+            self._last_taken is None
+            or not 0.0 <= stamp - self._last_taken < self._interval - self._step / 2
+        )
         if due:
             self._last_taken = stamp
         return due

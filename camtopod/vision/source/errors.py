@@ -4,5 +4,5 @@ from __future__ import annotations
 
 
 class SourceError(OSError):
-    """A video file that is there but cannot be decoded (or holds no frame). ``str()`` says which, without a
-    password."""
+    """A video file that is there but cannot be decoded (or holds no frame). ``str()`` says which,
+    without a password."""

@@ -1,4 +1,5 @@
-"""Why a stream cannot be opened, which OpenCV does not tell: FFmpeg says it, and OpenCV prints it to standard output.
+"""Why a stream cannot be opened, which OpenCV does not tell: FFmpeg says it, and OpenCV prints it
+to standard output.
 
 Only what is recognised is handed on, in our words: FFmpeg's own may hold addresses and passwords.
 """
@@ -74,13 +75,16 @@ class Complaints:
 
 
 def _flush() -> None:
-    """What OpenCV has printed waits in the buffer of C's standard output, a thing apart from `sys.stdout`."""
+    """What OpenCV has printed waits in the buffer of C's standard output, a thing apart from
+    `sys.stdout`.
+    """
     _LIBC.fflush(None)
 
 
 @contextmanager
 def _log_level(level: str) -> Iterator[None]:
-    """FFmpeg's log has this level if it is opened first while the block runs; one that the user has set stays.
+    """FFmpeg's log has this level if it is opened first while the block runs; one that the user has
+    set stays.
 
     Afterwards the environment is as before: a process that is started then decides for itself.
     """
@@ -96,7 +100,9 @@ def _log_level(level: str) -> Iterator[None]:
 
 @contextmanager
 def listening() -> Iterator[Complaints]:
-    """Standard output is FFmpeg's while the block runs; a program with data for it duplicates the descriptor before."""
+    """Standard output is FFmpeg's while the block runs; a program with data for it duplicates the
+    descriptor before.
+    """
     sys.stdout.flush()
     _flush()
     heard, written = os.pipe()

@@ -1,9 +1,9 @@
 """When was this frame captured? From its presentation stamp, anchored to arrivals.
 
-Frames arrive late, never early. So over one connection the smallest (arrival - stamp) is the best guess of
-how the source's time base lies against ours, and everything above it is delay. The minimum runs over the
-last half minute: it follows a drifting time base, or one that runs at a wrong rate, and forgets the burst
-of old frames after opening.
+Frames arrive late, never early. So over one connection the smallest (arrival - stamp) is the best
+guess of how the source's time base lies against ours, and everything above it is delay. The minimum
+runs over the last half minute: it follows a drifting time base, or one that runs at a wrong rate,
+and forgets the burst of old frames after opening.
 """
 
 from __future__ import annotations

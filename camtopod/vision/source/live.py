@@ -1,8 +1,8 @@
 """A stream or device that may stall, end, or not be there yet -> frames, for ever.
 
-One thread owns the capture (opening, reading and releasing it: another thread doing so crashes) and may
-block in it for as long as the timeouts; the caller never does. Frames go through a small queue; when the
-caller is slow the oldest go.
+One thread owns the capture (opening, reading and releasing it: another thread doing so crashes) and
+may block in it for as long as the timeouts; the caller never does. Frames go through a small queue;
+when the caller is slow the oldest go.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from camtopod.vision.source.source_url import AGAIN
 
 QUEUE_FRAMES = 8
 SETTLE_SECONDS = 1.0
-"""Right after opening frames are old by an unknown delay: they wait this long for prompt ones to tell."""
+"""Right after opening frames are old by an unknown delay: they wait this long for prompt ones to
+tell.
+"""
 HEARTBEAT_SECONDS = 0.5
 """The caller gets control back at least this often."""
 HEALTHY_SECONDS = 10.0
@@ -60,7 +62,9 @@ class LiveSource:
         self._called: float | None = None
 
     def frames(self) -> Iterator[Frame | None]:
-        """Frames with capture times on the wall clock; None when there was none for half a second."""
+        """Frames with capture times on the wall clock; None when there was none for half a
+        second.
+        """
         self._thread.start()
         try:
             while not self._stop.is_set():
@@ -80,13 +84,23 @@ class LiveSource:
 
     @property
     def overdue_seconds(self) -> float:
-        """How much longer than the timeouts allow a call of OpenCV has been going on; 0.0 if all is well."""
+        """How much longer than the timeouts allow a call of OpenCV has been going on; 0.0 if all is
+        well.
+        """
         called = self._called
-        return 0.0 if called is None else max(0.0, time.monotonic() - called - self._blocked_seconds_max)
+        return (
+            0.0
+            if called is None
+            else max(0.0, time.monotonic() - called - self._blocked_seconds_max)
+        )
 
     @property
     def _blocked_seconds_max(self) -> float:
-        return self._settings.open_timeout_seconds + self._settings.read_timeout_seconds + MARGIN_SECONDS
+        return (
+            self._settings.open_timeout_seconds
+            + self._settings.read_timeout_seconds
+            + MARGIN_SECONDS
+        )
 
     def close(self) -> None:
         """Stop; waits for a blocked read to come back, at most the sum of the timeouts."""
@@ -132,7 +146,11 @@ class LiveSource:
             arrival = time.monotonic()
             if grab is None:
                 slow = arrival - asked > 0.9 * self._settings.read_timeout_seconds
-                return "no frame within the read timeout" if slow else "the source ended or closed the connection"
+                return (
+                    "no frame within the read timeout"
+                    if slow
+                    else "the source ended or closed the connection"
+                )
             if arrival - asked > self._settings.read_timeout_seconds / 2:
                 self.dropped += 1  # after a stall what comes first is old
                 continue

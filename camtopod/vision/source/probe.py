@@ -1,4 +1,5 @@
-"""A look at a source for some seconds: what it is, and in words what is wrong with it. A process of its own:
+"""A look at a source for some seconds: what it is, and in words what is wrong with it. A process of
+its own:
 
     python -m camtopod.vision.source.probe
 
@@ -35,9 +36,17 @@ CONTRAST_MIN = 3.0
 PICTURE_WIDTH_MAX = 1280
 """Of the picture that is kept, pixels; to draw zones on, more is of no use."""
 _CODECS = {
-    "avc1": "H.264", "h264": "H.264", "hev1": "H.265", "hevc": "H.265", "hvc1": "H.265",
-    "mjpg": "MJPEG", "fmp4": "MPEG-4", "mp4v": "MPEG-4", "vp09": "VP9", "av01": "AV1",
-}  # fmt: skip
+    "avc1": "H.264",
+    "h264": "H.264",
+    "hev1": "H.265",
+    "hevc": "H.265",
+    "hvc1": "H.265",
+    "mjpg": "MJPEG",
+    "fmp4": "MPEG-4",
+    "mp4v": "MPEG-4",
+    "vp09": "VP9",
+    "av01": "AV1",
+}
 
 
 class Question(Struct):
@@ -49,8 +58,8 @@ class Question(Struct):
 
 
 class Probe(Struct):
-    """What was seen. ``problem``: why it cannot be watched, "" if it can; ``remarks``: what could be better;
-    ``picture``: its last frame as JPEG, b"" unless asked for.
+    """What was seen. ``problem``: why it cannot be watched, "" if it can; ``remarks``: what could
+    be better; ``picture``: its last frame as JPEG, b"" unless asked for.
     """
 
     problem: str = ""
@@ -63,13 +72,19 @@ class Probe(Struct):
 
     @property
     def words(self) -> list[str]:
-        """For people, for example ``H.264, 1920x1080, 25 frames a second``; or the problem; then the remarks."""
+        """For people, for example ``H.264, 1920x1080, 25 frames a second``; or the problem; then
+        the remarks.
+        """
         rate = f"{self.fps:.3g} frames a second" if self.fps else "unknown frame rate"
         return [self.problem or f"{self.codec}, {self.width}x{self.height}, {rate}", *self.remarks]
 
 
-def probe(source: str, settings: VisionSettings, complaints: Complaints, picture: bool = False) -> Probe:
-    """Open it and count its frames. Takes at most the timeouts and `LOOK_SECONDS`; nothing is raised."""
+def probe(
+    source: str, settings: VisionSettings, complaints: Complaints, picture: bool = False
+) -> Probe:
+    """Open it and count its frames. Takes at most the timeouts and `LOOK_SECONDS`; nothing is
+    raised.
+    """
     kind = kind_of(source)
     path = source.removeprefix("file://")
     if kind == "file":
@@ -83,7 +98,11 @@ def probe(source: str, settings: VisionSettings, complaints: Complaints, picture
             why = _of_device(source) if kind == "device" else complaints.take()
             return Probe(f"it cannot be opened{why and ': '}{why}")
         seen = _watched(capture, live=kind != "file")
-        return msgspec.structs.replace(seen, picture=capture.jpeg(PICTURE_WIDTH_MAX)) if picture else seen
+        return (
+            msgspec.structs.replace(seen, picture=capture.jpeg(PICTURE_WIDTH_MAX))
+            if picture
+            else seen
+        )
     finally:
         capture.release()
 
@@ -92,7 +111,11 @@ def _watched(capture: Capture, live: bool) -> Probe:
     stamps: list[float] = []
     arrivals: list[float] = []
     contrast = 0.0
-    while arrivals[-1] - arrivals[0] < LOOK_SECONDS if live and arrivals else len(arrivals) < FILE_FRAMES:
+    while (
+        arrivals[-1] - arrivals[0] < LOOK_SECONDS
+        if live and arrivals
+        else len(arrivals) < FILE_FRAMES
+    ):
         grab = capture.grab()
         if grab is None:
             break
@@ -106,7 +129,9 @@ def _watched(capture: Capture, live: bool) -> Probe:
     times = stamps if stamps[-1] > stamps[0] else arrivals
     fps = (len(times) - 1) / (times[-1] - times[0]) if live and len(times) > 1 else capture.fps
     width, height = capture.size
-    seen = Probe("", _CODECS.get(capture.codec.lower(), capture.codec or "unknown codec"), width, height, fps)
+    seen = Probe(
+        "", _CODECS.get(capture.codec.lower(), capture.codec or "unknown codec"), width, height, fps
+    )
     return msgspec.structs.replace(seen, remarks=_remarks(seen, contrast))
 
 
@@ -115,9 +140,13 @@ def _remarks(seen: Probe, contrast: float) -> list[str]:
     if contrast < CONTRAST_MIN:
         remarks.append("the picture is of one colour: is something before the lens?")
     if 0.0 < seen.fps < FPS_MIN:
-        remarks.append("so few frames a second that people who walk fast are missed: set 5 or more in the camera")
+        remarks.append(
+            "so few frames a second that people who walk fast are missed: set 5 or more in the camera"
+        )
     if seen.width * seen.height > PIXELS_MAX:
-        remarks.append("larger than is of use: a second, smaller stream of the camera takes less of this machine")
+        remarks.append(
+            "larger than is of use: a second, smaller stream of the camera takes less of this machine"
+        )
     if seen.width < WIDTH_MIN:
         remarks.append("so small that people can hardly be seen")
     return remarks
@@ -136,7 +165,10 @@ def _of_device(number: str) -> str:
 def decoders() -> list[str]:
     """What OpenCV's build says of the libraries that decode video, a line each."""
     video = cv2.getBuildInformation().partition("Video I/O:")[2].partition("\n\n")[0]
-    return [f"OpenCV {cv2.__version__}", *(line.strip() for line in video.splitlines() if line.strip())]
+    return [
+        f"OpenCV {cv2.__version__}",
+        *(line.strip() for line in video.splitlines() if line.strip()),
+    ]
 
 
 if __name__ == "__main__":

@@ -19,7 +19,9 @@ HEARTBEAT_SECONDS = 0.5
 class RecordedSource:
     """Times are ``start`` plus the position in the file, seconds."""
 
-    def __init__(self, path: str, settings: VisionSettings, start: float, speed: float | None) -> None:
+    def __init__(
+        self, path: str, settings: VisionSettings, start: float, speed: float | None
+    ) -> None:
         """``speed``: None for as fast as it decodes, 1.0 for the file's own pace. Raises `OSError`,
         `SourceError`."""
         with open(path, "rb") as file:  # says clearly why not, which OpenCV does not
@@ -44,7 +46,9 @@ class RecordedSource:
         """Its reader is its caller, who cannot ask while a call of OpenCV lasts."""
 
     def frames(self) -> Iterator[Frame | None]:
-        """The frames to analyse; None while waiting. Raises `SourceError` if there is not one frame."""
+        """The frames to analyse; None while waiting. Raises `SourceError` if there is not one
+        frame.
+        """
         cadence = Cadence(self._settings.analysed_fps)
         began = time.monotonic()
         position = 0.0

@@ -22,10 +22,11 @@ def kind_of(source: str) -> Literal["device", "stream", "file"]:
 
 
 def percent_encoded(url: str) -> str:
-    """``url`` with the user name and password encoded, which may hold ``@``, ``:`` and ``/`` as they are.
+    """``url`` with the user name and password encoded, which may hold ``@``, ``:`` and ``/`` as
+    they are.
 
-    The host begins after the first ``@`` that a host name and perhaps a port follow. What is encoded
-    already stays.
+    The host begins after the first ``@`` that a host name and perhaps a port follow. What is
+    encoded already stays.
     """
     match = _SCHEME.match(url)
     if match is None or _HOST.match(match.group(2)):  # begins with the host: there is no password

@@ -1,8 +1,8 @@
 """Tracks -> events: who crossed the edge of the view, when and where.
 
-An edge is the border of the picture, or a door learned in mid-view (`doors`). The time of an entry is that
-of the first sighting although it is reported only when the object is confirmed; that of an exit is the last
-sighting's.
+An edge is the border of the picture, or a door learned in mid-view (`doors`). The time of an entry
+is that of the first sighting although it is reported only when the object is confirmed; that of an
+exit is the last sighting's.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class Crossings:
         return near <= TOUCH_PIXELS
 
     def _at_border(self, box: Box, height: float, drift: tuple[float, float] = (0.0, 0.0)) -> bool:
-        """Box of a person ``height`` tall within the margin of the border, or across it when moved by
-        ``drift``.
+        """Box of a person ``height`` tall within the margin of the border, or across it when moved
+        by ``drift``.
 
         At the top it is the foot that counts: heads are cut off far inside the view.
         """
@@ -72,7 +72,9 @@ class Crossings:
         return self.doors.is_door(*track.last.foot, track.height)
 
     def begins_at_edge(self, track: Track) -> bool:
-        """Whether the track, followed for a short while only, was first seen where objects enter the view."""
+        """Whether the track, followed for a short while only, was first seen where objects enter
+        the view.
+        """
         dx, dy = _drift(track)
         if self._at_border(track.first.box, track.height, (-dx, -dy)):
             return True
@@ -81,7 +83,9 @@ class Crossings:
     # -- what ------------------------------
 
     def report(self, changes: Changes, active: list[Track]) -> list[Event]:
-        """The events of one frame's changes; ``active`` are all tracks, for learning where people walk."""
+        """The events of one frame's changes; ``active`` are all tracks, for learning where people
+        walk.
+        """
         events = []
         for track in changes.appeared:
             if track.from_start:
@@ -120,7 +124,9 @@ class Crossings:
         else:
             self.exits += 1
         x, y = min(max(x / self._width, 0.0), 1.0), min(max(y / self._height, 0.0), 1.0)
-        return Event(self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number))
+        return Event(
+            self._camera, kind, round(at.t, 6), round(x, 4), round(y, 4), str(track.number)
+        )
 
 
 def went_somewhere(track: Track) -> bool:
@@ -129,10 +135,18 @@ def went_somewhere(track: Track) -> bool:
 
 
 def _foot_row(sightings: list[Sighting], latest: bool) -> float:
-    """Row of the feet of somebody cut lengthwise: the last piece seen of a person need not have a foot."""
+    """Row of the feet of somebody cut lengthwise: the last piece seen of a person need not have a
+    foot.
+    """
     tallest = max(sighting.box[3] - sighting.box[1] for sighting in sightings)
-    whole = [sighting for sighting in sightings if sighting.box[3] - sighting.box[1] >= WHOLE_SHARE * tallest]
-    return median(x.foot[1] for x in (whole[-FOOT_SIGHTINGS:] if latest else whole[:FOOT_SIGHTINGS]))
+    whole = [
+        sighting
+        for sighting in sightings
+        if sighting.box[3] - sighting.box[1] >= WHOLE_SHARE * tallest
+    ]
+    return median(
+        x.foot[1] for x in (whole[-FOOT_SIGHTINGS:] if latest else whole[:FOOT_SIGHTINGS])
+    )
 
 
 def _drift(track: Track) -> tuple[float, float]:

@@ -1,9 +1,9 @@
 """Doors in mid-view: places away from the border where people appear and disappear again and again.
 
-One track that begins or ends in mid-view is most often a mistake - somebody walked out of a group, behind a
-tree, or stood until the tracker lost him. A place is admitted as a door only when several objects began or
-ended there without any other explanation, and more of them did so than walked through; until then nothing
-is reported there.
+One track that begins or ends in mid-view is most often a mistake - somebody walked out of a group,
+behind a tree, or stood until the tracker lost him. A place is admitted as a door only when several
+objects began or ended there without any other explanation, and more of them did so than walked
+through; until then nothing is reported there.
 """
 
 from __future__ import annotations
@@ -48,7 +48,11 @@ class Doors:
         return self._cell(x, y)
 
     def is_door(self, x: float, y: float, height: float) -> bool:
-        """Whether an object ``height`` pixels tall that begins or ends at this foot point uses a door."""
+        """Whether an object ``height`` pixels tall that begins or ends at this foot point uses a
+        door.
+        """
         radius = DOOR_HEIGHTS * height
-        near = sum(1 for a, b in self._unexplained if (a - x) ** 2 + (b - y) ** 2 <= radius * radius)
+        near = sum(
+            1 for a, b in self._unexplained if (a - x) ** 2 + (b - y) ** 2 <= radius * radius
+        )
         return near >= DOOR_EVENTS_MIN and near > int(self._passed[self._cell(x, y)])

@@ -1,8 +1,8 @@
 """Constant-velocity Kalman filter for a person's head and foot (R. E. Kalman, 1960).
 
-Four coordinates (head x, y, foot x, y), each with its velocity, share one 2 x 2 covariance, because they
-are measured together with the same uncertainty. Lengths are pixels; noise is given in heights of the
-person, so that near and far people move alike.
+Four coordinates (head x, y, foot x, y), each with its velocity, share one 2 x 2 covariance, because
+they are measured together with the same uncertainty. Lengths are pixels; noise is given in heights
+of the person, so that near and far people move alike.
 """
 
 from __future__ import annotations
@@ -29,7 +29,11 @@ class Kalman:
         """``measured`` and ``height`` of the person in pixels."""
         self.position = measured
         self.velocity: Vector = (0.0, 0.0, 0.0, 0.0)
-        self._pp, self._pv, self._vv = (MEASUREMENT * height) ** 2, 0.0, (SPEED_AT_BIRTH * height) ** 2
+        self._pp, self._pv, self._vv = (
+            (MEASUREMENT * height) ** 2,
+            0.0,
+            (SPEED_AT_BIRTH * height) ** 2,
+        )
 
     def predict(self, dt: float, height: float, coasting: bool) -> None:
         """Move on by ``dt`` seconds."""

@@ -1,5 +1,5 @@
-"""How tall a person looks in each row of the picture: a line through the heights of the people seen so
-far."""
+"""How tall a person looks in each row of the picture: a line through the heights of the people seen
+so far."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _REFIT_SHARE = 0.1
 
 
 class Stature:
-    """Learns height = a + b * foot row from whole, confirmed, single objects; robust to some that are
-    none."""
+    """Learns height = a + b * foot row from whole, confirmed, single objects; robust to some that
+    are none."""
 
     def __init__(self) -> None:
         self._rows: deque[float] = deque(maxlen=SAMPLES_MAX)
@@ -67,4 +67,6 @@ class Stature:
 def _median(values: npt.NDArray[np.float64]) -> float:
     """NumPy's own takes five times as long for so few."""
     ordered, middle = np.sort(values), len(values) // 2
-    return float(ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2)
+    return float(
+        ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
+    )

@@ -1,8 +1,8 @@
 """Two people who meet at the border: one leaves while another comes in, and their blobs never part.
 
-The tracker sees one object that walks out of the view and, half out of it, shoots back in. Somebody who
-really turns round slows down first; so a blob that shrinks into the border and grows out of it again at
-walking speed both times is taken for two people.
+The tracker sees one object that walks out of the view and, half out of it, shoots back in. Somebody
+who really turns round slows down first; so a blob that shrinks into the border and grows out of it
+again at walking speed both times is taken for two people.
 """
 
 from __future__ import annotations
@@ -19,10 +19,14 @@ CHANGE_SECONDS = 1.3
 SPEED_MAX = 2.5
 """Heights per second. People walk about one; what changes faster is a blob that merged or split."""
 LEFT_SHARE = 1.0
-"""When it is smallest, at most this share of a person's width (at the sides) or height is in view."""
+"""When it is smallest, at most this share of a person's width (at the sides) or height is in
+view.
+"""
 
 
-def find_handover(history: Sequence[Sighting], size: tuple[int, int], width: float, height: float) -> int | None:
+def find_handover(
+    history: Sequence[Sighting], size: tuple[int, int], width: float, height: float
+) -> int | None:
     """Index of the sighting at which one person took another's place at the border, if so.
 
     ``size`` of the picture, ``width`` and ``height`` of a person, pixels.
@@ -48,7 +52,9 @@ def find_handover(history: Sequence[Sighting], size: tuple[int, int], width: flo
 
 
 def _into_view(box: Box, side: int, size: tuple[int, int]) -> float:
-    """How far the box reaches into the view from its left, top, right or bottom (0 to 3), pixels."""
+    """How far the box reaches into the view from its left, top, right or bottom (0 to 3),
+    pixels.
+    """
     return (box[2], box[3], size[0] - box[0], size[1] - box[1])[side]
 
 

@@ -59,7 +59,8 @@ class Track:
 class Changes:
     """What one frame changed: tracks that became objects, and objects whose track is over.
 
-    ``left``: out of sight at an edge of the view; ``vanished``: out of sight in mid-view and not found again.
+    ``left``: out of sight at an edge of the view; ``vanished``: out of sight in mid-view and not
+    found again.
     """
 
     appeared: list[Track]

@@ -1,12 +1,12 @@
 """Blobs -> tracks: who is where, within one view.
 
-Theory of operation. A track is *tentative* until it has been followed for half a second and its head or
-foot has moved; then it is *confirmed*. Each frame, blobs that cover several confirmed tracks update these
-as a group (people crossing or walking side by side); the rest are assigned one to one (Kalman prediction,
-Hungarian method, gate in heights of the person). A confirmed track that is out of sight for longer than the
-patience has *ended* if it was at an edge of the view; in mid-view it is *broken*: kept for some seconds,
-and a track confirmed nearby continues it, so that a passage that breaks behind a lamp post stays one
-passage.
+Theory of operation. A track is *tentative* until it has been followed for half a second and its
+head or foot has moved; then it is *confirmed*. Each frame, blobs that cover several confirmed
+tracks update these as a group (people crossing or walking side by side); the rest are assigned one
+to one (Kalman prediction, Hungarian method, gate in heights of the person). A confirmed track that
+is out of sight for longer than the patience has *ended* if it was at an edge of the view; in
+mid-view it is *broken*: kept for some seconds, and a track confirmed nearby continues it, so that a
+passage that breaks behind a lamp post stays one passage.
 """
 
 from __future__ import annotations
@@ -38,18 +38,22 @@ COVERED_PATIENCE_FACTOR = 2.0
 STITCH_HEIGHTS = 1.0
 STITCH_HEIGHTS_PER_SECOND = 0.4
 STITCH_HEIGHTS_MAX = 2.5
-"""How far from where it broke a passage may go on: the first plus the second times the gap, at most the
-third."""
+"""How far from where it broke a passage may go on: the first plus the second times the gap, at most
+the third."""
 STITCH_AT_EDGE_SECONDS = 1.5
 STITCH_AT_EDGE_HEIGHTS = 0.5
-"""What begins at an edge is somebody new, unless somebody was lost this short a time ago and this near."""
+"""What begins at an edge is somebody new, unless somebody was lost this short a time ago and this
+near.
+"""
 PIECE_HEIGHT_MIN = 0.35
-"""A blob away from the border that is smaller than this share of a person is no sighting of that person."""
+"""A blob away from the border that is smaller than this share of a person is no sighting of that
+person.
+"""
 BIRTH_HEIGHT_MIN = 0.4
 """A blob in mid-view that is smaller than this share of a person is none."""
 STATURE_STEP_HEIGHTS = 0.15
-"""Somebody's height is taken again after this much of a way, so that standing people do not outvote the
-others."""
+"""Somebody's height is taken again after this much of a way, so that standing people do not outvote
+the others."""
 _SIZE_RATE = 0.2
 _NEVER = 1e9
 
@@ -67,7 +71,9 @@ class Edges(Protocol):
         """Whether the track was last seen where objects leave the view."""
 
     def begins_at_edge(self, track: Track) -> bool:
-        """Whether the track, followed for a short while only, was first seen where objects enter the view."""
+        """Whether the track, followed for a short while only, was first seen where objects enter
+        the view.
+        """
 
 
 class Tracker:
@@ -111,9 +117,15 @@ class Tracker:
     # -- sightings ------------------------------
 
     def _update_groups(self, t: float, blobs: list[Blob]) -> list[Blob]:
-        """Blobs that hide several confirmed people update all of them; the other blobs are returned."""
+        """Blobs that hide several confirmed people update all of them; the other blobs are
+        returned.
+        """
         free = []
-        waiting = [(track, *_middle(track.box)) for track in self.active if track.confirmed and track.last.t < t]
+        waiting = [
+            (track, *_middle(track.box))
+            for track in self.active
+            if track.confirmed and track.last.t < t
+        ]
         for blob in blobs:
             left, top, right, bottom = blob.box
             held = [track for track, x, y in waiting if left <= x <= right and top <= y <= bottom]
@@ -127,7 +139,9 @@ class Tracker:
         return free
 
     def _update_group(self, t: float, blob: Blob, inside: list[Track]) -> None:
-        """The outermost people of a group touch its outline; the others are where they were expected."""
+        """The outermost people of a group touch its outline; the others are where they were
+        expected.
+        """
         leftmost = min(inside, key=lambda track: track.box[0])
         rightmost = max(inside, key=lambda track: track.box[2])
         lowest = max(inside, key=lambda track: track.box[3])
@@ -162,7 +176,9 @@ class Tracker:
         return [blob for j, blob in enumerate(blobs) if j not in taken]
 
     def _costs(self, track: Track, blobs: list[Blob]) -> list[float]:
-        """For each blob the distance of head and foot in gates; a tentative track yields to a confirmed one."""
+        """For each blob the distance of head and foot in gates; a tentative track yields to a
+        confirmed one.
+        """
         head_x, head_y, foot_x, foot_y = track.kalman.position
         scale = max(track.height, self.stature.height(foot_y) or 0.0)
         gate = GATE_HEIGHTS * scale + 2 * track.kalman.uncertainty
@@ -171,7 +187,9 @@ class Tracker:
         rightmost = max(head_x, foot_x, track.last.box[2]) + gate
         costs = [_NEVER] * len(blobs)
         for j, blob in enumerate(blobs):
-            if blob.right < leftmost or rightmost < blob.left:  # most of them: neither near nor overlapping
+            if (
+                blob.right < leftmost or rightmost < blob.left
+            ):  # most of them: neither near nor overlapping
                 continue
             head = hypot((blob.left + blob.right) / 2 - head_x, blob.top - head_y)
             foot = hypot(blob.foot_x - foot_x, blob.bottom - foot_y)
@@ -193,7 +211,11 @@ class Tracker:
         track.kalman.update(measured, track.height)
         self._seen(track, Sighting(t, blob.foot, blob.box))
         step = hypot(blob.foot_x - track.measured_at[0], blob.bottom - track.measured_at[1])
-        if track.confirmed and step > STATURE_STEP_HEIGHTS * track.height and not self._touches(blob.box):
+        if (
+            track.confirmed
+            and step > STATURE_STEP_HEIGHTS * track.height
+            and not self._touches(blob.box)
+        ):
             track.measured_at = blob.foot
             self.stature.add(track.number, blob.bottom, blob.height)
 
@@ -232,10 +254,17 @@ class Tracker:
         beside = any(_gap(track.box, blob.box) < 0.3 * track.height for track in others)
         height = max(blob.height, 0.5 * (expected or 0.0))
         track = Track(
-            number=self._next, first=sighting, last=sighting, kalman=Kalman(measured, height), height=height,
-            width=blob.width, from_start=t == self._start, beside_others=beside, origin=measured,
+            number=self._next,
+            first=sighting,
+            last=sighting,
+            kalman=Kalman(measured, height),
+            height=height,
+            width=blob.width,
+            from_start=t == self._start,
+            beside_others=beside,
+            origin=measured,
             cut_t=t if cut else float("-inf"),
-        )  # fmt: skip
+        )
         track.history.append(sighting)
         self._next += 1
         self.active.append(track)
@@ -244,7 +273,11 @@ class Tracker:
         """Tracks that have just become objects and continue no broken one."""
         appeared = []
         for track in self.active:
-            if track.confirmed or track.last.t < t or t - track.first.t < self._settings.confirm_seconds:
+            if (
+                track.confirmed
+                or track.last.t < t
+                or t - track.first.t < self._settings.confirm_seconds
+            ):
                 continue
             if track.sightings < 0.6 * track.frames or track.reach < CONFIRM_HEIGHTS * track.height:
                 continue
@@ -255,7 +288,9 @@ class Tracker:
 
     def _stitch(self, t: float, track: Track) -> bool:
         """Continue the nearest passage that broke in mid-view, if there is one within reach."""
-        missing = [other for other in self.active if other.confirmed and other.last.t < track.first.t]
+        missing = [
+            other for other in self.active if other.confirmed and other.last.t < track.first.t
+        ]
         best, best_score = None, 1.0
         for other in [*self.broken, *missing]:
             if other is track or (other.last.t < t and self._at_edge(other)):
@@ -265,7 +300,9 @@ class Tracker:
             if self._begins_at_edge(track):
                 reach = STITCH_AT_EDGE_HEIGHTS if gap <= STITCH_AT_EDGE_SECONDS else 0.0
             reach *= max(track.height, other.height)
-            distance = hypot(track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1])
+            distance = hypot(
+                track.first.foot[0] - other.last.foot[0], track.first.foot[1] - other.last.foot[1]
+            )
             ratio = track.height / other.height
             if distance < reach * best_score and 0.4 < ratio < 2.5:
                 best, best_score = other, distance / reach
@@ -283,8 +320,8 @@ class Tracker:
         self.active = [other for other in self.active if other is not earlier]
 
     def _hand_over(self, t: float, appeared: list[Track]) -> list[Track]:
-        """Where somebody took another's place at the border, the other has left; adds the new one to
-        ``appeared``."""
+        """Where somebody took another's place at the border, the other has left; adds the new one
+        to ``appeared``."""
         left = []
         for track in self.active:
             if not track.confirmed or track.last.t < t or track in appeared:
@@ -298,10 +335,12 @@ class Tracker:
         return left
 
     def _split(self, track: Track, turn: int) -> Track:
-        """The part of ``track`` up to sighting ``turn``, which keeps the number; the rest becomes a new
-        object."""
+        """The part of ``track`` up to sighting ``turn``, which keeps the number; the rest becomes a
+        new object."""
         past = list(track.history)
-        earlier = replace(track, last=past[turn], history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS))
+        earlier = replace(
+            track, last=past[turn], history=deque(past[: turn + 1], maxlen=HISTORY_SIGHTINGS)
+        )
         track.number, self._next = self._next, self._next + 1
         track.first, track.history = past[turn], deque(past[turn:], maxlen=HISTORY_SIGHTINGS)
         track.from_start = track.beside_others = track.entered = False
@@ -313,7 +352,9 @@ class Tracker:
     def _retire(self, t: float, appeared: list[Track], left: list[Track]) -> Changes:
         kept = []
         for track in self.active:
-            patience = self._settings.patience_seconds if track.confirmed else TENTATIVE_PATIENCE_SECONDS
+            patience = (
+                self._settings.patience_seconds if track.confirmed else TENTATIVE_PATIENCE_SECONDS
+            )
             if track.covered:
                 patience *= COVERED_PATIENCE_FACTOR
             elif self._touches(track.last.box) and self._at_edge(track):
@@ -335,8 +376,8 @@ class Tracker:
         self.active = [other for other in self.active if other is not track]
 
     def _interrupt(self, t: float) -> list[Track]:
-        """There were no pictures for a while: all are out of sight, and who is in view now was so all
-        along."""
+        """There were no pictures for a while: all are out of sight, and who is in view now was so
+        all along."""
         self._start = t
         objects, self.active = [track for track in self.active if track.confirmed], []
         for track in [*objects, *self.broken]:
@@ -345,15 +386,21 @@ class Tracker:
         return [track for track in objects if self._at_edge(track)]
 
     def restart(self) -> None:
-        """The picture changed as a whole: forget everybody; who is in view next was there from the start."""
+        """The picture changed as a whole: forget everybody; who is in view next was there from the
+        start.
+        """
         self.active, self.broken = [], []
         self._t = self._start = None
 
     def finish(self, t: float) -> list[Track]:
-        """The recording ends at ``t``: objects out of sight at an edge have left; the others are still in
-        view."""
+        """The recording ends at ``t``: objects out of sight at an edge have left; the others are
+        still in view."""
         unseen = TENTATIVE_PATIENCE_SECONDS
-        left = [x for x in self.active if x.confirmed and x.unseen_seconds(t) > unseen and self._at_edge(x)]
+        left = [
+            x
+            for x in self.active
+            if x.confirmed and x.unseen_seconds(t) > unseen and self._at_edge(x)
+        ]
         self.active, self.broken = [], []
         return left
 

@@ -1,4 +1,6 @@
-"""The joint fit: candidates, expectation and maximisation against slow twins, and what it finds in made data."""
+"""The joint fit: candidates, expectation and maximisation against slow twins, and what it finds in
+made data.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ SINGLE = 1e-5
 SHORT = LagBins(-3.0, 8.0)
 
 
-def made(seed: int, left: int, came: int, zones: int = 3, span: float = 60.0) -> tuple[Departures, Arrivals]:
+def made(
+    seed: int, left: int, came: int, zones: int = 3, span: float = 60.0
+) -> tuple[Departures, Arrivals]:
     """Departures and arrivals that have nothing to do with each other; every zone is a camera."""
     rng = np.random.default_rng(seed)
     t = np.sort(rng.uniform(0, span, left))
@@ -50,13 +54,17 @@ def made(seed: int, left: int, came: int, zones: int = 3, span: float = 60.0) ->
 
 
 def in_whole_seconds(departures: Departures, arrivals: Arrivals) -> tuple[Departures, Arrivals]:
-    """The same by cameras that look once a second: much happens at one instant. A departure whose passage began with
-    an arrival of its camera is tied to it.
+    """The same by cameras that look once a second: much happens at one instant. A departure whose
+    passage began with an arrival of its camera is tied to it.
     """
     t, came = np.floor(departures.t), np.floor(arrivals.t)
     since, own, free = np.floor(departures.since), departures.own.copy(), set(range(len(came)))
     for d in range(len(t)):
-        began = [a for a in sorted(free) if came[a] <= t[d] and arrivals.camera[a] == departures.camera[d]]
+        began = [
+            a
+            for a in sorted(free)
+            if came[a] <= t[d] and arrivals.camera[a] == departures.camera[d]
+        ]
         if began:
             own[d], since[d] = began[-1], came[began[-1]]
             free.remove(began[-1])
@@ -102,7 +110,10 @@ def test_beyond_the_limit_only_the_newest_stretch_counts(seed: int, limit: int) 
         assert len(left.t) == len(departures.t)
         return
     assert left.t.tolist() == [t for t in departures.t if t >= first]
-    assert sum(-3.0 <= a - d <= 8.0 for a in arrivals.t if a >= older[-1] for d in departures.t) > limit
+    assert (
+        sum(-3.0 <= a - d <= 8.0 for a in arrivals.t if a >= older[-1] for d in departures.t)
+        > limit
+    )
 
 
 def test_excess_is_what_exceeds_chance() -> None:
@@ -144,9 +155,14 @@ def test_smoothing_equals_its_slow_twin(seed: int, most: float) -> None:
 
 @settings(max_examples=30)
 @given(
-    st.integers(0, 10**6), st.sampled_from([1, 3]), st.sampled_from([0.0, 1.0]), st.sampled_from([1, 9, 1000])
-)  # fmt: skip
-def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: float, at_once: int) -> None:
+    st.integers(0, 10**6),
+    st.sampled_from([1, 3]),
+    st.sampled_from([0.0, 1.0]),
+    st.sampled_from([1, 9, 1000]),
+)
+def test_iterations_equal_their_slow_twin(
+    seed: int, iterations: int, sparsity: float, at_once: int
+) -> None:
     departures, arrivals = made(seed, 20, 20)
     found = find_candidates(departures, arrivals, SHORT, 3)
     with pytest.MonkeyPatch.context() as limits:
@@ -160,10 +176,18 @@ def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: 
         limits.setattr(joint_fit, "SETTLING_ITERATIONS", iterations)
         fit = fitter.run(hazard.astype(np.float32))
     responsibility, counts, fresh, outside = naive.joint_fit(
-        departures, arrivals, listed(found), dict(zip(named, hazard, strict=True)), SHORT,
-        naive.exposures(departures, SHORT, 3, 60.0), 3, 0.5, sparsity, iterations,
+        departures,
+        arrivals,
+        listed(found),
+        dict(zip(named, hazard, strict=True)),
+        SHORT,
+        naive.exposures(departures, SHORT, 3, 60.0),
+        3,
+        0.5,
+        sparsity,
+        iterations,
         (joint_fit.LEAVE_FLOOR, joint_fit.OUTSIDE_FLOOR, SMOOTHING_SD_BINS),
-    )  # fmt: skip
+    )
     assert fitter.responsibility == pytest.approx(np.array(responsibility), rel=SINGLE, abs=SINGLE)
     assert fit.counts == pytest.approx(np.array([counts[z] for z in named]), rel=SINGLE, abs=SINGLE)
     assert fit.hazard == pytest.approx(np.array([fresh[z] for z in named]), rel=SINGLE, abs=SINGLE)
@@ -179,18 +203,26 @@ def test_iterations_equal_their_slow_twin(seed: int, iterations: int, sparsity: 
     even = (fit.hazard * exposed).sum(axis=1) / np.maximum(exposed.sum(axis=1), 1e-9)
     cells = SHORT.index(found.lag)
     assert fitter.flatness(fit.hazard) == pytest.approx(
-        [even[p] / max(fit.hazard[p, k], joint_fit.NOTHING) for p, k in zip(found.pair, cells, strict=True)], rel=SINGLE
+        [
+            even[p] / max(fit.hazard[p, k], joint_fit.NOTHING)
+            for p, k in zip(found.pair, cells, strict=True)
+        ],
+        rel=SINGLE,
     )
     hedged = fitter.hedged(fit.hazard, 0.3)
     assert hedged == pytest.approx(0.7 * fit.hazard + 0.3 * even[:, None], rel=SINGLE, abs=SINGLE)
-    assert (hedged * exposed).sum(axis=1) == pytest.approx((fit.hazard * exposed).sum(axis=1), rel=SINGLE)
+    assert (hedged * exposed).sum(axis=1) == pytest.approx(
+        (fit.hazard * exposed).sum(axis=1), rel=SINGLE
+    )
 
 
 # --- what it finds ---
 
 
 class Walks:
-    """Objects that appear at a zone, cross its view and go on: zone k is entry and exit of camera k."""
+    """Objects that appear at a zone, cross its view and go on: zone k is entry and exit of camera
+    k.
+    """
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
@@ -198,7 +230,9 @@ class Walks:
         self.came: list[tuple[float, int]] = []
 
     def go(self, objects: int, span: float, *way: tuple[int, float, float, float]) -> Walks:
-        """Each object is at the zones in turn: (zone, lag to it, spread of the lag, share that goes there)."""
+        """Each object is at the zones in turn: (zone, lag to it, spread of the lag, share that goes
+        there).
+        """
         for t in self.rng.uniform(0, span, objects):
             for zone, lag, sd, share in way:
                 if self.rng.random() > share:
@@ -215,7 +249,9 @@ class Walks:
         departures = Departures.untold(t, zone, zone, since, np.full(len(t), np.nan))
         t, zone = (np.array(column) for column in zip(*sorted(self.came), strict=True))
         zone = zone.astype(np.int32)
-        return departures, Arrivals(t, zone, zone, local_rates(t, zone, zones), np.full(len(t), np.nan))
+        return departures, Arrivals(
+            t, zone, zone, local_rates(t, zone, zones), np.full(len(t), np.nan)
+        )
 
 
 def fitted(departures: Departures, arrivals: Arrivals, zones: int) -> Fit:
@@ -243,7 +279,9 @@ def test_finds_the_link_its_share_and_its_time() -> None:
 
 
 def test_every_arrival_and_every_departure_counts_once() -> None:
-    departures, arrivals = Walks(2).go(300, 2000.0, (0, 0, 0, 1), (1, 8.0, 2.0, 0.8), (2, 5.0, 1.0, 0.8)).columns(3)
+    departures, arrivals = (
+        Walks(2).go(300, 2000.0, (0, 0, 0, 1), (1, 8.0, 2.0, 0.8), (2, 5.0, 1.0, 0.8)).columns(3)
+    )
     fit = fitted(departures, arrivals, 3)
     came = np.bincount(fit.candidates.arrival, fit.responsibility, minlength=len(arrivals.t))
     left = np.bincount(fit.candidates.departure, fit.responsibility, minlength=len(departures.t))
@@ -254,7 +292,9 @@ def test_every_arrival_and_every_departure_counts_once() -> None:
 
 def test_an_indirect_way_is_no_link() -> None:
     """0 -> 1 -> 2 makes a clean peak from 0 to 2, which goes to those who passed 1."""
-    departures, arrivals = Walks(3).go(500, 20_000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 1), (2, 6.0, 1.0, 1)).columns(3)
+    departures, arrivals = (
+        Walks(3).go(500, 20_000.0, (0, 0, 0, 1), (1, 8.0, 1.0, 1), (2, 6.0, 1.0, 1)).columns(3)
+    )
     fit = fitted(departures, arrivals, 3)
     assert share(fit, departures, 0, 1) > 0.9
     assert share(fit, departures, 1, 2) > 0.9
@@ -337,7 +377,9 @@ def walkers(seed: int, n: int, own: float) -> tuple[np.ndarray, np.ndarray, np.n
 def test_persistence_of_those_who_keep_their_speed() -> None:
     left, came, lag = walkers(0, 800, 0.3)
     found = persistence(left, came, lag, np.zeros(800, np.int32), np.ones(800))
-    assert found.correlation == pytest.approx(0.9, abs=0.09)  # 0.09 / (0.09 + 0.01), less its uncertainty
+    assert found.correlation == pytest.approx(
+        0.9, abs=0.09
+    )  # 0.09 / (0.09 + 0.01), less its uncertainty
     assert found.sd == pytest.approx(np.sqrt(0.1), rel=0.1)
     assert found.scaling == pytest.approx(0.95, abs=0.1)
 
@@ -357,8 +399,12 @@ def test_persistence_needs_sure_transitions_of_known_slowness() -> None:
     few[: SURE_TRANSITIONS_MIN - 1] = 1.0
     assert persistence(left, came, lag, pair, few) == NO_PERSISTENCE
     assert persistence(np.full(800, np.nan), came, lag, pair, np.ones(800)) == NO_PERSISTENCE
-    assert persistence(left, came, np.full(800, 1.0), pair, np.ones(800)).scaling == 0  # too short to scale
-    assert persistence(left, came, lag, np.arange(800, dtype=np.int32), np.ones(800)).scaling == 0  # nothing to compare
+    assert (
+        persistence(left, came, np.full(800, 1.0), pair, np.ones(800)).scaling == 0
+    )  # too short to scale
+    assert (
+        persistence(left, came, lag, np.arange(800, dtype=np.int32), np.ones(800)).scaling == 0
+    )  # nothing to compare
 
 
 @pytest.mark.parametrize("constant", ["left", "came", "both"])
@@ -379,10 +425,14 @@ def test_combined() -> None:
 
 
 def test_adjusted_lag() -> None:
-    """Someone e^0.5 times slower takes 20 s where others take 12; short lags and the unknown stay."""
+    """Someone e^0.5 times slower takes 20 s where others take 12; short lags and the unknown
+    stay.
+    """
     lag = np.array([20.0, 20.0, 1.0, -5.0, 119.0])
     slow = np.array([0.5, np.nan, 0.5, 0.5, -0.5])
-    assert adjusted_lag(lag, slow, 1.0, BINS) == pytest.approx([20 * np.exp(-0.5), 20.0, 1.0, -5.0, 120.0])
+    assert adjusted_lag(lag, slow, 1.0, BINS) == pytest.approx(
+        [20 * np.exp(-0.5), 20.0, 1.0, -5.0, 120.0]
+    )
     assert adjusted_lag(lag, slow, 0.0, BINS).tolist() == lag.tolist()
 
 
@@ -399,11 +449,15 @@ def test_agreement_is_the_ratio_of_densities() -> None:
 
 
 def test_agreement_stays_within_single_precision() -> None:
-    """Where passages hardly vary, two loiterers agree beyond all measure: what is kept of that has to be a number."""
+    """Where passages hardly vary, two loiterers agree beyond all measure: what is kept of that has
+    to be a number.
+    """
     departures, arrivals = made(3, 20, 20)
     departures = departures._replace(slow=np.full(len(departures.t), 1.5))
     arrivals = arrivals._replace(slow=np.full(len(arrivals.t), 1.5))
-    fitter = JointFitter(departures, arrivals, find_candidates(departures, arrivals, SHORT, 3), SHORT, 3, 60.0)
+    fitter = JointFitter(
+        departures, arrivals, find_candidates(departures, arrivals, SHORT, 3), SHORT, 3, 60.0
+    )
     fitter.use(Persistence(0.0, 0.95, 0.05))
     tables = fitter.run(fitter.start())
     assert np.isfinite(tables.hazard).all()

@@ -1,4 +1,6 @@
-"""Screening: what it leaves out is unlikely, what it keeps is what a fit without it would have had."""
+"""Screening: what it leaves out is unlikely, what it keeps is what a fit without it would have
+had.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,14 @@ from camtopod.learn.association.candidates import (
     possible,
 )
 from camtopod.learn.association.joint_fit import START_FLOOR
-from camtopod.learn.association.screening import Screen, _joined, _likely, place, standing_out, whole
+from camtopod.learn.association.screening import (
+    Screen,
+    _joined,
+    _likely,
+    place,
+    standing_out,
+    whole,
+)
 from camtopod.learn.learner import Learner
 from camtopod.learn.settings import Settings
 from camtopod.learn.traffic.background_rate import local_rates
@@ -32,34 +41,51 @@ SCREENED, UNSCREENED = 100_000, 10**9
 """Candidates that two dozen cameras have more, and fewer, of."""
 
 
-def anything(seed: int, left: int, came: int, zones: int = 6, span: float = 60.0) -> tuple[Departures, Arrivals]:
+def anything(
+    seed: int, left: int, came: int, zones: int = 6, span: float = 60.0
+) -> tuple[Departures, Arrivals]:
     """Departures and arrivals that have nothing to do with each other; two zones to a camera."""
     rng = np.random.default_rng(seed)
     t, zone = np.sort(rng.uniform(0, span, left)), rng.integers(0, zones, left).astype(np.int32)
     stay = np.where(rng.random(left) < 0.3, np.inf, rng.exponential(4.0, left))
     departures = Departures.untold(t, zone, zone // 2, t - stay, np.full(left, np.nan))
     t, zone = np.sort(rng.uniform(0, span, came)), rng.integers(0, zones, came).astype(np.int32)
-    return departures, Arrivals(t, zone, zone // 2, local_rates(t, zone, zones), np.full(came, np.nan))
+    return departures, Arrivals(
+        t, zone, zone // 2, local_rates(t, zone, zones), np.full(came, np.nan)
+    )
 
 
 def site(seed: int, zones: int = 40, span: float = 4000.0) -> tuple[Departures, Arrivals]:
-    """People come and go at all zones; of those who leave at 3 and 17 most are at 0 after 8 s and 30 s."""
+    """People come and go at all zones; of those who leave at 3 and 17 most are at 0 after 8 s and
+    30 s.
+    """
     rng = np.random.default_rng(seed)
     departures, arrivals = anything(seed, 100 * zones, 100 * zones, zones, span)
     ways = ((3, 8.0, 1.0), (17, 30.0, 4.0))
     gone = [(departures.t[departures.zone == u], lag, sd) for u, lag, sd in ways]
-    more = np.concatenate([rng.permutation(t + rng.normal(lag, sd, len(t)))[: 7 * len(t) // 10] for t, lag, sd in gone])
+    more = np.concatenate(
+        [
+            rng.permutation(t + rng.normal(lag, sd, len(t)))[: 7 * len(t) // 10]
+            for t, lag, sd in gone
+        ]
+    )
     t = np.concatenate((arrivals.t, more))
-    zone = np.concatenate((arrivals.zone, np.zeros(len(more), np.int32)))[np.argsort(t, kind="stable")]
+    zone = np.concatenate((arrivals.zone, np.zeros(len(more), np.int32)))[
+        np.argsort(t, kind="stable")
+    ]
     t = np.sort(t)
-    return departures, Arrivals(t, zone, zone // 2, local_rates(t, zone, zones), np.full(len(t), np.nan))
+    return departures, Arrivals(
+        t, zone, zone // 2, local_rates(t, zone, zones), np.full(len(t), np.nan)
+    )
 
 
 def places_of(zones: int) -> np.ndarray:
     return np.array([place(zone // 2, zone % 2 + 1) for zone in range(zones)])
 
 
-def found_by(screen: Screen, ends: tuple[Departures, Arrivals], most: int, zones: int, learned: int = 1) -> Candidates:
+def found_by(
+    screen: Screen, ends: tuple[Departures, Arrivals], most: int, zones: int, learned: int = 1
+) -> Candidates:
     departures, arrivals = ends
     until = float(max(departures.t[-1], arrivals.t[-1]))
     return screen.find(departures, arrivals, BINS, places_of(zones), until, learned, most)
@@ -67,8 +93,16 @@ def found_by(screen: Screen, ends: tuple[Departures, Arrivals], most: int, zones
 
 def listed(found: Candidates) -> dict[tuple[int, int], tuple[float, int, int]]:
     """(arrival, departure) -> lag and pair of zones."""
-    rows = zip(found.arrival.tolist(), found.departure.tolist(), found.lag.tolist(), found.pair.tolist(), strict=True)
-    return {(a, d): (lag, int(found.source[pair]), int(found.target[pair])) for a, d, lag, pair in rows}
+    rows = zip(
+        found.arrival.tolist(),
+        found.departure.tolist(),
+        found.lag.tolist(),
+        found.pair.tolist(),
+        strict=True,
+    )
+    return {
+        (a, d): (lag, int(found.source[pair]), int(found.target[pair])) for a, d, lag, pair in rows
+    }
 
 
 def in_reach(departures: Departures, arrivals: Arrivals) -> int:
@@ -89,7 +123,9 @@ def test_while_they_are_few_all_are_found_and_nothing_is_followed() -> None:
     assert all((one == other).all() for one, other in zip(found, every, strict=True))
 
 
-def test_where_pairs_of_zones_are_many_they_are_screened_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_pairs_of_zones_are_many_they_are_screened_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     ends = anything(1, 60, 60)
     for few, followed in ((36, 0), (35, 6)):
         monkeypatch.setattr(module, "PAIRS_FEW", few)
@@ -117,13 +153,19 @@ def test_what_is_kept_are_candidates(seed: int, left: int, came: int, most: int)
 def true_ones(found: Candidates) -> list[bool]:
     """Whether each candidate has a lag as the two links of `site` have them."""
     near = {(3, 0): (8.0, 3.0), (17, 0): (30.0, 12.0)}
-    return [(u, v) in near and abs(lag - near[u, v][0]) < near[u, v][1] for lag, u, v in listed(found).values()]
+    return [
+        (u, v) in near and abs(lag - near[u, v][0]) < near[u, v][1]
+        for lag, u, v in listed(found).values()
+    ]
 
 
 def test_the_true_ones_among_many_are_kept() -> None:
     """Of 300,000 candidates nearly all are noise."""
     ends = site(2)
-    every, found = find_candidates(*ends, BINS, 40), found_by(Screen(), ends, in_reach(*ends) - 1, 40)
+    every, found = (
+        find_candidates(*ends, BINS, 40),
+        found_by(Screen(), ends, in_reach(*ends) - 1, 40),
+    )
     assert len(found.lag) < 0.5 * len(every.lag)
     assert sum(true_ones(found)) > 0.98 * sum(true_ones(every)) > 130
 
@@ -143,28 +185,46 @@ def test_of_too_many_the_likeliest_are_kept(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @given(st.integers(0, 10**6), st.integers(0, 4), st.integers(1, 50))
-def test_parts_are_joined_by_arrival_and_the_likeliest_stay(seed: int, parts: int, most: int) -> None:
+def test_parts_are_joined_by_arrival_and_the_likeliest_stay(
+    seed: int, parts: int, most: int
+) -> None:
     rng = np.random.default_rng(seed)
     departures, arrivals = anything(seed, 20, 20)
     made = []
     for part in range(parts):  # each has arrivals of its own, by arrival, then departure
-        arrival, departure = np.divmod(np.sort(rng.choice(20 * len(range(part, 20, parts)), 15, replace=False)), 20)
+        arrival, departure = np.divmod(
+            np.sort(rng.choice(20 * len(range(part, 20, parts)), 15, replace=False)), 20
+        )
         made.append((departure, part + parts * arrival, rng.random(15), rng.random(15)))
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(module, "LIKELY_MAX", most)
         limits.setattr(module, "LIKELY_PER_ARRIVAL", 0)
         found = _joined(made, departures, arrivals, 6)
-    rows = sorted(((s, a, d, lag) for part in made for d, a, lag, s in zip(*part, strict=True)), reverse=True)[:most]
-    wanted = sorted((a, d, lag, int(departures.zone[d]), int(arrivals.zone[a])) for _, a, d, lag in rows)
+    rows = sorted(
+        ((s, a, d, lag) for part in made for d, a, lag, s in zip(*part, strict=True)), reverse=True
+    )[:most]
+    wanted = sorted(
+        (a, d, lag, int(departures.zone[d]), int(arrivals.zone[a])) for _, a, d, lag in rows
+    )
     assert [(a, d, *rest) for (a, d), rest in listed(found).items()] == wanted
 
 
 # --- candidates of one zone ---
 
 
-@given(st.integers(0, 10**6), st.integers(0, 30), st.integers(1, 30), st.none() | st.floats(0, 1), st.integers(1, 99))
-def test_possible_ones_equal_a_double_loop(seed: int, left: int, came: int, share: float | None, at_once: int) -> None:
-    """Those before the exit included: of another camera only, and if the passage there had begun."""
+@given(
+    st.integers(0, 10**6),
+    st.integers(0, 30),
+    st.integers(1, 30),
+    st.none() | st.floats(0, 1),
+    st.integers(1, 99),
+)
+def test_possible_ones_equal_a_double_loop(
+    seed: int, left: int, came: int, share: float | None, at_once: int
+) -> None:
+    """Those before the exit included: of another camera only, and if the passage there had
+    begun.
+    """
     rng = np.random.default_rng(seed)
     departures, arrivals = anything(seed, left, came)
     mine = np.flatnonzero(arrivals.zone == arrivals.zone[0])
@@ -189,10 +249,17 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
         return
     departure, arrival, lag, share = _likely(ends, zone, sources, ends.coming[zone])
     slow = naive.likely(
-        departures, arrivals, zone, sources.tolist(), SHORT, ends.exposure, ends.chance.of,
-        lambda seen, usual: excess(seen, usual, SHORT, module.NOISE_SD), SMOOTHING_SD_BINS,
+        departures,
+        arrivals,
+        zone,
+        sources.tolist(),
+        SHORT,
+        ends.exposure,
+        ends.chance.of,
+        lambda seen, usual: excess(seen, usual, SHORT, module.NOISE_SD),
+        SMOOTHING_SD_BINS,
         (module.ROUNDS, module.OUTSIDE_FIRST, START_FLOOR, module.LIKELY_MIN),
-    )  # fmt: skip
+    )
     rows = zip(zip(departure.tolist(), arrival.tolist(), strict=True), share.tolist(), strict=True)
     assert dict(rows) == pytest.approx(slow, rel=1e-6)
     exact = [arrivals.t[a] - departures.t[d] for d, a in zip(departure, arrival, strict=True)]
@@ -203,17 +270,38 @@ def test_likely_ones_equal_their_slow_twin(seed: int, left: int, came: int) -> N
 
 
 def made_ready(departures: Departures, arrivals: Arrivals, zones: int) -> module.Ends:
-    return module.ends_of(departures, arrivals, BINS, zones, float(max(departures.t[-1], arrivals.t[-1])))
+    return module.ends_of(
+        departures, arrivals, BINS, zones, float(max(departures.t[-1], arrivals.t[-1]))
+    )
 
 
 @settings(max_examples=20)
-@given(st.integers(0, 10**6), st.integers(1, 60), st.integers(1, 60), st.sampled_from([1, 7, 10**6]), st.booleans())
-def test_what_stands_out_equals_its_slow_twin(seed: int, left: int, came: int, at_once: int, all_seen: bool) -> None:
+@given(
+    st.integers(0, 10**6),
+    st.integers(1, 60),
+    st.integers(1, 60),
+    st.sampled_from([1, 7, 10**6]),
+    st.booleans(),
+)
+def test_what_stands_out_equals_its_slow_twin(
+    seed: int, left: int, came: int, at_once: int, all_seen: bool
+) -> None:
     departures, arrivals = anything(seed, left, came)
     ends = module.ends_of(departures, arrivals, SHORT, 6, 60.0)
     seen_min = 1 if all_seen else module.SEEN_MIN
-    above = [naive.standing_out(departures, arrivals, zone, SHORT, ends.exposure, ends.chance.of, seen_min,
-                                EXCESS_SMOOTHING_SD_BINS) for zone in range(6)]  # fmt: skip
+    above = [
+        naive.standing_out(
+            departures,
+            arrivals,
+            zone,
+            SHORT,
+            ends.exposure,
+            ends.chance.of,
+            seen_min,
+            EXCESS_SMOOTHING_SD_BINS,
+        )
+        for zone in range(6)
+    ]
     counted: list[float] = []
     weigh = module._above
 
@@ -254,17 +342,23 @@ def looked(screen: Screen, zones: int) -> list[int]:
 
 
 def test_looks_go_round(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With room for one look in each fit every zone has its turn, the one whose look is longest ago first."""
+    """With room for one look in each fit every zone has its turn, the one whose look is longest ago
+    first.
+    """
     monkeypatch.setattr(module, "LOOKS_MIN", 1)
     monkeypatch.setattr(module, "LOOKS_PER_EVENT", 0)
     ends, screen = anything(10, 200, 200), Screen()
     for fit in range(1, 13):
         found_by(screen, ends, 100, 6, fit)
-        assert sorted(looked(screen, 6)) == [-1] * max(6 - fit, 0) + list(range(max(fit - 5, 1), fit + 1))
+        assert sorted(looked(screen, 6)) == [-1] * max(6 - fit, 0) + list(
+            range(max(fit - 5, 1), fit + 1)
+        )
     assert looked(screen, 6) == list(range(7, 13))
 
 
-def test_where_there_is_no_other_fit_every_zone_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_there_is_no_other_fit_every_zone_is_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(module, "LOOKS_MIN", 1)
     monkeypatch.setattr(module, "LOOKS_PER_EVENT", 0)
     (departures, arrivals), screen = anything(10, 200, 200), Screen()
@@ -283,7 +377,9 @@ def test_as_many_looks_as_the_events_allow(monkeypatch: pytest.MonkeyPatch) -> N
         assert least <= 6 - looked(screen, 6).count(-1) <= most
 
 
-def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     (departures, arrivals), screen = site(12), Screen()
     most = in_reach(departures, arrivals) // 2
     names = places_of(40)
@@ -297,7 +393,9 @@ def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(monke
     monkeypatch.setattr(module, "LOOKS_MIN", 1)
     monkeypatch.setattr(module, "LOOKS_PER_EVENT", 0)
     named = {(u, v) for _, u, v in listed(find(2)).values()}
-    assert (3, 0) not in named, "what left there went with the zone, and zone 0 has not been looked at again"
+    assert (3, 0) not in named, (
+        "what left there went with the zone, and zone 0 has not been looked at again"
+    )
     assert (17, 0) in named
     assert old not in screen.followed
     assert [screen.followed[int(name)].looked for name in names] == [1, 1, 1, 2, *[1] * 36]
@@ -309,7 +407,9 @@ def test_a_zone_that_is_no_more_is_forgotten_and_a_new_one_looked_at_first(monke
 
 
 @given(st.integers(0, 10**6), st.integers(1, 80), st.integers(1, 80), st.floats(0, 1))
-def test_whole_pairs_have_all_their_candidates(seed: int, left: int, came: int, share: float) -> None:
+def test_whole_pairs_have_all_their_candidates(
+    seed: int, left: int, came: int, share: float
+) -> None:
     ends = anything(seed, left, came)
     found = found_by(Screen(), ends, min(100, in_reach(*ends) - 1), 6)
     asked = np.flatnonzero(np.random.default_rng(seed).random(len(found.source)) < share)
@@ -340,11 +440,15 @@ def learned(network: SimSettings, candidates_max: int) -> tuple[Score, int]:
     learner.flush()
     assert learner.topology is not None
     assert bool(learner.save().followed) == (candidates_max == SCREENED)
-    return score(learner.topology, truth), sum(link.relation != "visible" for link in learner.topology.links)
+    return score(learner.topology, truth), sum(
+        link.relation != "visible" for link in learner.topology.links
+    )
 
 
 def test_where_there_are_no_links_none_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is kept of a pair has the lag that was looked for: judged by that alone, some look like links."""
+    """What is kept of a pair has the lag that was looked for: judged by that alone, some look like
+    links.
+    """
     monkeypatch.setattr(module, "LIKELY_MAX", 1)  # a few for each arrival
     network = SimSettings(cameras=24, hours=0.3, seed=2, linked=False, objects_per_second=4.0)
     assert learned(network, SCREENED)[1] == 0

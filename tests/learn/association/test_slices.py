@@ -1,4 +1,6 @@
-"""A fit works on some candidates and some pairs of zones at a time: that takes less memory and changes no bit."""
+"""A fit works on some candidates and some pairs of zones at a time: that takes less memory and
+changes no bit.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,13 @@ def test_candidates_of_an_arrival_are_worked_on_together(arrival: list[int], at_
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(module, "CANDIDATES_AT_ONCE", at_once)
         parts = together(np.array(arrival, np.int32))
-    assert [row for part in parts for row in range(part.start, part.stop)] == list(range(len(arrival)))
+    assert [row for part in parts for row in range(part.start, part.stop)] == list(
+        range(len(arrival))
+    )
     assert sum(len({*arrival[part]}) for part in parts) == len({*arrival})
-    assert all(part.stop - part.start < at_once + arrival.count(arrival[part.stop - 1]) for part in parts)
+    assert all(
+        part.stop - part.start < at_once + arrival.count(arrival[part.stop - 1]) for part in parts
+    )
 
 
 @given(st.integers(0, 5000))
@@ -62,7 +68,14 @@ def test_no_part_of_a_fit_differs() -> None:
             fitter = JointFitter(departures, arrivals, found, BINS, 3, 3_200.0)
             fitter.use(Persistence(0.5, 0.6, 1.0))
             fit = fitter.run(fitter.start())
-            joint = (*found, fit.hazard, fit.counts, fitter.responsibility, fitter.outside, fitter.flatness(fit.hazard))
+            joint = (
+                *found,
+                fit.hazard,
+                fit.counts,
+                fitter.responsibility,
+                fitter.outside,
+                fitter.flatness(fit.hazard),
+            )
             posterior = fit_posterior(departures, arrivals, found, BINS, 3, 3_200.0, LINKED)
             results.append((*joint, *posterior.fit[:5], *posterior[1:-1]))
     whole, parts = results

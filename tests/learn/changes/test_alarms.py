@@ -65,7 +65,9 @@ def test_only_the_newest_are_kept() -> None:
     log = AlarmLog()
     for version in range(2 * ALARMS_KEPT_MAX):
         log.add(version, float(version), "camera_moved", "a", "")
-    assert [alarm.version for alarm in log.newest] == list(range(ALARMS_KEPT_MAX, 2 * ALARMS_KEPT_MAX))
+    assert [alarm.version for alarm in log.newest] == list(
+        range(ALARMS_KEPT_MAX, 2 * ALARMS_KEPT_MAX)
+    )
 
 
 # --- cameras ---
@@ -73,7 +75,10 @@ def test_only_the_newest_are_kept() -> None:
 
 def heard(*times: NDArray[np.float64]) -> list[Silences]:
     """Silences of cameras with events at these times."""
-    t, camera = np.concatenate(times), np.repeat(np.arange(len(times)), [len(part) for part in times])
+    t, camera = (
+        np.concatenate(times),
+        np.repeat(np.arange(len(times)), [len(part) for part in times]),
+    )
     order = np.argsort(t, kind="stable")
     return find_silences(t[order], camera[order], len(times))
 
@@ -100,7 +105,9 @@ def test_a_camera_that_was_away_has_a_silence_that_is_over() -> None:
 def test_nobody_is_silent_by_chance_or_at_night() -> None:
     for seed in range(30):
         rates = [0.001, 0.05, 0.001, 0.05]
-        day = np.concatenate([poisson(r, 40_000 * k, 40_000 * (k + 1), 9 * seed + k) for k, r in enumerate(rates)])
+        day = np.concatenate(
+            [poisson(r, 40_000 * k, 40_000 * (k + 1), 9 * seed + k) for k, r in enumerate(rates)]
+        )
         quiet = poisson(0.002, 0, 160_000, seed)
         assert heard(day, day + 0.1, day + 0.2, quiet) == 4 * [Silences([], False)]
 
@@ -137,7 +144,8 @@ def test_a_camera_is_said_to_be_silent_and_to_be_back_once() -> None:
 def test_a_clock_is_told_when_it_moves_and_not_when_it_becomes_known() -> None:
     log = AlarmLog()
     for version, (offset, sd) in enumerate(
-        [(0.0, None), (30.0, 1.0), (30.9, 0.4), (30.5, 0.2), (30.8, 0.1), (28.0, 0.1), (28.0, 0.1)], start=1
+        [(0.0, None), (30.0, 1.0), (30.9, 0.4), (30.5, 0.2), (30.8, 0.1), (28.0, 0.1), (28.0, 0.1)],
+        start=1,
     ):
         log.clocks(version, 10.0 * version, [Camera("a", [], offset, sd), Camera("b", [], 0.0, sd)])
     assert said(log) == [(6, "clock_changed", "a")]
@@ -147,24 +155,31 @@ def test_a_clock_is_told_when_it_moves_and_not_when_it_becomes_known() -> None:
 
 
 def walkers(begin: float, end: float, way: str, seed: int, way_to: float = 0.8) -> list[Event]:
-    """Objects that leave camera a by its right side and may appear at b at ``way`` 8 s later; others come to b."""
+    """Objects that leave camera a by its right side and may appear at b at ``way`` 8 s later;
+    others come to b.
+    """
     chance = np.random.default_rng(seed)
     events = []
     places = {"b/left": 0.1, "b/right": 0.9}
     for k, t in enumerate(poisson(0.02, begin, end, seed)):
         x, y = np.clip(0.9 + 0.02 * chance.standard_normal(2), 0, 1)
         events += [
-            Event("a", "entry", t - 5, 1 - x, 0.5, f"{way}{k}"), Event("a", "exit", t, float(x), float(y), f"{way}{k}"),
-        ]  # fmt: skip
+            Event("a", "entry", t - 5, 1 - x, 0.5, f"{way}{k}"),
+            Event("a", "exit", t, float(x), float(y), f"{way}{k}"),
+        ]
         if chance.random() < way_to:
-            events += passage("b", t + float(chance.uniform(7, 9)), places[way], f"{way}{k}", chance)
+            events += passage(
+                "b", t + float(chance.uniform(7, 9)), places[way], f"{way}{k}", chance
+            )
     for number, x in enumerate(places.values(), start=1):
         for k, t in enumerate(poisson(0.01, begin, end, seed + 10 * number)):
             events += passage("b", t, x, f"{way}{number}-{k}", chance)
     return sorted(events, key=lambda event: event.t)
 
 
-def passage(camera: str, t: float, x: float, track: str, chance: np.random.Generator) -> list[Event]:
+def passage(
+    camera: str, t: float, x: float, track: str, chance: np.random.Generator
+) -> list[Event]:
     """Through one view from x to the bottom."""
     noise = 0.02 * chance.standard_normal(4)
     x, y, x2, y2 = (float(v) for v in np.clip(np.array([x, 0.3, 0.5, 0.9]) + noise, 0, 1))
@@ -188,9 +203,14 @@ def rerouted() -> list[Topology]:
 def test_a_way_that_changes_is_told_and_published(rerouted: list[Topology]) -> None:
     last = rerouted[-1]
     left, right = (
-        min((z for z in last.zones if z.camera == "b"), key=lambda z: abs((z.x or 0) - x)).id for x in (0.1, 0.9)
+        min((z for z in last.zones if z.camera == "b"), key=lambda z: abs((z.x or 0) - x)).id
+        for x in (0.1, 0.9)
     )
-    alarms = {(alarm.kind, alarm.subject.split("->")[1]): alarm for alarm in last.alarms or [] if "link" in alarm.kind}
+    alarms = {
+        (alarm.kind, alarm.subject.split("->")[1]): alarm
+        for alarm in last.alarms or []
+        if "link" in alarm.kind
+    }
     assert set(alarms) == {("link_closed", left), ("link_opened", right)}
     assert all(10_800 < alarm.t < 14_400 for alarm in alarms.values())
     links = {link.to: link.probability for link in last.links if link.relation != "visible"}
@@ -220,7 +240,9 @@ def test_the_start_tells_nothing(rerouted: list[Topology]) -> None:
 def test_deltas_carry_alarms_and_score(rerouted: list[Topology]) -> None:
     held = rerouted[0]
     for version in rerouted[1:]:
-        delta = msgspec.msgpack.decode(msgspec.msgpack.encode(make_delta(held, version)), type=Delta)
+        delta = msgspec.msgpack.decode(
+            msgspec.msgpack.encode(make_delta(held, version)), type=Delta
+        )
         assert all(alarm.version == version.version for alarm in delta.alarms or [])
         held = apply_delta(held, delta)
         assert held == version
@@ -231,15 +253,25 @@ def test_deltas_carry_alarms_and_score(rerouted: list[Topology]) -> None:
 def test_a_lost_camera_is_told_and_its_links_do_not_close() -> None:
     events = walkers(0, 10_800, "b/left", 1)
     beside = [Event("c", "entry", t, 0.5, 0.5) for t in poisson(0.02, 0, 10_800, 9)]
-    last = versions(sorted([e for e in events if e.camera == "a" or e.t < 7_200] + beside, key=lambda e: e.t))[-1]
+    last = versions(
+        sorted([e for e in events if e.camera == "a" or e.t < 7_200] + beside, key=lambda e: e.t)
+    )[-1]
     assert [(alarm.kind, alarm.subject) for alarm in last.alarms or []] == [("camera_silent", "b")]
     assert any(link.from_.startswith("a") and link.to.startswith("b") for link in last.links)
 
 
 def test_a_door_of_its_own_that_comes_into_use_is_a_new_zone() -> None:
     chance = np.random.default_rng(5)
-    events = [e for k, t in enumerate(poisson(0.02, 0, 14_400, 5)) for e in passage("a", t, 0.1, f"l{k}", chance)]
-    events += [e for k, t in enumerate(poisson(0.02, 7_200, 14_400, 6)) for e in passage("a", t, 0.9, f"r{k}", chance)]
+    events = [
+        e
+        for k, t in enumerate(poisson(0.02, 0, 14_400, 5))
+        for e in passage("a", t, 0.1, f"l{k}", chance)
+    ]
+    events += [
+        e
+        for k, t in enumerate(poisson(0.02, 7_200, 14_400, 6))
+        for e in passage("a", t, 0.9, f"r{k}", chance)
+    ]
     alarms = versions(sorted(events, key=lambda event: event.t))[-1].alarms or []
     assert [(alarm.kind, alarm.subject[:2]) for alarm in alarms] == [("zone_new", "a/")]
     assert 7_200 < alarms[0].t < 9_600
@@ -276,7 +308,9 @@ def of_boots(*boots: str) -> list[Event]:
 )
 def test_a_camera_that_two_programs_publish_is_said_once(boots: list[str], alarms: int) -> None:
     learner, halfway = Learner(), Learner()
-    for number, event in enumerate([*of_boots(*boots), Event("b", "entry", 9000.0), Event("c", "entry", 9001.0)]):
+    for number, event in enumerate(
+        [*of_boots(*boots), Event("b", "entry", 9000.0), Event("c", "entry", 9001.0)]
+    ):
         if number == len(boots) // 2:
             halfway.load(unpack(pack(learner.save())))
             learner = halfway

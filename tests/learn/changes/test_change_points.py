@@ -7,7 +7,13 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from camtopod.arrays import Floats
-from camtopod.learn.changes.change_points import Change, Trials, latest_change, present, threshold_nats
+from camtopod.learn.changes.change_points import (
+    Change,
+    Trials,
+    latest_change,
+    present,
+    threshold_nats,
+)
 from camtopod.learn.links.link_table import LinkTable, Transitions, tabulate
 from camtopod.topology.lag_bins import LagBins
 
@@ -16,12 +22,16 @@ THRESHOLD = threshold_nats(100, 10_000)
 """As for a network of a hundred pairs of zones and ten thousand departures."""
 
 
-def trials(share: Floats, seed: int, weight: Floats | None = None, times: Floats | None = None) -> Trials:
+def trials(
+    share: Floats, seed: int, weight: Floats | None = None, times: Floats | None = None
+) -> Trials:
     """Departures a minute apart that each take the way with their own probability."""
     chance = np.random.default_rng(seed)
     t: Floats = 60.0 * np.arange(len(share)) if times is None else times
     moved = t[chance.random(len(share)) < share]
-    return Trials(t, np.ones(len(t)) if weight is None else weight, moved, np.full(len(moved), SURE))
+    return Trials(
+        t, np.ones(len(t)) if weight is None else weight, moved, np.full(len(moved), SURE)
+    )
 
 
 def two(before: float, after: float, n: int, late: int) -> Floats:
@@ -70,7 +80,9 @@ def test_nothing_is_found_where_nothing_changes() -> None:
 
 def test_more_traffic_is_no_change() -> None:
     chance = np.random.default_rng(3)
-    hours = np.sort(np.concatenate((chance.uniform(0, 12, 100), chance.uniform(12, 24, 900)))) * 3600
+    hours = (
+        np.sort(np.concatenate((chance.uniform(0, 12, 100), chance.uniform(12, 24, 900)))) * 3600
+    )
     assert latest_change(trials(np.full(1000, 0.3), 4, times=hours), THRESHOLD) is None
 
 
@@ -78,7 +90,9 @@ def test_a_share_that_follows_the_hour_is_no_change() -> None:
     hour = np.arange(2400) % 240 / 10
     shares = 0.4 + 0.3 * np.sin(2 * np.pi * hour / 24)
     assert latest_change(trials(shares, 5), THRESHOLD) is None
-    assert latest_change(trials(shares[:240], 5), THRESHOLD) is not None  # a single day looks like one
+    assert (
+        latest_change(trials(shares[:240], 5), THRESHOLD) is not None
+    )  # a single day looks like one
 
 
 def test_arrivals_that_come_from_elsewhere_do_not_keep_a_way_open() -> None:
@@ -140,7 +154,10 @@ BINS = LagBins(-20.0, 120.0)
 
 def table(rows: list[tuple[int, int, int]], leaving: float = 100.0) -> LinkTable:
     """Links (source, target, transitions) of four zones."""
-    columns = [np.repeat([row[k] for row in rows], [row[2] for row in rows]).astype(np.int32) for k in (0, 1)]
+    columns = [
+        np.repeat([row[k] for row in rows], [row[2] for row in rows]).astype(np.int32)
+        for k in (0, 1)
+    ]
     n = len(columns[0])
     moved = Transitions(columns[0], columns[1], np.full(n, 9.0), np.ones(n), np.zeros(n))
     return tabulate(moved, np.full((4, 1), leaving), BINS, 4)
@@ -166,5 +183,7 @@ def test_an_opened_link_has_its_present_share_and_its_own_evidence() -> None:
 
 
 def test_shares_beside_a_new_one_make_no_more_than_one() -> None:
-    links = present(table([(0, 1, 10), (0, 2, 90), (3, 2, 95)]), [Change(0, 1, 5.0, 0.0, 0.6, 20.0)], 4, 0.03)
+    links = present(
+        table([(0, 1, 10), (0, 2, 90), (3, 2, 95)]), [Change(0, 1, 5.0, 0.0, 0.6, 20.0)], 4, 0.03
+    )
     assert links.probability.tolist() == pytest.approx([0.6, 0.4, 0.95])

@@ -41,7 +41,9 @@ def some_events(seed: int, n: int, labels: int, span: float) -> tuple[np.ndarray
 
 
 def counted(seed: int, labels: int, bin_seconds: float) -> np.ndarray:
-    source, target = (a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(labels), np.arange(labels)))
+    source, target = (
+        a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(labels), np.arange(labels))
+    )
     left, came = some_events(seed, 150, labels, 7000.0), some_events(seed + 1, 170, labels, 7000.0)
     return correlograms(left, came, labels, bin_seconds).of(source, target)
 
@@ -99,14 +101,18 @@ def test_beyond_the_limit_the_newest_time_counts(monkeypatch: pytest.MonkeyPatch
     t = np.arange(0.0, 10 * correlogram.BLOCK, 50.0)
     zone = np.zeros(len(t), np.int32)
     monkeypatch.setattr(correlogram, "SPECTRA_MAX", 2)
-    found = correlograms((t, zone), (t, zone), 1, 1.0).of(np.zeros(1, np.int32), np.zeros(1, np.int32))
+    found = correlograms((t, zone), (t, zone), 1, 1.0).of(
+        np.zeros(1, np.int32), np.zeros(1, np.int32)
+    )
     assert found[0, LAGS] == np.sum(t >= t[-1] - 2 * correlogram.BLOCK)
 
 
 def test_what_stands_out_is_the_peak_and_not_the_rhythm() -> None:
     lag = np.arange(-LAGS, LAGS + 1)
     rate = 20.0 + 10.0 * np.cos(lag / 900.0)
-    counts = np.random.default_rng(1).poisson(rate + 12.0 * np.exp(-0.5 * ((lag - 30) / 4) ** 2))[None, :]
+    counts = np.random.default_rng(1).poisson(rate + 12.0 * np.exp(-0.5 * ((lag - 30) / 4) ** 2))[
+        None, :
+    ]
     clear = standing_out(counts.astype(np.float32), chance(counts.astype(np.float32)))[0]
     assert abs(int(np.argmax(clear)) - LAGS - 30) < 4
     assert np.mean(clear[np.abs(lag - 30) > 20] > 0) < 0.05
@@ -119,10 +125,14 @@ def test_the_quick_look_finds_the_row_with_a_peak() -> None:
     assert len(correlogram.highest(rows[:0])) == 0
 
 
-def test_of_a_large_network_the_promising_pairs_of_cameras_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_large_network_the_promising_pairs_of_cameras_are_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     walks = ring([0.0, 0.0, -25.0, 0.0, 0.0, 0.0, 8.0, 0.0])
     everything = walks.clocks()
-    monkeypatch.setattr(offsets, "ZONE_PAIRS_MAX", 8 * 8 + 7)  # of 28 pairs of cameras, a good quarter
+    monkeypatch.setattr(
+        offsets, "ZONE_PAIRS_MAX", 8 * 8 + 7
+    )  # of 28 pairs of cameras, a good quarter
     assert walks.clocks().offset == pytest.approx(everything.offset, abs=0.1)
 
 
@@ -139,7 +149,9 @@ def lag_counts(seed: int, *peaks: tuple[float, float, int]) -> np.ndarray:
     return counts[None, :].astype(np.float32)
 
 
-@pytest.mark.parametrize(("transit", "ahead"), [(20.0, 0.0), (20.0, 28.0), (-3.0, -12.5), (60.0, 400.0)])
+@pytest.mark.parametrize(
+    ("transit", "ahead"), [(20.0, 0.0), (20.0, 28.0), (-3.0, -12.5), (60.0, 400.0)]
+)
 def test_twice_the_difference_is_between_there_and_back(transit: float, ahead: float) -> None:
     errors = []
     for seed in range(20):
@@ -160,7 +172,10 @@ def test_one_way_alone_tells_nothing() -> None:
 
 def test_two_answers_are_none() -> None:
     """Back it is 20 s as often as 60 s."""
-    forth, back = lag_counts(1, (200.0, 2.0, 100)), lag_counts(2, (20.0, 2.0, 100), (100.0, 2.0, 100))
+    forth, back = (
+        lag_counts(1, (200.0, 2.0, 100)),
+        lag_counts(2, (20.0, 2.0, 100), (100.0, 2.0, 100)),
+    )
     clear = [standing_out(counts, chance(counts)) for counts in (forth, back)]
     assert best_shift(clear[0], clear[1])[1] == 0.0
 
@@ -190,7 +205,9 @@ class Walks:
         self.events += [(t + self.ahead[a[0]], u, EXIT) for t in start]
         self.events += [(t + self.ahead[b[0]], v, ENTRY) for t in start + later]
 
-    def both(self, a: tuple[int, int], b: tuple[int, int], seconds: float, back: float | None = None) -> None:
+    def both(
+        self, a: tuple[int, int], b: tuple[int, int], seconds: float, back: float | None = None
+    ) -> None:
         self.way(a, b, seconds)
         self.way(b, a, back or seconds)
 
@@ -200,7 +217,9 @@ class Walks:
         camera = np.array([self.doors[k][0] for k in door], np.int32)
         left = np.array([row[2] is EXIT for row in rows])
         nan, none = np.full(len(t), np.nan), np.full(len(t), -1, np.int32)
-        departures = Departures(t[left], door[left], camera[left], nan[left], nan[left], none[left], none[left])
+        departures = Departures(
+            t[left], door[left], camera[left], nan[left], nan[left], none[left], none[left]
+        )
         arrivals = Arrivals(t[~left], door[~left], camera[~left], nan[~left], nan[~left])
         empty = np.zeros(0, np.int32)
         passages = Passages(empty, empty, np.zeros(0), np.zeros(0))
@@ -208,8 +227,16 @@ class Walks:
         counts = np.zeros(len(zones), np.int64)
         cameras = len(self.ahead)
         return Scene(
-            zones, departures, arrivals, passages, counts, counts, np.zeros(cameras, bool), t[0], t[-1],
-        )  # fmt: skip
+            zones,
+            departures,
+            arrivals,
+            passages,
+            counts,
+            counts,
+            np.zeros(cameras, bool),
+            t[0],
+            t[-1],
+        )
 
     def clocks(self) -> Clocks:
         cameras = len(self.ahead)
@@ -258,7 +285,9 @@ def test_where_all_go_one_way_nothing_is_known() -> None:
 
 
 def test_one_door_for_all_on_a_one_way_road_is_no_way_back() -> None:
-    """Whoever leaves the second camera entered the first some time ago: that is not a way back with a wrong clock."""
+    """Whoever leaves the second camera entered the first some time ago: that is not a way back with
+    a wrong clock.
+    """
     walks = Walks([0.0, 0.0, 0.0])
     start = walks.rng.uniform(0.0, HOURS_2, 300)
     for camera in range(3):
@@ -287,9 +316,14 @@ def test_no_events_and_no_cameras() -> None:
 # --- bringing differences together ---
 
 
-def differences_of(ahead: list[float], pairs: list[tuple[int, int]], seed: int = 0) -> list[Difference]:
+def differences_of(
+    ahead: list[float], pairs: list[tuple[int, int]], seed: int = 0
+) -> list[Difference]:
     rng = np.random.default_rng(seed)
-    return [Difference(a, b, ahead[b] - ahead[a] + 0.1 * rng.standard_normal(), 0.1, 10.0) for a, b in pairs]
+    return [
+        Difference(a, b, ahead[b] - ahead[a] + 0.1 * rng.standard_normal(), 0.1, 10.0)
+        for a, b in pairs
+    ]
 
 
 ALL_PAIRS = [(a, b) for a in range(5) for b in range(a)]
@@ -300,19 +334,26 @@ def test_an_outlier_changes_nothing() -> None:
     found = differences_of(ahead, ALL_PAIRS)
     wild = [*found[1:], found[0]._replace(ahead=55.0)]
     for differences in (found, wild):
-        assert solve(differences, np.ones(5, int), right_clocks(5)).offset == pytest.approx(ahead, abs=0.3)
+        assert solve(differences, np.ones(5, int), right_clocks(5)).offset == pytest.approx(
+            ahead, abs=0.3
+        )
 
 
 def test_small_offsets_are_not_called_wrong() -> None:
     assert (
-        solve(differences_of([0.0, 0.15, 0.0, -0.1, 0.0], ALL_PAIRS), np.ones(5, int), right_clocks(5)).offset == 0
+        solve(
+            differences_of([0.0, 0.15, 0.0, -0.1, 0.0], ALL_PAIRS), np.ones(5, int), right_clocks(5)
+        ).offset
+        == 0
     ).all()
 
 
 def test_of_two_clocks_the_busier_is_right_unless_it_was_wrong_before() -> None:
     (difference,) = differences_of([0.0, 20.0], [(0, 1)])
     for weight, wrong in ((np.array([9, 1]), 1), (np.array([1, 9]), 0)):
-        assert np.flatnonzero(solve([difference], weight, right_clocks(2)).offset).tolist() == [wrong]
+        assert np.flatnonzero(solve([difference], weight, right_clocks(2)).offset).tolist() == [
+            wrong
+        ]
     known = Clocks(np.array([0.0, 20.0]), np.full(2, 0.2), np.ones(2, bool))
     assert np.flatnonzero(solve([difference], np.array([2, 3]), known).offset).tolist() == [1]
 
@@ -357,14 +398,18 @@ def test_the_keeper_looks_when_there_is_enough_new() -> None:
 
 
 def learned(correct_clocks: bool) -> Topology:
-    """Four cameras in a ring, the clock of the third 14 s ahead; doors left and right in the image."""
+    """Four cameras in a ring, the clock of the third 14 s ahead; doors left and right in the
+    image.
+    """
     walks = ring([0.0, 0.0, 14.0, 0.0])
     learner = Learner(Settings(correct_clocks=correct_clocks, refit_hours=24.0, refit_share=10.0))
     noise = np.random.default_rng(1)
     for t, door, entry in sorted(walks.events):
         camera, number = walks.doors[door]
         x, y = np.clip(noise.normal((0.2 if number == 1 else 0.8, 0.5), 0.02), 0, 1).round(4)
-        learner.receive(Event(f"c{camera}", "entry" if entry else "exit", round(1e6 + t, 6), float(x), float(y)))
+        learner.receive(
+            Event(f"c{camera}", "entry" if entry else "exit", round(1e6 + t, 6), float(x), float(y))
+        )
     learner.flush()
     assert learner.topology is not None
     return learner.topology
@@ -385,7 +430,11 @@ def corrected() -> Topology:
 def medians(topology: Topology) -> dict[str, float]:
     """Median of each link by its cameras."""
     camera = {zone.id: zone.camera for zone in topology.zones}
-    return {camera[k.from_] + camera[k.to]: k.transit.q50 for k in topology.links if camera[k.from_] != camera[k.to]}
+    return {
+        camera[k.from_] + camera[k.to]: k.transit.q50
+        for k in topology.links
+        if camera[k.from_] != camera[k.to]
+    }
 
 
 def test_offsets_are_published(stated: Topology, corrected: Topology) -> None:
@@ -400,12 +449,17 @@ def test_transit_times_are_in_right_time_when_asked(stated: Topology, corrected:
     truth |= {name[2:] + name[:2]: seconds for name, seconds in truth.items()}
     assert medians(corrected) == pytest.approx(truth, rel=0.1)
     (ahead,) = (camera.clock_offset for camera in stated.cameras if camera.id == "c2")
-    shifted = {name: t + ahead * ((name[2:] == "c2") - (name[:2] == "c2")) for name, t in medians(corrected).items()}
+    shifted = {
+        name: t + ahead * ((name[2:] == "c2") - (name[:2] == "c2"))
+        for name, t in medians(corrected).items()
+    }
     assert medians(stated) == pytest.approx(shifted, abs=0.01)
     assert [pair.relation for pair in stated.pairs] == ["unseen_path"] * 4
 
 
-def test_predictions_are_stated_by_the_clocks_that_will_tell(stated: Topology, corrected: Topology) -> None:
+def test_predictions_are_stated_by_the_clocks_that_will_tell(
+    stated: Topology, corrected: Topology
+) -> None:
     """An exit at c1 towards c2: in 11 s, when the clock there says 25 s later."""
     for topology, seconds in ((stated, 25.0), (corrected, 11.0)):
         prediction = Predictor(topology).predict(Event("c1", "exit", 1e6 + 9000.0, 0.2, 0.5))
@@ -415,7 +469,9 @@ def test_predictions_are_stated_by_the_clocks_that_will_tell(stated: Topology, c
 
 
 def test_what_has_been_seen_by_a_wrong_clock_counts(stated: Topology) -> None:
-    """From c2, 14 s ahead, to c3 takes 14 s. Somebody at c3 half a second before the exit, as the clocks tell it."""
+    """From c2, 14 s ahead, to c3 takes 14 s. Somebody at c3 half a second before the exit, as the
+    clocks tell it.
+    """
     leaves = Event("c2", "exit", 1e6 + 9000.0, 0.2, 0.5)
     alone, seen = Predictor(stated), Predictor(stated)
     seen.observe(Event("c3", "entry", leaves.t - 0.5, 0.8, 0.5))

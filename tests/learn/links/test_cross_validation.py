@@ -17,7 +17,9 @@ BINS = LagBins(-60.0, 90.0)
 
 
 def crowd(seed: int, zones: int, each: int, seconds: float) -> tuple[Departures, Arrivals]:
-    """Every zone a camera of its own, where people leave and come by chance, after stays of five seconds or so."""
+    """Every zone a camera of its own, where people leave and come by chance, after stays of five
+    seconds or so.
+    """
     rng = np.random.default_rng(seed)
     n = zones * each
     left, came = np.sort(rng.uniform(0, seconds, (2, n)))
@@ -39,13 +41,16 @@ def test_parts_together_see_what_the_whole_sees(seconds: float) -> None:
     fit = fit_jointly(departures, arrivals, found, BINS, 4, seconds)
     parts = Parts(departures, arrivals, fit, BINS, 4, 0.0, seconds)
     taken = [parts.take(np.array([k])) for k in range(PARTS)]
-    assert sum(part.exposure for part in taken) == pytest.approx(exposures(departures, BINS, 4, seconds))
+    assert sum(part.exposure for part in taken) == pytest.approx(
+        exposures(departures, BINS, 4, seconds)
+    )
     assert sum(len(part.candidates.lag) for part in taken) == len(fit.candidates.lag)
     assert sum(len(part.arrivals.t) for part in taken) == len(arrivals.t)
 
 
 def test_chance_rarely_wins_where_it_is_dense_and_short() -> None:
-    """Stretches of time hardly longer than the lags: what is cut off at their ends must not make short lags stand out.
+    """Stretches of time hardly longer than the lags: what is cut off at their ends must not make
+    short lags stand out.
 
     The bound allows one pair in exp(4) an evidence of four nats.
     """

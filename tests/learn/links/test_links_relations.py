@@ -35,7 +35,9 @@ SETTINGS = Settings(publish_q_max=0.01, publish_probability_min=0.03)
 def transitions(*rows: tuple[int, int, float, float]) -> Transitions:
     """(source, target, lag, weight) each."""
     source, target, lag, weight = (np.array(column) for column in zip(*rows, strict=True))
-    return Transitions(source.astype(np.int32), target.astype(np.int32), lag, weight, np.full(len(lag), 1e-3))
+    return Transitions(
+        source.astype(np.int32), target.astype(np.int32), lag, weight, np.full(len(lag), 1e-3)
+    )
 
 
 def repeated(
@@ -61,14 +63,18 @@ def test_table_has_every_pair_once_with_its_figures(seed: int, n: int, zones: in
         own = (source == u) & (target == v)
         total = t.weight[own].sum()
         assert table.transit.total[row] == pytest.approx(total)
-        seen = sum(w / max(left[u, k], 1.0) for w, k in zip(t.weight[own], at[own], strict=True) if k >= 0)
+        seen = sum(
+            w / max(left[u, k], 1.0) for w, k in zip(t.weight[own], at[own], strict=True) if k >= 0
+        )
         assert table.probability[row] == pytest.approx(min(seen, 1.0))
         counts = np.zeros(BINS.size)
         for lag, weight in zip(t.lag[own], t.weight[own], strict=True):
             k = naive.lag_bin(lag, BINS.lag_min, BINS.lag_max, BINS.scale, BINS.step)
             counts[k] += weight * (k >= 0)
         assert table.counts[row] == pytest.approx(counts)
-    assert table.q == pytest.approx(naive.q_values(np.minimum(np.exp(-table.ratio), 1.0), max(len(pairs), 1)))
+    assert table.q == pytest.approx(
+        naive.q_values(np.minimum(np.exp(-table.ratio), 1.0), max(len(pairs), 1))
+    )
     back = table.rows(np.arange(len(pairs))[::-1])
     assert back.source.tolist() == table.source[::-1].tolist()
     assert back.transit.mode == pytest.approx(table.transit.mode[::-1], nan_ok=True)
@@ -99,12 +105,21 @@ def test_who_may_still_be_on_the_way_does_not_lower_the_share() -> None:
     arrived = transitions(*repeated(0, 1, 60.0, 20))
     table = tabulate(arrived, leaving(departures, BINS, 2, until=121.0), BINS, 2)
     assert table.probability[0] == pytest.approx(1.0, abs=0.1)
-    ahead = tabulate(transitions(*repeated(0, 1, -3.0, 20)), leaving(departures, BINS, 2, until=121.0), BINS, 2)
-    assert ahead.probability[0] == pytest.approx(0.5, abs=0.01)  # what comes before the exit is over by then
+    ahead = tabulate(
+        transitions(*repeated(0, 1, -3.0, 20)), leaving(departures, BINS, 2, until=121.0), BINS, 2
+    )
+    assert ahead.probability[0] == pytest.approx(
+        0.5, abs=0.01
+    )  # what comes before the exit is over by then
 
 
 def test_evidence_from_elsewhere_replaces_that_of_the_table() -> None:
-    table = tabulate(transitions(*repeated(0, 1, 5.0, 20), *repeated(1, 0, 5.0, 20)), np.full((2, 1), 20.0), BINS, 2)
+    table = tabulate(
+        transitions(*repeated(0, 1, 5.0, 20), *repeated(1, 0, 5.0, 20)),
+        np.full((2, 1), 20.0),
+        BINS,
+        2,
+    )
     told = table.with_evidence(np.array([2.0, 9.0]), 4)
     assert told.q == pytest.approx([np.exp(-2) * 2, np.exp(-9) * 4])
     assert told.ratio.tolist() == [2.0, 9.0]
@@ -116,7 +131,10 @@ def test_evidence_from_elsewhere_replaces_that_of_the_table() -> None:
 
 def published(*rows: tuple[int, int, float, float], left: float = 100.0) -> list[tuple[int, int]]:
     table = tabulate(transitions(*rows), np.full((5, 1), left), BINS, 5)
-    return [(int(table.source[k]), int(table.target[k])) for k in np.flatnonzero(significant(table, SETTINGS))]
+    return [
+        (int(table.source[k]), int(table.target[k]))
+        for k in np.flatnonzero(significant(table, SETTINGS))
+    ]
 
 
 def test_a_link_needs_evidence_share_and_number() -> None:
@@ -130,7 +148,10 @@ def test_a_link_needs_evidence_share_and_number() -> None:
 def test_the_thesiss_variance_counts_too() -> None:
     """Lags at both ends of the range vary more than at chance."""
     table = tabulate(
-        transitions(*repeated(0, 1, -19.0, 50), *repeated(0, 1, 119.0, 50)), np.full((2, 1), 100.0), BINS, 2
+        transitions(*repeated(0, 1, -19.0, 50), *repeated(0, 1, 119.0, 50)),
+        np.full((2, 1), 100.0),
+        BINS,
+        2,
     )
     assert table.variance[0] > 1
     assert not significant(table, SETTINGS).any()
@@ -181,9 +202,10 @@ def test_weak_links_share_what_the_published_leave_over(seed: int) -> None:
     likely, strong, weak = weak_and_strong(seed)
     taken = sum(strong.probability[strong.source == 0])
     before = sum(
-        p for u, v, p in zip(likely.source, likely.target, likely.probability, strict=True)
+        p
+        for u, v, p in zip(likely.source, likely.target, likely.probability, strict=True)
         if u == 0 and v in strong.target[strong.source == 0]
-    )  # fmt: skip
+    )
     rows = weak.source == 0
     for v, p in zip(weak.target[rows], weak.probability[rows], strict=True):
         own = likely.probability[(likely.source == 0) & (likely.target == v)][0]
@@ -200,7 +222,12 @@ def test_no_weak_links() -> None:
 
 
 def test_relation_from_where_the_lags_lie() -> None:
-    assert [relation_of(ahead) for ahead in (0.0, 0.5, 0.51, 1.0)] == ["unseen", "unseen", "overlapped", "overlapped"]
+    assert [relation_of(ahead) for ahead in (0.0, 0.5, 0.51, 1.0)] == [
+        "unseen",
+        "unseen",
+        "overlapped",
+        "overlapped",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -246,7 +273,10 @@ def test_pairs_of_cameras_once_each_sorted() -> None:
         link("c/1", "a/1", "overlapped", -2.0),
         link("a/1", "a/2", "unseen", 30.0),  # comes back
     ]
-    assert related(links) == [("ab", "unseen_path", "unseen_path", ""), ("ac", "overlapped", "overlapped", "")]
+    assert related(links) == [
+        ("ab", "unseen_path", "unseen_path", ""),
+        ("ac", "overlapped", "overlapped", ""),
+    ]
     assert camera_pairs(ZONES, [], 0.2) == []
     assert camera_pairs(ZONES, [link("a/1", "a/2", "visible", 5.0)], 0.2) == []
 
@@ -258,14 +288,21 @@ def test_one_overlapped_link_makes_the_pair_overlapped() -> None:
 
 
 def test_both_verdicts_and_why_they_differ() -> None:
-    """Half of the lags of the first are negative, so the lags alone say unseen; the passage of 6 s decides."""
+    """Half of the lags of the first are negative, so the lags alone say unseen; the passage of 6 s
+    decides.
+    """
     inside, after = link("a/2", "b/1", "unseen", -0.5), link("a/2", "b/1", "unseen", 0.5)
-    ahead, too_early = link("a/2", "b/1", "overlapped", -2.0), link("a/2", "b/1", "overlapped", -9.0)
+    ahead, too_early = (
+        link("a/2", "b/1", "overlapped", -2.0),
+        link("a/2", "b/1", "overlapped", -9.0),
+    )
     passage = link("a/1", "a/2", "visible", 6.0)
     assert related([inside]) == [("ab", "unseen_path", "unseen_path", "")]
     assert related([passage, inside]) == [("ab", "overlapped", "unseen_path", "overlapped")]
     assert related([passage, after]) == [("ab", "unseen_path", "unseen_path", "unseen_path")]
-    assert related([passage, after], tolerance=1.0) == [("ab", "overlapped", "unseen_path", "overlapped")]
+    assert related([passage, after], tolerance=1.0) == [
+        ("ab", "overlapped", "unseen_path", "overlapped")
+    ]
     assert related([passage, ahead]) == [("ab", "overlapped", "overlapped", "overlapped")]
     assert related([passage, too_early]) == [("ab", "overlapped", "overlapped", "unseen_path")]
 
@@ -274,11 +311,15 @@ def test_both_verdicts_and_why_they_differ() -> None:
 
 LINKS = st.lists(
     st.builds(
-        link, st.sampled_from([z.id for z in ZONES]), st.sampled_from([z.id for z in ZONES]),
-        st.sampled_from(["visible", "unseen", "overlapped"]), st.just(5.0), st.sampled_from([0.1, 0.5, 1.0]),
+        link,
+        st.sampled_from([z.id for z in ZONES]),
+        st.sampled_from([z.id for z in ZONES]),
+        st.sampled_from(["visible", "unseen", "overlapped"]),
+        st.just(5.0),
+        st.sampled_from([0.1, 0.5, 1.0]),
     ),
     max_size=8,
-)  # fmt: skip
+)
 
 
 @given(LINKS, st.lists(st.integers(0, 30), min_size=5, max_size=5))
@@ -287,7 +328,9 @@ def test_chain_equals_its_slow_twin(links: list[Link], exits: list[int]) -> None
     found = markov_chain(zones, links, 6)
     assert [(e.from_, e.to) for e in found] == sorted((e.from_, e.to) for e in found)
     slow = naive.chain(zones, links)
-    assert {(e.from_, e.to): e.probability for e in found if e.probability} == pytest.approx(slow, abs=1e-6)
+    assert {(e.from_, e.to): e.probability for e in found if e.probability} == pytest.approx(
+        slow, abs=1e-6
+    )
 
 
 def test_chain_by_hand() -> None:

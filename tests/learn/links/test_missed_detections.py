@@ -8,7 +8,14 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from camtopod.learn.links.link_table import LinkTable, Transitions, join, tabulate
-from camtopod.learn.links.missed_detections import UNCERTAINTY, Odds, Ways, find_ways, unexplained, without_missed
+from camtopod.learn.links.missed_detections import (
+    UNCERTAINTY,
+    Odds,
+    Ways,
+    find_ways,
+    unexplained,
+    without_missed,
+)
 from camtopod.learn.settings import Settings
 from camtopod.topology.lag_bins import LagBins
 
@@ -24,7 +31,12 @@ def table(*rows: Row, zones: int = 9) -> LinkTable:
     parts = []
     for source, target, lag, n in rows:
         spread = lag + np.linspace(-1.0, 1.0, n)
-        column = (np.full(n, source, np.int32), np.full(n, target, np.int32), spread, np.full(n, 0.999))
+        column = (
+            np.full(n, source, np.int32),
+            np.full(n, target, np.int32),
+            spread,
+            np.full(n, 0.999),
+        )
         parts.append(Transitions(*column, np.full(n, 1e-3)))
     return tabulate(join(parts), np.full((zones, 1), LEAVING), BINS, zones)
 
@@ -33,16 +45,24 @@ CAMERA = np.array([0, 1, 1, 2, 2, 3, 3, 4, 4])
 """Zones 1 and 2 in camera 1, and so on; zone 0 alone in its own."""
 THROUGH = table((1, 2, 5.0, 300), (3, 4, 5.0, 300), (5, 6, 5.0, 300), (7, 8, 5.0, 300))
 CHAIN = ((0, 1, 10.0, 300), (2, 3, 10.0, 300), (4, 5, 10.0, 300), (6, 7, 10.0, 300))
-"""0 -> (1 2) -> (3 4) -> (5 6) -> (7 8): every way seen 300 times; over one missed camera it takes 25 s."""
+"""0 -> (1 2) -> (3 4) -> (5 6) -> (7 8): every way seen 300 times; over one missed camera it takes
+25 s.
+"""
 
 
-def kept(*rows: Row, through: LinkTable = THROUGH, settings: Settings = SETTINGS) -> set[tuple[int, int]]:
+def kept(
+    *rows: Row, through: LinkTable = THROUGH, settings: Settings = SETTINGS
+) -> set[tuple[int, int]]:
     """The pairs that stay when all of the rows have been found."""
     between = table(*rows)
     found = np.ones(len(between.source), bool)
     stays = without_missed(between, through, found, CAMERA, settings)
     assert found.all()
-    return {(int(u), int(v)) for u, v, stay in zip(between.source, between.target, stays, strict=True) if stay}
+    return {
+        (int(u), int(v))
+        for u, v, stay in zip(between.source, between.target, stays, strict=True)
+        if stay
+    }
 
 
 LINKS = {(u, v) for u, v, _, _ in CHAIN}
@@ -96,7 +116,10 @@ def test_only_what_was_found_is_a_way() -> None:
 def test_what_is_left_over() -> None:
     between = table(*CHAIN, (0, 3, 25.0, 150), (2, 5, 25.0, 30), (4, 7, 25.0, 30))
     own = unexplained(between, THROUGH, np.ones(len(between.source), bool), CAMERA, SETTINGS)
-    left = {(int(u), int(v)): rest for u, v, rest in zip(between.source, between.target, own, strict=True)}
+    left = {
+        (int(u), int(v)): rest
+        for u, v, rest in zip(between.source, between.target, own, strict=True)
+    }
     assert left[0, 1] == pytest.approx(between.transit.total[0])
     assert left[2, 5] == pytest.approx(0.0, abs=0.5)
     assert 150 - UNCERTAINTY * 100 <= left[0, 3] < 110
@@ -106,8 +129,15 @@ def test_what_is_left_over() -> None:
 @given(st.integers(0, 10**6), st.integers(0, 40), st.integers(0, 20))
 def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
     rng = np.random.default_rng(seed)
-    ends, times, numbers = rng.integers(0, 9, (links, 2)), rng.uniform(1, 40, links), rng.integers(3, 20, links)
-    row = [(int(u), int(v), float(t), int(n)) for (u, v), t, n in zip(ends, times, numbers, strict=True)]
+    ends, times, numbers = (
+        rng.integers(0, 9, (links, 2)),
+        rng.uniform(1, 40, links),
+        rng.integers(3, 20, links),
+    )
+    row = [
+        (int(u), int(v), float(t), int(n))
+        for (u, v), t, n in zip(ends, times, numbers, strict=True)
+    ]
     pick = [(a, b) for a in range(1, 9) for b in range(1, 9) if CAMERA[a] == CAMERA[b]]
     seen = [(*pick[k], 5.0, 3 + int(k) % 9) for k in rng.integers(0, len(pick), passages)]
     between, through = table(*row), table(*seen)
@@ -116,19 +146,29 @@ def test_ways_equal_three_loops(seed: int, links: int, passages: int) -> None:
     for k in found:
         for j in range(len(through.source)):
             for m in found:
-                if between.target[k] == through.source[j] and through.target[j] == between.source[m]:
+                if (
+                    between.target[k] == through.source[j]
+                    and through.target[j] == between.source[m]
+                ):
                     total, stays = between.transit.total, through.transit.total
                     share = stays[j] / stays[through.source == through.source[j]].sum()
                     share /= stays[through.target == through.target[j]].sum()
-                    median = between.transit.quantiles[[k, m], 1].sum() + through.transit.quantiles[j, 1]
+                    median = (
+                        between.transit.quantiles[[k, m], 1].sum() + through.transit.quantiles[j, 1]
+                    )
                     pair = between.source[k] * 9 + between.target[m]
-                    expected.append((pair, CAMERA[between.target[k]], total[k] * share * total[m], median))
+                    expected.append(
+                        (pair, CAMERA[between.target[k]], total[k] * share * total[m], median)
+                    )
     ways = find_ways(between, through, found, CAMERA)
     actual = list(zip(*ways[:4], strict=True))
     assert len(actual) == len(expected)
     if expected:
         # to nine digits, as sums in another order may put equal ways in another one
-        rounded = [sorted(tuple(np.round(np.array(way, float), 9)) for way in ways) for ways in (actual, expected)]
+        rounded = [
+            sorted(tuple(np.round(np.array(way, float), 9)) for way in ways)
+            for ways in (actual, expected)
+        ]
         assert np.array(rounded[0]) == pytest.approx(np.array(rounded[1]))
 
 

@@ -20,15 +20,33 @@ HOUR = 3600.0
 
 def table(*rows: tuple[int, int, float, float, float]) -> LinkTable:
     """Of pairs (source, target, transitions, evidence in nats, probability)."""
-    source, target, total, ratio, probability = (np.array(column) for column in zip(*rows, strict=True))
+    source, target, total, ratio, probability = (
+        np.array(column) for column in zip(*rows, strict=True)
+    )
     n, nothing = len(rows), np.zeros(len(rows))
-    transit = TransitFigures(*[np.zeros((n, 3)) if name == "quantiles" else nothing for name in TransitFigures._fields])
+    transit = TransitFigures(
+        *[np.zeros((n, 3)) if name == "quantiles" else nothing for name in TransitFigures._fields]
+    )
     transit = transit._replace(total=total)
-    return LinkTable(source, target, probability, ratio, np.ones(n), transit, nothing, np.zeros((n, 0)), np.zeros(n))
+    return LinkTable(
+        source,
+        target,
+        probability,
+        ratio,
+        np.ones(n),
+        transit,
+        nothing,
+        np.zeros((n, 0)),
+        np.zeros(n),
+    )
 
 
-def of(*rows: tuple[int, int, float, float, float], held_out: float | None = None, published: int = 0) -> Lacking:
-    between = table((7, 7, 1.0, 0.0, 1.0), *[] if held_out is None else [(*rows[0][:3], held_out, 0.5)])
+def of(
+    *rows: tuple[int, int, float, float, float], held_out: float | None = None, published: int = 0
+) -> Lacking:
+    between = table(
+        (7, 7, 1.0, 0.0, 1.0), *[] if held_out is None else [(*rows[0][:3], held_out, 0.5)]
+    )
     return lacking(table(*rows), between, published, 10, HOUR, SETTINGS)
 
 
@@ -41,7 +59,9 @@ def test_the_evidence_needed_is_that_at_which_the_rule_is_met(rank: int) -> None
 
 
 def test_a_passage_brings_as_much_as_those_so_far() -> None:
-    """Ten passages brought 20 nats in the fit, 3 of them held out; the rest is to come, at 2 nats a passage."""
+    """Ten passages brought 20 nats in the fit, 3 of them held out; the rest is to come, at 2 nats a
+    passage.
+    """
     found = of((0, 1, 10.0, 20.0, 0.5), held_out=3.0)
     assert found.passages == pytest.approx([(np.log(100 / 0.01) - 3.0) / 2.0])
     assert found.seconds == pytest.approx(found.passages * HOUR / 10.0)
@@ -50,7 +70,12 @@ def test_a_passage_brings_as_much_as_those_so_far() -> None:
 def test_without_held_out_evidence_all_of_it_is_to_come() -> None:
     assert of((0, 1, 10.0, 20.0, 0.5)).passages == pytest.approx([np.log(100 / 0.01) / 2.0])
     assert lacking(
-        table((0, 1, 10.0, 20.0, 0.5)), table((0, 1, 1.0, 0.0, 1.0)).rows(np.zeros(0, np.intp)), 0, 10, HOUR, SETTINGS
+        table((0, 1, 10.0, 20.0, 0.5)),
+        table((0, 1, 1.0, 0.0, 1.0)).rows(np.zeros(0, np.intp)),
+        0,
+        10,
+        HOUR,
+        SETTINGS,
     ).passages == pytest.approx([np.log(100 / 0.01) / 2.0])
 
 
@@ -61,18 +86,26 @@ def test_the_more_links_are_published_the_less_one_more_needs() -> None:
 
 def test_what_has_enough_evidence_lacks_a_passage_or_what_makes_two() -> None:
     assert of((0, 1, 10.0, 20.0, 0.5), held_out=30.0).passages == pytest.approx([PASSAGES_MIN])
-    assert of((0, 1, 0.5, 20.0, 0.5), held_out=30.0).passages == pytest.approx([TRANSITIONS_MIN - 0.5])
+    assert of((0, 1, 0.5, 20.0, 0.5), held_out=30.0).passages == pytest.approx(
+        [TRANSITIONS_MIN - 0.5]
+    )
 
 
-@pytest.mark.parametrize("row", [(0, 1, 10.0, 20.0, 0.02), (0, 1, 10.0, 0.0, 0.5), (0, 1, 10.0, -1.0, 0.5)])
-def test_where_waiting_does_not_help_nothing_is_said(row: tuple[int, int, float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "row", [(0, 1, 10.0, 20.0, 0.02), (0, 1, 10.0, 0.0, 0.5), (0, 1, 10.0, -1.0, 0.5)]
+)
+def test_where_waiting_does_not_help_nothing_is_said(
+    row: tuple[int, int, float, float, float],
+) -> None:
     found = of(row)
     assert np.isnan(found.passages).all()
     assert np.isnan(found.seconds).all()
 
 
 def test_what_is_forecast_is_published_about_then() -> None:
-    """Half of the forecasts that came due are right within a factor of two and a half, and most come true."""
+    """Half of the forecasts that came due are right within a factor of two and a half, and most
+    come true.
+    """
     learner, versions = Learner(), list[Topology]()
     for event in simulate(SimSettings(cameras=6, hours=2.0, seed=4, objects_per_second=0.05))[0]:
         learner.receive(event)

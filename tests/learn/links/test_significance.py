@@ -17,7 +17,9 @@ RATIOS = st.lists(st.one_of(st.floats(-5, 40), st.sampled_from([0.0, 3.0])), max
 def test_q_values_by_their_definition(ratios: list[float], further: int) -> None:
     ratio = np.array(ratios)
     tests = len(ratios) + further
-    assert q_values(ratio, tests) == pytest.approx(naive.q_values(np.minimum(np.exp(-ratio), 1), max(tests, 1)))
+    assert q_values(ratio, tests) == pytest.approx(
+        naive.q_values(np.minimum(np.exp(-ratio), 1), max(tests, 1))
+    )
 
 
 @given(RATIOS)
@@ -39,7 +41,11 @@ def test_benjamini_and_hochberg_among_chance() -> None:
 @given(st.integers(0, 10**6), st.integers(0, 50))
 def test_ratio_by_loops(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
-    pair, share, flat = rng.integers(0, 4, n).astype(np.int32), rng.random(n), np.exp(rng.normal(0, 2, n))
+    pair, share, flat = (
+        rng.integers(0, 4, n).astype(np.int32),
+        rng.random(n),
+        np.exp(rng.normal(0, 2, n)),
+    )
     found = log_likelihood_ratio(pair, share, flat, 4)
     for p in range(4):
         rows = [k for k in range(n) if pair[k] == p]

@@ -1,4 +1,6 @@
-"""Transit times, Monte Carlo observations and the variance of Mahalanobis distances (thesis 4.3 to 4.5)."""
+"""Transit times, Monte Carlo observations and the variance of Mahalanobis distances (thesis 4.3 to
+4.5).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def lags(seed: int, n: int, pairs: int) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def telling(weight: np.ndarray) -> np.ndarray:
-    """The weights of one pair that count for its quantiles: what is unlikely does only where nothing else is."""
+    """The weights of one pair that count for its quantiles: what is unlikely does only where
+    nothing else is.
+    """
     likely = np.where(weight > WEIGHT_MIN, weight, 0.0)
     return likely if likely.any() else weight
 
@@ -32,8 +36,12 @@ def telling(weight: np.ndarray) -> np.ndarray:
 # --- figures ---
 
 
-@pytest.mark.parametrize(("weights", "expected"), [([5e-4, 8e-4, 9e-4], 30.0), ([5e-4, 8e-4, 0.5], 40.0)])
-def test_unlikely_transitions_count_where_there_are_no_others(weights: list[float], expected: float) -> None:
+@pytest.mark.parametrize(
+    ("weights", "expected"), [([5e-4, 8e-4, 9e-4], 30.0), ([5e-4, 8e-4, 0.5], 40.0)]
+)
+def test_unlikely_transitions_count_where_there_are_no_others(
+    weights: list[float], expected: float
+) -> None:
     pair, lag = np.array([1, 1, 1], np.int32), np.array([20.0, 30.0, 40.0])
     found = transit_figures(pair, lag, np.array(weights), np.zeros((2, BINS.size)), BINS)
     assert found.quantiles[1, 1] == expected
@@ -59,7 +67,9 @@ def test_figures_equal_their_definitions(seed: int, n: int, pairs: int) -> None:
         x, w = lag[pair == p], weight[pair == p]
         assert found.total[p] == pytest.approx(w.sum())
         if w.sum() > 0:
-            low, middle, high = (naive.weighted_quantile(x, telling(w), q) for q in (0.25, 0.5, 0.75))
+            low, middle, high = (
+                naive.weighted_quantile(x, telling(w), q) for q in (0.25, 0.5, 0.75)
+            )
             near = abs(x - middle) <= 4.5 * max((high - low) / 1.349, 0.2)
             mean = np.average(x[near], weights=w[near])
             sd = np.sqrt(np.average((x[near] - mean) ** 2, weights=w[near]))
@@ -67,7 +77,9 @@ def test_figures_equal_their_definitions(seed: int, n: int, pairs: int) -> None:
             assert found.sd[p] == pytest.approx(sd)
             number, sure = w[near].sum(), (w[near] ** 2).sum()
             few = np.sqrt(number / max(number - 1, 0.5))
-            assert found.mean_error[p] == pytest.approx(np.hypot(max(sd, 0.2) * few / np.sqrt(sure), 0.015 * mean))
+            assert found.mean_error[p] == pytest.approx(
+                np.hypot(max(sd, 0.2) * few / np.sqrt(sure), 0.015 * mean)
+            )
             assert found.ahead[p] == pytest.approx(w[x < 0].sum() / w.sum())
             assert found.quantiles[p, 0] <= found.quantiles[p, 1] <= found.quantiles[p, 2]
         else:
@@ -77,13 +89,17 @@ def test_figures_equal_their_definitions(seed: int, n: int, pairs: int) -> None:
 
 
 def walks(seed: int, pairs: int, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pair, lag and log slowness of ``n`` transitions of each pair; the median transit is 10 s, objects differ much in
-    speed, and one's speed is known nearly.
+    """Pair, lag and log slowness of ``n`` transitions of each pair; the median transit is 10 s,
+    objects differ much in speed, and one's speed is known nearly.
     """
     rng = np.random.default_rng(seed)
     pace = 0.3 * rng.standard_normal(pairs * n)
     lag = 10.0 * np.exp(pace + 0.1 * rng.standard_normal(pairs * n))
-    return np.repeat(np.arange(pairs, dtype=np.int32), n), lag, pace + 0.07 * rng.standard_normal(pairs * n)
+    return (
+        np.repeat(np.arange(pairs, dtype=np.int32), n),
+        lag,
+        pace + 0.07 * rng.standard_normal(pairs * n),
+    )
 
 
 @pytest.mark.parametrize("slow_known", [False, True])
@@ -94,7 +110,9 @@ def test_the_median_is_as_sure_as_it_says(slow_known: bool) -> None:
     found = transit_figures(pair, lag, np.ones(len(lag)), np.zeros((pairs, BINS.size)), BINS, *told)
     away = np.abs(found.quantiles[:, 1] - 10.0)
     assert 0.85 < np.mean(away < 1.645 * found.median_error) < 0.99
-    assert 0.85 < np.mean(np.abs(found.mean - 10.0 * np.exp(0.05)) < 1.645 * found.mean_error) < 0.99
+    assert (
+        0.85 < np.mean(np.abs(found.mean - 10.0 * np.exp(0.05)) < 1.645 * found.mean_error) < 0.99
+    )
     plain = 1.2533 * 0.316 * 10.0 / np.sqrt(n)
     assert np.sqrt(np.mean(away**2)) < (0.65 if slow_known else 1.1) * plain
 
@@ -153,7 +171,11 @@ def test_peak_at_the_ends_of_a_plateau_and_of_nothing() -> None:
 
 def test_iterations_of_the_thesis() -> None:
     """Section 5.1: sigma 0.5828 takes N = 348 with epsilon = 0.0134."""
-    assert monte_carlo.iterations_needed(0.5828) == monte_carlo.iterations_needed(0.5828, 0.0134) == 348
+    assert (
+        monte_carlo.iterations_needed(0.5828)
+        == monte_carlo.iterations_needed(0.5828, 0.0134)
+        == 348
+    )
     assert monte_carlo.iterations_needed(1.0, 2.0) == 4
     assert monte_carlo.iterations_needed(0.0) == 0
 
@@ -174,7 +196,9 @@ def test_observations_keep_the_density_they_come_from() -> None:
     distance, _ = scipy.stats.kstest(found.ravel(), lambda x: np.interp(x, BINS.edges, reached))
     assert distance < 0.02
     drifted = found + 2.0 * np.random.default_rng(1).standard_normal(found.shape)
-    assert scipy.stats.kstest(drifted.ravel(), lambda x: np.interp(x, BINS.edges, reached))[0] > 0.05
+    assert (
+        scipy.stats.kstest(drifted.ravel(), lambda x: np.interp(x, BINS.edges, reached))[0] > 0.05
+    )
 
 
 def test_observations_move_and_stay_inside() -> None:

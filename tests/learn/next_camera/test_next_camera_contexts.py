@@ -1,4 +1,6 @@
-"""Contexts of a departure: counted and backed off as by hand, and what they know about where objects go."""
+"""Contexts of a departure: counted and backed off as by hand, and what they know about where
+objects go.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ SHORT = LagBins(-3.0, 8.0)
 CAMERAS = np.array([0, 0, 1, 2], np.int32)
 """Camera of each of four zones."""
 SINGLE = 5e-7
-"""Counts are kept in single precision, and what is left of one without a candidate's own share may be far smaller."""
+"""Counts are kept in single precision, and what is left of one without a candidate's own share may
+be far smaller.
+"""
 
 
 def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
@@ -34,8 +38,15 @@ def anything(seed: int, n: int) -> tuple[Departures, Arrivals, Candidates]:
     order = np.argsort(t + stay)
     zone = np.where(own >= 0, (zone // 2) * 2 + rng.integers(0, 2, n), zone).astype(np.int32)
     since = np.where(own >= 0, t, -np.inf)
-    departures = Departures((t + stay)[order], zone[order], CAMERAS[zone[order]], since[order], np.full(n, np.nan),
-                            own[order], block[order])  # fmt: skip
+    departures = Departures(
+        (t + stay)[order],
+        zone[order],
+        CAMERAS[zone[order]],
+        since[order],
+        np.full(n, np.nan),
+        own[order],
+        block[order],
+    )
     return departures, arrivals, find_candidates(departures, arrivals, SHORT, 4)
 
 
@@ -55,18 +66,29 @@ def test_counts_and_back_off_equal_their_slow_twin(seed: int, n: int) -> None:
     gone, leave = rng.random((2, n))
     contexts = Contexts(departures, arrivals, 4, 3)
     counted, leaving = contexts.count(found, responsibility, gone, leave)
-    after, levels = contexts.judged(found, responsibility, share, counted), contexts.named(found, counted)
+    after, levels = (
+        contexts.judged(found, responsibility, share, counted),
+        contexts.named(found, counted),
+    )
     slow = naive.contexts(
-        departures, arrivals, list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True)),
-        responsibility, share[found.pair], gone, leave,
-        module.BACK_OFF_DEPARTURES, module.PREVIOUS_RESPONSIBILITY_MIN,
-    )  # fmt: skip
+        departures,
+        arrivals,
+        list(zip(found.departure.tolist(), found.arrival.tolist(), strict=True)),
+        responsibility,
+        share[found.pair],
+        gone,
+        leave,
+        module.BACK_OFF_DEPARTURES,
+        module.PREVIOUS_RESPONSIBILITY_MIN,
+    )
     assert after == pytest.approx(slow[1], abs=SINGLE)
     assert leaving == pytest.approx(slow[2])
     assert len(levels) == len(LEVELS) == 4
     for level, (n_of, moved_of) in zip(levels, slow[0], strict=True):
         assert len(level.first) == len(level.zone) + 1
-        assert len(level.transitions) == sum(count > 0 for count in moved_of.values()), "only what occurs is kept"
+        assert len(level.transitions) == sum(count > 0 for count in moved_of.values()), (
+            "only what occurs is kept"
+        )
         for k in range(len(level.zone)):
             key = int(level.zone[k]), *level.parts[k].tolist()
             assert level.departures[k] == pytest.approx(n_of.get(key, 0.0))
@@ -86,24 +108,37 @@ def test_multipliers_are_bounded_ratios(pairs: list[tuple[float, float]]) -> Non
     ]
 
 
-def told(views: Views, true: dict[float, float]) -> tuple[list[Level], Candidates, Departures, np.ndarray]:
-    """Levels when it is known who is who: ``true`` has, by the time of an exit, the time of the next appearance."""
+def told(
+    views: Views, true: dict[float, float]
+) -> tuple[list[Level], Candidates, Departures, np.ndarray]:
+    """Levels when it is known who is who: ``true`` has, by the time of an exit, the time of the
+    next appearance.
+    """
     departures, arrivals = views.columns()
     zones = len(views.camera)
     found = find_candidates(departures, arrivals, LagBins(-20.0, 120.0), zones)
-    right = np.array([true.get(departures.t[d]) == arrivals.t[a] for d, a in zip(*found[:2], strict=True)], float)
+    right = np.array(
+        [true.get(departures.t[d]) == arrivals.t[a] for d, a in zip(*found[:2], strict=True)], float
+    )
     gone = 1.0 - np.minimum(np.bincount(found.departure, right, minlength=len(departures.t)), 1.0)
     left = np.maximum(np.bincount(departures.zone, minlength=zones), 1)
     share = np.bincount(found.pair, right, minlength=len(found.source)) / left[found.source]
     leave = (np.bincount(departures.zone, gone, minlength=zones) / left)[departures.zone]
     contexts = Contexts(departures, arrivals, zones, int(max(views.camera)) + 1)
     counted, _ = contexts.count(found, right, gone, leave)
-    return contexts.named(found, counted), found, departures, contexts.judged(found, right, share, counted)
+    return (
+        contexts.named(found, counted),
+        found,
+        departures,
+        contexts.judged(found, right, share, counted),
+    )
 
 
 @pytest.mark.parametrize("known", ["entry", "block"])
 def test_where_they_came_in_and_where_they_left_says_where_they_go(known: str) -> None:
-    """From zone 2, those who came in at 0 (or left in block 7) go to zone 3, the others to zone 4."""
+    """From zone 2, those who came in at 0 (or left in block 7) go to zone 3, the others to zone
+    4.
+    """
     rng = np.random.default_rng(0)
     views, true, firsts = Views([0, 0, 0, 1, 2]), {}, []
     for t in np.sort(rng.uniform(0, 20_000, 400)):
@@ -115,8 +150,12 @@ def test_where_they_came_in_and_where_they_left_says_where_they_go(known: str) -
         true[t + 5] = t + 15
     levels, found, departures, after = told(views, true)
     level = levels[LEVELS.index(known)]
-    context = {tuple(parts): k for k, parts in enumerate(level.parts.tolist()) if level.zone[k] == 2}
-    one, other = (context[0, -1], context[1, -1]) if known == "entry" else (context[-1, 7], context[-1, 8])
+    context = {
+        tuple(parts): k for k, parts in enumerate(level.parts.tolist()) if level.zone[k] == 2
+    }
+    one, other = (
+        (context[0, -1], context[1, -1]) if known == "entry" else (context[-1, 7], context[-1, 8])
+    )
     assert surely(level, one)[3] == pytest.approx(level.departures[one])
     assert 4 not in surely(level, one)
     assert surely(level, other)[4] == pytest.approx(level.departures[other])
@@ -137,8 +176,12 @@ def test_a_context_seen_once_hardly_counts() -> None:
     views.through(5015.0, 5016.0, 3, 3)
     true[5005.0] = 5015.0
     _, found, departures, after = told(views, true)
-    (rare,) = np.flatnonzero((departures.t[found.departure] == 5005.0) & (found.target[found.pair] == 3))
-    assert after[rare] == pytest.approx(1 / 41)  # left out itself, there is nothing: as without the context
+    (rare,) = np.flatnonzero(
+        (departures.t[found.departure] == 5005.0) & (found.target[found.pair] == 3)
+    )
+    assert after[rare] == pytest.approx(
+        1 / 41
+    )  # left out itself, there is nothing: as without the context
 
 
 def test_the_camera_before() -> None:

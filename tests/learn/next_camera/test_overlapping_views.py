@@ -1,4 +1,6 @@
-"""Views that overlap: which they are, and which passages elsewhere are of the object that leaves."""
+"""Views that overlap: which they are, and which passages elsewhere are of the object that
+leaves.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ def test_open_passages_equal_a_double_loop(seed: int, n: int, shift: float) -> N
     with pytest.MonkeyPatch.context() as limits:
         limits.setattr(overlapping_views, "OPEN_PAIRS_AT_ONCE", 5)
         found = [
-            pair for part in overlapping_views._open(views, slice(0, n), shift) for pair in zip(*part, strict=True)
+            pair
+            for part in overlapping_views._open(views, slice(0, n), shift)
+            for pair in zip(*part, strict=True)
         ]
     assert len(found) == len(set(found))
     assert set(found) == naive.coexisting(*views, shift)
@@ -57,8 +61,8 @@ def test_the_newest_exits_count_beyond_the_limit(seed: int, n: int, most: int) -
 
 
 def walkers(seed: int, objects: int, share: float = 1.0, seconds: float = 30.0) -> list[Event]:
-    """Of the objects in the view of a this share enters that of b five seconds after it, and stays longer; others come
-    to b and c by themselves. One comes every so many ``seconds``.
+    """Of the objects in the view of a this share enters that of b five seconds after it, and stays
+    longer; others come to b and c by themselves. One comes every so many ``seconds``.
     """
     rng = np.random.default_rng(seed)
     events: list[Event] = []
@@ -67,10 +71,15 @@ def walkers(seed: int, objects: int, share: float = 1.0, seconds: float = 30.0) 
         t = float(rng.uniform(0, seconds * objects))
         events += passage("a", t, float(rng.uniform(8, 12)), f"a{number}")
         if rng.random() < share:
-            events += passage("b", t + float(rng.normal(5, 0.5)), float(rng.uniform(12, 25)), f"b{number}")
+            events += passage(
+                "b", t + float(rng.normal(5, 0.5)), float(rng.uniform(12, 25)), f"b{number}"
+            )
         for camera in "bc":
             events += passage(
-                camera, float(rng.uniform(0, seconds * objects)), float(rng.uniform(5, 40)), f"{camera}x{number}"
+                camera,
+                float(rng.uniform(0, seconds * objects)),
+                float(rng.uniform(5, 40)),
+                f"{camera}x{number}",
             )
     return sorted(events, key=lambda event: event.t)
 
@@ -121,8 +130,12 @@ def test_who_leaves_a_view_is_looked_for_where_another_sees_it() -> None:
         assert told.in_view
         assert told.look[0].camera == "b"
         assert all(0.0 < one.probability <= 1.0 for one in (*told.look, *told.in_view))
-        assert [one.probability for one in told.in_view] == sorted((x.probability for x in told.in_view), reverse=True)
-        assert sum(one.probability for one in told.in_view) <= 1.0 + 1e-9, "of one camera's passages one is right"
+        assert [one.probability for one in told.in_view] == sorted(
+            (x.probability for x in told.in_view), reverse=True
+        )
+        assert sum(one.probability for one in told.in_view) <= 1.0 + 1e-9, (
+            "of one camera's passages one is right"
+        )
         right.append(told.in_view[0].track == str(exit_.track).replace("a", "b"))
         sure.append(told.in_view[0].probability)
     assert np.mean(right) > 0.9
@@ -133,7 +146,10 @@ def test_who_leaves_a_view_is_looked_for_where_another_sees_it() -> None:
 def test_passages_in_view_do_not_depend_on_the_order_of_lines_of_one_instant(where: int) -> None:
     """Whoever leaves another view at that instant is still there, whoever enters one is not yet."""
     topology, t = learned_from(walkers(1, 200)), 1e6
-    before = [Event(camera, "entry", t - ago, track=str(ago)) for camera, ago in (("a", 10), ("b", 5), ("b", 4))]
+    before = [
+        Event(camera, "entry", t - ago, track=str(ago))
+        for camera, ago in (("a", 10), ("b", 5), ("b", 4))
+    ]
     at_once = [Event("b", "exit", t, track="5"), Event("b", "entry", t, track="6")]
     at_once.insert(where, Event("a", "exit", t, track="10"))
     told = next(p for exit_, p in predictions(topology, [*before, *at_once]) if exit_.camera == "a")
@@ -149,7 +165,10 @@ def test_an_exit_without_a_track_has_nobody_in_view() -> None:
 
 
 def test_where_nobody_sees_an_object_the_next_camera_counts() -> None:
-    following = [NextCamera("c", "c/1", 0.6, 1.0, 2.0, 3.0), NextCamera("b", "b/1", 0.2, 1.0, 2.0, 3.0)]
+    following = [
+        NextCamera("c", "c/1", 0.6, 1.0, 2.0, 3.0),
+        NextCamera("b", "b/1", 0.2, 1.0, 2.0, 3.0),
+    ]
     in_view = [InView("b", "1", 0.0, 0.5), InView("d", "2", 0.0, 0.2)]
     said = {one.camera: one.probability for one in look(in_view, following)}
     assert said == pytest.approx({"b": 0.5 + 0.4 * 0.2, "c": 0.4 * 0.6, "d": 0.2})
@@ -162,6 +181,8 @@ def test_a_topology_without_overlaps_says_nothing() -> None:
 
 
 @pytest.mark.parametrize(("camera", "rows"), [("b", [("a", "b")]), ("a", [])])
-def test_a_district_tells_of_the_overlaps_with_its_own_cameras(camera: str, rows: list[tuple[str, str]]) -> None:
+def test_a_district_tells_of_the_overlaps_with_its_own_cameras(
+    camera: str, rows: list[tuple[str, str]]
+) -> None:
     part = part_of(learned_from(walkers(1, 200)), 0, {camera: 1.0}, 10)
     assert list(overlaps(part.topology)) == rows

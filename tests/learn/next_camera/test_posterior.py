@@ -1,4 +1,6 @@
-"""The posterior: entry kernels beside exit kernels, overlaps only where they show, the negligible left out."""
+"""The posterior: entry kernels beside exit kernels, overlaps only where they show, the negligible
+left out.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,14 @@ def problem(views: Views, bins: LagBins = BINS) -> Problem:
     departures, arrivals = views.columns()
     zones = len(views.camera)
     until = float(max(departures.t[-1], arrivals.t[-1]))
-    return departures, arrivals, find_candidates(departures, arrivals, bins, zones), bins, zones, until
+    return (
+        departures,
+        arrivals,
+        find_candidates(departures, arrivals, bins, zones),
+        bins,
+        zones,
+        until,
+    )
 
 
 def share(found: Posterior, source: int, target: int) -> float:
@@ -34,7 +43,9 @@ def share(found: Posterior, source: int, target: int) -> float:
 
 
 def one_way(seed: int, objects: int, span: float, goes: float = 0.6, clutter: int = 0) -> Views:
-    """From zone 0 to zone 1, 8 s after the exit; at zone 2 others come and go. Every zone is a camera."""
+    """From zone 0 to zone 1, 8 s after the exit; at zone 2 others come and go. Every zone is a
+    camera.
+    """
     rng = np.random.default_rng(seed)
     views = Views([0, 1, 2])
     for t in rng.uniform(0, span, objects):
@@ -65,17 +76,28 @@ def test_finds_the_share_the_time_and_who_leaves() -> None:
 def test_few_events_leave_much_open() -> None:
     """Weak evidence that is none fades as events come."""
     few, many = (
-        [fit_posterior(*problem(one_way(seed, 100 * n, 2000.0 * n, clutter=50 * n)), LINKED) for seed in range(4)]
+        [
+            fit_posterior(*problem(one_way(seed, 100 * n, 2000.0 * n, clutter=50 * n)), LINKED)
+            for seed in range(4)
+        ]
         for n in (1, 16)
     )
-    false = [sum(share(found, *pair) for found in fits for pair in UNRELATED) for fits in (few, many)]
+    false = [
+        sum(share(found, *pair) for found in fits for pair in UNRELATED) for fits in (few, many)
+    ]
     assert false[0] > 2 * false[1]
 
 
 def test_what_comes_at_any_lag_is_doubted() -> None:
     found = fit_posterior(*problem(one_way(1, 400, 2000.0, clutter=300)), LINKED)
     c = found.fit.candidates
-    doubt = dict(zip(zip(c.source.tolist(), c.target.tolist(), strict=True), found.doubt.tolist(), strict=True))
+    doubt = dict(
+        zip(
+            zip(c.source.tolist(), c.target.tolist(), strict=True),
+            found.doubt.tolist(),
+            strict=True,
+        )
+    )
     assert doubt[0, 1] < 0.25
     assert min(doubt[pair] for pair in UNRELATED if pair in doubt) > 2 * doubt[0, 1]
     assert all(0 <= share <= 1 for share in doubt.values())
@@ -84,16 +106,18 @@ def test_what_comes_at_any_lag_is_doubted() -> None:
 def test_what_becomes_of_the_departures_adds_up() -> None:
     departures, arrivals, *rest = problem(one_way(2, 200, 1500.0, clutter=100))
     found = fit_posterior(departures, arrivals, *rest, LINKED)
-    came = np.bincount(found.fit.candidates.arrival, found.fit.responsibility, minlength=len(arrivals.t))
+    came = np.bincount(
+        found.fit.candidates.arrival, found.fit.responsibility, minlength=len(arrivals.t)
+    )
     assert (came <= 1 + 1e-9).all()
     seen_again = np.bincount(found.fit.candidates.source, found.share, minlength=3)
     assert seen_again + found.leave == pytest.approx(np.ones(3), abs=0.05)
 
 
 def under_one_roof(seed: int, objects: int, span: float) -> tuple[Views, dict[float, float]]:
-    """Two views that overlap: 5 s after coming into the first (zone 0) three in four are in the second (zone 1), which
-    has visitors of its own as well, but leave the first after 8 to 80 s. And by the time of the exit, the true times of
-    the next appearance.
+    """Two views that overlap: 5 s after coming into the first (zone 0) three in four are in the
+    second (zone 1), which has visitors of its own as well, but leave the first after 8 to 80 s. And
+    by the time of the exit, the true times of the next appearance.
     """
     rng = np.random.default_rng(seed)
     views, true = Views([0, 1]), {}
@@ -108,8 +132,13 @@ def under_one_roof(seed: int, objects: int, span: float) -> tuple[Views, dict[fl
     return views, true
 
 
-def right_share(candidates: Candidates, responsibility: np.ndarray, departures: Departures, arrivals: Arrivals,
-                true: dict[float, float]) -> float:  # fmt: skip
+def right_share(
+    candidates: Candidates,
+    responsibility: np.ndarray,
+    departures: Departures,
+    arrivals: Arrivals,
+    true: dict[float, float],
+) -> float:
     """Responsibility of the true candidates, of all."""
     pairs = zip(candidates.departure, candidates.arrival, strict=True)
     right = np.array([true.get(departures.t[d]) == arrivals.t[a] for d, a in pairs])
@@ -117,7 +146,9 @@ def right_share(candidates: Candidates, responsibility: np.ndarray, departures: 
 
 
 def test_entry_kernels_know_when_the_exit_says_little() -> None:
-    """Five objects are in the first view at a time. Counted from the exit the lags lie anywhere in 72 s."""
+    """Five objects are in the first view at a time. Counted from the exit the lags lie anywhere in
+    72 s.
+    """
     views, true = under_one_roof(3, 500, 5000.0)
     asked = problem(views)
     found, plain = fit_posterior(*asked, LINKED), fit_jointly(*asked)
@@ -133,7 +164,9 @@ def test_entry_kernels_know_when_the_exit_says_little() -> None:
 
 
 def test_views_that_do_not_overlap_take_nothing_ahead_of_the_exit() -> None:
-    """By chance somebody is always just coming elsewhere; where views overlap, candidates ahead of the exit stay."""
+    """By chance somebody is always just coming elsewhere; where views overlap, candidates ahead of
+    the exit stay.
+    """
     apart = fit_posterior(*problem(one_way(4, 300, 4000.0, clutter=300)), LINKED)
     assert (apart.fit.candidates.lag > 0).all()
     assert len(apart.entry_source) == 0
@@ -182,11 +215,15 @@ def test_only_what_is_negligible_is_left_out(monkeypatch: pytest.MonkeyPatch) ->
     assert set(zip(kept.departure.tolist(), kept.arrival.tolist(), strict=True)) == {
         pair
         for pair, r, before in zip(
-            zip(scout.candidates.departure.tolist(), scout.candidates.arrival.tolist(), strict=True),
-            scout.responsibility.tolist(), ahead.tolist(), strict=True,
+            zip(
+                scout.candidates.departure.tolist(), scout.candidates.arrival.tolist(), strict=True
+            ),
+            scout.responsibility.tolist(),
+            ahead.tolist(),
+            strict=True,
         )
         if r > module.NEGLIGIBLE and not before
-    }  # fmt: skip
+    }
     assert kept.source[kept.pair].tolist() == asked[0].zone[kept.departure].tolist()
     assert kept.target[kept.pair].tolist() == asked[1].zone[kept.arrival].tolist()
     monkeypatch.setattr(module, "NEGLIGIBLE", 0.0)
@@ -224,7 +261,8 @@ def test_entry_kernels_count_as_by_hand(seed: int, n: int) -> None:
     departures, arrivals, found, *rest = problem(views, bins)
     unknown = rng.random(n) < 0.3
     departures = departures._replace(
-        own=np.where(unknown, -1, departures.own).astype(np.int32), since=np.where(unknown, -np.inf, departures.since)
+        own=np.where(unknown, -1, departures.own).astype(np.int32),
+        since=np.where(unknown, -np.inf, departures.since),
     )
     found = find_candidates(departures, arrivals, bins, 4)
     fitter = PosteriorFitter(departures, arrivals, found, *rest)

@@ -18,10 +18,14 @@ SHORT = LagBins(-3.0, 8.0)
 
 
 def unrelated(seed: int, camera: list[int]) -> PosteriorFitter:
-    """Of departures and arrivals that have nothing to do with each other, in a minute; ``camera`` of each zone."""
+    """Of departures and arrivals that have nothing to do with each other, in a minute; ``camera``
+    of each zone.
+    """
     rng = np.random.default_rng(seed)
     views, of = Views(camera), np.array(camera)
-    for t, zone in zip(rng.uniform(0, 60, 20), rng.integers(0, len(camera), 20).tolist(), strict=True):
+    for t, zone in zip(
+        rng.uniform(0, 60, 20), rng.integers(0, len(camera), 20).tolist(), strict=True
+    ):
         out = rng.choice(np.flatnonzero(of == of[zone]))
         views.through(t, t + rng.exponential(4.0), zone, int(out))
     departures, arrivals = views.columns()
@@ -35,11 +39,13 @@ def test_it_equals_its_slow_twins(seed: int) -> None:
     fitter = unrelated(seed, camera := [0, 0, 1, 3])
     came = [max(int((fitter.arrivals.zone == zone).sum()), 1) for zone in range(4)]
     prior = Prior(fitter.candidates, np.array(camera), fitter.exposure, np.array(came, float))
-    named = list(zip(fitter.candidates.source.tolist(), fitter.candidates.target.tolist(), strict=True))
+    named = list(
+        zip(fitter.candidates.source.tolist(), fitter.candidates.target.tolist(), strict=True)
+    )
     counts, rates = np.random.default_rng(seed).random((2, len(named), SHORT.size))
     pooled = naive.pooled(
         dict(zip(named, counts, strict=True)), camera, fitter.exposure, came, SMOOTHING_SD_BINS
-    )  # fmt: skip
+    )
     returning = naive.returning(dict(zip(named, rates, strict=True)))
     number = dict(zip(named, counts.sum(axis=1).tolist(), strict=True))
     back = RETURNING * naive.two_way(number, TWO_WAY_TRANSITIONS)
@@ -62,8 +68,12 @@ def test_what_comes_back_tells_what_goes_there() -> None:
             for source, objects in ((0, 8), (1, back)):
                 for t in rng.uniform(0, 40_000.0, objects):
                     views.through(t, t + 4.0, source, source)
-                    views.through(t + 4.0 + rng.normal(12, 1), t + rng.normal(20, 1), 1 - source, 1 - source)
-            for t, zone in zip(rng.uniform(0, 40_000.0, 1600), rng.integers(0, 2, 1600).tolist(), strict=True):
+                    views.through(
+                        t + 4.0 + rng.normal(12, 1), t + rng.normal(20, 1), 1 - source, 1 - source
+                    )
+            for t, zone in zip(
+                rng.uniform(0, 40_000.0, 1600), rng.integers(0, 2, 1600).tolist(), strict=True
+            ):
                 views.through(t, t + rng.uniform(3, 5), zone, zone)
             departures, arrivals = views.columns()
             candidates = find_candidates(departures, arrivals, bins, 2)

@@ -26,7 +26,9 @@ def test_an_arrival_has_one_source_at_most(seed: int, candidates: int, arrivals:
     rng = np.random.default_rng(seed)
     arrival = np.sort(rng.integers(0, arrivals, candidates)).astype(np.int32)
     weight = rng.random(candidates)
-    responsibility = weight / np.maximum(np.bincount(arrival, weight, arrivals), 1e-9)[arrival] * rng.random()
+    responsibility = (
+        weight / np.maximum(np.bincount(arrival, weight, arrivals), 1e-9)[arrival] * rng.random()
+    )
     drawn = Sources(arrival, arrivals, seed).draw(responsibility)
     assert (np.diff(drawn) > 0).all()
     assert np.bincount(arrival[drawn], minlength=arrivals).max() <= 1
@@ -36,7 +38,9 @@ def test_as_often_as_likely() -> None:
     arrival = np.array([0, 0, 1, 2, 2], np.int32)
     responsibility = np.array([0.2, 0.8, 0.3, 0.0, 0.5])
     sources = Sources(arrival, 4, 7)
-    mean = np.mean([np.isin(np.arange(5), sources.draw(responsibility)) for _ in range(4000)], axis=0)
+    mean = np.mean(
+        [np.isin(np.arange(5), sources.draw(responsibility)) for _ in range(4000)], axis=0
+    )
     assert mean == pytest.approx(responsibility, abs=0.03)
     assert mean[3] == 0.0
 
@@ -46,20 +50,26 @@ def test_the_same_seed_draws_the_same() -> None:
     first, second = Sources(arrival, 50, 1), Sources(arrival, 50, 1)
     for _ in range(3):
         assert first.draw(responsibility).tolist() == second.draw(responsibility).tolist()
-    assert first.draw(responsibility).tolist() != Sources(arrival, 50, 1).draw(responsibility).tolist()
+    assert (
+        first.draw(responsibility).tolist() != Sources(arrival, 50, 1).draw(responsibility).tolist()
+    )
 
 
 def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only what is drawn is looked at where nothing else counts; to the last bit."""
     network = REGIMES["overlapped"].make(0, 0.1)
     fitters: list[module.PosteriorFitter] = []
-    monkeypatch.setattr(module.PosteriorFitter, "sample", lambda self: fitters.append(copy.deepcopy(self)))
+    monkeypatch.setattr(
+        module.PosteriorFitter, "sample", lambda self: fitters.append(copy.deepcopy(self))
+    )
     learner = Learner(Settings(refit_share=1e9, refit_hours=1e9))
     for event in network[0]:
         learner.receive(event)
     learner.flush()
     fitter = fitters[-1]
-    drawn = Sources(fitter.candidates.arrival, len(fitter.arrivals.t), 1).draw(fitter.responsibility)
+    drawn = Sources(fitter.candidates.arrival, len(fitter.arrivals.t), 1).draw(
+        fitter.responsibility
+    )
     before, found = copy.deepcopy(fitter), []
     assert len(drawn) < len(fitter.responsibility) / 2
     assert len(np.intersect1d(drawn, fitter.entering.early))
@@ -70,7 +80,9 @@ def test_a_draw_teaches_what_the_same_responsibilities_do(monkeypatch: pytest.Mo
         fitter._drawn = drawn if few else None
         hazard = fitter._learn_hazards()
         fitter._expect(hazard)
-        found.append((hazard, fitter.entering.hazard, fitter.outside, fitter._own, fitter.responsibility))
+        found.append(
+            (hazard, fitter.entering.hazard, fitter.outside, fitter._own, fitter.responsibility)
+        )
     for drawn_only, all_of_them in zip(*found, strict=True):
         assert drawn_only.any()
         assert drawn_only.tobytes() == all_of_them.tobytes()
@@ -84,7 +96,9 @@ def test_faint_transitions_are_spread_over_later_lags() -> None:
     assert mixed[0, before] == pytest.approx(0.02 * 40 / (40 + 2 * FAINT_TRANSITIONS))
     assert mixed[2, before] == pytest.approx(0.02 * 40 / (40 + FAINT_TRANSITIONS))
     alone = with_faint(np.zeros_like(hazard), exposed, source, BINS)
-    assert (alone * BINS.widths)[2].sum() * (40 + FAINT_TRANSITIONS) == pytest.approx(FAINT_TRANSITIONS)
+    assert (alone * BINS.widths)[2].sum() * (40 + FAINT_TRANSITIONS) == pytest.approx(
+        FAINT_TRANSITIONS
+    )
     assert mixed == pytest.approx(alone + mixed[:, :1])
 
 
@@ -92,7 +106,9 @@ def test_faint_transitions_are_spread_over_later_lags() -> None:
 
 
 def test_little_is_not_taken_for_more_than_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Walkway: a few hundred events. What is prediction_quality is less surely wrong with samples than without."""
+    """Walkway: a few hundred events. What is prediction_quality is less surely wrong with samples
+    than without.
+    """
     networks = [REGIMES["walkway"].make(seed) for seed in range(20, 28)]
     sampled = np.mean([prediction_quality(*network)["log_loss"] for network in networks])
     monkeypatch.setattr(module.PosteriorFitter, "sample", lambda self: None)

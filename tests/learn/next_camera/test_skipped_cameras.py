@@ -55,16 +55,26 @@ def learned(views: Views) -> Posterior:
 
 
 def screened(views: Views, pairs: set[tuple[int, int]]) -> tuple[Posterior, Posterior]:
-    """What is learned of the candidates of these pairs of zones only, without and with the ways beside them."""
+    """What is learned of the candidates of these pairs of zones only, without and with the ways
+    beside them.
+    """
     departures, arrivals = views.columns()
     zones = len(views.camera)
     every = find_candidates(departures, arrivals, BINS, zones)
-    named = list(zip(departures.zone[every.departure].tolist(), arrivals.zone[every.arrival].tolist(), strict=True))
+    named = list(
+        zip(
+            departures.zone[every.departure].tolist(),
+            arrivals.zone[every.arrival].tolist(),
+            strict=True,
+        )
+    )
     kept = np.array([pair in pairs for pair in named])
     pair, source, target = number_pairs(
         departures.zone[every.departure[kept]], arrivals.zone[every.arrival[kept]], zones
     )
-    few = Candidates(every.departure[kept], every.arrival[kept], pair, every.lag[kept], source, target)
+    few = Candidates(
+        every.departure[kept], every.arrival[kept], pair, every.lag[kept], source, target
+    )
     until = float(max(departures.t[-1], arrivals.t[-1]))
     asked = departures, arrivals, few, BINS, zones, until, LINKED
     without, beside = (fit_posterior(*asked, told) for told in (False, True))
@@ -109,7 +119,9 @@ def test_ways_too_rare_to_be_found_are_foretold(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(fit, "skip_hazards", nothing)
     without = [prediction_quality(*network) for network in networks]
     loss, top3 = (
-        np.mean([one[figure] - other[figure] for one, other in zip(with_ways, without, strict=True)])
+        np.mean(
+            [one[figure] - other[figure] for one, other in zip(with_ways, without, strict=True)]
+        )
         for figure in ("log_loss", "top3")
     )
     assert loss < -0.02
@@ -131,13 +143,17 @@ def test_ways_that_screening_left_out_are_foretold_beside_the_others() -> None:
     beside = [row for pair, row in rows[1].items() if pair not in rows[0]]
     assert {(0, 3), (2, 5)} <= {pairs_of(found)[row] for row in beside}
     assert not found.doubt[beside].any()
-    assert found.share[beside] == pytest.approx((found.fit.hazard[beside] * BINS.widths).sum(axis=1))
+    assert found.share[beside] == pytest.approx(
+        (found.fit.hazard[beside] * BINS.widths).sum(axis=1)
+    )
     (at,) = [row for row in beside if pairs_of(found)[row] == (0, 3)]
     assert BINS.centres[np.argmax(found.fit.hazard[at])] == pytest.approx(25.0, abs=3.0)
     both = without.fit.candidates, found.fit.candidates
     assert all((c.source[c.pair] == both[0].source[both[0].pair]).all() for c in both)
     assert all((c.target[c.pair] == both[0].target[both[0].pair]).all() for c in both)
-    gone = np.bincount(found.fit.candidates.source[beside], found.share[beside], minlength=len(CAMERA))
+    gone = np.bincount(
+        found.fit.candidates.source[beside], found.share[beside], minlength=len(CAMERA)
+    )
     assert found.leave == pytest.approx(np.maximum(without.leave - gone, LEAVE_FLOOR))
 
 
@@ -145,11 +161,16 @@ def test_without_ways_beside_nothing_changes() -> None:
     without, found = screened(walks(6, 200, 0.0, 8000.0), {(0, 1)})
     assert pairs_of(found) == pairs_of(without) == [(0, 1)]
     assert (found.leave == without.leave).all()
-    assert all((one == other).all() for one, other in zip(columns_of(found), columns_of(without), strict=True))
+    assert all(
+        (one == other).all()
+        for one, other in zip(columns_of(found), columns_of(without), strict=True)
+    )
 
 
 def pairs_of(found: Posterior) -> list[tuple[int, int]]:
-    return list(zip(found.fit.candidates.source.tolist(), found.fit.candidates.target.tolist(), strict=True))
+    return list(
+        zip(found.fit.candidates.source.tolist(), found.fit.candidates.target.tolist(), strict=True)
+    )
 
 
 def columns_of(found: Posterior) -> list[np.ndarray]:
@@ -166,15 +187,31 @@ def test_ways_through_equal_loops(seed: int, n: int, tied: float) -> None:
     rng = np.random.default_rng(seed)
     zone = rng.integers(0, len(CAMERA), n).astype(np.int32)
     t = np.sort(rng.uniform(0, 1000, n))
-    alone = np.array([np.flatnonzero(CAMERA[z] == CAMERA)[rng.integers(0, (CAMERA[z] == CAMERA).sum())] for z in zone])
+    alone = np.array(
+        [
+            np.flatnonzero(CAMERA[z] == CAMERA)[rng.integers(0, (CAMERA[z] == CAMERA).sum())]
+            for z in zone
+        ]
+    )
     entry = np.where(rng.random(n) < tied, alone, -1).astype(np.int64)
-    since = np.where((entry >= 0) | (rng.random(n) < 0.3), t - rng.uniform(1, 30, n).round(2), -np.inf)
-    departures = Departures.untold(t, zone, CAMERA[zone].astype(np.int32), since, np.full(n, np.nan))
+    since = np.where(
+        (entry >= 0) | (rng.random(n) < 0.3), t - rng.uniform(1, 30, n).round(2), -np.inf
+    )
+    departures = Departures.untold(
+        t, zone, CAMERA[zone].astype(np.int32), since, np.full(n, np.nan)
+    )
     fast = ways_through(departures, entry, CAMERA)
     slow = naive.ways_through(
-        departures, entry, CAMERA, module.PASSAGE_SHARE_MIN, module.TIED_SHARE_MIN, UNKNOWN_STAY_SECONDS
+        departures,
+        entry,
+        CAMERA,
+        module.PASSAGE_SHARE_MIN,
+        module.TIED_SHARE_MIN,
+        UNKNOWN_STAY_SECONDS,
     )
-    found = {(a, b): (p, s) for a, b, p, s in zip(*(column.tolist() for column in fast), strict=True)}
+    found = {
+        (a, b): (p, s) for a, b, p, s in zip(*(column.tolist() for column in fast), strict=True)
+    }
     assert len(found) == len(fast.entry)
     assert found.keys() == slow.keys()
     for way, figures in slow.items():
@@ -184,8 +221,12 @@ def test_ways_through_equal_loops(seed: int, n: int, tied: float) -> None:
 Ways = dict[tuple[int, int], tuple[float, float]]
 
 
-def some_links(seed: int, pairs: int, passages: int) -> tuple[np.ndarray, Candidates, Through, Ways]:
-    """Probabilities of appearing by lag, the pairs, and ways through views, as columns and by their zones."""
+def some_links(
+    seed: int, pairs: int, passages: int
+) -> tuple[np.ndarray, Candidates, Through, Ways]:
+    """Probabilities of appearing by lag, the pairs, and ways through views, as columns and by their
+    zones.
+    """
     rng = np.random.default_rng(seed)
     zones = len(CAMERA)
     key = np.sort(rng.choice(zones * zones, pairs, replace=False))
@@ -206,9 +247,16 @@ def legs(appears: np.ndarray, candidates: Candidates) -> Legs:
 
 def by_hand(appears: np.ndarray, source: list[int], target: list[int], ways: Ways) -> np.ndarray:
     return naive.skip_hazards(
-        appears, source, target, ways, BINS, module.LEG_QUANTILES, module.SPREAD_SD_BINS, module.LINK_SHARE_MIN,
+        appears,
+        source,
+        target,
+        ways,
+        BINS,
+        module.LEG_QUANTILES,
+        module.SPREAD_SD_BINS,
+        module.LINK_SHARE_MIN,
         module.WAY_SHARE_MIN,
-    )  # fmt: skip
+    )
 
 
 @given(st.integers(0, 10**6), st.integers(1, 20), st.integers(0, 8))
@@ -224,15 +272,21 @@ def test_skip_hazards_equal_loops(seed: int, pairs: int, passages: int) -> None:
 
 @given(st.integers(0, 10**6), st.integers(1, 20), st.integers(0, 8))
 @settings(max_examples=40)
-def test_ways_beside_the_candidates_equal_loops_over_all_pairs(seed: int, pairs: int, passages: int) -> None:
+def test_ways_beside_the_candidates_equal_loops_over_all_pairs(
+    seed: int, pairs: int, passages: int
+) -> None:
     """As if the pairs that no candidate has were there, and nobody appeared there next."""
     appears, candidates, through, ways = some_links(seed, pairs, passages)
     zones = len(CAMERA)
-    source, target, hazard = skipped_beside(legs(appears, candidates), candidates, through, BINS, zones)
+    source, target, hazard = skipped_beside(
+        legs(appears, candidates), candidates, through, BINS, zones
+    )
     known = candidates.source.astype(int) * zones + candidates.target
     every = np.zeros((zones * zones, BINS.size))
     every[known] = appears
-    slow = by_hand(every, np.repeat(range(zones), zones).tolist(), np.tile(range(zones), zones).tolist(), ways)
+    slow = by_hand(
+        every, np.repeat(range(zones), zones).tolist(), np.tile(range(zones), zones).tolist(), ways
+    )
     beside = np.setdiff1d(np.flatnonzero(taken(every, ways) >= module.WAY_SHARE_MIN), known)
     assert (source * zones + target).tolist() == beside.tolist()
     assert hazard == pytest.approx(slow[beside], abs=1e-12)

@@ -1,4 +1,6 @@
-"""What of the posterior may be chance: what is out of character on its site, and everything where nothing is linked."""
+"""What of the posterior may be chance: what is out of character on its site, and everything where
+nothing is linked.
+"""
 
 from __future__ import annotations
 
@@ -34,16 +36,29 @@ ONCE = Settings(refit_share=1e9, refit_hours=1e9)
     st.lists(st.floats(-50, 20), max_size=6),
     st.lists(st.integers(0, 40), min_size=3, max_size=9),
 )
-def test_by_loops(candidates: list[tuple[int, float]], evidence: list[float], left: list[int]) -> None:
+def test_by_loops(
+    candidates: list[tuple[int, float]], evidence: list[float], left: list[int]
+) -> None:
     pair, responsibility = (np.array([c[k] for c in candidates]) for k in (0, 1))
-    found = doubts(pair.astype(np.int32), responsibility, 6, np.array(evidence), np.array(left, float))
-    constants = SPREAD_MIN, NATS_TO_TELL, CHANCE_PRIOR, CHANCE_TRANSITIONS, REAL_MIN, DEPARTURES_TO_TELL
+    found = doubts(
+        pair.astype(np.int32), responsibility, 6, np.array(evidence), np.array(left, float)
+    )
+    constants = (
+        SPREAD_MIN,
+        NATS_TO_TELL,
+        CHANCE_PRIOR,
+        CHANCE_TRANSITIONS,
+        REAL_MIN,
+        DEPARTURES_TO_TELL,
+    )
     slow = naive.doubts(pair, responsibility, 6, evidence, left, *constants)
     assert found == pytest.approx(slow, abs=1e-9)
 
 
 def test_what_is_usual_is_not_doubted_and_what_is_out_of_character_is() -> None:
-    real = in_character(np.array([4.0, 5.0, 6.0, 2.0, 0.1]), np.array([100.0, 100.0, 100.0, 5.0, 5.0]))
+    real = in_character(
+        np.array([4.0, 5.0, 6.0, 2.0, 0.1]), np.array([100.0, 100.0, 100.0, 5.0, 5.0])
+    )
     assert real[1:3] == pytest.approx([1.0, 1.0])
     assert real[0] > 0.95
     assert 0.7 < real[3] < 0.95
@@ -54,7 +69,9 @@ def test_little_evidence_is_in_character_where_all_have_little() -> None:
     each, many = np.array([4.0, 5.0, 6.0, 0.5]), np.full(4, 1e6)
     assert in_character(0.01 * each, many) == pytest.approx(in_character(each, many), abs=1e-3)
     apart = in_character(np.array([0.5, 5.0, 50.0, 500.0]), many)
-    assert apart[0] > in_character(each, many)[3] + 0.1  # where pairs differ as widely, ten times less is nothing odd
+    assert (
+        apart[0] > in_character(each, many)[3] + 0.1
+    )  # where pairs differ as widely, ten times less is nothing odd
 
 
 def test_a_few_transitions_tell_only_where_each_tells_much() -> None:
@@ -70,7 +87,9 @@ def test_whether_anything_is_linked_takes_evidence_or_departures_to_tell() -> No
     assert linked(np.zeros(0), many) < 1e-9
     assert linked(np.array([np.log(100.0)]), many) == pytest.approx(0.5)
     assert linked(np.array([-20.0, 60.0]), many) == pytest.approx(1.0)
-    assert doubts(np.zeros(0, np.int32), np.zeros(0), 2, np.array([60.0]), many[:2]) == pytest.approx([0.0, 0.0])
+    assert doubts(
+        np.zeros(0, np.int32), np.zeros(0), 2, np.array([60.0]), many[:2]
+    ) == pytest.approx([0.0, 0.0])
 
 
 # --- what comes of it ---
@@ -94,15 +113,22 @@ def test_who_always_comes_is_foretold_as_surely_as_is_published(seconds: float) 
     events = []
     for t in np.sort(rng.uniform(0, 40_000, 400)):
         came = t + seconds + rng.normal(0, 0.05 * seconds)
-        events += [Event("a", "exit", float(t), 0.8, 0.5), Event("b", "entry", float(came), 0.2, 0.5)]
+        events += [
+            Event("a", "exit", float(t), 0.8, 0.5),
+            Event("b", "entry", float(came), 0.2, 0.5),
+        ]
     topology, predictions = said(sorted(events, key=lambda event: event.t))
     (link,) = topology.links
     assert link.probability > 0.9
-    assert np.mean([p.next_[0].probability for p in predictions]) == pytest.approx(link.probability, abs=0.1)
+    assert np.mean([p.next_[0].probability for p in predictions]) == pytest.approx(
+        link.probability, abs=0.1
+    )
 
 
 def test_before_anything_can_be_known_much_is_open() -> None:
-    """A few minutes after the start it is neither said that everybody leaves nor where to they go."""
+    """A few minutes after the start it is neither said that everybody leaves nor where to they
+    go.
+    """
     events, _ = simulate(SimSettings(seed=100, objects_per_second=0.108, hours=0.2))
     _, predictions = said(events[:120])
     assert 0.5 < np.mean([prediction.leave for prediction in predictions]) < 0.9

@@ -32,10 +32,19 @@ def test_bin_of_a_lag(lag: float) -> None:
         assert BINS.edges[k] - slack <= lag <= BINS.edges[k + 1] + slack
 
 
-@given(st.integers(-300_000_000, 10_000_000), st.floats(0.01, 400), st.floats(0.5, 20), st.floats(0.02, 0.5))
+@given(
+    st.integers(-300_000_000, 10_000_000),
+    st.floats(0.01, 400),
+    st.floats(0.5, 20),
+    st.floats(0.02, 0.5),
+)
 @example(-1, 1.0, 2.0, 0.5)
-def test_bins_cover_their_range(microseconds: int, length: float, scale: float, step: float) -> None:
-    low = microseconds / 1e6  # as times are kept: a lag of 5e-324 s, which hypothesis finds, has bin 0
+def test_bins_cover_their_range(
+    microseconds: int, length: float, scale: float, step: float
+) -> None:
+    low = (
+        microseconds / 1e6
+    )  # as times are kept: a lag of 5e-324 s, which hypothesis finds, has bin 0
     bins = LagBins(low, low + length, scale, step)
     assert bins.index(np.array([low, low + length])).tolist() == [0, bins.size - 1]
     assert len(bins.widths) == len(bins.centres) == bins.size == len(bins.edges) - 1
@@ -68,7 +77,12 @@ def traffic(seed: int, n: int, zones: int, span: float = 5000.0) -> tuple[np.nda
     return np.sort(rng.uniform(0, span, n)), rng.integers(0, zones, n).astype(np.int32)
 
 
-@given(st.integers(0, 10**6), st.integers(1, 40), st.integers(1, 4), st.sampled_from([3.0, 900.0, 9000.0]))
+@given(
+    st.integers(0, 10**6),
+    st.integers(1, 40),
+    st.integers(1, 4),
+    st.sampled_from([3.0, 900.0, 9000.0]),
+)
 def test_local_rates_equal_their_slow_twin(seed: int, n: int, zones: int, span: float) -> None:
     t, zone = traffic(seed, n, zones, span)
     slow = naive.local_rates(t, zone, RATE_HALF_WINDOW_SECONDS, RATE_PRIOR_EVENTS)
@@ -88,8 +102,15 @@ def test_local_rates_follow_the_rhythm() -> None:
     assert rates[-100] == pytest.approx(0.2, rel=0.1)
 
 
-@given(st.integers(0, 10**6), st.integers(1, 25), st.integers(1, 25), st.sampled_from([30.0, 900.0, 9000.0]))
-def test_chance_equals_its_slow_twin_as_a_table_and_pair_by_pair(seed: int, n: int, m: int, span: float) -> None:
+@given(
+    st.integers(0, 10**6),
+    st.integers(1, 25),
+    st.integers(1, 25),
+    st.sampled_from([30.0, 900.0, 9000.0]),
+)
+def test_chance_equals_its_slow_twin_as_a_table_and_pair_by_pair(
+    seed: int, n: int, m: int, span: float
+) -> None:
     left, came = traffic(seed, n, 3, span), traffic(seed + 1, m, 3, span)
     slow = naive.chance_rates(*left, *came, 3, CHANCE_BIN_SECONDS)
     source, target = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
@@ -108,7 +129,13 @@ def test_chance_has_no_table_of_many_zones() -> None:
     zones = module.TABLE_ZONES_MAX
     left, came = traffic(1, 50, 3), traffic(2, 50, 3)
     small, large = Chance(*left, *came, zones), Chance(*left, *came, zones + 1)
-    assert sum(isinstance(part, np.ndarray) and part.shape == (zones, zones) for part in vars(small).values()) == 1
+    assert (
+        sum(
+            isinstance(part, np.ndarray) and part.shape == (zones, zones)
+            for part in vars(small).values()
+        )
+        == 1
+    )
     assert max(part.size for part in vars(large).values() if part is not None) < 20 * (zones + 1)
     pairs = np.array([0, 1, 2]), np.array([2, 0, zones - 1])
     assert large.of(*pairs) == pytest.approx(small.of(*pairs))

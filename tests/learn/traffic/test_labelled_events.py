@@ -19,21 +19,34 @@ LEFT, RIGHT = (0.1, 0.5), (0.9, 0.5)
 
 
 def made(seed: int, n: int, tracked: float = 0.8) -> list[Event]:
-    """n passages through each of two cameras with positions and one without, some without a track, some clutter."""
+    """n passages through each of two cameras with positions and one without, some without a track,
+    some clutter.
+    """
     rng = np.random.default_rng(seed)
     events = []
     for camera in ("a", "b", "door"):
         for k in range(n):
             t, track = float(rng.uniform(0, 30.0 * n)), str(k) if rng.random() < tracked else None
             places = (LEFT, RIGHT) if rng.random() < 0.7 else (RIGHT, LEFT)
-            for kind, when, place in (("entry", t, places[0]), ("exit", t + float(rng.uniform(2, 6)), places[1])):
+            for kind, when, place in (
+                ("entry", t, places[0]),
+                ("exit", t + float(rng.uniform(2, 6)), places[1]),
+            ):
                 x, y = np.clip(np.array(place) + 0.02 * rng.standard_normal(2), 0, 1)
                 at = {} if camera == "door" else {"x": float(x), "y": float(y)}
                 events.append(Event(camera, kind, when, **at, track=track))  # type: ignore[arg-type]
-        events += [Event("a", "exit", float(rng.uniform(0, 30 * n)), *rng.random(2).tolist()) for _ in range(3)]
-    for k, place in enumerate(((0.5, 0.05), (0.45, 0.95), (0.55, 0.3))):  # begun where there is no zone
+        events += [
+            Event("a", "exit", float(rng.uniform(0, 30 * n)), *rng.random(2).tolist())
+            for _ in range(3)
+        ]
+    for k, place in enumerate(
+        ((0.5, 0.05), (0.45, 0.95), (0.55, 0.3))
+    ):  # begun where there is no zone
         t = float(rng.uniform(0, 30.0 * n))
-        events += [Event("a", "entry", t, *place, f"x{k}"), Event("a", "exit", t + 4.0, *RIGHT, f"x{k}")]
+        events += [
+            Event("a", "entry", t, *place, f"x{k}"),
+            Event("a", "exit", t + 4.0, *RIGHT, f"x{k}"),
+        ]
     return sorted(events, key=lambda e: e.t)
 
 
@@ -57,9 +70,15 @@ def test_scene_equals_a_walk_over_the_events(forget: int) -> None:
         if event.x is None or event.y is None:
             zone = (camera, 1)
         else:
-            index = maps[camera].cells[cell_of(round(event.x * 4096) / 4096, round(event.y * 4096) / 4096)]
+            index = maps[camera].cells[
+                cell_of(round(event.x * 4096) / 4096, round(event.y * 4096) / 4096)
+            ]
             zone = (camera, maps[camera].zones[index].number) if index >= 0 else None
-        began = opened.pop((event.camera, event.track), None) if event.kind == "exit" and event.track else None
+        began = (
+            opened.pop((event.camera, event.track), None)
+            if event.kind == "exit" and event.track
+            else None
+        )
         if event.kind == "entry" and event.track:
             opened[event.camera, event.track] = event.t, zone
         if zone is None:
@@ -76,13 +95,19 @@ def test_scene_equals_a_walk_over_the_events(forget: int) -> None:
     assert [row[:2] for row in found] == [(round(t, 6), z) for t, z, _ in departures]
     assert d.since == pytest.approx([since for *_, since in departures])
     assert d.camera.tolist() == [zone[0] for _, zone, _ in departures]
-    assert list(zip(a.t.round(6), (names[z] for z in a.zone), strict=True)) == [(round(t, 6), z) for t, z in arrivals]
+    assert list(zip(a.t.round(6), (names[z] for z in a.zone), strict=True)) == [
+        (round(t, 6), z) for t, z in arrivals
+    ]
     assert a.camera.tolist() == [zone[0] for _, zone in arrivals]
-    assert [(names[u], names[v]) for u, v in zip(p.source, p.target, strict=True)] == [row[:2] for row in passages]
+    assert [(names[u], names[v]) for u, v in zip(p.source, p.target, strict=True)] == [
+        row[:2] for row in passages
+    ]
     assert p.entered == pytest.approx([row[2] for row in passages])
     assert p.left == pytest.approx([row[3] for row in passages])
     assert scene.entries.tolist() == [sum(zone == name for _, zone in arrivals) for name in names]
-    assert scene.exits.tolist() == [sum(zone == name for _, zone, _ in departures) for name in names]
+    assert scene.exits.tolist() == [
+        sum(zone == name for _, zone, _ in departures) for name in names
+    ]
     assert (scene.first, scene.last) == (pytest.approx(kept[0].t), pytest.approx(kept[-1].t))
     assert len(scene.zones) == 5
     assert len(passages) > 50
@@ -96,7 +121,11 @@ def test_slowness_stands_at_both_ends_of_a_passage() -> None:
         ways.setdefault((u, v), []).append(left - entered)
     for u, v, entered, left in zip(p.source, p.target, p.entered, p.left, strict=True):
         stays = ways[u, v]
-        expected = np.log((left - entered) / np.median(stays)) if len(stays) >= WAY_PASSAGES_MIN else np.nan
+        expected = (
+            np.log((left - entered) / np.median(stays))
+            if len(stays) >= WAY_PASSAGES_MIN
+            else np.nan
+        )
         (leaving,) = d.slow[(d.t == left) & (d.zone == v)]
         (coming,) = a.slow[(a.t == entered) & (a.zone == u)]
         assert leaving == pytest.approx(expected, abs=0.02, nan_ok=True)
@@ -122,7 +151,13 @@ def test_zones_are_numbered_through() -> None:
             assert (tables[door, :-1] == -1).all()
         else:
             assert zone.shape is not None
-            assert tables[zone.camera, cell_of(zone.shape.x, zone.shape.y)[0] * 24 + int(zone.shape.x * 24)] == k
+            assert (
+                tables[
+                    zone.camera,
+                    cell_of(zone.shape.x, zone.shape.y)[0] * 24 + int(zone.shape.x * 24),
+                ]
+                == k
+            )
             assert tables[zone.camera, -1] == -1
 
 

@@ -1,4 +1,6 @@
-"""Cameras that look at the same instants: entries into several views come at once, and none is before the other."""
+"""Cameras that look at the same instants: entries into several views come at once, and none is
+before the other.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ Line = Callable[[Event], object]
 
 
 def in_step(objects: int, seed: int) -> list[Event]:
-    """Objects enter the views of a and of b at one instant, leave a after some seconds and b later; c has nothing to do
-    with them. Pictures are taken twice a second.
+    """Objects enter the views of a and of b at one instant, leave a after some seconds and b later;
+    c has nothing to do with them. Pictures are taken twice a second.
     """
     rng = np.random.default_rng(seed)
     events: list[Event] = []
@@ -44,7 +46,11 @@ def test_who_is_in_the_other_view_since_the_same_instant_is_expected_there(line:
     predictor, told = Predictor(learned_from(in_step(150, 1))), []
     for event in sorted(in_step(60, 2), key=lambda event: (event.t, line(event))):
         if event.kind == "exit" and event.camera == "a":
-            told += [choice.probability for choice in predictor.predict(event).next_ if choice.camera == "b"]
+            told += [
+                choice.probability
+                for choice in predictor.predict(event).next_
+                if choice.camera == "b"
+            ]
         predictor.observe(event)
     assert np.mean(told) > 0.9
 
@@ -56,7 +62,9 @@ def test_one_who_came_at_the_same_instant_and_has_left_is_not() -> None:
         predictor = Predictor(topology)
         for t, camera, kind in ((0.0, "a", "entry"), (0.0, "b", "entry"), (gone, "b", "exit")):
             if t < 4.0:
-                predictor.observe(Event(camera, "exit" if kind == "exit" else "entry", 1e6 + t, track="x"))
+                predictor.observe(
+                    Event(camera, "exit" if kind == "exit" else "entry", 1e6 + t, track="x")
+                )
         next_ = predictor.predict(Event("a", "exit", 1e6 + 4.0, track="x")).next_
         said.append(sum(choice.probability for choice in next_ if choice.camera == "b"))
     assert said[0] < 0.3 < 0.9 < said[1]

@@ -50,7 +50,14 @@ def test_sequence_forgets_the_oldest_gap(numbers: list[int]) -> None:
         for number in numbers:
             assert sequence.add(number) == (number not in seen)
             seen.add(number)
-            while len(gaps := [n for n in range(min(seen), max(seen)) if n in seen and n + 1 not in seen]) >= 3:
+            while (
+                len(
+                    gaps := [
+                        n for n in range(min(seen), max(seen)) if n in seen and n + 1 not in seen
+                    ]
+                )
+                >= 3
+            ):
                 number = gaps[0] + 1
                 while number not in seen:
                     seen.add(number)
@@ -139,9 +146,14 @@ EVENTS = st.lists(
 
 
 @given(EVENTS, st.randoms(use_true_random=False))
-def test_any_order_within_the_lateness_gives_the_same(events: list[Event], chance: random.Random) -> None:
+def test_any_order_within_the_lateness_gives_the_same(
+    events: list[Event], chance: random.Random
+) -> None:
     """Also when every event comes twice and time is told in between."""
-    numbered = [Event(e.camera, e.kind, e.t, e.x, e.y, e.track, boot="x", seq=k) for k, e in enumerate(events)]
+    numbered = [
+        Event(e.camera, e.kind, e.t, e.x, e.y, e.track, boot="x", seq=k)
+        for k, e in enumerate(events)
+    ]
     plain, mixed = Intake(5.0, 9), Intake(5.0, 9)
     for e in sorted(numbered, key=lambda e: e.t):
         assert plain.receive(e) == "accepted"
@@ -164,7 +176,10 @@ def test_ties_do_not_depend_on_the_order(events: list[Event], chance: random.Ran
             intake.receive(e)
 
     def names(taken: list[Event]) -> list[tuple[object, ...]]:
-        return [(e.t, e.camera, e.kind, e.x, e.y, None if e.track is None else str(e.track)) for e in taken]
+        return [
+            (e.t, e.camera, e.kind, e.x, e.y, None if e.track is None else str(e.track))
+            for e in taken
+        ]
 
     assert names(out(first)) == names(out(second))
 
@@ -224,7 +239,9 @@ def test_event_time_is_where_a_second_camera_has_come_to(events: list[Event]) ->
 
 
 def test_a_clock_that_is_behind_is_waited_for() -> None:
-    """Camera b is 30 s behind: its events are late until that is known, then no more; put right, nobody waits."""
+    """Camera b is 30 s behind: its events are late until that is known, then no more; put right,
+    nobody waits.
+    """
     intake = Intake(5.0, 9, 60.0)
     verdicts = []
     for t in range(400):
@@ -262,13 +279,17 @@ def test_how_far_clocks_are_behind_is_part_of_the_state() -> None:
     assert other.lateness_us == intake.lateness_us == microseconds(5 + 20)
     for t in range(75, 120):
         for camera, behind in (("a", 0.0), ("b", 0.0), ("c", 0.0)):
-            assert other.receive(event(t - behind, camera)) == intake.receive(event(t - behind, camera))
+            assert other.receive(event(t - behind, camera)) == intake.receive(
+                event(t - behind, camera)
+            )
         assert other.watermark_us == intake.watermark_us
     assert other.lateness_us == microseconds(5)
 
 
 @given(EVENTS, st.randoms(use_true_random=False))
-def test_within_the_lateness_nobody_is_waited_for_longer(events: list[Event], chance: random.Random) -> None:
+def test_within_the_lateness_nobody_is_waited_for_longer(
+    events: list[Event], chance: random.Random
+) -> None:
     intake = Intake(20.0, 9, 60.0)
     for e in sorted(events, key=lambda e: e.t + chance.uniform(0.0, 19.0)):
         if intake.receive(e) == "late":
@@ -278,10 +299,12 @@ def test_within_the_lateness_nobody_is_waited_for_longer(events: list[Event], ch
 
 @pytest.mark.parametrize("seed", [4, 5, 6])
 def test_of_a_site_with_wrong_clocks_nearly_all_is_learned(seed: int) -> None:
-    """A third of the clocks are up to 30 s off, and events come when they happen, not when their stamps say: one clock
-    is behind, or two are ahead and all others behind these.
+    """A third of the clocks are up to 30 s off, and events come when they happen, not when their
+    stamps say: one clock is behind, or two are ahead and all others behind these.
     """
-    events, truth = simulate(SimSettings(cameras=6, hours=2.0, seed=seed, clock_max=30.0, clock_share=1 / 3))
+    events, truth = simulate(
+        SimSettings(cameras=6, hours=2.0, seed=seed, clock_max=30.0, clock_share=1 / 3)
+    )
     patient, hasty = Intake(5.0, 9, 60.0), Intake(5.0, 9, 0.0)
     for e in sorted(events, key=lambda e: e.t - truth.clock_offsets.get(e.camera, 0.0)):
         patient.receive(e)

@@ -10,21 +10,34 @@ from hypothesis import strategies as st
 
 from camtopod.event_time import microseconds
 from camtopod.learn.window import sliding_window as module
-from camtopod.learn.window.sliding_window import FLOOD_CAMERAS_MIN, FLOOD_SHARE, NO_CELL, NO_MATE, Window, cells_of
+from camtopod.learn.window.sliding_window import (
+    FLOOD_CAMERAS_MIN,
+    FLOOD_SHARE,
+    NO_CELL,
+    NO_MATE,
+    Window,
+    cells_of,
+)
 from camtopod.records import Event
 from camtopod.topology.grid import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
-PLACES = st.one_of(st.none(), st.tuples(*[st.floats(0, 1)] * 2), st.sampled_from([(0.0, 0.0), (1.0, 1.0)]))
+PLACES = st.one_of(
+    st.none(), st.tuples(*[st.floats(0, 1)] * 2), st.sampled_from([(0.0, 0.0), (1.0, 1.0)])
+)
 
 
 @st.composite
 def event(draw: st.DrawFn) -> Event:
     x, y = draw(PLACES) or (None, None)
     track = draw(st.sampled_from([None, "1", "2"]))
-    return Event(draw(st.sampled_from("abc")), draw(st.sampled_from(["entry", "exit"])), 0.0, x, y, track)
+    return Event(
+        draw(st.sampled_from("abc")), draw(st.sampled_from(["entry", "exit"])), 0.0, x, y, track
+    )
 
 
-STEPS = st.lists(st.tuples(st.lists(event(), max_size=12), st.integers(0, 30), st.booleans()), max_size=12)
+STEPS = st.lists(
+    st.tuples(st.lists(event(), max_size=12), st.integers(0, 30), st.booleans()), max_size=12
+)
 """Batches, each a few seconds after the one before, and how old an event may be after it."""
 
 
@@ -32,7 +45,9 @@ def at(t: float, batch: list[Event]) -> list[tuple[int, Event]]:
     return [(microseconds(t), e) for e in batch]
 
 
-def bounded(kept: list[tuple[int, Event]], events_max: int, seen: list[Event]) -> list[tuple[int, Event]]:
+def bounded(
+    kept: list[tuple[int, Event]], events_max: int, seen: list[Event]
+) -> list[tuple[int, Event]]:
     """What stays of a window beyond its size: a camera that floods gives way first."""
     cameras = list(dict.fromkeys(e.camera for e in seen))
     held = [sum(e.camera == camera for _, e in kept) for camera in cameras]
@@ -52,14 +67,18 @@ def test_sums_equal_a_recount(steps: list[tuple[list[Event], int, bool]], events
         kept += at(now, batch)
         seen += batch
         if forget:
-            remaining = bounded([(t, e) for t, e in kept if t >= microseconds(now - age)], events_max, seen)
+            remaining = bounded(
+                [(t, e) for t, e in kept if t >= microseconds(now - age)], events_max, seen
+            )
             assert window.forget(microseconds(now - age)) == len(kept) - len(remaining)
             kept = remaining
         assert len(window) == len(kept)
         assert window.column("t").tolist() == [t for t, _ in kept]
         assert [window.cameras[k] for k in window.column("camera")] == [e.camera for _, e in kept]
         assert window.column("entry").tolist() == [e.kind == "entry" for _, e in kept]
-        sums, unplaced = naive.window_sums([e for _, e in kept], GRID_ROWS, GRID_COLUMNS, POSITION_ONE)
+        sums, unplaced = naive.window_sums(
+            [e for _, e in kept], GRID_ROWS, GRID_COLUMNS, POSITION_ONE
+        )
         nothing = np.zeros((7, GRID_ROWS, GRID_COLUMNS))
         for camera, name in enumerate(window.cameras):
             assert (window.sums[camera] == sums.get(name, nothing)).all()
@@ -93,7 +112,9 @@ def test_what_is_forgotten_leaves_no_trace(steps: list[tuple[list[Event], int, b
 
 @given(STEPS)
 def test_mates(steps: list[tuple[list[Event], int, bool]]) -> None:
-    """An exit's mate is the newest event of its camera and track, if that is an entry and still there."""
+    """An exit's mate is the newest event of its camera and track, if that is an entry and still
+    there.
+    """
     window, events, now = Window(1000), list[Event](), 0
     for batch, age, _ in steps:
         now += 5
@@ -146,7 +167,9 @@ def test_at_most_so_many_of_each_camera_if_that_is_more() -> None:
     for cameras, held in ((1, 7), (2, 7), (3, 9), (6, 18)):
         for k in range(10):
             now += 1
-            window.append(at(now, [Event(f"c{(k + c) % cameras}", "entry", now) for c in range(cameras)]))
+            window.append(
+                at(now, [Event(f"c{(k + c) % cameras}", "entry", now) for c in range(cameras)])
+            )
             window.forget(0)
         assert window.events_max == len(window) == held
     for most, held in ((1000, 18), (10, 10)):
@@ -156,7 +179,9 @@ def test_at_most_so_many_of_each_camera_if_that_is_more() -> None:
 
 
 @given(STEPS)
-def test_rows_of_cameras_are_where_their_events_are(steps: list[tuple[list[Event], int, bool]]) -> None:
+def test_rows_of_cameras_are_where_their_events_are(
+    steps: list[tuple[list[Event], int, bool]],
+) -> None:
     window, now = Window(20), 0
     for batch, age, turned in steps:
         now += 5
@@ -190,7 +215,9 @@ def test_a_camera_that_floods_displaces_only_itself() -> None:
         window.append(sorted(batch, key=lambda row: row[0]))
         window.forget(0)
     assert len(window) == 1000
-    placed = {name: int(sums[0].sum()) for name, sums in zip(window.cameras, window.sums, strict=True)}
+    placed = {
+        name: int(sums[0].sum()) for name, sums in zip(window.cameras, window.sums, strict=True)
+    }
     assert placed == {"a": 50, "b": 50, "wild": 900}
     wild = window.column("camera") == window.cameras.index("wild")
     assert window.column("t")[wild].tolist() == [t for t, _ in flood][-900:]

@@ -1,4 +1,6 @@
-"""DaSpec over weighted cells equals DaSpec over points, and finds what the thesis and its authors say."""
+"""DaSpec over weighted cells equals DaSpec over points, and finds what the thesis and its authors
+say.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def blobs(seed: int, sizes: list[int], sd: float) -> np.ndarray:
     """Points (n, 2) of whole grid steps, a blob for each size."""
     rng = np.random.default_rng(seed)
     centres = rng.uniform((4, 4), (26, 20), (len(sizes), 2))
-    points = np.concatenate([c + sd * rng.standard_normal((n, 2)) for c, n in zip(centres, sizes, strict=True)])
+    points = np.concatenate(
+        [c + sd * rng.standard_normal((n, 2)) for c, n in zip(centres, sizes, strict=True)]
+    )
     return np.clip(np.rint(points), 0, (29, 23)).astype(int)
 
 
@@ -40,7 +44,9 @@ TABLE_ZONES = np.array([zone for _, _, zone in TABLE_5_1])
     st.floats(0.5, 3),
     st.floats(0.6, 4),
 )
-def test_equals_the_operator_over_points(seed: int, sizes: list[int], sd: float, width: float) -> None:
+def test_equals_the_operator_over_points(
+    seed: int, sizes: list[int], sd: float, width: float
+) -> None:
     points = blobs(seed, sizes, sd)
     spectrum = data_spectroscopy(grid_of(points), width)
     values, vectors, labels = naive.data_spectroscopy(points.astype(float), width)
@@ -68,8 +74,8 @@ def test_new_points_by_the_eigenfunction() -> None:
 
 
 def test_counts_scale_the_operator_not() -> None:
-    """Ten million times as many events are the same operator; only the tolerance max|v| / n of the sign test
-    shrinks."""
+    """Ten million times as many events are the same operator; only the tolerance max|v| / n of the
+    sign test shrinks."""
     grid = grid_of(blobs(5, [20, 30], 1.0))
     few, many = data_spectroscopy(grid, 1.5), data_spectroscopy(grid * 10_000_000, 1.5)
     assert 1 <= many.groups <= few.groups == 2
@@ -80,7 +86,9 @@ def test_table_5_1_gives_its_two_zones() -> None:
     grid = grid_of(TABLE)
     assert 3 <= bandwidth(grid) <= 4
     labels = data_spectroscopy(grid, bandwidth(grid)).grid()[tuple(TABLE.T)]
-    assert (labels == 0).sum() == (TABLE_ZONES == 1).sum() or (labels == 0).sum() == (TABLE_ZONES == 2).sum()
+    assert (labels == 0).sum() == (TABLE_ZONES == 1).sum() or (labels == 0).sum() == (
+        TABLE_ZONES == 2
+    ).sum()
     assert set(zip(labels.tolist(), TABLE_ZONES.tolist(), strict=True)) in (
         {(0, 1), (1, 2)},
         {(0, 2), (1, 1)},
@@ -101,7 +109,9 @@ def test_the_authors_rule_splits_table_5_1() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_bandwidth_equals_the_rule_over_points(seed: int) -> None:
     points = blobs(seed, [10, 40, 25 * seed + 1], 1.0 + seed / 2)
-    assert bandwidth(grid_of(points)) == pytest.approx(naive.bandwidth_of_points(points.astype(float)))
+    assert bandwidth(grid_of(points)) == pytest.approx(
+        naive.bandwidth_of_points(points.astype(float))
+    )
 
 
 def test_bandwidth_of_a_single_event_is_the_least() -> None:

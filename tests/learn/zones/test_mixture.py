@@ -24,7 +24,10 @@ def test_density_equals_its_slow_twin(zone: ZoneShape) -> None:
 
 
 def test_posterior_decides() -> None:
-    density = [naive.gaussian_density(CENTRES, np.array([z.x, z.y]), np.array(z.cov) + CELL) * z.weight for z in (A, B)]
+    density = [
+        naive.gaussian_density(CENTRES, np.array([z.x, z.y]), np.array(z.cov) + CELL) * z.weight
+        for z in (A, B)
+    ]
     expected = np.stack([np.full(720, 0.25), *density]).argmax(axis=0) - 1
     cells = classify_cells((A, B), 0.25)
     assert (cells.ravel() == expected).all()

@@ -16,7 +16,13 @@ from bench.support.thesis_tables import FIGURE_4_4_ZONES, figure_4_4
 from camtopod.learn.zones import clutter as clutter_module
 from camtopod.learn.zones import separation as valley_module
 from camtopod.learn.zones.clutter import clutter_rate, clutter_rates, dense_cells
-from camtopod.learn.zones.marginal_likelihood import gaussians, log_evidence, log_share, log_zone, moments
+from camtopod.learn.zones.marginal_likelihood import (
+    gaussians,
+    log_evidence,
+    log_share,
+    log_zone,
+    moments,
+)
 from camtopod.learn.zones.separation import far, valley
 from camtopod.learn.zones.zone_map import (
     CellSums,
@@ -32,8 +38,12 @@ from camtopod.learn.zones.zone_map import (
 from camtopod.topology.grid import POSITION_ONE
 
 
-def events(seed: int, zones: list[tuple[float, float, float, int]], clutter: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, 2) in zones (x, y, sd, events) and uniform clutter, and the zone of each (-1)."""
+def events(
+    seed: int, zones: list[tuple[float, float, float, int]], clutter: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, 2) in zones (x, y, sd, events) and uniform clutter, and the zone of each
+    (-1).
+    """
     rng = np.random.default_rng(seed)
     parts = [np.array([x, y]) + sd * rng.standard_normal((n, 2)) for x, y, sd, n in zones]
     labels = [np.full(zone[3], k) for k, zone in enumerate(zones)]
@@ -138,11 +148,16 @@ def test_two_events_that_coincide_are_no_zone_beside_others() -> None:
     zones = found(np.concatenate([doors, stray]))
     assert len(zones.zones) == 3
     assert zone_at(zones, 0.28, 0.3) == 0
-    assert len(refresh_zones(cell_sums(*np.concatenate([doors, doors[:60], stray]).T), zones).zones) == 3
+    assert (
+        len(refresh_zones(cell_sums(*np.concatenate([doors, doors[:60], stray]).T), zones).zones)
+        == 3
+    )
 
 
 def test_doors_close_together_with_unequal_traffic() -> None:
-    positions, _ = events(4, [(0.40, 0.5, 0.012, 900), (0.48, 0.5, 0.012, 60), (0.56, 0.5, 0.012, 400)], 200)
+    positions, _ = events(
+        4, [(0.40, 0.5, 0.012, 900), (0.48, 0.5, 0.012, 60), (0.56, 0.5, 0.012, 400)], 200
+    )
     assert len(found(positions).zones) == 3
 
 
@@ -173,7 +188,11 @@ def test_few_events() -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1), st.integers(1, 3000)), min_size=1, max_size=30))
+@given(
+    st.lists(
+        st.tuples(st.floats(0, 1), st.floats(0, 1), st.integers(1, 3000)), min_size=1, max_size=30
+    )
+)
 def test_anything_gives_well_formed_zones(places: list[tuple[float, float, int]]) -> None:
     positions = np.concatenate([np.full((n, 2), (x, y)) for x, y, n in places])
     zones = found(positions)
@@ -230,7 +249,9 @@ def test_clutter_rate_ignores_the_zones() -> None:
     assert clutter_rate(cell_sums(*positions.T).count) == pytest.approx(2000 / 720, rel=0.15)
 
 
-@pytest.mark.parametrize(("seed", "zones", "events_of_clutter"), [(1, 0, 300), (2, 3, 150), (3, 1, 4000), (4, 3, 0)])
+@pytest.mark.parametrize(
+    ("seed", "zones", "events_of_clutter"), [(1, 0, 300), (2, 3, 150), (3, 1, 4000), (4, 3, 0)]
+)
 def test_clutter_and_what_stands_out_of_it_equal_their_slow_twins(
     seed: int, zones: int, events_of_clutter: int
 ) -> None:
@@ -246,7 +267,9 @@ def test_clutter_and_what_stands_out_of_it_equal_their_slow_twins(
     )
     assert rates == pytest.approx(naive.clutter_rates(count, constants), rel=1e-9)
     for chance in (clutter_module.FLOOR_CHANCE, clutter_module.FOUND_CHANCE):
-        slow = naive.dense_cells(count, rates, chance, clutter_module.CONTRAST_MIN, clutter_module.FLOOR_WIDTHS)
+        slow = naive.dense_cells(
+            count, rates, chance, clutter_module.CONTRAST_MIN, clutter_module.FLOOR_WIDTHS
+        )
         assert dense_cells(count, rates, chance) == pytest.approx(slow, rel=1e-9)
         assert zones == 0 or slow.any()
 
@@ -268,8 +291,13 @@ def test_evidence_prefers_one_zone_for_one_gaussian_and_two_for_two() -> None:
     rng = np.random.default_rng(0)
     left, right = rng.normal((0.3, 0.5), 0.02, (50, 2)), rng.normal((0.6, 0.5), 0.02, (50, 2))
     same = rng.normal((0.3, 0.5), 0.02, (50, 2))
-    assert log_evidence(group(left)) + log_evidence(group(right)) > log_evidence(group(left) + group(right)) + 50
-    assert log_evidence(group(left)) + log_evidence(group(same)) < log_evidence(group(left) + group(same))
+    assert (
+        log_evidence(group(left)) + log_evidence(group(right))
+        > log_evidence(group(left) + group(right)) + 50
+    )
+    assert log_evidence(group(left)) + log_evidence(group(same)) < log_evidence(
+        group(left) + group(same)
+    )
     assert log_evidence(group(left[:1])) == pytest.approx(0)  # a single event is as good as clutter
     mean, cov = gaussians(group(left))
     assert mean == pytest.approx(left.mean(axis=0))
@@ -281,7 +309,9 @@ def test_a_zone_at_once_is_its_evidence_and_its_share() -> None:
     n = np.concatenate((np.arange(1.0, 60.0), 10.0 ** np.arange(2, 8)))
     x, y = rng.random((2, len(n)))
     xx, yy = rng.random((2, len(n))) * 0.02
-    groups = n * np.array((np.ones(len(n)), x, y, x * x + xx, x * y + 0.3 * np.sqrt(xx * yy), y * y + yy))
+    groups = n * np.array(
+        (np.ones(len(n)), x, y, x * x + xx, x * y + 0.3 * np.sqrt(xx * yy), y * y + yy)
+    )
     for weight in (1.0, 0.3, 0.01):
         weighed = groups * weight
         both = log_evidence(weighed) + log_share(weighed[0])
@@ -296,8 +326,10 @@ def test_far_apart_is_by_the_line_that_tells_best() -> None:
     scatter = n * np.array((xx, root[0, 0] * root[1, 0] + root[0, 1] * root[1, 1], yy))
     expected = []
     for k in range(n.shape[1]):
-        sums = [np.array((m, *(m * c), *(s + m * np.outer(c, c)[(0, 0, 1), (0, 1, 1)])))
-                for m, c, s in zip(n[:, k], mean[:, :, k].T, scatter[:, :, k].T, strict=True)]  # fmt: skip
+        sums = [
+            np.array((m, *(m * c), *(s + m * np.outer(c, c)[(0, 0, 1), (0, 1, 1)])))
+            for m, c, s in zip(n[:, k], mean[:, :, k].T, scatter[:, :, k].T, strict=True)
+        ]
         (one, a), (other, b) = (gaussians(own) for own in sums)
         a, b = (np.array(((own[0], own[1]), (own[1], own[2]))) for own in (a, b))
         line = np.linalg.solve(a + b, other - one)
@@ -321,12 +353,16 @@ def test_open_borders_of_a_real_plaza_are_several_zones() -> None:
         zones = found(positions)
         assert 2 <= len(zones.zones) <= 8
         assert max(zone.weight for zone in zones.zones) < 0.7
-        assert (zones.cells[cells_of(*positions.T)] >= 0).mean() > 0.5  # one begins and ends tracks in mid-picture
+        assert (
+            zones.cells[cells_of(*positions.T)] >= 0
+        ).mean() > 0.5  # one begins and ends tracks in mid-picture
 
 
 @pytest.mark.parametrize("seed", [5, 20, 33])
 def test_groups_around_one_point_are_no_trouble(seed: int) -> None:
-    """Events at exactly the same few places, as made-up or broken sources send them; warnings are errors here."""
+    """Events at exactly the same few places, as made-up or broken sources send them; warnings are
+    errors here.
+    """
     chance = np.random.default_rng(seed)
     count = chance.integers(5, 120)
     places = [chance.choice([0.0, 1.0, 0.5], count) for _ in range(2)]

@@ -1,4 +1,6 @@
-"""Zones are held: their numbers stay while traffic is steady or shifts, and change when the evidence is clear."""
+"""Zones are held: their numbers stay while traffic is steady or shifts, and change when the
+evidence is clear.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ WINDOW = 1500
 def stream(seed: int, shares: list[float], n: int, clutter: float = 0.25) -> np.ndarray:
     rng = np.random.default_rng(seed)
     door = np.array(DOORS)[rng.choice(len(DOORS), n, p=shares)] + 0.02 * rng.standard_normal((n, 2))
-    walked = 0.5 + 0.15 * rng.standard_normal((n, 2))  # clutter is three times as thick in the middle
+    walked = 0.5 + 0.15 * rng.standard_normal(
+        (n, 2)
+    )  # clutter is three times as thick in the middle
     even = np.where(rng.random((n, 1)) < 0.75, rng.random((n, 2)), walked)
     return np.clip(np.where(rng.random((n, 1)) < clutter, even, door), 0, 1)
 
@@ -46,19 +50,30 @@ def test_steady_traffic_changes_no_number(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_shift_of_traffic_changes_no_number(seed: int) -> None:
-    before, after = stream(seed, [0.4, 0.3, 0.2, 0.1], 3000), stream(seed + 9, [0.05, 0.35, 0.4, 0.2], 4500)
+    before, after = (
+        stream(seed, [0.4, 0.3, 0.2, 0.1], 3000),
+        stream(seed + 9, [0.05, 0.35, 0.4, 0.2], 4500),
+    )
     made = maps(np.concatenate([before, after]))
     for zones in made[10:]:
-        assert [number_at(zones, door) for door in DOORS] == [number_at(made[10], door) for door in DOORS]
+        assert [number_at(zones, door) for door in DOORS] == [
+            number_at(made[10], door) for door in DOORS
+        ]
     assert len({number_at(made[10], door) for door in DOORS} - {0}) == 4
     assert min(zone.weight for zone in made[-1].zones) < 0.1
 
 
 def test_a_door_that_opens_has_a_number_of_its_own_and_one_that_closes_none() -> None:
-    made = maps(np.concatenate([stream(0, [0.5, 0.3, 0.2, 0.0], 3000), stream(1, [0.0, 0.5, 0.3, 0.2], 3000)]))
+    made = maps(
+        np.concatenate(
+            [stream(0, [0.5, 0.3, 0.2, 0.0], 3000), stream(1, [0.0, 0.5, 0.3, 0.2], 3000)]
+        )
+    )
     old, new = made[19], made[-1]
     assert len(old.zones) == len(new.zones) == 3
-    number = {door: zone.number for door in DOORS for zone in new.zones if abs(zone.x - door[0]) < 0.03}
+    number = {
+        door: zone.number for door in DOORS for zone in new.zones if abs(zone.x - door[0]) < 0.03
+    }
     kept = [old.zones[old.cells[cell_of(*door)]].number for door in DOORS[1:3]]
     assert [number[door] for door in DOORS[1:3]] == kept
     assert number[DOORS[3]] not in numbers(old)

@@ -92,7 +92,10 @@ def test_window_forgets_one_camera_and_keeps_the_passages_of_the_others() -> Non
         )
         window.append([(k, Event(camera, kind, float(k), *rng.random(2), track=track))])
     window.forget(3)
-    t, camera, mate, base = (*(window.column(c).copy() for c in ("t", "camera", "mate")), window.base)
+    t, camera, mate, base = (
+        *(window.column(c).copy() for c in ("t", "camera", "mate")),
+        window.base,
+    )
     stays = (t >= 18) | (camera == 1)
     began = np.where(mate >= base, t[np.maximum(mate - base, 0)], -1)
     began[(mate >= base) & ~stays[np.maximum(mate - base, 0)]] = -1
@@ -103,7 +106,10 @@ def test_window_forgets_one_camera_and_keeps_the_passages_of_the_others() -> Non
     now = np.where(mate >= window.base, window.column("t")[np.maximum(mate - window.base, 0)], -1)
     assert now.tolist() == began[stays].tolist()
     rows = zip(*(window.column(c) for c in ("camera", "entry", "px", "py")), strict=True)
-    kept = [Event("ab"[c], "entry" if e else "exit", 0.0, x / POSITION_ONE, y / POSITION_ONE) for c, e, x, y in rows]
+    kept = [
+        Event("ab"[c], "entry" if e else "exit", 0.0, x / POSITION_ONE, y / POSITION_ONE)
+        for c, e, x, y in rows
+    ]
     sums, _ = naive.window_sums(kept, GRID_ROWS, GRID_COLUMNS, POSITION_ONE)
     assert all((window.sums[k] == sums["ab"[k]]).all() for k in (0, 1))
     window.append([(40, Event("b", "exit", 40.0, track="0"))])
@@ -112,16 +118,27 @@ def test_window_forgets_one_camera_and_keeps_the_passages_of_the_others() -> Non
 
 
 def walks(seed: int, start: float, n: int, doors: list[tuple[float, float]]) -> list[Event]:
-    """People who leave camera a at its first door and appear in b 8 seconds later; others come and go in a."""
+    """People who leave camera a at its first door and appear in b 8 seconds later; others come and
+    go in a.
+    """
     rng = np.random.default_rng(seed)
     made, t = list[Event](), start
     for k in range(n):
         t += rng.exponential(40.0)
-        came, left = (np.clip(np.array(doors[d]) + 0.015 * rng.standard_normal(2), 0, 1) for d in (1 + k % 2, 0))
-        there, gone = (np.clip(np.array(p) + 0.015 * rng.standard_normal(2), 0, 1) for p in ((0.1, 0.2), (0.9, 0.9)))
+        came, left = (
+            np.clip(np.array(doors[d]) + 0.015 * rng.standard_normal(2), 0, 1)
+            for d in (1 + k % 2, 0)
+        )
+        there, gone = (
+            np.clip(np.array(p) + 0.015 * rng.standard_normal(2), 0, 1)
+            for p in ((0.1, 0.2), (0.9, 0.9))
+        )
         lag = 8.0 + rng.normal()
         made += [Event("a", "entry", t, *came, track=k), Event("a", "exit", t + 6, *left, track=k)]
-        made += [Event("b", "entry", t + 6 + lag, *there, track=k), Event("b", "exit", t + 12 + lag, *gone, track=k)]
+        made += [
+            Event("b", "entry", t + 6 + lag, *there, track=k),
+            Event("b", "exit", t + 12 + lag, *gone, track=k),
+        ]
     return sorted(made, key=lambda event: event.t)
 
 
@@ -146,7 +163,9 @@ def test_learner_starts_a_turned_camera_anew_and_says_so() -> None:
     assert not set(zones["a"]) & set(old)
     places_now = np.array([(zone.x, zone.y) for zone in after.zones if zone.camera == "a"])
     assert (np.abs(places_now[:, None] - np.array(AFTER)).max(axis=2).min(axis=1) < 0.02).all()
-    assert not any({link.from_, link.to} & set(old) for link in [*after.links, *(after.weak_links or [])])
+    assert not any(
+        {link.from_, link.to} & set(old) for link in [*after.links, *(after.weak_links or [])]
+    )
     assert any(link.from_ in zones["a"] and link.to.startswith("b/") for link in after.links)
     moved = [alarm for alarm in after.alarms or [] if alarm.kind == "camera_moved"]
     assert [alarm.subject for alarm in moved] == ["a"]
