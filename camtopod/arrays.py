@@ -1,5 +1,6 @@
-"""Array types, and operations on rows by group: one pass over the rows, however many groups there
-are.
+"""Array types, and operations on the rows of a table by group.
+
+Each operation takes one pass over the rows, however many groups there are.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
-"""Figures of each candidate, of which there may be millions: half the memory. Sums are in double
-precision.
+"""Values per candidate, of which there may be millions: half the memory of `Floats`.
+
+Sums over them are in double precision.
 """
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
@@ -24,22 +26,25 @@ Indices = NDArray[np.signedinteger[Any]]
 Bools = NDArray[np.bool_]
 
 ALL_KEYS_MAX = 1000
+"""Up to this many keys, `numbered` gives every key a row, whether it occurs or not."""
 SHORT_MAX = np.iinfo(np.int16).max
-"""Indices up to this are sorted as 16 bits, which NumPy does by radix: ten times as fast as longer
-ones.
-"""
+"""Largest index that is sorted as 16 bits: NumPy's radix sort makes that ten times as fast."""
 
 
 def rows_of(label: Indices, groups: int) -> list[NDArray[np.intp]]:
-    """The rows of each group, ascending; ``label`` (n,): group of each row, 0 to ``groups`` - 1."""
+    """Return the rows of each group, ascending.
+
+    label (n,): group of each row, from 0 to ``groups`` - 1.
+    """
     order = np.argsort(label.astype(np.int16) if groups <= SHORT_MAX else label, kind="stable")
     return np.split(order, np.cumsum(np.bincount(label, minlength=groups))[:-1]) if groups else []
 
 
 def numbered(key: Indices, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Keys worth a row of a table, ascending, and the row of each ``key`` (n,), 0 to ``keys`` - 1.
+    """Return the keys that get a row of a table, ascending, and the row of each ``key`` (n,).
 
-    All keys while they are few, those that occur where they are many.
+    These are all keys from 0 to ``keys`` - 1 where that is at most `ALL_KEYS_MAX`, else only those
+    that occur.
     """
     if keys <= ALL_KEYS_MAX:
         return np.arange(keys), key.astype(np.int64)
@@ -48,17 +53,18 @@ def numbered(key: Indices, keys: int) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def summed(rows: Floats, group: Indices, groups: int) -> Floats:
-    """Sums (groups, columns) of the rows of each group."""
+    """Return the sums (groups, columns) of the rows of each group."""
+    # Sort the rows by group.
     result = np.zeros((groups, rows.shape[1]))
     order = np.argsort(group, kind="stable")
     present, first, number = np.unique(group[order], return_index=True, return_counts=True)
-    one, two, more = (
-        number == 1,
-        number == 2,
-        number > 2,
-    )  # most are of one or two, which is done far quicker
+
+    # Most groups have one or two rows, for which plain indexing is much faster than reduceat.
+    one, two, more = (number == 1, number == 2, number > 2)
     result[present[one]] = rows[order[first[one]]]
     result[present[two]] = rows[order[first[two]]] + rows[order[first[two] + 1]]
+
+    # Sum the larger groups.
     if more.any():
         begin = np.cumsum(number[more]) - number[more]
         result[present[more]] = np.add.reduceat(rows[order[np.repeat(more, number)]], begin, axis=0)
@@ -66,8 +72,10 @@ def summed(rows: Floats, group: Indices, groups: int) -> Floats:
 
 
 def rows_at(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Where each of the ``wanted`` (n,) is among the ``keys``, and whether it is there at all: (n,)
-    each.
+    """Return the index among ``keys`` of each of the ``wanted`` (n,), and whether it is there.
+
+    Both results have shape (n,); the index of a missing key is arbitrary but valid, unless there
+    are no keys at all.
     """
     if len(keys) == 0:
         return np.zeros(len(wanted), np.intp), np.zeros(len(wanted), np.bool_)
@@ -77,14 +85,14 @@ def rows_at(keys: Indices, wanted: Indices) -> tuple[NDArray[np.intp], NDArray[n
 
 
 ROWS_AT_ONCE = 1024
-"""Rows of a table worked on together, so that intermediate results stay in the processor's
-cache.
-"""
+"""Rows of a table processed together, so that intermediate results stay in the CPU's cache."""
 
 
 def rows_together(rows: int) -> Iterator[slice]:
-    """Of a table with so many rows, some at a time. A product of few rows is reckoned otherwise and
-    would differ in the last bit from one of all rows, so the last has the rest, too.
+    """Yield slices of about `ROWS_AT_ONCE` rows that cover a table of ``rows`` rows.
+
+    BLAS rounds a matrix product of few rows differently in the last bit, so the last slice takes
+    the remainder instead of leaving a short one.
     """
     parts = max(rows // ROWS_AT_ONCE, 1)
     for k in range(parts):

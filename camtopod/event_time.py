@@ -1,10 +1,10 @@
-"""Event time: how far the events of a site have come, and which of them are too late to be learned.
+"""Event time and watermark: how far a site's events have advanced, and which of them are too late.
 
-Event time is where a second camera has come to, so that a single camera whose clock is ahead does
-not make other cameras' events late; but it is at most ``apart`` behind the first, so that silent
-cameras hold nothing up. The watermark trails event time by the lateness. A camera whose events are
-mostly late, but by no more than ``apart``, has a clock that is behind: from then on the watermark
-waits for it.
+Event time is the newest event of the second most advanced camera, so that a single camera with a
+fast clock does not make other cameras' events late. It is at most ``apart`` (the largest expected
+difference of two clocks) behind the most advanced camera, so that silent cameras delay nothing. The
+watermark trails event time by the lateness. If most events of a camera are late, but by no more
+than ``apart``, its clock is slow, and from then on the watermark waits for it.
 """
 
 from __future__ import annotations
@@ -14,43 +14,43 @@ from collections.abc import Set
 from msgspec import Struct
 
 BEHIND_EVENTS = 20
-"""Of so many events in a row, most have to be late to tell of a clock that is behind."""
+"""Consecutive events of a camera after which `Behind` decides whether its clock is slow."""
 
 
 MICROSECONDS = 1_000_000
 
 
 def microseconds(t: float) -> int:
-    """Event time as an integer, so that equal times are equal and sums can be undone."""
+    """Return seconds as integer microseconds, so that equal times are equal and sums are exact."""
     return round(t * MICROSECONDS)
 
 
 class Behind(Struct):
-    """How far one camera's events come behind event time, in microseconds."""
+    """How far the events of one camera are behind event time, in microseconds."""
 
     known: int = 0
-    """The most that one of the last `BEHIND_EVENTS` was behind; 0 when most of them were not
-    late.
-    """
+    """Largest delay in the last complete block of `BEHIND_EVENTS`; 0 if at most half were late."""
     events: int = 0
-    """Since then, ..."""
+    """Events in the current block."""
     late: int = 0
-    """... how many of these were late, ..."""
+    """Events in the current block that were later than the lateness allows."""
     most: int = 0
-    """... and the most that one of them was behind."""
+    """Largest delay in the current block."""
 
     def note(self, behind_us: int, lateness_us: int) -> None:
-        """One more event."""
+        """Count one more event, ``behind_us`` behind event time."""
         self.events += 1
         self.late += behind_us > lateness_us
         self.most = max(self.most, behind_us)
+
+        # At the end of a block, decide and start the next one.
         if self.events == BEHIND_EVENTS:
             self.known = self.most if 2 * self.late > BEHIND_EVENTS else 0
             self.events = self.late = self.most = 0
 
 
 class EventTimeState(Struct):
-    """What an `EventTime` knows."""
+    """The saved state of an `EventTime`."""
 
     newest_us: int | None = None
     second_us: int | None = None
@@ -60,8 +60,10 @@ class EventTimeState(Struct):
 
 
 class EventTime:
-    """How far event time has come, and which events are too late for it. All times in
-    microseconds.
+    """Event time and watermark of a site. All times are in microseconds.
+
+    lateness_seconds: by how much the watermark trails event time at least.
+    clocks_apart_seconds: the largest expected difference of two cameras' clocks.
     """
 
     def __init__(self, lateness_seconds: float, clocks_apart_seconds: float = 0.0) -> None:
@@ -70,69 +72,72 @@ class EventTime:
             microseconds(clocks_apart_seconds),
         )
         self.newest_us: int | None = None
+        """Time of the newest event, or the time passed to `advance` if that is newer."""
         self.watermark_us: int | None = None
-        """Nothing older will be learned any more; None before the first event."""
+        """Events older than this are too late to be learned; None before the first event."""
         self.second_us: int | None = None
-        """The newest of another camera than the one that has come furthest ..."""
+        """Time of the newest event of any camera other than `leader`."""
         self.leader: str | None = None
-        """... which is this one."""
+        """The camera with the newest event; None after `advance` or `rewind`."""
         self.behind: dict[str, Behind] = {}
         self.lateness_us = self._lateness_us
-        """By how much the watermark trails event time: the setting, and the clock that is furthest
-        behind.
+        """By how much the watermark trails event time: the setting plus the delay of the camera
+        whose clock is slowest.
         """
 
     def note(self, t_us: int, camera: str) -> bool:
-        """A camera has an event at ``t_us``; False if that is too late to be learned."""
+        """Note an event of ``camera`` at ``t_us``; return False if it is too late to be learned."""
         self._look_behind(t_us, camera)
         if self.watermark_us is not None and t_us < self.watermark_us:
             return False
+
+        # Update the newest event of all cameras and that of all but the leading one.
         if self.newest_us is None or t_us > self.newest_us:
             if camera != self.leader:
                 self.second_us, self.leader = self.newest_us, camera
             self.newest_us = t_us
         elif camera != self.leader and (self.second_us is None or t_us > self.second_us):
             self.second_us = t_us
+
         self._raise_watermark()
         return True
 
     def advance(self, now_us: int) -> None:
-        """Event time has come to ``now`` although no event says so."""
+        """Advance event time to ``now_us`` without an event; do nothing before the first event."""
         if self.newest_us is not None and now_us > self.newest_us:
             self.newest_us = self.second_us = now_us
             self.leader = None
             self._raise_watermark()
 
     def rewind(self, to_us: int) -> None:
-        """What was later than ``to`` was stamped by a wrong clock: from there on events are learned
-        again.
+        """Move the watermark back to ``to_us``, so that events from then on are learned again.
+
+        Needed when a wrong clock has stamped events later than that.
         """
         if self.watermark_us is not None and self.watermark_us > to_us:
             self.newest_us = self.second_us = to_us + self.lateness_us
             self.leader, self.watermark_us = None, to_us
 
     def save(self) -> EventTimeState:
-        """Everything `load` needs to go on from here."""
+        """Return the state from which `load` continues."""
         return EventTimeState(
             self.newest_us, self.second_us, self.leader, self.watermark_us, self.behind
         )
 
     def load(self, state: EventTimeState) -> None:
-        """Go on from there."""
+        """Continue from a saved state."""
         self.newest_us, self.second_us, self.leader = state.newest_us, state.second_us, state.leader
         self.watermark_us, self.behind = state.watermark_us, state.behind
         self._wait_for_the_last()
 
     def forget(self, names: Set[str]) -> None:
-        """Forget what is known of the clocks of these cameras."""
+        """Forget the delays of these cameras."""
         for name in names & self.behind.keys():
             del self.behind[name]
         self._wait_for_the_last()
 
     def _look_behind(self, t_us: int, camera: str) -> None:
-        """How far an event is behind event time; one that is further than clocks may be apart tells
-        of no clock.
-        """
+        """Update the camera's delay; ignore events further behind than clocks may differ."""
         come = self._come_to()
         if come is None or come - t_us > self._apart_us:
             return
@@ -143,19 +148,20 @@ class EventTime:
             self._wait_for_the_last()
 
     def _wait_for_the_last(self) -> None:
+        """Update `lateness_us` for the camera whose clock is slowest."""
         self.lateness_us = self._lateness_us + max(
             (behind.known for behind in self.behind.values()), default=0
         )
 
     def _come_to(self) -> int | None:
-        """Event time."""
+        """Return the event time."""
         if self.newest_us is None:
             return None
         second = self.newest_us if self.second_us is None else self.second_us
         return max(second, self.newest_us - self._apart_us)
 
     def _raise_watermark(self) -> None:
-        """It rises only, except in `rewind`: what has been passed has been learned."""
+        """Raise the watermark; only `rewind` lowers it, as events below it have been learned."""
         come = self._come_to()
         assert come is not None
         watermark = come - self.lateness_us

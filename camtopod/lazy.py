@@ -1,7 +1,7 @@
-"""Package doors that load a module when one of its names is first asked for (PEP 562).
+"""Lazy package heads: a module is imported when one of its names is first used (PEP 562).
 
-For packages of which most users want a light part: settings are read without SciPy, a bus is spoken
-without OpenCV.
+For packages of which most users need a light part: reading settings does not import SciPy, and
+using the bus does not import OpenCV.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from importlib import import_module
 
 
 def names_from(package: str, homes: Mapping[str, str]) -> Callable[[str], object]:
-    """Return a package's ``__getattr__``.
+    """Return the ``__getattr__`` of a package that imports its modules lazily.
 
-    package (dotted name): the package whose door it is.
-    homes: the module below the package that holds each public name.
+    package: dotted name of the package.
+    homes: for each public name, the module below the package that defines it.
     """
 
     def get(name: str) -> object:

@@ -1,4 +1,9 @@
-"""clocks"""
+"""Clock offsets of the cameras, estimated from traffic alone.
+
+Reading order: `correlogram` counts arrivals by their lag after departures; `two_way_paths` finds
+paths that are walked in both directions, each of which shows the difference of two clocks;
+`offsets` combines the differences into one offset per camera.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""traffic"""
+"""The window's events labelled with zones: the departures and arrivals that the fits work on.
+
+Reading order: `events` defines the tables of departures and arrivals; `labelled_events` fills them
+from the window and the zone maps (`Scene`); `speed` estimates the slowness of objects and how far
+it persists from view to view; `background_rate` has the rates of arrivals under the null model.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""window"""
+"""From incoming events to a sliding window of them, ordered by time.
+
+Reading order: `reorder_buffer` drops duplicates and late events and releases the others in
+canonical order as the watermark passes them; `sliding_window` stores the released events by column,
+pairs entries with exits to passages and sums positions per grid cell.
+"""
 
 from __future__ import annotations
 

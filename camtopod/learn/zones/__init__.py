@@ -1,4 +1,15 @@
-"""zones"""
+"""Entry and exit zones: where in a camera's view objects appear and disappear.
+
+Reading order: `zone_map` turns sums over a camera's grid cells into numbered zones, by way of
+`partition`, which assigns the cells to zones. `partition` builds on
+
+* `clutter`: the rate of events that belong to no zone, and the first groups of cells;
+* `daspec`: data spectroscopy, the clustering method of the thesis;
+* `marginal_likelihood`: the evidence that a group of events is one zone;
+* `separation`: the evidence that two groups are separated by a gap or a valley.
+
+`mixture` labels every cell of the grid once the zones are known. `cell_sums` stores the sums.
+"""
 
 from __future__ import annotations
 
