@@ -1,13 +1,17 @@
-"""For other people's programs: a tracker's boxes to events, and what the site has learned, live.
+"""Client library for other programs: publishable events from a tracker, live topology, predictions.
 
     from camtopod.client import Topology
 
-    with Topology.connect("hq") as site:  # the daemon on this machine; connect="tcp/192.168.1.5:7447" for another's
+    with Topology.connect("hq") as site:  # a daemon on this machine
         print(site.current.pairs)
         print(site.predict("lobby", t=1_700_003_601.2, x=0.9, y=0.5).next_)
 
-`camtopod.client.aio` is the same for asyncio. Nothing here needs more than the packages that
-camtopod itself needs.
+For a daemon on another machine pass its endpoint: ``connect="tcp/192.168.1.5:7447"``.
+`camtopod.client.aio` has the same interface for asyncio. No packages beyond camtopod's own
+dependencies are needed.
+
+Reading order: `site` (the public classes), `site_view` (their common part), `gate` (association
+priors), `errors`, then `prediction_queue` and `wakeup` (queueing and notification).
 """
 
 from camtopod.adapt import TrackEvents

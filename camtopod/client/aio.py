@@ -1,9 +1,10 @@
-"""`camtopod.client` for asyncio: the same, and what waits is awaited. No thread is held while
-nothing comes.
+"""`camtopod.client` for asyncio: the same interface, with waiting methods awaited.
 
-async with aio.Topology.connect("hq") as site:
-    async for prediction in site.predictions():
-        print(prediction.next_[:1])
+    async with aio.Topology.connect("hq") as site:
+        async for prediction in site.predictions():
+            print(prediction.next_[:1])
+
+Waiting does not occupy a thread.
 """
 
 from __future__ import annotations
@@ -26,16 +27,17 @@ T = TypeVar("T")
 
 
 class Topology(View):
-    """As `camtopod.client.Topology`. `predict`, `gate` and the others that need not wait are plain
-    methods.
-    """
+    """As `camtopod.client.Topology`. Methods that do not wait, such as `predict`, are synchronous."""
 
     @classmethod
     @contextlib.asynccontextmanager
     async def connect(
         cls, site: str | None = None, connect: str | Sequence[str] = (), config: Settings = None
     ) -> AsyncIterator[Topology]:
-        """``async with`` it; arguments and errors as in `camtopod.client.Topology.connect`."""
+        """Connect for the duration of an ``async with`` block.
+
+        Arguments and errors are those of `camtopod.client.Topology.connect`.
+        """
         given_up = threading.Event()
 
         def open_here() -> Topology:
@@ -45,11 +47,13 @@ class Topology(View):
                 raise BusError("given up while connecting")
             return one
 
+        # Connecting blocks, so it runs in a thread.
         opening = asyncio.ensure_future(asyncio.to_thread(open_here))
         try:
             opened = await asyncio.shield(opening)
-        except asyncio.CancelledError:  # the thread goes on until it is open or has failed
-            given_up.set()  # should this wait be given up, too
+        except asyncio.CancelledError:
+            # The thread cannot be stopped: wait until it has connected or failed, then close.
+            given_up.set()  # the thread closes the connection itself if this wait is cancelled, too
             await asyncio.wait([opening])
             if not opening.cancelled() and opening.exception() is None:
                 await asyncio.to_thread(opening.result().close)
@@ -60,8 +64,9 @@ class Topology(View):
             await asyncio.to_thread(opened.close)
 
     async def wait_for(self, version: int, seconds: float) -> Version:
-        """The newest version as soon as it is at least ``version``. Raises TimeoutError after
-        ``seconds``, or when it is closed meanwhile.
+        """Return the newest version as soon as its number is at least ``version``.
+
+        Raises TimeoutError after ``seconds``, or if closed meanwhile.
         """
         found = await _awaited(self._news, lambda: self._at_least(version), seconds)
         if found is None:
@@ -69,8 +74,9 @@ class Topology(View):
         return found
 
     async def versions(self, seconds: float | None = None) -> AsyncIterator[Version]:
-        """The current version, if there is one, and each that comes after: as
-        `camtopod.client.Topology.versions`.
+        """Yield the current version, if there is one, and each later one.
+
+        See `camtopod.client.Topology.versions`.
         """
         last = None
         while (last := await _awaited(self._news, partial(self._newer, last), seconds)) is not None:
@@ -82,7 +88,10 @@ class Topology(View):
         seconds: float | None = None,
         waiting_max: int = WAITING_MAX,
     ) -> Predictions:
-        """The daemon's own predictions from now on: as `camtopod.client.Topology.predictions`."""
+        """Subscribe to the daemon's own predictions.
+
+        See `camtopod.client.Topology.predictions`.
+        """
         return self._opened(lambda bus: Predictions(bus, camera, seconds, waiting_max))
 
 
@@ -90,7 +99,7 @@ class Predictions(Inbox):
     """As `camtopod.client.Predictions`, for ``async for``; ``async with`` closes it."""
 
     async def get(self, seconds: float | None = None) -> Prediction | None:
-        """The next one; None when none has come for ``seconds``, or when it is closed."""
+        """Return the next prediction; None if none arrives within ``seconds``, or when closed."""
         return await _awaited(self._news, self._take, seconds)
 
     async def __aiter__(self) -> AsyncIterator[Prediction]:
@@ -105,11 +114,11 @@ class Predictions(Inbox):
 
 
 async def _awaited(news: News, found: Callable[[], T | None], seconds: float | None) -> T | None:
-    """As `News.wait_for`, in an event loop."""
+    """Do what `News.wait_for` does, in an event loop."""
     loop, came = asyncio.get_running_loop(), asyncio.Event()
 
     def tell() -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has been closed meanwhile
+        with contextlib.suppress(RuntimeError):  # raised if the loop has been closed meanwhile
             loop.call_soon_threadsafe(came.set)
 
     with news.heard_by(tell), contextlib.suppress(TimeoutError):

@@ -1,5 +1,6 @@
-"""What can go wrong beside the bus (`camtopod.serve.bus.session.BusError`), and finding the place
-that a name means.
+"""Exceptions of the client and look-up of cameras and zones by name.
+
+Failures of the bus raise `camtopod.serve.bus.session.BusError`.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ import difflib
 from camtopod.records import Topology
 
 NAMED_MAX = 20
-"""So many of the cameras or zones that there are, the most alike, are named."""
+"""Number of existing cameras or zones that an error message lists; the most similar are chosen."""
 
 
 class NothingLearned(LookupError):
-    """There is no version of the topology yet."""
+    """No version of the topology has been received yet."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -22,23 +23,25 @@ class NothingLearned(LookupError):
 
 
 class UnknownPlace(KeyError):
-    """A camera or zone that this version of the topology does not have; ``str()`` says which there
-    are.
+    """A camera or zone that this version of the topology does not have.
+
+    ``str()`` lists existing names, the most similar first.
     """
 
     def __init__(self, what: str, name: str, version: int, known: list[str]) -> None:
         alike = difflib.get_close_matches(name, known, NAMED_MAX, cutoff=0.0)
         more = f" and {len(known) - len(alike)} more" if len(known) > len(alike) else ""
         super().__init__(
-            f"version {version} has no {what} {name!r}; there are {', '.join(alike) or 'none'}{more}"
+            f"version {version} has no {what} {name!r}; "
+            f"there are {', '.join(alike) or 'none'}{more}"
         )
 
     def __str__(self) -> str:
-        return str(self.args[0])  # a KeyError's own would be in quotation marks
+        return str(self.args[0])  # KeyError itself adds quotation marks
 
 
 def zones_of(topology: Topology, camera: str) -> list[int]:
-    """Zones (indices) of a camera. Raises `UnknownPlace` for one without."""
+    """Return the zones (indices) of a camera. Raises `UnknownPlace` for a camera without zones."""
     found = [k for k, zone in enumerate(topology.zones) if zone.camera == camera]
     if not found:
         known = list(dict.fromkeys(zone.camera for zone in topology.zones))
@@ -47,8 +50,9 @@ def zones_of(topology: Topology, camera: str) -> list[int]:
 
 
 def zone_at(topology: Topology, zone: str, camera: str | None = None) -> int:
-    """Index of a zone, which has to be one of ``camera`` if that is given. Raises
-    `UnknownPlace`.
+    """Return the index of a zone; with ``camera``, only zones of that camera are searched.
+
+    Raises `UnknownPlace`.
     """
     among = range(len(topology.zones)) if camera is None else zones_of(topology, camera)
     for k in among:

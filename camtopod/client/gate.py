@@ -1,19 +1,18 @@
-"""What the learned topology says about who is who across cameras: the prior of a tracker's
-association.
+"""Association priors for multi-camera tracking, from the learned topology.
 
-An object that leaves a zone appears next somewhere, some time, or is not seen again: one of these,
-with the odds and transit times that prediction uses (`camtopod.predict.predictor`; the thesis has
-the times in 4.5, and a Markov chain over cameras for the odds in 4.6). An object that appears has
-left some zone before, or comes from outside, which happens at a steady rate. All as logarithms, so
-that they add up with those of other evidence:
+An object that leaves a zone appears next at some zone after some lag, or is not seen again, with
+the odds and transit times that prediction uses (`camtopod.predict.predictor`; transit times: thesis
+4.5; odds as a Markov chain over cameras: thesis 4.6). An object that appears has left another zone
+before, or comes from outside, at a constant rate. All values are logarithms, so they add to those
+of other evidence:
 
-    gate(...)      ln of 1/s   who left here then appears next there then
-    gate_new(...)  ln of 1/s   somebody from outside appears there then
-    gate_gone(...) ln of 1     who left here then is not to be seen (yet)
+    gate(...)      ln of 1/s   an object that left there appears next here at this time
+    gate_new(...)  ln of 1/s   an object from outside appears here
+    gate_gone(...) ln of 1     an object that left there is not seen again, or not yet
 
-``gate - gate_new - gate_gone`` is the log odds of an exit and an entry being one object's against
-their being two objects'; `Gate.affinity` has them for many. The matching with the largest sum is
-the likeliest of all matchings.
+``gate - gate_new - gate_gone`` is the log odds that an exit and an entry belong to one object
+rather than to two. `Gate.affinity` computes it for many. The matching with the largest sum is the
+most likely of all matchings.
 """
 
 from __future__ import annotations
@@ -32,45 +31,47 @@ from camtopod.records import Event, Kind, Topology
 from camtopod.topology import block_of
 
 OUTSIDE_SHARE_MIN = 0.05
-"""Zones with a smaller share of entries from outside do not tell how long was learned from."""
+"""Smallest share of entries from outside at which a zone contributes to the estimated duration.
+
+The duration is that of the window that the version was learned from.
+"""
 
 
 class _Onward(NamedTuple):
-    """Where who left a zone appears next; all of it sums to 1."""
+    """Where an object that left a zone appears next; all probabilities sum to 1."""
 
     targets: list[int]
+    """Zones (indices) where it may appear."""
     chance: Floats
     """(targets, bins) probability of appearing there in each lag bin."""
     delay: Floats
-    """(targets,) seconds to add to the lags of the bins, for long ways."""
+    """(targets,) seconds to add to the lags of the bins, for long paths."""
     gone: float
     """Probability of not being seen again."""
     began: _Began | None = None
-    """How the passage that ended began, where it is known, ..."""
+    """How the passage that ended with the exit began; None if unknown."""
     early: NDArray[np.float64] | None = None
-    """... and (targets,) by how much what the entry foretells of before the exit counts beside the
-    rest.
-    """
+    """(targets,) factor of the rates before the exit that follow from the entry, if known."""
 
 
 class _Began(NamedTuple):
-    """How a passage began: the zone of entry, and how many seconds before its exit."""
+    """How a passage began: zone of entry and dwell time (seconds)."""
 
     zone: int
     stay: float
 
 
 class Gate:
-    """The log-priors of one version of the topology. Does not change; any thread may ask.
+    """Association log-priors of one version of the topology. Immutable and thread-safe.
 
-    Times are seconds since the epoch by the clock of the camera where they were taken, as in
-    events; what the version knows of the clocks is taken into account. While little has been
-    learned the odds are too sure, as predictions are. Without a daemon: ``Gate(topology)`` of a
-    topology read from a file.
+    Times are seconds since the epoch by the clock of the camera that reports the event; the
+    version's clock offsets are applied. While little has been learned the odds are overconfident,
+    as predictions are. To use a topology read from a file, without a daemon, call
+    ``Gate(topology)``.
     """
 
     def __init__(self, topology: Topology, predictor: Predictor | None = None) -> None:
-        """``predictor``: one over the same topology, where there is one already."""
+        """Prepare the tables; ``predictor`` is one over the same topology, if there is one."""
         self.topology = topology
         self._predictor = predictor or Predictor(topology)
         self._hazards = Hazards(topology)
@@ -86,45 +87,55 @@ class Gate:
         t_entry: float,
         to_zone: str | None = None,
     ) -> float:
-        """ln of the density, in 1/s of ``t_entry``, with which an object that left ``from_zone`` at
-        ``t_exit`` appears next at ``to_camera`` at ``t_entry``; at ``to_zone`` of it, if given.
+        """Return ln of the density (1/s) of a transition that ends at a camera at ``t_entry``.
 
-        Over all times the density sums to the probability of appearing there next; over all
-        cameras, too, to 1 less that of not being seen again. It is a step function: constant within
-        a bin of some percent of the lag. Where views overlap, ``t_entry`` may be before ``t_exit``.
-        -inf where no way has been learned that takes this long: for the topology, not for ever.
-        Raises ValueError for times that are not finite numbers.
+        The object left ``from_zone`` at ``t_exit`` and appears next at ``to_camera``, or only at
+        its zone ``to_zone`` if given.
 
-        ``from_zone`` is a zone's id (``lobby/1``). Raises `UnknownPlace`, a KeyError, for a zone or
-        camera that this version does not have: zones come and go with versions, so of events better
-        take `affinity`, which finds them by their positions.
+        from_zone, to_zone: ids of zones (``lobby/1``).
+        t_exit, t_entry: seconds since the epoch, each by its own camera's clock. Where views
+            overlap, ``t_entry`` may be before ``t_exit``.
+
+        Integrated over ``t_entry`` the density is the probability of appearing there next; summed
+        over all cameras, too, it is 1 minus the probability of not being seen again. It is a step
+        function, constant within a bin of some percent of the lag. It is -inf where this version of
+        the topology has no link with this lag.
+
+        Raises ValueError for times that are not finite; `UnknownPlace` (a KeyError) for a zone or
+        camera that this version does not have. Zones come and go with versions: for events prefer
+        `affinity`, which finds zones by position.
         """
         source = zone_at(self.topology, from_zone)
         to = self._zones(to_camera, to_zone)
         onward = self._onward(source)
+
+        # Lag between the corrected times.
         lag = (t_entry - self._ahead[to_camera]) - (
             t_exit - self._ahead[self.topology.zones[source].camera]
         )
         if not math.isfinite(lag):
             raise ValueError(f"t_exit {t_exit} and t_entry {t_entry}: finite numbers of seconds")
+
+        # Sum over the zones of the camera.
         zones = np.array(to, np.intp)
         return float(
             np.logaddexp.reduce(self._log_density(onward, zones, np.full(len(zones), lag)))
         )
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
-        """ln of the rate, in 1/s, at which objects from outside appear at a camera, or at a zone of
-        it: those that have not left another zone before, false ones among them. Raises
-        `UnknownPlace`, a KeyError.
+        """Return ln of the rate (1/s) at which objects from outside appear at a camera or zone.
 
-        One figure for all times: the mean over the window that was learned from.
+        Objects from outside have not left another zone before; false detections count among them.
+        The rate is constant in time: the mean over the window that was learned from. Raises
+        `UnknownPlace` (a KeyError).
         """
         return math.log(self._new[self._zones(to_camera, to_zone)].sum())
 
     def gate_gone(self, from_zone: str, seconds: float = math.inf) -> float:
-        """ln of the probability that who left ``from_zone`` has not appeared anywhere ``seconds``
-        later; without ``seconds``, that they are not seen again. Raises `UnknownPlace`, a KeyError;
-        ValueError for what is no number.
+        """Return ln of the probability that an object is unseen ``seconds`` after leaving a zone.
+
+        By default: that it is not seen again. Raises `UnknownPlace` (a KeyError); ValueError if
+        ``seconds`` is NaN.
         """
         if math.isnan(seconds):
             raise ValueError("seconds is not a number")
@@ -133,29 +144,34 @@ class Gate:
     def affinity(
         self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None
     ) -> Floats:
-        """Log odds (exits, entries), in nats, of each exit and entry being one object's against
-        their being two objects'. Add the log likelihood ratios of your other evidence, appearance
-        say, and match by
+        """Return the log odds (exits, entries), in nats, that exit and entry belong to one object.
+
+        The alternative is that they belong to two objects. Add the log likelihood ratios of other
+        evidence, such as appearance, and match by
 
             rows, columns = scipy.optimize.linear_sum_assignment(np.maximum(odds, 0), maximize=True)
 
-        of which those with odds above 0 are pairs: that is the likeliest matching as a whole.
+        Keep the pairs with odds above 0: this is the most likely matching as a whole.
 
-        ``exits`` and ``entries`` are events as `TrackEvents` makes them, of all cameras in any
-        order; zones are found by their positions. Where the entry of the passage that an exit ends
-        is among the entries (the same camera and track), more is known: where it came from, and,
-        where views overlap, how long after that entry it appears in other views. So give the
-        entries of open tracks, too. ``now``: the time, seconds, up to which entries are known, so
-        that who may still be under way is not taken for gone; the newest of the given times where
-        it is not said. -inf: no way has been learned that takes this long; take ``np.maximum(odds,
-        -20)`` where other evidence shall be able to overrule that. 0, so neither for nor against,
-        where this version does not know a camera. Raises ValueError for an entry among the exits or
-        an exit among the entries, or a time that is not a number.
+        exits, entries: events as `TrackEvents` makes them, of all cameras, in any order. Zones are
+            found by position. Include the entries of open tracks: if the entry of an exit's passage
+            (same camera and track) is among the entries, the zone of entry and, where views
+            overlap, the time since that entry improve the odds.
+        now: corrected time (seconds) up to which entries are complete, so that objects still under
+            way do not count as gone. Default: the newest of the given times.
+
+        -inf means that no link has this lag; use ``np.maximum(odds, -20)`` if other evidence may
+        overrule that. 0 means no information: this version does not know a camera.
+
+        Raises ValueError for an entry among the exits, an exit among the entries, or an invalid
+        time.
         """
         if now is not None and math.isnan(now):
             raise ValueError("now is not a number")
         _check(exits, "exit")
         _check(entries, "entry")
+
+        # Zones and corrected times of the events.
         odds = np.zeros((len(exits), len(entries)))
         zones = [self._predictor.zone_of(entry) for entry in entries]
         known = np.array([k for k, zone in enumerate(zones) if zone is not None], np.intp)
@@ -165,6 +181,8 @@ class Gate:
         came = np.array([self._right(entries[k]) for k in known])
         left = [self._right(event) if event.camera in self._ahead else -math.inf for event in exits]
         until = max([*left, *came.tolist()]) if now is None else now
+
+        # Row of each exit: the transition against leaving the site and an arrival from outside.
         new = np.log(self._new)[to]
         began = self._passages(exits, entries)
         for row, event in enumerate(exits):
@@ -176,13 +194,13 @@ class Gate:
         return odds
 
     def _passages(self, exits: Sequence[Event], entries: Sequence[Event]) -> list[_Began | None]:
-        """How the passage began that each of the ``exits`` ends, where its entry is among the
-        ``entries``.
-        """
+        """Return how the passage of each exit began; None if its entry is not among ``entries``."""
         by_track: dict[tuple[str, str], list[Event]] = {}
         for entry in entries:
             if entry.track is not None:
                 by_track.setdefault((entry.camera, str(entry.track)), []).append(entry)
+
+        # The latest entry of the same track before the exit is the passage's.
         began: list[_Began | None] = []
         for event in exits:
             own = [
@@ -198,29 +216,32 @@ class Gate:
         return began
 
     def _rates_from_outside(self) -> Floats:
-        """(zones,) per second, such that as many are expected to have come as to have left before.
+        """Return the rate (zones,) of objects from outside, per second.
 
-        The version has the rate of arrivals that no exit explains at all. Those that may as well
-        have come by chance (`Outcome.doubt`) are gone, for their exits; so for their entries they
-        are from outside.
+        The version has the rate of arrivals that no departure explains at all. Spurious transitions
+        (`Outcome.doubt`) count as "left the site" for their exits, so their entries count as from
+        outside. The result makes the expected arrivals equal to the entries.
         """
         rate = np.array(self._hazards.arrival_rate)
         entries = np.array([float(zone.entries) for zone in self.topology.zones])
+
+        # Arrivals explained by departures, with and without spurious transitions.
         explained, surely = np.zeros(len(rate)), np.zeros(len(rate))
         for zone, outcomes in self._hazards.outcomes.items():
             departures = self._hazards.departures[zone]
             explained[outcomes.targets] += departures * outcomes.share
             surely[outcomes.targets] += departures * self._onward(zone).chance.sum(axis=1)
+
+        # Duration of the window learned from, by zones with enough entries from outside.
         some = entries - explained > OUTSIDE_SHARE_MIN * entries
         if not some.any():
             return rate
-        span = np.median(
-            (entries - explained)[some] / rate[some]
-        )  # seconds, of what was learned from
+        span = np.median((entries - explained)[some] / rate[some])  # seconds
         balanced: Floats = np.maximum(rate, (entries - surely) / span)
         return balanced
 
     def _zones(self, camera: str, zone: str | None) -> list[int]:
+        """Return the zones (indices) of a camera, or the one zone given."""
         return (
             zones_of(self.topology, camera)
             if zone is None
@@ -228,16 +249,19 @@ class Gate:
         )
 
     def _right(self, event: Event) -> float:
-        """The event's time by right clocks."""
+        """Return the corrected time of an event."""
         return event.t - self._ahead[event.camera]
 
     def _onward(self, zone: int, block: int | None = None, began: _Began | None = None) -> _Onward:
-        """As the predictor has it for an exit of which only the place and the passage are known,
-        before anything has been seen since.
+        """Return what is expected right after an exit of which only zone and passage are known.
+
+        Equals the predictor's answer before anything has been seen since the exit.
         """
         outcomes, bins = self._hazards.outcomes.get(zone), self._hazards.bins
         if outcomes is None:
             return _Onward([], np.zeros((0, bins.size)), np.zeros(0), 1.0)
+
+        # Hazards and exposure, with and without a known entry.
         entry = None if began is None else began.zone
         likelier, leave = self._surroundings.multipliers(zone, outcomes, block, entry, None, 0.0)
         exposure = outcomes.exposure if began is None else self._hazards.exposed(began.stay)
@@ -249,6 +273,8 @@ class Gate:
             if began is None
             else self._expected_early(outcomes.targets, began) * likelier
         )
+
+        # Spurious mass counts as "left the site".
         sure = 1.0 - outcomes.doubt
         every = odds.sum(axis=1) + early
         leave += float(outcomes.doubt @ every)
@@ -260,7 +286,7 @@ class Gate:
         return _Onward(outcomes.targets, chance, outcomes.delay, leave / total, began, early_share)
 
     def _expected_early(self, targets: list[int], began: _Began) -> Floats:
-        """Appearances (targets,) that are expected before the exit by the entry alone."""
+        """Return the arrivals (targets,) expected before the exit, given the entry alone."""
         bins = self._hazards.bins
         seconds = np.clip(began.stay - bins.edges[:-1], 0.0, bins.widths) * (bins.centres > 0)
         some = np.flatnonzero(seconds)
@@ -274,13 +300,14 @@ class Gate:
         return np.array(expected)
 
     def _gone(self, onward: _Onward, seconds: float) -> float:
-        """Probability of not having been seen ``seconds`` after the exit."""
+        """Return the probability of not having been seen ``seconds`` after the exit."""
         bins = self._hazards.bins
         still = bins.edges[1:] + onward.delay[:, None] - seconds
         return onward.gone + float((onward.chance * np.clip(still / bins.widths, 0.0, 1.0)).sum())
 
     def _log_density(self, onward: _Onward, zones: NDArray[np.intp], lag: Floats) -> Floats:
-        """ln of 1/s of appearing at zones (m,) with lags (m,) in seconds."""
+        """Return ln of the density (1/s) of appearing at zones (m,) with lags (m,) in seconds."""
+        # Density by lag bin.
         row_of = np.full(len(self.topology.zones), -1)
         row_of[onward.targets] = np.arange(len(onward.targets))
         row = row_of[zones]
@@ -288,6 +315,8 @@ class Gate:
         some = np.flatnonzero((row >= 0) & (at >= 0))
         density = np.zeros(len(zones))
         density[some] = onward.chance[row[some], at[some]] / self._hazards.bins.widths[at[some]]
+
+        # Before the exit, the rates that follow from the entry are added.
         if onward.began is not None and onward.early is not None:
             before = some[lag[some] <= 0]
             entered = self._hazards.rates_entered(

@@ -1,4 +1,4 @@
-"""The daemon's predictions that have come and wait to be read."""
+"""Bounded queue of predictions received from the daemon and not yet read."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from camtopod.records import CAMERA_PATTERN, Prediction
 from camtopod.serve.bus import Bus
 
 WAITING_MAX = 1000
-"""Predictions that wait; of more the oldest are dropped, and counted."""
+"""Predictions that may wait to be read; beyond it the oldest are dropped and counted."""
 
 
 class Inbox:
-    """Subscribed until closed: what `Predictions` and its asyncio twin have in common."""
+    """Subscription to predictions until closed: common part of both `Predictions` classes."""
 
     def __init__(
         self, bus: Bus, camera: str | None, seconds: float | None, waiting_max: int
@@ -28,18 +28,18 @@ class Inbox:
         self._waiting: deque[Prediction] = deque(maxlen=waiting_max)
         self._news = News()
         self.dropped = 0
-        """Predictions that did not find room because nobody read for too long."""
+        """Predictions dropped because the queue was full."""
         self.unreadable = 0
-        """Messages that were no predictions."""
+        """Messages that could not be decoded as predictions."""
         self._unsubscribe = bus.subscribe(f"prediction/{camera or '*'}", self._on_prediction)
 
     @property
     def closed(self) -> bool:
-        """Whether there will be no more."""
+        """True once no further predictions will arrive."""
         return self._news.closed
 
     def close(self) -> None:
-        """Unsubscribe; whoever waits is let go. May be called twice."""
+        """Unsubscribe and release all waiters. May be called repeatedly."""
         if not self.closed:
             self._news.close()
             self._unsubscribe()

@@ -1,4 +1,4 @@
-"""A site's topology, live, for a program that waits: `Topology.connect`."""
+"""Live topology of a site for programs that use threads: `Topology.connect`."""
 
 from __future__ import annotations
 
@@ -12,38 +12,42 @@ from camtopod.records import Topology as Version
 
 
 class Topology(View):
-    """What a site's daemon has learned, up to date while it is open.
+    """Live view of the topology that a site's daemon has learned.
 
         with Topology.connect("hq") as site:
             for version in site.versions():
                 print(version.version, len(version.links))
 
-    Its methods may be called from any thread.
+    All methods may be called from any thread.
     """
 
     @classmethod
     def connect(
         cls, site: str | None = None, connect: str | Sequence[str] = (), config: Settings = None
     ) -> Topology:
-        """Join the bus of a site; returns when its topology is there, or it is sure that there is
-        none yet.
+        """Join the bus of a site and wait for its topology.
 
-        ``site``: its name, ``site`` where neither this nor the configuration says it. ``connect``:
-        an endpoint or several (``tcp/192.168.1.5:7447``); else those of the configuration, else
-        this machine. ``config``: a configuration's file or a `camtopod.config.settings.Config`, for
-        what else there is to say: `[bus.tls]` with the certificate that `camtopod keys reader`
-        makes, or `connect_seconds`.
+        Returns when the topology has been received, or when it is certain that there is none yet. A
+        missing daemon behind a router and an empty topology are not errors: see `stale_since` and
+        `current`.
 
-        Raises `BusError`, an OSError, where nobody can be reached;
-        `camtopod.config.settings.ConfigError`, OSError for a file that cannot be read; ValueError
-        for a site or endpoint that is none. That there is no daemon behind a router, or nothing
-        learned, is no error: see `stale_since` and `current`.
+        site: name of the site; without it the configuration's, else ``site``.
+        connect: one or several endpoints (``tcp/192.168.1.5:7447``); without it those of the
+            configuration, else this machine.
+        config: configuration file or `camtopod.config.settings.Config` for all other settings, such
+            as `[bus.tls]` with the certificate that `camtopod keys reader` makes, or
+            `connect_seconds`.
+
+        Raises `BusError` (an OSError) if no endpoint can be reached;
+        `camtopod.config.settings.ConfigError` or OSError if the file cannot be read; ValueError for
+        an invalid site or endpoint.
         """
         return cls(site, connect, config)
 
     def wait_for(self, version: int, seconds: float) -> Version:
-        """The newest version as soon as it is at least ``version``. Raises TimeoutError after
-        ``seconds``, or when it is closed meanwhile.
+        """Return the newest version as soon as its number is at least ``version``.
+
+        Raises TimeoutError after ``seconds``, or if closed meanwhile.
         """
         found = self._news.wait_for(lambda: self._at_least(version), seconds)
         if found is None:
@@ -51,8 +55,10 @@ class Topology(View):
         return found
 
     def versions(self, seconds: float | None = None) -> Iterator[Version]:
-        """The current version, if there is one, and each that comes after, until closed or none has
-        come for ``seconds``. Who is slow gets the newest, and not those in between.
+        """Yield the current version, if there is one, and each later one.
+
+        Ends when closed, or when no version has arrived for ``seconds``. A slow reader gets the
+        newest version and skips those in between.
         """
         last = None
         while (last := self._news.wait_for(partial(self._newer, last), seconds)) is not None:
@@ -64,12 +70,16 @@ class Topology(View):
         seconds: float | None = None,
         waiting_max: int = WAITING_MAX,
     ) -> Predictions:
-        """The daemon's own predictions from now on (it takes a moment until the daemon knows), one
-        for each exit at ``camera``, or anywhere; see `Predictions`. They use all that the daemon
-        hears: more than `predict` knows.
+        """Subscribe to the daemon's own predictions, one for each exit at ``camera`` or anywhere.
 
-        At most ``waiting_max`` wait to be read. Raises ValueError for a camera that cannot be one
-        or a ``waiting_max`` below 1; `BusError` when it has been closed.
+        The daemon uses all events it receives, so its predictions know more than `predict` does. It
+        takes a moment until the subscription reaches the daemon.
+
+        seconds: iteration ends when no prediction has arrived for this long (default: never).
+        waiting_max: predictions that may wait to be read; beyond it the oldest are dropped.
+
+        Raises ValueError for an invalid camera id or a ``waiting_max`` below 1; `BusError` if
+        closed.
         """
         return self._opened(lambda bus: Predictions(bus, camera, seconds, waiting_max))
 
@@ -81,18 +91,18 @@ class Topology(View):
 
 
 class Predictions(Inbox):
-    """The daemon's predictions in the order they come. Iterate over it: it ends when it or the
-    topology is closed, or when none has come for ``seconds``, if that was given.
+    """The daemon's predictions in order of arrival.
 
         with site.predictions("lobby") as predictions:
             for prediction in predictions:
                 print(prediction.next_[:1])
 
-    `dropped` says how many were lost to a reader that was too slow.
+    Iteration ends when this object or the topology is closed, or when no prediction has arrived for
+    ``seconds``, if given. `dropped` counts the predictions lost because the reader was too slow.
     """
 
     def get(self, seconds: float | None = None) -> Prediction | None:
-        """The next one; None when none has come for ``seconds``, or when it is closed."""
+        """Return the next prediction; None if none arrives within ``seconds``, or when closed."""
         return self._news.wait_for(self._take, seconds)
 
     def __iter__(self) -> Iterator[Prediction]:

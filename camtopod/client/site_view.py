@@ -1,9 +1,8 @@
-"""What a program holds of a site: the newest version of its topology, and what can be said by it at
-once.
+"""The newest version of a site's topology and the queries it answers without waiting.
 
-A thread keeps it up to date: `camtopod.serve.bus.topology_subscriber.TopologyView` applies each
-delta to the version before it, checks that the digest comes out, and fetches the whole where a
-version is missing or the daemon has begun anew.
+A thread keeps the version up to date: `camtopod.serve.bus.topology_subscriber.TopologyView` applies
+each delta to the version before it, verifies the digest, and fetches the whole topology if a
+version is missing or the daemon has started a new epoch.
 """
 
 from __future__ import annotations
@@ -37,9 +36,9 @@ from camtopod.serve.runtime import clock
 log = logging.getLogger(__name__)
 
 LOOK_SECONDS = 0.5
-"""How often the bus is looked at without being told of anything."""
+"""Longest interval between two checks of the bus, even without a notification."""
 Settings = configs.Config | str | Path | None
-"""A configuration, or the file it is in."""
+"""A configuration, or the file that holds one."""
 InboxT = TypeVar("InboxT", bound=Inbox)
 
 
@@ -50,20 +49,21 @@ class _Held(NamedTuple):
 
 
 class View:
-    """A site as it is known now; `camtopod.client.Topology` and `camtopod.client.aio` add what
-    waits for something.
+    """Current state of a site: common part of both `Topology` classes.
+
+    `camtopod.client.Topology` and `camtopod.client.aio.Topology` add the methods that wait.
     """
 
     def __init__(
         self, site: str | None = None, connect: str | Sequence[str] = (), config: Settings = None
     ) -> None:
-        """See `camtopod.client.Topology.connect`."""
+        """Connect; arguments are those of `camtopod.client.Topology.connect`."""
         settings = _settings(site, connect, config)
         self._bus = dial(settings)
         self._news = News()
-        self._mutex = threading.Lock()  # a predictor is asked by one thread at a time
+        self._mutex = threading.Lock()  # predictors are not thread-safe
         self._held: _Held | None = None
-        self._opening = threading.Lock()  # nothing is opened once it closes
+        self._opening = threading.Lock()  # no subscription is opened once closing has begun
         self._inboxes: list[Inbox] = []
         self._daemons: set[str] = set()
         self._stale_since: float | None = clock.wall()
@@ -71,40 +71,42 @@ class View:
         self._thread = threading.Thread(
             target=self._follow, name=f"topology of {self.site}", daemon=True
         )
-        with contextlib.ExitStack() as undo:  # a program with an open session does not end
+
+        # Close the session on failure: a program with an open session does not terminate.
+        with contextlib.ExitStack() as undo:
             undo.callback(self._bus.close)
             self._view = TopologyView(self._bus)
             self._bus.subscribe("topology/delta", lambda key, payload: self._wake.set())
             self._bus.watch_alive("daemon", self._on_daemon)
-            self._wake.wait(settings.bus.query_seconds)  # a daemon that is there says so at once
+            self._wake.wait(settings.bus.query_seconds)  # a running daemon is announced at once
             self._refresh()
             self._thread.start()
             undo.pop_all()
 
     @property
     def site(self) -> str:
-        """The site's name."""
+        """Name of the site."""
         return self._bus.site
 
     @property
     def current(self) -> Version | None:
-        """The newest version known; None where nothing has been learned yet, or the daemon has not
-        been there.
+        """The newest version known.
+
+        None if nothing has been learned yet, or if the daemon has never been reached.
         """
         return None if self._held is None else self._held.version
 
     @property
     def version(self) -> int:
-        """The number of `current`, 0 for none. It goes up by one within an epoch
-        (``current.epoch``).
-        """
+        """Number of `current`, 0 for none; grows by one within an epoch (``current.epoch``)."""
         return 0 if self._held is None else self._held.version.version
 
     @property
     def stale_since(self) -> float | None:
-        """None while the daemon is there; else since when it is not, seconds since the epoch. What
-        is held stays usable. A daemon that ends or is killed is noticed at once, one that hangs or
-        is cut off in ten seconds.
+        """Time since when the daemon is unreachable, seconds since the epoch; None while reachable.
+
+        The version held stays usable. A daemon that ends or is killed is noticed at once; one that
+        hangs or loses its connection, within ten seconds.
         """
         return self._stale_since
 
@@ -119,26 +121,34 @@ class View:
         track: str | None = None,
         now: float | None = None,
     ) -> Prediction:
-        """Where an object that left ``camera`` at ``t`` appears next, by the version held: no
-        question to the daemon, about a tenth of a millisecond.
+        """Predict where an object that left ``camera`` at ``t`` appears next.
 
-        ``t``: seconds since the epoch by the camera's clock. ``x``, ``y``: where it left, fractions
-        of the image; or ``zone``, a zone's id; or neither, at a camera without positions.
-        ``track``: its track there; where the track's entry was told by `observe`, what that says is
-        used, unless the zone is given. Times in the answer are seconds after ``t``. Where views
-        overlap an object may have appeared already: without its entry there having been told, it is
-        taken not to have.
+        The version held answers, without a query to the daemon, in about a tenth of a millisecond.
+        Times in the answer are seconds after ``t``.
 
-        ``now``: to ask again later, by the same camera's clock. What would have shown by then and
-        has not shifts the odds to the rest and to ``leave``; an entry told by `observe` since may
-        have been the object's, and a window before ``now`` says so. Without `observe` nothing has
-        appeared; the newest 2,000 entries count. Whether the exit has been told by then makes no
-        difference.
+        t: seconds since the epoch by the camera's clock.
+        x, y: where the object left (fractions of the image); omit them at a camera without
+            positions.
+        zone: id of the zone where it left, instead of ``x`` and ``y``.
+        track: its track in that view. If the track's entry was passed to `observe`, the passage is
+            taken into account, unless ``zone`` is given.
+        now: time of the query, if later than the exit, by the same camera's clock.
 
-        Raises `NothingLearned`; `UnknownPlace`, a KeyError, for a camera or zone this version does
-        not have; ValueError for what is no event, a zone with a position beside it or a ``now``
-        before ``t``.
+        With ``now``, arrivals that would have been seen by then and were not shift the odds to the
+        remaining ones and to ``leave``. An entry passed to `observe` since the exit may have been
+        the object's: a window before ``now`` expresses that. The newest 2,000 entries count;
+        without `observe` nothing is taken to have appeared. The answer does not depend on whether
+        the exit itself has been observed by then.
+
+        Where views overlap the object may already be visible elsewhere; this is considered only if
+        its entry there was passed to `observe`.
+
+        Raises `NothingLearned`; `UnknownPlace` (a KeyError) for a camera or zone that this version
+        does not have; ValueError for an invalid event, for a zone together with a position, or for
+        ``now`` before ``t``.
         """
+
+        # Validate the exit as if it had been received.
         asked = {"camera": camera, "kind": "exit", "t": t, "x": x, "y": y, "track": track}
         event = codec.event_from_pack(
             codec.to_pack(
@@ -147,6 +157,8 @@ class View:
         )
         if zone is not None and x is not None:
             raise ValueError("give a zone or a position, not both")
+
+        # Query the predictor by zone or by position.
         with self._mutex:
             version, predictor, _ = self._now()
             if zone is not None:
@@ -157,12 +169,11 @@ class View:
             return predictor.predict(event, now)
 
     def observe(self, event: Event) -> None:
-        """Take note of an event for predictions to come; an exit after it has been predicted for
-        the first time.
+        """Record an event for later predictions; an exit only after it was first predicted.
 
-        Events of all cameras of the site, or of those that the program sees, by time as far as that
-        is possible. The newest 2,000 of each kind count. Those told before there is a version do
-        not.
+        Pass events of all cameras, or of those that the program sees, in order of time as far as
+        possible. The newest 2,000 of each kind count. Events passed before the first version are
+        ignored.
         """
         with self._mutex:
             if self._held is not None:
@@ -176,35 +187,41 @@ class View:
         t_entry: float,
         to_zone: str | None = None,
     ) -> float:
-        """ln of the density, in 1/s, with which who left ``from_zone`` at ``t_exit`` appears next
-        at ``to_camera`` at ``t_entry``: see `Gate.gate`. Raises `NothingLearned`, `UnknownPlace` (a
-        KeyError).
+        """Return ln of the density (1/s) of a transition from ``from_zone``, left at ``t_exit``.
+
+        The transition ends at ``to_camera`` (or its zone ``to_zone``) at ``t_entry``: see
+        `Gate.gate`. Raises `NothingLearned`, `UnknownPlace` (a KeyError).
         """
         return self._now().gate.gate(from_zone, t_exit, to_camera, t_entry, to_zone)
 
     def gate_new(self, to_camera: str, to_zone: str | None = None) -> float:
-        """ln of the rate, in 1/s, of objects from outside: see `Gate.gate_new`. Raises the same."""
+        """Return ln of the rate (1/s) of objects from outside: see `Gate.gate_new`.
+
+        Raises `NothingLearned`, `UnknownPlace` (a KeyError).
+        """
         return self._now().gate.gate_new(to_camera, to_zone)
 
     def gate_gone(self, from_zone: str, seconds: float = math.inf) -> float:
-        """ln of the probability of not having been seen ``seconds`` after the exit: see
-        `Gate.gate_gone`. Raises the same.
+        """Return ln of the probability that an object is unseen ``seconds`` after its exit.
+
+        See `Gate.gate_gone`. Raises `NothingLearned`, `UnknownPlace` (a KeyError).
         """
         return self._now().gate.gate_gone(from_zone, seconds)
 
     def affinity(
         self, exits: Sequence[Event], entries: Sequence[Event], now: float | None = None
     ) -> NDArray[np.float64]:
-        """Log odds (exits, entries) of being one object's events, in nats: see `Gate.affinity`.
-        Raises `NothingLearned`, ValueError.
+        """Return the log odds (exits, entries), in nats, that events belong to one object.
+
+        See `Gate.affinity`. Raises `NothingLearned`, ValueError.
         """
         return self._now().gate.affinity(exits, entries, now)
 
     def close(self) -> None:
-        """Leave the bus; whoever waits is let go. May be called twice. What is held stays usable.
+        """Leave the bus and release all waiters. May be called repeatedly.
 
-        To be called before the program ends (or use ``with``): one with an open session does not
-        end.
+        The version held stays usable. Call this before the program ends (or use ``with``): a
+        program with an open session does not terminate.
         """
         with self._opening:
             if self._closing.is_set():
@@ -218,7 +235,7 @@ class View:
         self._bus.close()
 
     def _opened(self, opened: Callable[[Bus], InboxT]) -> InboxT:
-        """Open it, and close it with the rest. Raises `BusError` where these are closed already."""
+        """Open a subscription that `close` closes. Raises `BusError` if this is closed already."""
         with self._opening:
             if self._closing.is_set():
                 raise BusError(f"the topology of site {self.site} has been closed: connect again")
@@ -242,7 +259,10 @@ class View:
             if self.stale_since is None
             else "no daemon is there: is `camtopod run` running?"
         )
-        return f"no version {version} of site {self.site} within {seconds:g} s, the newest is {self.version}; {there}"
+        return (
+            f"no version {version} of site {self.site} within {seconds:g} s, "
+            f"the newest is {self.version}; {there}"
+        )
 
     def _newer(self, than: Version | None) -> Version | None:
         return None if self.current is than else self.current
@@ -279,18 +299,23 @@ class View:
 
 
 def _settings(site: str | None, connect: str | Sequence[str], config: Settings) -> configs.Config:
-    """The configuration with site and endpoints on top. Raises
-    `camtopod.config.settings.ConfigError`, OSError, ValueError.
+    """Return the configuration with site and endpoints applied.
+
+    Raises `camtopod.config.settings.ConfigError`, OSError, ValueError.
     """
     settings = config if isinstance(config, configs.Config) else configs.Config()
     if isinstance(config, str | Path):
         settings = configs.load(Path(config))
         for sentence in secret_files.exposed(settings.secrets(Path(config))):
             log.warning("%s", sentence)
+
+    # The site by argument takes precedence.
     if site is not None:
         if not re.match(CAMERA_PATTERN, site):
             raise ValueError(f"site {site!r}: 1 to 64 of the characters A-Z a-z 0-9 _ . -")
         settings = replace(settings, site=configs.SiteSettings(site))
+
+    # So do the endpoints, which must fit the transport security that is configured.
     endpoints = (connect,) if isinstance(connect, str) else tuple(connect)
     for endpoint in endpoints:
         if not is_endpoint(endpoint):
@@ -305,21 +330,24 @@ def _settings(site: str | None, connect: str | Sequence[str], config: Settings) 
 
 
 def _plain(value: Any) -> Any:
-    """A number as Python has it: trackers keep times and places in arrays."""
+    """Return a number as a Python type: trackers keep times and positions in NumPy arrays."""
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _with_all_alive(version: Version) -> Version:
-    """For a predictor that is told of some cameras only: it must not take the silence of the others
-    for their end.
+    """Return the version without its camera models.
+
+    The predictor may be given events of some cameras only and must not take the silence of the
+    others for a failure.
     """
     model = version.model
     return version if model is None else replace(version, model=replace(model, cameras=[]))
 
 
 def _leads(daemon: str) -> bool:
-    """Whether a daemon, by its name, is the one that publishes the topology: of shards
-    (``2of8-...``) the first.
+    """Return True if the daemon of this name publishes the topology; of shards, the first.
+
+    Shards are named ``2of8-...``.
     """
     number, of, _ = daemon.partition("of")
     return not (of and number.isdigit()) or number == "0"

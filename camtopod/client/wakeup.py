@@ -1,6 +1,4 @@
-"""How whoever waits hears that something has come: threads by a condition, an event loop by a
-call.
-"""
+"""Wake waiting threads (by a condition) and event loops (by a callback) when data arrives."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ T = TypeVar("T")
 
 
 class News:
-    """`tell` after each change; `wait_for` looks again at each."""
+    """Change notification: call `tell` after each change; waiters check their condition again."""
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
@@ -22,7 +20,7 @@ class News:
         """Whether there will be no more."""
 
     def tell(self) -> None:
-        """Something has come. Any thread."""
+        """Announce a change. Callable from any thread."""
         with self._condition:
             self._condition.notify_all()
             listeners = list(self._listeners)
@@ -30,13 +28,15 @@ class News:
             listener()
 
     def close(self) -> None:
-        """There will be no more: whoever waits is let go."""
+        """Announce that no more changes will come and release all waiters."""
         self.closed = True
+        """True once no further changes will be announced."""
         self.tell()
 
     def wait_for(self, found: Callable[[], T | None], seconds: float | None = None) -> T | None:
-        """What ``found()`` returns as soon as that is something; None when it is closed or after
-        ``seconds``.
+        """Call ``found()`` after each change and return its first result that is not None.
+
+        Returns None when closed or after ``seconds``.
         """
         value: T | None = None
 
@@ -53,8 +53,9 @@ class News:
 
     @contextlib.contextmanager
     def heard_by(self, listener: Callable[[], None]) -> Iterator[None]:
-        """Call ``listener``, which must not block, at each change while the block runs; from any
-        thread.
+        """Call ``listener`` at each change while the block runs.
+
+        The call comes from the thread that announces the change and must not block.
         """
         with self._condition:
             self._listeners.append(listener)
