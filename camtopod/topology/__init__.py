@@ -1,4 +1,10 @@
-"""topology"""
+"""The topology's vocabulary, shared by learning, prediction, sharding and the web view.
+
+Reading order: `lag_bins` (the time scale of transit times), `histograms` (transit-time histograms
+as a version stores them), `grid` (image positions as integers), `shared_constants`, then what is
+derived from links: `camera_pairs` (overlapped views or unseen paths) and `markov_chain` (the chain
+over cameras). `versions` compares versions: keys, digests and deltas.
+"""
 
 from __future__ import annotations
 

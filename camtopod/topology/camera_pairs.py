@@ -1,11 +1,14 @@
-"""How two cameras hang together: overlapped views, an unseen path, or not at all (thesis 4.5, table
-4.4).
+"""Relation of two cameras: overlapped views, an unseen path, or none (thesis 4.5, table 4.4).
 
-Two verdicts are given, and the views are overlapped when either says so. *By the sum rule* it
-counts whether an object enters the one view during its passage through the other; *by the lags*,
-whether most objects on a link are seen there before they have left here. They differ for views that
-touch (the sum rule has a tolerance), and where lags are longer than the passages are: then the
-passages there begin before those here, as with groups, or with a clock that is wrong.
+Two tests are made, and the views count as overlapped if either finds an overlap:
+
+* *Sum rule* (thesis): an object enters the one view during its passage through the other.
+* *Lags*: most transitions on a link have a negative lag, so the object enters the one view before
+  it leaves the other.
+
+The tests differ for views that touch, as the sum rule has a tolerance. They also differ where
+negative lags are longer than the passages (groups, or a wrong clock): passages there then begin
+before the passages here.
 """
 
 from __future__ import annotations
@@ -16,25 +19,27 @@ from collections.abc import Iterable
 from camtopod.records import Link, Pair, PairRelation, Relation, Zone
 
 AHEAD_SHARE = 0.5
-"""A link is overlapped when more than this share of its transitions appear before they have
-left.
-"""
+"""A link is overlapped if more than this share of its transitions have a negative lag."""
 
 
 def relation_of(ahead: float) -> Relation:
-    """Relation of a link between two views from the share of its transitions with a negative
-    lag.
+    """Return the relation of a link between two views.
+
+    ahead: share of the link's transitions with a negative lag.
     """
     return "overlapped" if ahead > AHEAD_SHARE else "unseen"
 
 
 def camera_pairs(zones: Iterable[Zone], links: Iterable[Link], tolerance: float) -> list[Pair]:
-    """Each related pair of cameras once, ids sorted, with both verdicts and why they differ if they
-    do.
+    """Return each related pair of cameras once, ids sorted, with both test results.
 
-    With entries and exits in place of sightings, t(A,B) is the passage A -> B through the view,
-    t(C,B) the link B -> C (negative where C is entered before B is left), and t(A,C) their sum.
+    Where the tests differ, the pair carries the reason. Entries and exits take the place of the
+    thesis's sightings: t(A,B) is the passage from A to B through the view, t(B,C) the transit time
+    of the link B -> C (negative if C is entered before B is left), and t(A,C) their sum.
+
+    tolerance (seconds): T of the sum rule.
     """
+    # Collect the median dwell times by zone of exit, and the links by pair of cameras.
     camera_of = {zone.id: zone.camera for zone in zones}
     passages: dict[str, list[float]] = defaultdict(list)
     between: dict[tuple[str, str], list[Link]] = defaultdict(list)
@@ -50,14 +55,24 @@ def camera_pairs(zones: Iterable[Zone], links: Iterable[Link], tolerance: float)
 def _pair(
     cameras: tuple[str, str], links: list[Link], passages: dict[str, list[float]], tolerance: float
 ) -> Pair:
+    """Return the relation of two cameras from the links between them.
+
+    passages: median dwell times (seconds) of the passages that end at each zone.
+    """
+    # The two tests: lags, and the sum rule on every passage followed by a link.
     ahead = any(link.relation == "overlapped" for link in links)
     tested = [(stay, link.transit.q50) for link in links for stay in passages.get(link.from_, [])]
     during = any(sum_rule(stay, abs(stay + lag), abs(lag), tolerance) for stay, lag in tested)
+
+    # Explain a difference.
     reason = None
     if not tested:
         reason = "no passage is known for the sum rule"
     elif during and not ahead:
-        reason = "entered during the passage here, or within the tolerance after it, but mostly not before leaving"
+        reason = (
+            "entered during the passage here, or within the tolerance after it, "
+            "but mostly not before leaving"
+        )
     elif ahead and not during:
         reason = "entered before leaving here, but also before the passages here begin"
     return Pair(
@@ -74,13 +89,15 @@ def _relation(overlapped: bool) -> PairRelation:
 
 
 _ROUNDING = 1e-9
-"""Seconds allowed for rounding: in table 5.4, |4.45 - (1.6 + 3.3)| is exactly T = 0.45 and must
-hold.
+"""Seconds allowed for rounding.
+
+In table 5.4, |4.45 - (1.6 + 3.3)| is exactly T = 0.45 and must pass.
 """
 
 
 def sum_rule(t_ab: float, t_ac: float, t_cb: float, tolerance: float) -> bool:
-    """Table 4.4 on zones A, B of one camera and C of another: ``|t(A,B) - (t(A,C) + t(C,B))| <=
-    T``, all in seconds.
+    """Return True if ``|t(A,B) - (t(A,C) + t(C,B))| <= T``, the overlap test of table 4.4.
+
+    A and B are zones of one camera, C is a zone of another; all times in seconds.
     """
     return abs(t_ab - (t_ac + t_cb)) <= tolerance + _ROUNDING

@@ -1,4 +1,4 @@
-"""Positions in the image: as integers, whose sums can be undone, and as blocks of a coarse grid."""
+"""Image positions as integers: fixed point, whose sums can be undone exactly, and grid blocks."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 POSITION_ONE = 1 << 12
-"""A position of 1.0, the whole width or height of the image, as an integer."""
+"""Fixed-point value of position 1.0, the whole width or height of the image."""
 BLOCKS_ACROSS = 6
-"""Rows and columns of the coarse grid that says where along an open border an object left."""
+"""Rows, and columns, of the coarse grid that tells where along an open border an object left."""
 
 
 def blocks_of(px: NDArray[np.int32], py: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Block of the image (row * columns + column of a coarse grid) of fixed-point positions; -1
-    where there is none.
+    """Return the coarse-grid block (row * columns + column) of fixed-point positions; -1 for none.
+
+    px, py (n,): positions in units of 1 / `POSITION_ONE`; negative where there is no position.
     """
     row, column = (
         np.minimum(p.astype(np.int64) * BLOCKS_ACROSS // POSITION_ONE, BLOCKS_ACROSS - 1)
@@ -23,7 +24,7 @@ def blocks_of(px: NDArray[np.int32], py: NDArray[np.int32]) -> NDArray[np.int32]
 
 
 def block_of(x: float | None, y: float | None) -> int | None:
-    """The same of one position in fractions of the image; None where there is none."""
+    """Return the coarse-grid block of one position in fractions of the image; None for none."""
     if x is None or y is None:
         return None
     row = round(y * POSITION_ONE) * BLOCKS_ACROSS // POSITION_ONE
@@ -32,7 +33,8 @@ def block_of(x: float | None, y: float | None) -> int | None:
 
 
 GRID_ROWS = 30
+"""Rows of the thesis's grid over the image (section 5.1)."""
 
 
 GRID_COLUMNS = 24
-"""The thesis's grid over the image (section 5.1)."""
+"""Columns of the thesis's grid over the image (section 5.1)."""

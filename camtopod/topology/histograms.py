@@ -1,4 +1,8 @@
-"""Histograms over lag bins as versions carry them."""
+"""Transit-time histograms over lag bins, as topology versions store them.
+
+A `Histogram` holds either *counts* (expected transitions, three significant digits) or *steps*
+(whole multiples of a unit, at most `STEPS` of them per bin).
+"""
 
 from __future__ import annotations
 
@@ -12,18 +16,24 @@ from camtopod.records import Histogram
 from camtopod.topology.lag_bins import LagBins
 
 Weighed = tuple[float, Histogram]
+"""A weight and the histogram that it multiplies."""
 
 MASS_MIN = 1e-3
-"""Bins at the ends with less than this share of the mass are left off."""
+"""Bins at either end with at most this share of the total mass are left off."""
 STEPS = 250
-"""Of the highest bin, where a histogram is in whole steps: a version has one for each pair of zones
-that may be linked, thousands of them. Whole numbers this small take a byte or two in a message and
-none of their own in Python.
+"""Whole steps in the highest bin of a histogram in steps.
+
+A version holds a histogram for each pair of zones that may be linked, thousands of them. Integers
+this small take one or two bytes in a message and no memory of their own in Python.
 """
 
 
 def counted(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
-    """Expected transitions per lag bin (bins,); ``delay``: seconds to add to the lags."""
+    """Return a histogram of counts, trimmed to the bins that matter.
+
+    counts (bins,): expected transitions.
+    delay (seconds): to be added to the lags.
+    """
     first, last = _ends(counts)
     if first == last:
         return Histogram(0, [])
@@ -31,30 +41,37 @@ def counted(counts: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
 
 
 def in_steps(mass: Floats, bins: LagBins, delay: float = 0.0) -> Histogram:
-    """Masses (bins,) in whole steps; ``delay``: seconds to add to the lags."""
+    """Return a histogram in whole steps, trimmed to the bins that matter.
+
+    mass (bins,): masses in any unit.
+    delay (seconds): to be added to the lags.
+    """
     first, last = _ends(mass)
     return _late(_stepped(bins.first + first, mass[first:last]), delay)
 
 
 def scaled(histogram: Histogram, factor: float) -> Histogram:
-    """A histogram times a factor."""
+    """Return the histogram times a factor."""
     return replace(histogram, unit=short(histogram.unit * factor))
 
 
 def counts_added(histograms: Iterable[Weighed]) -> Histogram:
-    """The weighted sum of counts."""
+    """Return the weighted sum of histograms as counts."""
     first, counts, delay = _sum(histograms)
     return _late(Histogram(first, _three_digits(counts)), delay)
 
 
 def steps_added(histograms: Iterable[Weighed]) -> Histogram:
-    """The weighted sum of histograms, in whole steps."""
+    """Return the weighted sum of histograms in whole steps."""
     first, mass, delay = _sum(histograms)
     return _late(_stepped(first, mass), delay)
 
 
 def on_bins(histogram: Histogram, bins: LagBins) -> Floats:
-    """Masses on all of the bins, (bins,); what lies beyond them is left out."""
+    """Return the masses (bins,) of a histogram on the given bins; mass outside them is dropped.
+
+    The histogram's delay is not applied.
+    """
     result = np.zeros(bins.size)
     start = histogram.first - bins.first
     low, high = max(-start, 0), min(bins.size - start, len(histogram.mass))
@@ -65,14 +82,19 @@ def on_bins(histogram: Histogram, bins: LagBins) -> Floats:
 
 
 def _sum(histograms: Iterable[Weighed]) -> tuple[int, Floats, float]:
-    """First bin, masses and delay; of histograms with different delays those with the delay of the
-    heaviest.
+    """Return first bin, masses and delay of a weighted sum.
+
+    Lags with different delays cannot be added bin by bin, so only the histograms with the delay of
+    the heaviest one are summed.
     """
+    # Keep the histograms with the delay of the heaviest.
     known = [(weight, one) for weight, one in histograms if one.mass]
     if not known:
         return 0, np.zeros(0), 0.0
     delay = max(known, key=lambda each: each[0] * each[1].unit * sum(each[1].mass))[1].delay
     known = [(weight, one) for weight, one in known if one.delay == delay]
+
+    # Add them up on their common range of bins.
     first = min(one.first for _, one in known)
     mass = np.zeros(max(one.first + len(one.mass) for _, one in known) - first)
     for weight, one in known:
@@ -83,12 +105,13 @@ def _sum(histograms: Iterable[Weighed]) -> tuple[int, Floats, float]:
 
 
 def _ends(mass: Floats) -> tuple[int, int]:
-    """First and last-but-one bin that counts."""
+    """Return the first bin above `MASS_MIN` and one past the last; (0, 0) if there is none."""
     full = np.flatnonzero(mass > MASS_MIN * mass.sum())
     return (int(full[0]), int(full[-1]) + 1) if len(full) else (0, 0)
 
 
 def _stepped(first: int, mass: Floats) -> Histogram:
+    """Return masses as a histogram in whole steps, empty if all are zero."""
     unit = short(float(mass.max(initial=0.0)) / STEPS)
     if unit == 0.0:
         return Histogram(0, [])
@@ -96,9 +119,7 @@ def _stepped(first: int, mass: Floats) -> Histogram:
 
 
 def _late(histogram: Histogram, delay: float) -> Histogram:
-    """The histogram with seconds to add to its lags, which it does not mention where there are
-    none.
-    """
+    """Return the histogram with a delay (seconds), unless that is zero or the histogram empty."""
     return replace(histogram, delay=delay) if delay and histogram.mass else histogram
 
 
@@ -107,8 +128,9 @@ def _three_digits(counts: Floats) -> list[int | float]:
 
 
 DIGITS = 6
+"""Significant digits of figures in a version, and decimals of its chain."""
 
 
 def short(value: float) -> float:
-    """Six significant digits; minus zero and nan become zero."""
+    """Return a value rounded to `DIGITS` significant digits; -0.0 and nan become 0.0."""
     return float(f"{value:.{DIGITS}g}") + 0.0 if value == value else 0.0

@@ -1,8 +1,8 @@
-"""Lag bins: transit times on a scale that is fine near zero and coarse far away.
+"""Lag bins: a time scale for lags that is fine near zero and coarse far from it.
 
-Bins are uniform in asinh(lag / scale): about ``scale * step`` seconds wide near zero, a constant
-share of the lag far from it, as the spread of transit times grows with their length. Lags outside
-the range have no bin (-1): clipped into an end bin they would look like a peak there.
+Bins are uniform in asinh(lag / scale): about ``scale * step`` seconds wide near zero, and a
+constant share of the lag far from it, as the spread of transit times grows with their length. Lags
+outside the range have no bin (-1): in an end bin they would look like a peak.
 """
 
 from __future__ import annotations
@@ -17,15 +17,17 @@ from numpy.typing import NDArray
 from camtopod.arrays import Floats, rows_together
 
 LAG_SCALE_SECONDS = 4.0
+"""Lag at which bins change from constant width to a constant share of the lag, seconds."""
 LAG_STEP = 0.1
+"""Width of a bin in asinh(lag / scale): about 0.4 s near zero, a tenth of the lag far from it."""
 CELLS_PER_BIN = 1.001
-"""Cells of the table that looks bins up, for each of the narrowest bins."""
+"""Cells of the lookup table per width of the narrowest bin; above 1, so no cell has two edges."""
 OFFSET_SECONDS_MAX = 600.0
-"""Largest offset between the beginnings of two passages that are compared."""
+"""Largest offset between the beginnings of two passages that is compared, seconds."""
 
 
 class LagBins:
-    """Bins covering [``lag_min``, ``lag_max``] seconds."""
+    """Bins that cover lags from ``lag_min`` to ``lag_max`` seconds, both included."""
 
     def __init__(
         self,
@@ -38,25 +40,29 @@ class LagBins:
             raise ValueError(f"lag range is empty: {lag_min} to {lag_max} s")
         self.lag_min, self.lag_max, self.scale, self.step = lag_min, lag_max, scale, step
         self.first = int(np.floor(np.arcsinh(lag_min / scale) / step))
+        """Number of the first bin, counted from the bin that starts at a lag of 0."""
         last = int(np.floor(np.arcsinh(lag_max / scale) / step))
         self.size = last - self.first + 1
         self.edges: NDArray[np.float64] = scale * np.sinh(step * np.arange(self.first, last + 2))
         """Bin edges in seconds, (size + 1,)."""
         self.widths: NDArray[np.float64] = np.diff(self.edges)
+        """Bin widths in seconds, (size,)."""
         self.centres: NDArray[np.float64] = scale * np.sinh(
             step * (np.arange(self.first, last + 1) + 0.5)
         )
+        """Bin centres on the asinh scale, in seconds, (size,)."""
         self.limits: list[float] = [
             lag_min,
             *self.edges[1:-1].tolist(),
             math.nextafter(lag_max, math.inf),
         ]
-        """Edges within the range, seconds: bin ``k`` holds lags from ``limits[k]`` to below
-        ``limits[k + 1]``.
+        """Bin edges clipped to the range, seconds, (size + 1,).
+
+        Bin ``k`` holds ``limits[k]`` <= lag < ``limits[k + 1]``.
         """
 
-        # For `index`: cells narrower than any bin, so that none has more than one edge; the bin in
-        # which each begins.
+        # Lookup table for `index`: the bin in which each cell begins. Cells are narrower than any
+        # bin, so at most one edge lies within a cell.
         self._cells_per_second = CELLS_PER_BIN / float(self.widths.min())
         cells = math.ceil((lag_max - lag_min) * self._cells_per_second) + 1
         starts = lag_min + np.arange(cells) / self._cells_per_second
@@ -66,12 +72,12 @@ class LagBins:
         )
 
     def bin_of(self, lag: float) -> int:
-        """`index` of one lag."""
+        """Return the bin of one lag (seconds); -1 outside the range."""
         at = bisect_right(self.limits, lag) - 1
         return at if at < self.size else -1
 
     def index(self, lag: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Bin of each lag (seconds); -1 outside the range."""
+        """Return the bin of each lag (n,) in seconds; -1 outside the range."""
         cell = ((lag - self.lag_min) * self._cells_per_second).astype(np.intp)
         k: NDArray[np.int32] = self._bin_of_cell.take(cell, mode="clip")
         k += lag >= self._ends.take(k)  # whether the edge within the cell has been passed
@@ -80,14 +86,17 @@ class LagBins:
 
 
 def offset_bins(scale: float, step: float) -> LagBins:
-    """Bins for the offset between the beginnings of two passages."""
+    """Return bins for the offset between the beginnings of two passages."""
     return LagBins(-OFFSET_SECONDS_MAX, OFFSET_SECONDS_MAX, scale, step)
 
 
 @lru_cache(maxsize=64)
 def smoother(size: int, sd_bins: float) -> NDArray[np.float64]:
-    """Matrix (size, size) that spreads each bin's mass over its neighbours; columns sum to 1, so
-    mass is kept.
+    """Return a Gaussian kernel (size, size) that spreads the mass of each bin over its neighbours.
+
+    Columns sum to 1, so mass is kept.
+
+    sd_bins: standard deviation, in bins.
     """
     offset = np.arange(size)[:, None] - np.arange(size)[None, :]
     kernel: NDArray[np.float64] = np.exp(-0.5 * (offset / sd_bins) ** 2)
@@ -97,18 +106,23 @@ def smoother(size: int, sd_bins: float) -> NDArray[np.float64]:
 
 
 SMOOTHING_SD_BINS = ((50.0, 1.2), (12.0, 1.8), (0.0, 2.8))
-"""(at least this many expected transitions, smooth by this many bins)."""
+"""Pairs (least expected transitions, standard deviation in bins): fewer are smoothed more."""
 
 
 def smooth(counts: Floats, total: Floats | None = None) -> tuple[Floats, Floats]:
-    """Counts (P, bins) spread over neighbouring bins, the wider the fewer there are, or as for a
-    ``total`` (P,) of them; and the share (P,) that stays.
+    """Smooth counts (P, bins) over neighbouring bins; rows with fewer transitions more widely.
+
+    Returns the smoothed counts, and for each row (P,) the share of a bin's mass that stays in it.
+
+    total (P,): transitions that decide the width; by default the row sums.
     """
     size = counts.shape[1]
     total = counts.sum(axis=1) if total is None else total
     result = np.zeros_like(counts)
     stays = np.zeros(len(total))
     above = np.full(len(total), False)
+
+    # Each row is smoothed once, with the width of the highest threshold that it reaches.
     for least, sd_bins in SMOOTHING_SD_BINS:
         few = np.flatnonzero((total >= least) & ~above)
         above[few] = True

@@ -1,6 +1,4 @@
-"""Topology versions: put together from the learned figures, stamped with a digest, compared as
-deltas.
-"""
+"""Topology versions: keys of items, digest of the content, and deltas between versions."""
 
 from __future__ import annotations
 
@@ -22,38 +20,41 @@ from camtopod.records import (
 )
 
 NOT_CONTENT = ("schema", "site", "epoch", "version", "digest")
-"""Fields that the digest does not cover: two daemons that learned the same events agree on it."""
+"""Fields outside the digest, so that daemons that learned the same events agree on it."""
 
 ALARMS_KEPT_MAX = 50
-"""Alarms that a topology lists."""
+"""Largest number of alarms in a topology; the oldest are dropped."""
 
 _Item = TypeVar("_Item", Camera, Zone, Link, Pair)
 LinkKey = tuple[str, str, str]
+"""Zone of departure, zone of arrival, relation."""
 
 
 def camera_key(camera: Camera) -> str:
-    """What identifies a camera in a delta."""
+    """Return the key of a camera in a delta."""
     return camera.id
 
 
 def zone_key(zone: Zone) -> str:
-    """What identifies a zone in a delta."""
+    """Return the key of a zone in a delta."""
     return zone.id
 
 
 def link_key(link: Link) -> LinkKey:
-    """What identifies a link in a delta: zones and relation, as a passage and a return may join the
-    same zones."""
+    """Return the key of a link in a delta.
+
+    The relation is part of it, as a passage and a return to the same view may join the same zones.
+    """
     return (link.from_, link.to, link.relation)
 
 
 def pair_key(pair: Pair) -> tuple[str, str]:
-    """What identifies a pair of cameras in a delta."""
+    """Return the key of a pair of cameras in a delta."""
     return pair.cameras
 
 
 def digest_of(topology: Topology) -> str:
-    """``sha256:...`` over the content in canonical JSON (sorted keys, shortest decimals)."""
+    """Return ``sha256:...`` over the content in canonical JSON (sorted keys, shortest decimals)."""
     content = {
         name: getattr(topology, name)
         for name in topology.__struct_fields__
@@ -66,22 +67,27 @@ def digest_of(topology: Topology) -> str:
 
 
 def stamp(topology: Topology) -> Topology:
-    """The topology with its digest."""
+    """Return the topology with its digest and schema set."""
     return msgspec.structs.replace(topology, schema=TOPOLOGY_SCHEMA, digest=digest_of(topology))
 
 
 def make_delta(old: Topology, new: Topology) -> Delta:
-    """What changed from one version to the next. Raises ValueError when ``new`` is not the next
-    version of ``old``."""
+    """Return the changes from one version to the next.
+
+    Raises ValueError if ``new`` is not the next version of ``old`` in the same epoch.
+    """
     if (old.epoch, old.version + 1) != (new.epoch, new.version):
         raise ValueError(
-            f"version {new.version} of {new.epoch} does not follow {old.version} of {old.epoch}"
+            f"version {new.version} of epoch {new.epoch} does not follow"
+            f" version {old.version} of epoch {old.epoch}"
         )
+
     cameras, gone_cameras = _changes(old.cameras, new.cameras, camera_key)
     zones, gone_zones = _changes(old.zones, new.zones, zone_key)
     links, gone_links = _changes(old.links, new.links, link_key)
     weak, gone_weak = _changes(old.weak_links or [], new.weak_links or [], link_key)
     pairs, gone_pairs = _changes(old.pairs, new.pairs, pair_key)
+
     return Delta(
         DELTA_SCHEMA,
         new.site,
@@ -108,12 +114,17 @@ def make_delta(old: Topology, new: Topology) -> Delta:
 
 
 def apply_delta(old: Topology, delta: Delta) -> Topology:
-    """The next version. Raises ValueError when the delta does not follow ``old`` or the digest does
-    not come out."""
+    """Return the next version.
+
+    Raises ValueError if the delta does not follow ``old``, or if the result does not have its
+    digest.
+    """
     if (old.epoch, old.version + 1) != (delta.epoch, delta.version):
         raise ValueError(
-            f"delta to version {delta.version} of {delta.epoch} does not follow {old.version} of {old.epoch}"
+            f"delta to version {delta.version} of epoch {delta.epoch} does not follow"
+            f" version {old.version} of epoch {old.epoch}; get the whole topology"
         )
+
     new = Topology(
         schema=TOPOLOGY_SCHEMA,
         site=delta.site,
@@ -132,9 +143,10 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
         alarms=[*(old.alarms or []), *(delta.alarms or [])][-ALARMS_KEPT_MAX:] or None,
         score=delta.score,
     )
+
     if digest_of(new) != delta.digest:
         raise ValueError(
-            f"digest of version {delta.version} does not come out; get the whole topology"
+            f"digest of version {delta.version} differs after its delta; get the whole topology"
         )
     return new
 
@@ -142,8 +154,9 @@ def apply_delta(old: Topology, delta: Delta) -> Topology:
 def _changes(
     old: Iterable[_Item], new: Iterable[_Item], key: Callable[[_Item], Any]
 ) -> tuple[list[_Item], list[Any]]:
-    """Items that are new or differ as the digest sees them (-0.0 is not 0.0), and keys of items
-    that are gone.
+    """Return the items that are new or differ, and the keys of those that are gone.
+
+    Items are compared as the digest sees them, so -0.0 differs from 0.0.
     """
     before = {key(item): msgspec.json.encode(item) for item in old}
     after = {key(item): item for item in new}
@@ -154,7 +167,7 @@ def _changes(
 def _merged(
     old: Iterable[_Item], changed: Iterable[_Item], gone: Iterable[Any], key: Callable[[_Item], Any]
 ) -> list[_Item]:
-    """The items after a change, in the order every list of a topology has: by key."""
+    """Return the items after a change, sorted by key as all lists of a topology are."""
     items = {key(item): item for item in old}
     for k in gone:
         items.pop(tuple(k) if isinstance(k, list) else k, None)
