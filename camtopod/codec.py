@@ -1,5 +1,6 @@
-"""Bytes <-> nouns. The one module that decodes what others wrote, so the one that must survive any
-bytes.
+"""Encode and decode the public data types as JSON and MessagePack.
+
+All bytes of other programs are decoded here, so no input may do more than raise `Rejected`.
 """
 
 from __future__ import annotations
@@ -18,17 +19,21 @@ from camtopod import soundness
 from camtopod.records import Delta, Event, Link, Model, Prediction, Topology
 
 EVENT_ENCODING = "application/msgpack;schema=camtopod.event.1"
+"""Encoding that is declared for events in MessagePack on the bus."""
 EVENT_BYTES_MAX = 4096
-"""An event larger than this is refused before it is decoded, bytes."""
+"""Largest event, in bytes; a larger one is rejected before it is decoded."""
 T_MIN, T_MAX = -86_400.0, 32_503_680_000.0
-"""The times an event may have: to the year 3000; from 1970, as a file's count from 0, and its clock
-may be behind.
+"""Range of an event's time, seconds since 1970.
+
+It ends with the year 3000, and begins a day before 1970: the times of a file may count from 0, and
+its clock may be slow.
 """
 TRACK_CHARACTERS_MAX = 128
+"""Longest track, in characters or digits."""
 PART_BYTES = 1 << 16
-"""What is decoded in one go of a large noun: less than a millisecond."""
+"""Largest part that `read_in_parts` decodes at once, in bytes; it takes less than a millisecond."""
 _JSON_STARTS = b"{ \t\r\n"
-"""An event that begins with one of these is JSON: a MessagePack map begins above 0x7f."""
+"""First bytes of an event in JSON; a MessagePack map begins above 0x7f."""
 
 _json_event = msgspec.json.Decoder(Event)
 _pack_event = msgspec.msgpack.Decoder(Event)
@@ -37,12 +42,14 @@ _raw_map = msgspec.msgpack.Decoder(dict[str, msgspec.Raw])
 _to_json = msgspec.json.Encoder()
 _to_pack = msgspec.msgpack.Encoder()
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
+"""What msgspec's decoders raise on bad input."""
 _T = TypeVar("_T")
 
 
 class Rejected(ValueError):
-    """The other side's bytes do not fit. ``reason`` is a short stable word for counting, ``str()``
-    says what and where.
+    """Input from another program is not valid.
+
+    ``reason`` is a short stable word for counting; ``str()`` says what is wrong, and where.
     """
 
     def __init__(self, reason: str, detail: str) -> None:
@@ -51,19 +58,19 @@ class Rejected(ValueError):
 
 
 def event_from_json(line: bytes | str) -> Event:
-    """One event line (contract 2) to an `Event`; raises `Rejected`."""
+    """Return the event of one line of JSON; raise `Rejected`."""
     return _event(
         _json_event, line.encode("utf-8", "surrogatepass") if isinstance(line, str) else line
     )
 
 
 def event_from_pack(payload: bytes) -> Event:
-    """The same record from MessagePack; raises `Rejected`."""
+    """Return the event of a MessagePack payload; raise `Rejected`."""
     return _event(_pack_event, payload)
 
 
 def event_from_bytes(raw: bytes) -> Event:
-    """An event as MessagePack, or as JSON; raises `Rejected`."""
+    """Return the event of a payload in MessagePack or JSON; raise `Rejected`."""
     return _event(_json_event if raw and raw[0] in _JSON_STARTS else _pack_event, raw)
 
 
@@ -74,8 +81,10 @@ def _event(decoder: Any, raw: bytes) -> Event:
         event: Event = decoder.decode(raw)
     except _UNREADABLE as error:
         raise _rejection(error) from None
+
+    # Check relations and values that the types cannot express.
     x, y, track = event.x, event.y, event.track
-    if not T_MIN <= event.t < T_MAX:  # not-a-number is neither
+    if not T_MIN <= event.t < T_MAX:  # also true for NaN
         raise Rejected("bad-value", "t is not a time between 1970 and 3000 - at `$.t`")
     if (x is None) != (y is None):
         raise Rejected("half-position", "x and y go together: send both or neither")
@@ -88,15 +97,17 @@ def _event(decoder: Any, raw: bytes) -> Event:
         raise Rejected("bad-value", f"{name} is not a finite number - at `$.{name}`")
     if (event.boot is None) != (event.seq is None):
         raise Rejected("half-sequence", "boot and seq go together: send both or neither")
+
+    # Tracks are strings from here on.
     if isinstance(track, int):
-        if len(str(track)) > TRACK_CHARACTERS_MAX:  # JSON has whole numbers of any length
+        if len(str(track)) > TRACK_CHARACTERS_MAX:  # JSON integers may have any length
             raise Rejected(
                 "bad-value",
                 f"track is longer than {TRACK_CHARACTERS_MAX} characters - at `$.track`",
             )
         event = msgspec.structs.replace(event, track=str(track))
-    # names are one string for all events that wait or are held, which is a third of the memory of
-    # each
+
+    # All events share one string per name, which saves a third of their memory.
     force_setattr(event, "camera", sys.intern(event.camera))
     if event.boot is not None:
         force_setattr(event, "boot", sys.intern(event.boot))
@@ -113,7 +124,7 @@ def _decode(decoder: Any, raw: bytes) -> Any:
 def _rejection(error: Exception) -> Rejected:
     if isinstance(error, msgspec.ValidationError):
         return Rejected("bad-value", str(error))
-    if isinstance(error, UnicodeDecodeError):  # msgspec lets it through (msgspec#714)
+    if isinstance(error, UnicodeDecodeError):  # not wrapped by msgspec (msgspec#714)
         return Rejected("not-utf8", "text is not UTF-8")
     if isinstance(error, RecursionError):
         return Rejected("too-deep", "nested too deeply")
@@ -121,17 +132,21 @@ def _rejection(error: Exception) -> Rejected:
 
 
 def read(kind: type[_T], raw: bytes, pack: bool = False) -> _T:
-    """Any other noun from JSON (or MessagePack); raises `Rejected`."""
+    """Return a ``kind`` from JSON, or from MessagePack if ``pack``; raise `Rejected`."""
     decoder: Any = msgspec.msgpack.Decoder(kind) if pack else msgspec.json.Decoder(kind)
     result: _T = _decode(decoder, raw)
     return result
 
 
 def read_topology(raw: bytes, pack: bool = False) -> Topology:
-    """A topology in which every name stands for something in it, and every figure can be so; raises
-    `Rejected`. Its reader need not ask again.
+    """Return a topology whose references and values are all valid; raise `Rejected`.
+
+    Its users need not check again: each name refers to an item of the topology, and each number is
+    in its range.
     """
     topology = read(Topology, raw, pack)
+
+    # Every camera and zone that is referred to must exist.
     cameras = {camera.id for camera in topology.cameras}
     zones = {zone.id for zone in topology.zones}
     for known, kind, named in (
@@ -167,19 +182,22 @@ def read_topology(raw: bytes, pack: bool = False) -> Topology:
                 raise Rejected(
                     "unknown-name", f"there is no {kind} {name!r} in it - at `$.{place}`"
                 )
+
+    # Names, ranges, shapes and sizes must be possible.
     for problem in soundness.problems(topology):
         raise Rejected("bad-value", problem)
     return topology
 
 
 def _ends(field: str, links: Sequence[Link]) -> Iterator[tuple[str, str]]:
+    """Yield the two zones of each link, each after its place in the JSON."""
     for k, link in enumerate(links):
         yield f"{field}[{k}].from", link.from_
         yield f"{field}[{k}].to", link.to
 
 
 def _zones_of(model: Model) -> Iterator[tuple[str, str]]:
-    """The zones that prediction looks up, each with its place."""
+    """Yield the zones that prediction looks up, each after its place in the JSON."""
     for k, zone in enumerate(model.zones):
         yield f"model.zones[{k}].zone", zone.zone
     for k, onward in enumerate(model.onward or []):
@@ -199,7 +217,7 @@ def _zones_of(model: Model) -> Iterator[tuple[str, str]]:
 
 
 def _no_pause() -> None:
-    """At once."""
+    """Do not pause."""
 
 
 def read_in_parts(
@@ -208,18 +226,23 @@ def read_in_parts(
     pause: Callable[[], None] = _no_pause,
     left_out: Collection[str] = (),
 ) -> Any:
-    """The same from MessagePack for large nouns: decoded in one go, no other thread would get a
-    turn meanwhile. ``pause`` is called before each part. ``left_out``: lists of the noun that are
-    not read and come out empty, in one that is large.
+    """Return a ``kind`` from MessagePack, decoded in parts so that other threads can run in
+    between.
+
+    pause: called before each part.
+    left_out: list fields that are not read, and come out empty, if the struct is larger than
+        `PART_BYTES`.
     """
     pause()
     if len(raw) <= PART_BYTES:
         return _decode(msgspec.msgpack.Decoder(kind), raw)
+
+    # Of an optional type, the bytes are of the other alternative: None is never this large.
     if isinstance(kind, types.UnionType):
-        large = [
-            one for one in typing.get_args(kind) if one is not types.NoneType
-        ]  # None is not as large
+        large = [one for one in typing.get_args(kind) if one is not types.NoneType]
         kind = large[0] if len(large) == 1 else kind
+
+    # A list: decode each item by itself.
     if typing.get_origin(kind) is list:
         (item,) = typing.get_args(kind)
         decoder, items = msgspec.msgpack.Decoder(item), []
@@ -231,6 +254,8 @@ def read_in_parts(
                 else read_in_parts(item, part, pause)
             )
         return items
+
+    # A struct: decode each field by itself.
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         parts = _decode(_raw_map, raw)
         fields = msgspec.structs.fields(kind)
@@ -253,10 +278,10 @@ def read_in_parts(
 
 
 def to_json(noun: Event | Topology | Delta | Prediction | Any) -> bytes:
-    """JSON on one line, without the newline."""
+    """Return a record as JSON on one line, without the newline."""
     return _to_json.encode(noun)
 
 
 def to_pack(noun: Event | Topology | Delta | Prediction | Any) -> bytes:
-    """MessagePack."""
+    """Return a record as MessagePack."""
     return _to_pack.encode(noun)

@@ -1,5 +1,7 @@
-"""Who publishes a camera: one program at a time, each start of it with a boot of its own. Two that
-take turns are two boxes with one camera id, whose views are learned as if they were one.
+"""Detect two programs that publish the same camera.
+
+A camera has one publisher at a time, and each start of it has a boot id of its own. Two boot ids
+that take turns mean two boxes with one camera id, whose views would be learned as one.
 """
 
 from __future__ import annotations
@@ -7,13 +9,19 @@ from __future__ import annotations
 from msgspec import Struct
 
 RETURNS_MIN = 3
-"""So often in a row two boots have to take turns: the last events of one that ended may come after
-the first of the next."""
+"""Number of turns in a row that two boots take until they count as two publishers.
+
+Fewer are normal after a restart: the last events of the old boot may arrive after the first of the
+new one.
+"""
 
 
 class Publisher(Struct):
-    """Whose event came last (``boot``), whose before that, and how often these two have taken turns
-    since.
+    """The boot ids that have published a camera.
+
+    boot: boot of the newest event.
+    before: the boot before that.
+    returns: how often these two have taken turns in a row.
     """
 
     boot: str
@@ -21,7 +29,7 @@ class Publisher(Struct):
     returns: int = 0
 
     def note(self, boot: str) -> bool:
-        """One more event; True if it shows that two publish at the same time."""
+        """Note the boot of one more event; return True if two programs publish at the same time."""
         if boot == self.boot:
             return False
         self.returns = self.returns + 1 if boot == self.before else 0

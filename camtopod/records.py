@@ -1,8 +1,8 @@
-"""The nouns: events, topology, predictions. What outsiders hold on to, and nothing that computes.
+"""Public data types: events, topologies, predictions, acknowledgements; structs without logic.
 
-Times are seconds since the Unix epoch at the moment of capture; image positions are fractions of
-the width (``x``, to the right) and height (``y``, downwards); durations are seconds. Fields may be
-added, never changed.
+Times are seconds since the Unix epoch at the moment of capture; durations are seconds. Image
+positions are fractions of the image's width (``x``, to the right) and height (``y``, downwards).
+Fields may be added, but existing ones never change their meaning.
 """
 
 from __future__ import annotations
@@ -12,23 +12,35 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct, field
 
 CAMERA_CHARACTERS_MAX = 64
+"""Longest id of a camera."""
 CAMERA_PATTERN = rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}\Z"
+"""Regular expression of a camera id; ``\\Z`` refuses the newline that ``$`` would allow."""
 TOPOLOGY_SCHEMA = "camtopod/topology/1"
+"""`Topology.schema` of the topologies that this program reads and writes."""
 DELTA_SCHEMA = "camtopod/topology-delta/1"
+"""`Delta.schema` of the deltas that this program reads and writes."""
 
 CameraId = Annotated[str, Meta(pattern=CAMERA_PATTERN)]
 Kind = Literal["entry", "exit"]
 Relation = Literal["visible", "overlapped", "unseen"]
+"""Relation of the zones of a link.
+
+visible: two zones of one view, joined by its passages.
+overlapped: zones of two views; most objects appear in the second before they leave the first.
+unseen: zones of two views, joined by a path that no camera sees.
+"""
 PairRelation = Literal["overlapped", "unseen_path"]
+"""Relation of two cameras: their views overlap, or a path that no camera sees joins them."""
 
 
 class Event(Struct, frozen=True, omit_defaults=True, gc=False):
-    """One object appearing in (``entry``) or leaving (``exit``) the view of one camera.
+    """One object that appears in the view of a camera (``entry``) or leaves it (``exit``).
 
-    ``x``, ``y`` is the foot point, both or neither. ``track`` ties the entry and the exit of one
-    passage through this camera. ``boot`` and ``seq`` (the publisher's incarnation and a gap-free
-    count within it) make delivery idempotent. ``clock_sd`` is the one-sigma uncertainty of ``t`` in
-    seconds.
+    x, y (fractions of the image): foot point; both or neither.
+    track: ties the entry and the exit of one passage through this camera's view.
+    boot, seq: incarnation of the publisher, and a gap-free count within it; they make delivery
+        idempotent.
+    clock_sd (seconds): standard deviation of ``t``.
     """
 
     camera: CameraId
@@ -43,11 +55,13 @@ class Event(Struct, frozen=True, omit_defaults=True, gc=False):
 
 
 class Zone(Struct, frozen=True, omit_defaults=True):
-    """An entry/exit zone. One without positions (one zone per camera) has no ``x``, ``y``, ``cov``.
+    """An entry/exit zone of a view.
 
-    ``entries`` and ``exits`` are counts in the window learned from; ``x``, ``y`` their mean foot
-    point; ``cov`` its covariance (2, 2), [[xx, xy], [xy, yy]]: of fractions of the width and
-    height, so without a unit.
+    entries, exits: counts in the window that was learned from.
+    x, y (fractions of the image): mean foot point of these events.
+    cov (2, 2): covariance [[xx, xy], [xy, yy]] of the foot points; no unit, as they are fractions.
+
+    A zone of events without positions (one zone a camera) has no ``x``, ``y`` and ``cov``.
     """
 
     id: str
@@ -60,9 +74,11 @@ class Zone(Struct, frozen=True, omit_defaults=True):
 
 
 class Camera(Struct, frozen=True):
-    """A camera, its zones, and the estimated offset of its clock in seconds: positive when it is
-    ahead, 0.0 where unknown. ``clock_offset_sd``: standard deviation if the clocks that count as
-    right are; none where unknown.
+    """A camera with its zones and the estimated offset of its clock.
+
+    clock_offset (seconds): positive if the clock is fast; 0.0 if unknown.
+    clock_offset_sd (seconds): its standard deviation, given that the reference clocks are right;
+        None if unknown.
     """
 
     id: str
@@ -72,10 +88,11 @@ class Camera(Struct, frozen=True):
 
 
 class Transit(Struct, frozen=True, omit_defaults=True):
-    """Transit time from the exit at ``from`` to the entry at ``to``, seconds; negative where views
-    overlap.
+    """Distribution of the transit time of a link, in seconds; negative where views overlap.
 
-    ``mean_sd``, ``q50_sd``: standard errors of mean and median.
+    The time runs from the exit at the link's ``from`` to the entry at its ``to``; for a link within
+    one view it is the dwell time, from entry to exit. ``mean_sd`` and ``q50_sd`` are the standard
+    errors of the mean and of the median.
     """
 
     mode: float
@@ -89,9 +106,12 @@ class Transit(Struct, frozen=True, omit_defaults=True):
 
 
 class Histogram(Struct, frozen=True, omit_defaults=True):
-    """Transit-time histogram: ``mass[k]`` times ``unit`` is the expected number of transits in lag
-    bin ``first + k``. The unit is 1 for links. ``delay``: seconds to add to the lags of the bins,
-    for long ways.
+    """Histogram of transit times on the lag bins of the topology's model.
+
+    first: lag bin of ``mass[0]``.
+    mass: ``mass[k] * unit`` is the expected number of transitions in lag bin ``first + k``.
+    unit: scale of the masses; 1 for links.
+    delay (seconds): added to the lags of all bins, for long paths.
     """
 
     first: int
@@ -101,8 +121,10 @@ class Histogram(Struct, frozen=True, omit_defaults=True):
 
 
 class Lacks(Struct, frozen=True):
-    """What a weak link still needs until it is published: further ``passages``, which take
-    ``seconds`` at this traffic.
+    """Evidence that a weak link still needs to be published.
+
+    passages: further passages that are needed.
+    seconds: the time that these take at the present traffic.
     """
 
     passages: float
@@ -112,11 +134,12 @@ class Lacks(Struct, frozen=True):
 class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
     """A directed link between two zones.
 
-    ``probability``: of all objects that leave at ``from``, the share that appears next at ``to``;
-    ``transitions``: their expected number. ``q_value``: false discovery rate at which the link is
-    published. ``mahalanobis_variance``: the thesis's figure, Var(d) (table 4.3). ``histogram``
-    counts on the lag bins of the topology's model. ``lacks``: of a weak link, unless waiting does
-    not help.
+    probability: share of all objects leaving at ``from`` that appear next at ``to``.
+    transitions: expected number of these objects.
+    q_value: false discovery rate at which the link is published.
+    mahalanobis_variance: Var(d) of the thesis (table 4.3).
+    histogram: transit times on the lag bins of the topology's model.
+    lacks: evidence that a weak link still needs; None if waiting does not help.
     """
 
     from_: str
@@ -132,11 +155,12 @@ class Link(Struct, frozen=True, omit_defaults=True, rename={"from_": "from"}):
 
 
 class Pair(Struct, frozen=True, omit_defaults=True):
-    """A related pair of cameras, ids sorted: the thesis's black (overlapped) or grey (unseen path)
-    edge.
+    """Two related cameras, ids sorted; an edge of the thesis's graph of cameras.
 
-    ``by_lags``: from where the lags of the links lie; ``by_sum_rule``: from the thesis's table 4.4,
-    none where it could not be tested; ``reason``: why the two are not the same.
+    relation: overlapped (the thesis's black edges) or an unseen path (its grey edges).
+    by_lags: relation that follows from the lags of the links.
+    by_sum_rule: relation by table 4.4 of the thesis; None where it cannot be tested.
+    reason: why the two differ.
     """
 
     cameras: tuple[str, str]
@@ -147,19 +171,24 @@ class Pair(Struct, frozen=True, omit_defaults=True):
 
 
 class ZoneModel(Struct, frozen=True):
-    """What prediction needs of a zone beyond its links."""
+    """Parameters of a zone that prediction needs beyond its links."""
 
     zone: str
     departures: int
-    """Exits at this zone in the window the links were learned from."""
+    """Exits at this zone in the window from which the links were learned."""
     arrival_rate: float
-    """Entries per second that no departure explains."""
+    """Rate of entries without a departure that explains them, per second."""
     stay: list[float]
-    """Deciles (11) of the seconds a passage that leaves here has lasted; empty when unknown."""
+    """Deciles (11) of the dwell times, in seconds, of the passages that end here; empty if unknown.
+    """
 
 
 class CameraModel(Struct, frozen=True):
-    """What prediction needs of a camera: its share of all events, and when it was last heard."""
+    """Parameters of a camera that prediction needs.
+
+    share: its share of all events.
+    last_event (Unix seconds): time of its last event.
+    """
 
     camera: str
     share: float
@@ -167,10 +196,11 @@ class CameraModel(Struct, frozen=True):
 
 
 class Outcome(Struct, frozen=True):
-    """One zone where objects may appear next. ``share`` of the departures are expected there;
-    ``hazard`` has, per lag bin, the probability of appearing in it for a departure that is exposed
-    to it. ``doubt``: the share of this that may as well be chance, in which case they were not seen
-    again.
+    """One zone where departing objects may appear next.
+
+    share: share of the departures that are expected to arrive there.
+    hazard: for each lag bin, the probability to arrive in it of a departure that is exposed to it.
+    doubt: share of this that may be spurious; objects of spurious transitions are not seen again.
     """
 
     to: str
@@ -180,8 +210,10 @@ class Outcome(Struct, frozen=True):
 
 
 class Onward(Struct, frozen=True):
-    """What is expected of objects leaving ``zone``: to appear next elsewhere, or (``leave``) not to
-    be seen again.
+    """Expected next appearances of objects that leave ``zone``.
+
+    leave: share of the objects that leave the site, so are not seen again.
+    next_: the zones where the others appear next.
     """
 
     zone: str
@@ -190,8 +222,9 @@ class Onward(Struct, frozen=True):
 
 
 class EntryKernel(Struct, frozen=True):
-    """Objects that entered a view at ``zone`` and appear at ``to`` before they leave it; the lags
-    of ``hazard`` count from the entry.
+    """Objects that entered a view at ``zone`` and appear at ``to`` before they leave that view.
+
+    The lags of ``hazard`` count from the entry at ``zone``.
     """
 
     zone: str
@@ -200,10 +233,13 @@ class EntryKernel(Struct, frozen=True):
 
 
 class Context(Struct, frozen=True, omit_defaults=True):
-    """Departures at ``zone`` of which more is known: the zone of ``entry``, the ``block`` of the
-    image where they left (row * columns + column of a coarse grid), the camera where they probably
-    were before (``previous``). ``departures`` and the transitions ``to`` each zone are weighed by
-    how sure they are.
+    """Departures at ``zone`` about which more is known than the zone.
+
+    departures: their number, weighted by the probability that they have this context.
+    to: number of transitions to each zone, weighted likewise.
+    entry: zone where the objects entered the view.
+    block: where in the image they left it, as row * columns + column of a coarse grid.
+    previous: camera where they probably were before.
     """
 
     zone: str
@@ -215,8 +251,9 @@ class Context(Struct, frozen=True, omit_defaults=True):
 
 
 class Way(Struct, frozen=True):
-    """A way through one view: passages from ``entry`` to ``exit`` take ``stay`` seconds
-    (median).
+    """A route through one view, from the zone ``entry`` to the zone ``exit``.
+
+    ``stay`` is the median dwell time of its passages, in seconds.
     """
 
     entry: str
@@ -225,9 +262,14 @@ class Way(Struct, frozen=True):
 
 
 class Pace(Struct, frozen=True):
-    """How slowness (log of a passage's duration over its way's median) persists: transit times
-    scale with it to the power ``scaling``, two views of one object correlate by ``correlation``,
-    ``sd`` is its standard deviation. Hazards are of objects of usual pace.
+    """How an object's slowness persists from one view to the next.
+
+    Slowness is the log of a dwell time over the median of its route (`Way`). Hazards are those of
+    objects of usual speed.
+
+    scaling: transit times scale with the dwell time over its median to this power.
+    correlation: correlation of the slowness of one object in two views.
+    sd: standard deviation of the slowness.
     """
 
     scaling: float
@@ -237,10 +279,15 @@ class Pace(Struct, frozen=True):
 
 
 class Overlap(Struct, frozen=True):
-    """Two views that overlap. Of the objects that leave the view of ``camera``, ``share`` are in
-    that of ``to`` at that moment. ``same``: their passages there, ``others``: passages of others
-    under way there, both for each exit and by how many seconds later than the one that ends they
-    began, on lag bins.
+    """Two views that overlap.
+
+    share: of the objects that leave the view of ``camera``, the share that is in the view of ``to``
+        at that moment.
+    same: passages of these objects in the view of ``to``.
+    others: passages of other objects that are under way there.
+
+    Both histograms are per exit from ``camera``; their lag is the number of seconds by which a
+    passage began after the one that the exit ends.
     """
 
     camera: str
@@ -251,8 +298,9 @@ class Overlap(Struct, frozen=True):
 
 
 class Model(Struct, frozen=True):
-    """What `predict` needs beyond the links. Lag bin ``k`` starts at ``lag_scale * sinh(lag_step *
-    k)`` seconds.
+    """Parameters that `camtopod.predict` needs beyond the links.
+
+    Lag bin ``k`` starts at ``lag_scale * sinh(lag_step * k)`` seconds.
     """
 
     lag_scale: float
@@ -262,21 +310,23 @@ class Model(Struct, frozen=True):
     zones: list[ZoneModel]
     cameras: list[CameraModel]
     clocks_corrected: bool = False
-    """Whether the links' transit times are in right time, not by the cameras' own clocks.
-    Histograms always are.
+    """True if transit times of links are in corrected time, not by the cameras' own clocks.
+
+    Histograms always are in corrected time.
     """
     onward: list[Onward] | None = None
-    """The posterior, weak evidence included; without it prediction reads the links."""
+    """The posterior, weak evidence included; without it prediction uses the links."""
     entered: list[EntryKernel] | None = None
     contexts: list[Context] | None = None
     pace: Pace | None = None
     overlaps: list[Overlap] | None = None
-    """Views that overlap; none were looked for if there is no list."""
+    """Views that overlap; None if they were not searched for."""
 
 
 class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
-    """A transition of the Markov chain over cameras (thesis 4.6): of those leaving ``from``, the
-    share seen at ``to``.
+    """A transition of the Markov chain over cameras (thesis 4.6).
+
+    ``probability`` is the share of the objects leaving ``from`` that are seen next at ``to``.
     """
 
     from_: str
@@ -285,12 +335,13 @@ class ChainEdge(Struct, frozen=True, rename={"from_": "from"}):
 
 
 class Alarm(Struct, frozen=True):
-    """Something changed, as found in ``version``; ``t`` is that version's ``as_of``.
+    """A change of the site that ``version`` found; ``t`` is the ``as_of`` of that version.
 
-    ``kind`` is ``link_opened``, ``link_closed``, ``link_changed``, ``zone_new``, ``zone_gone``,
-    ``camera_silent``, ``camera_back``, ``camera_moved``, ``camera_doubled`` or ``clock_changed``;
-    there may be further ones. ``subject`` is a camera, a zone or two zones (``lobby/1->hall/2``);
-    ``detail`` is for people.
+    kind: ``link_opened``, ``link_closed``, ``link_changed``, ``zone_new``, ``zone_gone``,
+        ``camera_silent``, ``camera_back``, ``camera_moved``, ``camera_doubled`` or
+        ``clock_changed``; more may be added.
+    subject: a camera, a zone, or two zones (``lobby/1->hall/2``).
+    detail: a text for people.
     """
 
     version: int
@@ -301,12 +352,15 @@ class Alarm(Struct, frozen=True):
 
 
 class SelfScore(Struct, frozen=True):
-    """How well the last ``exits`` predictions scored were, the oldest made with ``since_version``.
+    """Quality of the last ``exits`` predictions, the oldest of them made with ``since_version``.
 
-    Who went where is taken from later versions, which have seen what came after. ``top1``,
-    ``top3``: share of those seen again whose next camera was the likeliest, or among the likeliest
-    three; ``log_loss``: mean over all exits of -ln(probability of what happened), nats. The
-    baseline always says the most frequent next camera of a camera.
+    The outcomes are taken from later versions, which have seen the events that followed.
+
+    top1, top3: of the objects seen again, the share whose next camera was the likeliest, or one of
+        the three likeliest.
+    log_loss (nats): mean over all exits of -ln(probability of the outcome).
+    baseline_log_loss, baseline_top1: the same for a baseline that always predicts the most frequent
+        next camera of a camera.
     """
 
     exits: int
@@ -319,8 +373,9 @@ class SelfScore(Struct, frozen=True):
 
 
 class Topology(Struct, frozen=True, omit_defaults=True):
-    """One version of the learned topology. ``digest`` is over the content, not over site, epoch and
-    version.
+    """One version of the learned topology.
+
+    ``digest`` is over the content, without site, epoch and version.
     """
 
     schema: str
@@ -338,7 +393,7 @@ class Topology(Struct, frozen=True, omit_defaults=True):
     chain: list[ChainEdge] | None = None
     model: Model | None = None
     alarms: list[Alarm] | None = None
-    """The newest, oldest first, of this version and of those before it in the epoch."""
+    """The newest alarms, oldest first, of this version and of earlier ones of the epoch."""
     score: SelfScore | None = None
 
     def __post_init__(self) -> None:
@@ -347,10 +402,10 @@ class Topology(Struct, frozen=True, omit_defaults=True):
 
 
 class Delta(Struct, frozen=True, omit_defaults=True):
-    """What changed from ``version - 1`` to ``version``: new or changed items whole, gone items by
-    key.
+    """The difference from ``version - 1`` to ``version`` of a topology.
 
-    A link's key is (from, to, relation). ``digest`` is the digest of the topology that results.
+    New and changed items are whole, removed items are keys. The key of a link is (from, to,
+    relation). ``digest`` is the digest of the resulting topology.
     """
 
     schema: str
@@ -373,12 +428,12 @@ class Delta(Struct, frozen=True, omit_defaults=True):
     chain: list[ChainEdge] | None = None
     model: Model | None = None
     alarms: list[Alarm] | None = None
-    """Those of this version."""
+    """The alarms of this version."""
     score: SelfScore | None = None
 
 
 class NextCamera(Struct, frozen=True):
-    """One possible next appearance; the quantiles are seconds after the exit."""
+    """One possible next appearance of an object; the quantiles are in seconds after its exit."""
 
     camera: str
     zone: str
@@ -389,17 +444,17 @@ class NextCamera(Struct, frozen=True):
 
 
 class Look(Struct, frozen=True):
-    """``probability`` that a camera sees an object at the moment it leaves another view or, if none
-    does, is the next to see it.
-    """
+    """Probability that a camera sees the object when it exits or, if none does, sees it next."""
 
     camera: str
     probability: float
 
 
 class InView(Struct, frozen=True):
-    """A passage under way in the view of ``camera``, ``since`` Unix seconds, that is of the object
-    that leaves with this ``probability``.
+    """A passage under way in the view of ``camera`` that may be of the object that left.
+
+    since (Unix seconds): when the passage began.
+    probability: probability that the passage is of that object.
     """
 
     camera: str
@@ -409,12 +464,13 @@ class InView(Struct, frozen=True):
 
 
 class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next"}):
-    """Where an object that has just left will appear next. ``next`` (falling probability) and
-    ``leave`` sum to 1.
+    """Where an object that has just left a view appears next.
 
-    ``look`` and ``in_view`` are there where other views overlap the one that was left, with falling
-    probability. The probabilities of ``look`` may sum to more than 1, as several cameras may see
-    the object at once.
+    next: possible next appearances, by falling probability.
+    leave: probability that the object leaves the site; with those of ``next`` it sums to 1.
+    look, in_view: by falling probability; present if other views overlap the one that was left. The
+        probabilities of ``look`` may sum to more than 1, as several cameras may see the object at
+        once.
     """
 
     camera: str
@@ -429,19 +485,22 @@ class Prediction(Struct, frozen=True, omit_defaults=True, rename={"next_": "next
 
 
 class Ack(Struct, frozen=True, omit_defaults=True):
-    """The highest (boot, seq) of a camera below which everything is safely stored.
+    """Acknowledgement that the events of ``camera`` and ``boot`` up to ``seq`` are stored.
 
-    The counters are of the events of this boot since the daemon's start: those that are learned
-    from, those that were older than what had been learned already (``late``), those that came again
-    (``duplicate``), and those that are stored and not learned from, as their camera flooded or
-    their time was in the future (``refused``).
+    The counters are of the events of this boot since the daemon's start.
+
+    accepted: events that are learned from.
+    late: events that were older than the watermark, so are not learned from.
+    duplicate: events that were received before.
+    refused: events that are acknowledged but not learned from, as their camera flooded or their
+        time was in the future.
     """
 
     camera: str
     boot: str
     seq: int
     daemon: str = ""
-    """The name of the daemon, which stays with its state directory."""
+    """Name of the daemon; it is kept with its state directory."""
     accepted: int | None = None
     late: int | None = None
     duplicate: int | None = None

@@ -1,7 +1,8 @@
-"""Whether a topology from another program makes sense: names, ranges, shapes and sizes.
+"""Check that a topology from another program is valid: names, ranges, shapes and sizes.
 
-Prediction, the page, reports and exports rely on it; otherwise they would end with a traceback, or
-ask for more memory than there is. The ranges are those of any possible site, not of a likely one.
+Prediction, the page, reports and exports rely on these checks; without them a bad topology would
+end in a traceback, or in a request for too much memory. The ranges are those of any possible site,
+not of a likely one.
 """
 
 from __future__ import annotations
@@ -42,16 +43,19 @@ from camtopod.records import (
 )
 
 ZONE_PATTERN = rf"^[A-Za-z0-9_.-]{{1,{CAMERA_CHARACTERS_MAX}}}/[0-9]{{1,9}}\Z"
+"""Regular expression of a zone id: CAMERA/NUMBER."""
 LAG_BINS_MAX = 1_000
-"""Learned topologies have about 90."""
+"""Most lag bins that a model may have; learned topologies have about 90."""
 DECILES = 11
-"""Of how long passages last."""
+"""Number of deciles of the dwell times, minimum and maximum included."""
 _COUNT = (0, 2**53)
 _NUMBER = (0.0, 1e15)
 _SHARE = (0.0, 1.001)
-"""A little above 1 for what is rounded."""
+"""Range of a share; the upper end allows for rounding."""
 _TIME = (-1e11, 1e11)
+"""Range of a time since 1970, or of a lag, in seconds."""
 _SPAN = (0.0, 1e11)
+"""Range of a duration, in seconds."""
 Ranges = dict[str, tuple[float, float]]
 _RANGES: dict[type[Struct], Ranges] = {
     Topology: {"version": _COUNT, "events": _COUNT, "as_of": _TIME},
@@ -86,11 +90,13 @@ _RANGES: dict[type[Struct], Ranges] = {
     | dict.fromkeys(("log_loss", "baseline_log_loss"), _NUMBER)
     | dict.fromkeys(("top1", "top3", "baseline_top1"), _SHARE),
 }
+"""Smallest and largest value of the numeric fields of each struct; None is always allowed."""
 
 
 def problems(topology: Topology) -> Iterator[str]:
-    """What is wrong, a phrase each with its place in the JSON. Stop at the first: others may follow
-    from it.
+    """Yield a phrase for each problem, with its place in the JSON.
+
+    Stop at the first problem: later checks assume that the earlier ones hold.
     """
     yield from _names(topology)
     yield from _repeated(topology)
@@ -101,24 +107,29 @@ def problems(topology: Topology) -> Iterator[str]:
 
 
 def _names(topology: Topology) -> Iterator[str]:
-    """Cameras and zones have names as the contract says, and know each other."""
+    """Check that ids match their patterns, and that each zone belongs to one camera."""
     zones = {zone.id: zone.camera for zone in topology.zones}
     for k, camera in enumerate(topology.cameras):
         if re.match(CAMERA_PATTERN, camera.id) is None:
-            yield f"{camera.id[:CAMERA_CHARACTERS_MAX]!r} is no camera's id - at `$.cameras[{k}].id`"
+            yield (
+                f"{camera.id[:CAMERA_CHARACTERS_MAX]!r} is no camera's id - at `$.cameras[{k}].id`"
+            )
         for zone in camera.zones:
             if zones.get(zone, camera.id) != camera.id:
                 yield f"zone {zone!r} is another camera's - at `$.cameras[{k}].zones`"
     for k, one in enumerate(topology.zones):
         if re.match(ZONE_PATTERN, one.id) is None or one.id.rpartition("/")[0] != one.camera:
-            yield f"{one.id[:CAMERA_CHARACTERS_MAX]!r} is no zone's id, which is CAMERA/NUMBER - at `$.zones[{k}].id`"
+            yield (
+                f"{one.id[:CAMERA_CHARACTERS_MAX]!r} is no zone's id, which is CAMERA/NUMBER"
+                f" - at `$.zones[{k}].id`"
+            )
     for k, pair in enumerate(topology.pairs):
         if pair.cameras[0] >= pair.cameras[1]:
             yield f"the cameras are not two, sorted - at `$.pairs[{k}].cameras`"
 
 
 def _repeated(topology: Topology) -> Iterator[str]:
-    """What stands for one thing is there once."""
+    """Check that no item is there twice."""
     keyed: list[tuple[str, Iterable[Any]]] = [
         ("cameras", (camera.id for camera in topology.cameras)),
         ("zones", (zone.id for zone in topology.zones)),
@@ -141,7 +152,10 @@ def _repeated(topology: Topology) -> Iterator[str]:
     for place, keys in keyed:
         twice = [key for key, count in Counter(keys).items() if count > 1]
         if twice:
-            yield f"{' '.join(twice[0]) if isinstance(twice[0], tuple) else twice[0]} is there twice - at `$.{place}`"
+            yield (
+                f"{' '.join(twice[0]) if isinstance(twice[0], tuple) else twice[0]} is there twice"
+                f" - at `$.{place}`"
+            )
 
 
 def _key_of(link: Link) -> tuple[str, str, str]:
@@ -149,7 +163,7 @@ def _key_of(link: Link) -> tuple[str, str, str]:
 
 
 def _walk(one: Struct, place: str) -> Iterator[str]:
-    """Ranges and shapes of a noun and of all nouns in it."""
+    """Check the ranges and shapes of a struct and of all structs in it."""
     kind = type(one)
     for name, (low, high) in _RANGES.get(kind, {}).items():
         value = getattr(one, name)
@@ -217,7 +231,7 @@ _SHAPES: dict[type[Struct], Callable[[Any], str]] = {
 
 
 def _bins(model: Model) -> Iterator[str]:
-    """The lag bins, as `camtopod.topology.lag_bins` makes them."""
+    """Check the lag bins, which are those of `camtopod.topology.lag_bins`."""
     if not model.lag_min < model.lag_max:
         yield "the range of lags is empty - at `$.model.lag_max`"
     elif _last_bin(model) - _first_bin(model) >= LAG_BINS_MAX:
@@ -233,7 +247,7 @@ def _last_bin(model: Model) -> int:
 
 
 def _histograms(topology: Topology, model: Model) -> Iterator[str]:
-    """They lie on the model's lag bins."""
+    """Check that the histograms lie on the model's lag bins."""
     first, end = _first_bin(model), _last_bin(model) + 1
     held: list[tuple[str, int, Histogram | None]] = [
         ("links", k, link.histogram) for k, link in enumerate(topology.links)
@@ -249,12 +263,15 @@ def _histograms(topology: Topology, model: Model) -> Iterator[str]:
         if histogram is None or not histogram.mass:
             continue
         if not first <= histogram.first <= end - len(histogram.mass):
-            yield f"a histogram that is not on the model's lag bins, {first} to {end - 1} - at `$.{place}[{k}]`"
+            yield (
+                f"a histogram that is not on the model's lag bins, {first} to {end - 1}"
+                f" - at `$.{place}[{k}]`"
+            )
 
 
 @functools.cache
 def _inner(kind: type[Struct]) -> list[str]:
-    """The fields of a noun that hold nouns."""
+    """Return the names of the fields that hold structs."""
     return [
         field.name
         for field in msgspec.structs.fields(kind)
@@ -263,7 +280,7 @@ def _inner(kind: type[Struct]) -> list[str]:
 
 
 def _types(given: Any) -> Iterator[Any]:
-    """The types that a field's type is made of."""
+    """Yield the types of which a field's type consists."""
     if isinstance(given, types.UnionType) or typing.get_origin(given) is list:
         for one in typing.get_args(given):
             yield from _types(one)

@@ -1,5 +1,6 @@
-"""The one place where text of others is made harmless to a terminal and to a log: what is printed
-or logged goes through `visible`.
+"""Make untrusted text harmless to a terminal and a log.
+
+All printed and logged text goes through `visible`.
 """
 
 from __future__ import annotations
@@ -10,10 +11,9 @@ _INDENT = "    "
 
 
 def visible(text: str) -> str:
-    """``text`` on one line, with every character that is not printable as JSON writes it, for
-    example ``\\u001b``.
+    r"""Return ``text`` on one line, with unprintable characters as JSON escapes such as ``\u001b``.
 
-    Not printable are control characters (C0, C1), line separators, characters that change the
+    Unprintable are control characters (C0, C1), line separators, characters that change the
     direction of writing, and lone surrogates. JSON stays JSON of the same content.
     """
     if text.isprintable():
@@ -22,7 +22,8 @@ def visible(text: str) -> str:
 
 
 def visible_lines(text: str) -> str:
-    """The same for several lines; those after the first are indented, so that none passes for
-    another message.
+    """Return several lines made `visible`, indented after the first.
+
+    So none of them looks like another message.
     """
     return f"\n{_INDENT}".join(visible(line) for line in text.split("\n"))
