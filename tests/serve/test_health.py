@@ -47,7 +47,7 @@ def test_a_loop_that_does_not_get_on_is_named_and_one_that_does_is_not() -> None
     assert progress.stuck() == []
     now += 31.0
     learn.beat()
-    assert progress.stuck() == ["receive has not got on for 31 s (allowed: 30 s)"]
+    assert progress.stuck() == ["receive has made no progress for 31 s (limit: 30 s)"]
     receive.beat()
     now += 29.0
     assert progress.stuck() == []
@@ -117,7 +117,7 @@ def test_an_idle_daemon_is_healthy_and_a_stuck_learner_is_not(daemon: Daemon) ->
     assert daemon.unready() != []
     status = daemon.status()
     assert status["state"] == "degraded"
-    assert "learn has not got on" in status["reason"]
+    assert "learn has made no progress" in status["reason"]
     let_go()
     wait_for(lambda: daemon.failing() == [], "it to go on")
     assert daemon.status()["state"] == "running"
@@ -140,7 +140,7 @@ def test_a_bus_that_is_dead_is_noticed(tmp_path: Path, monkeypatch: pytest.Monke
         assert (daemon.failing(), daemon.unready()) == ([], [])
         daemon.bus._session.close()  # type: ignore[no-untyped-call]
         wait_for(
-            lambda: any(reason.startswith("bus has not got on") for reason in daemon.failing()),
+            lambda: any(reason.startswith("bus has made no progress") for reason in daemon.failing()),
             "it to be noticed",
         )
 
@@ -327,10 +327,10 @@ def pages() -> Iterator[Pages]:
 def test_pages(pages: Pages) -> None:
     assert pages.ask("/healthz") == (200, {"status": "ok", "reasons": []})
     assert pages.ask("/readyz?x=1") == (200, {"status": "ok", "reasons": []})
-    pages.failing, pages.unready = ["learn has not got on"], ["replaying"] * 100
+    pages.failing, pages.unready = ["learn has made no progress"], ["replaying"] * 100
     assert pages.ask("/healthz") == (
         503,
-        {"status": "failing", "reasons": ["learn has not got on"]},
+        {"status": "failing", "reasons": ["learn has made no progress"]},
     )
     status, body = pages.ask("/readyz")
     assert (status, len(body["reasons"])) == (503, 20)
@@ -451,11 +451,11 @@ def test_a_daemon_whose_learner_hangs_does_not_feed_the_watchdog(
         wait_for(lambda: daemon.failing() != [], "it to be noticed")
         systemd_socket.hear(0.2)
         assert "WATCHDOG=1" not in systemd_socket.hear(0.5)
-        assert any(line.startswith("STATUS=learn has not got on") for line in systemd_socket.told)
+        assert any(line.startswith("STATUS=learn has made no progress") for line in systemd_socket.told)
         with caplog.at_level(logging.INFO):
             let_go()
             wait_for(lambda: "WATCHDOG=1" in systemd_socket.hear(), "it to be fed again")
-        assert "get on again" in caplog.text
+        assert "making progress again" in caplog.text
 
 
 def test_a_start_that_gets_on_may_take_its_time(systemd_socket: Systemd) -> None:

@@ -80,7 +80,7 @@ def stuck_in(owner: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> Callable
 
 def hangs_and_gets_on(told: Systemd, part: str, let_go: Callable[[], None]) -> None:
     """That systemd hears of ``part``, and is not fed until it is let go."""
-    reason = f"STATUS={part} has not got on for "
+    reason = f"STATUS={part} has made no progress for "
     wait_for(lambda: any(line.startswith(reason) for line in [*told.hear(), *told.told]), reason)
     told.hear(0.2)
     unfed = told.hear(0.5)

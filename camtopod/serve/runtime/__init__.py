@@ -1,4 +1,10 @@
-"""runtime"""
+"""Building blocks of a running program: clocks, liveness, counters, memory, systemd.
+
+Read `clock` (wall clock, steady clock, ULIDs) and `progress` (watch whether loops make progress)
+first. `systemd` reports both to the service manager. `rejects` counts malformed input, `reload`
+compares configurations, `background_work` and `memory` keep the learner from delaying the other
+threads, and `ownership` has the default answer to "which shard owns this camera".
+"""
 
 from __future__ import annotations
 

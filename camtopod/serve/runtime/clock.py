@@ -1,4 +1,4 @@
-"""The only place that reads the wall clock, and the ids made from it."""
+"""Clocks, and identifiers made from them. The only module that reads the wall clock."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 Clock = Callable[[], float]
-"""Seconds since the Unix epoch, or since whenever."""
+"""A function that returns seconds since the Unix epoch, or since any other fixed moment."""
 
 _CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 
 
 def wall() -> float:
-    """Seconds since the Unix epoch, now."""
+    """Return the wall clock: seconds since the Unix epoch."""
     return time.time()
 
 
 def since_boot() -> float:
-    """Seconds that never step and do not stand still while the machine is suspended, where the
-    system tells those.
+    """Return seconds on a clock that never steps.
+
+    Where the system has CLOCK_BOOTTIME (Linux), it also runs while the machine is suspended.
     """
     return (
         time.clock_gettime(time.CLOCK_BOOTTIME)
@@ -32,8 +33,9 @@ def since_boot() -> float:
 
 
 def box() -> str:
-    """What is the same in all programs that read this machine's clock, and in no others: this boot
-    of its kernel.
+    """Return an identifier shared by all programs that read this machine's clock, and by no others.
+
+    It is the boot id of the kernel, or the host name where there is none.
     """
     with contextlib.suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
@@ -41,17 +43,18 @@ def box() -> str:
 
 
 def steady_beside(clock: Clock) -> Clock:
-    """The clock that measures how long something takes: it never steps. Whoever makes up the time
-    (a simulation) makes it up for both.
+    """Return the clock to measure durations with, which never steps, given the program's ``clock``.
+
+    A simulated clock serves for both.
     """
     return since_boot if clock is wall else clock
 
 
 def ulid(now: float, after: str = "") -> str:
-    """A ULID: 26 characters, 48 bits of milliseconds since the epoch and 80 random bits, sorted by
-    time.
+    """Return a ULID: 26 characters that sort by time.
 
-    It sorts behind the ULID ``after`` even if the clock has been set back since.
+    It has 48 bits of milliseconds since the epoch and 80 random bits. It sorts after the ULID
+    ``after`` even if the clock has been set back since.
     """
     milliseconds = int(now * 1000)
     if after:

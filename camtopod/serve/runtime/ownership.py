@@ -1,8 +1,8 @@
-"""Which cameras a daemon answers for: all of them, unless it is one shard of several."""
+"""The default answer to the question which cameras a daemon owns: all, unless it is a shard."""
 
 from __future__ import annotations
 
 
 def everything(camera: str) -> bool:
-    """Return True: a daemon that has the site to itself owns every camera."""
+    """Return True: a daemon that serves its site alone owns every camera."""
     return True

@@ -1,6 +1,4 @@
-"""What did not fit: counted by reason, quoted once per reason, a few of each kept, never in the
-way.
-"""
+"""Count rejected input by reason, log the first of each reason and keep a few samples."""
 
 from __future__ import annotations
 
@@ -13,14 +11,15 @@ from camtopod.redact import redact
 log = logging.getLogger(__name__)
 
 QUOTE_CHARACTERS_MAX = 120
+"""Longest part of a sample that is kept, in characters."""
 REASONS_MAX = 100
-"""Further reasons are counted together as ``other``."""
+"""Most reasons that are counted apart; further ones are counted together as ``other``."""
 SAMPLES_MAX = 3
-"""The newest of each reason are kept."""
+"""Samples kept of each reason, the newest ones."""
 
 
 class Rejects:
-    """Counts by reason. Quotes the first of each reason in the log. Thread-safe."""
+    """Counts of rejected input by reason; logs the first sample of each reason. Thread-safe."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -28,11 +27,20 @@ class Rejects:
         self._mutex = threading.Lock()
 
     def add(self, reason: str, where: str, detail: str, raw: bytes | str = b"") -> None:
-        """One thing that did not fit: ``where`` it came from, why, and the thing itself."""
+        """Count one rejected input.
+
+        reason: the name it is counted under.
+        where: where it came from.
+        detail: why it was rejected.
+        raw: the input itself.
+        """
         with self._mutex:
+            # Count.
             if reason not in self.counts and len(self.counts) >= REASONS_MAX:
                 reason = "other"
             self.counts[reason] += 1
+
+            # Keep a shortened and redacted sample.
             text = (
                 raw
                 if isinstance(raw, str)
@@ -42,11 +50,12 @@ class Rejects:
             sample = f"{where[:most]}: {detail[:most]}: {redact(text)[:most]!r}"
             self._samples.setdefault(reason, deque(maxlen=SAMPLES_MAX)).append(sample)
             first = self.counts[reason] == 1
+        # Log outside the lock.
         if first:
             log.warning("rejected (%s) %s; further ones are only counted", reason, redact(sample))
 
     def samples(self) -> dict[str, list[str]]:
-        """The newest of each reason: where, why, what."""
+        """Return the newest samples of each reason: where from, why, and the input."""
         with self._mutex:
             return {
                 reason: [redact(sample) for sample in kept]
@@ -57,6 +66,6 @@ class Rejects:
         return bool(self.counts)
 
     def summary(self) -> str:
-        """For example ``3 rejected: 2 bad-value, 1 malformed``."""
+        """Return, for example, ``3 rejected: 2 bad-value, 1 malformed``."""
         parts = ", ".join(f"{count} {reason}" for reason, count in sorted(self.counts.items()))
         return f"{self.counts.total()} rejected: {parts}"

@@ -1,4 +1,4 @@
-"""What another configuration means for a daemon that runs."""
+"""Compare configurations: which changed settings a running daemon can adopt without a restart."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ WHILE_RUNNING = (
     "status_seconds",
     "settle_seconds",
 )
-"""The settings of [limits] that are looked up at every use."""
+"""Settings of [limits] that are read at every use, so that a change takes effect at once."""
 _OF_OTHERS = ("vision",)
-"""Tables the daemon does not read; [cameras] is another."""
+"""Tables that the daemon does not read. ([cameras] is not in `TABLES` at all.)"""
 
 
 def changes(old: Config, new: Config) -> tuple[Limits, list[str]]:
-    """(the limits from now on, the names of the changed settings that need a restart)."""
+    """Return the new limits to use from now on, and the changed settings that need a restart."""
     obeyed = {name: getattr(new.limits, name) for name in WHILE_RUNNING}
     waiting = []
     for table in TABLES:

@@ -1,7 +1,7 @@
-"""What systemd is told (sd_notify) by a service of Type=notify; nothing happens where there is no
-systemd.
+"""Notify systemd (sd_notify) from a service of Type=notify; do nothing where systemd is absent.
 
-The watchdog is fed only while the program gets on, so that systemd starts again what hangs.
+The watchdog is fed only while the program makes progress, so that systemd restarts a program that
+hangs.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ log = logging.getLogger(__name__)
 
 SOCKET_VARIABLE = "NOTIFY_SOCKET"
 SEND_SECONDS = 1.0
+"""Longest wait for systemd to take a notification, in seconds."""
 FEED_SECONDS_MAX = 1.0
-"""Between two feedings, at most; and a third of what the unit's WatchdogSec= allows."""
+"""Longest time between two watchdog notifications; a third of WatchdogSec= if that is shorter."""
 EXTEND_MICROSECONDS = 30_000_000
-"""A start that gets on may take this much longer from now."""
+"""A start that makes progress may take this much longer from now, in microseconds."""
 
 
 def notify(*assignments: str) -> bool:
-    """Send e.g. ``READY=1``, ``STATUS=...``; whether systemd is there and took it."""
+    """Send assignments such as ``READY=1``; return True if systemd is there and took them."""
     address = os.environ.get(SOCKET_VARIABLE, "")
     if not address:
         return False
@@ -38,23 +39,23 @@ def notify(*assignments: str) -> bool:
         try:
             out.sendto("\n".join(assignments).encode(), address)
         except OSError as error:
-            log.debug("systemd cannot be told: %s", error)
+            log.debug("cannot notify systemd: %s", error)
             return False
     return True
 
 
 def status(text: str) -> str:
-    """The assignment that shows ``text`` in `systemctl status`."""
+    """Return the assignment that shows ``text`` in `systemctl status`."""
     return "STATUS=" + visible(" ".join(text.split()))
 
 
 def reloading() -> None:
-    """The configuration is being read anew; say ``READY=1`` when that is done."""
+    """Announce that the configuration is being reloaded; send ``READY=1`` when it is done."""
     notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
 
 def feed_seconds() -> float:
-    """How often to feed the watchdog of this process."""
+    """Return how often to feed the watchdog of this process, in seconds."""
     given = os.environ.get("WATCHDOG_USEC", "")
     if not given.isdigit() or os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return FEED_SECONDS_MAX
@@ -63,10 +64,10 @@ def feed_seconds() -> float:
 
 @contextmanager
 def watchdog(failing: Callable[[], list[str]], starting: Callable[[], bool]) -> Iterator[None]:
-    """While the block runs feed the watchdog, unless ``failing()`` says why not; log when that
-    changes.
+    """Feed the watchdog while the block runs, unless ``failing()`` returns reasons not to.
 
-    While ``starting()`` the start may take longer, too, as long as it gets on.
+    The reasons are logged and shown in the status when they begin and when they end. While
+    ``starting()`` is true, each feeding also extends the time that the start may take.
     """
     done = threading.Event()
 
@@ -74,13 +75,17 @@ def watchdog(failing: Callable[[], list[str]], starting: Callable[[], bool]) -> 
         before: list[str] = []
         while not done.is_set():
             reasons = failing()
+
+            # Log a change, and show it in `systemctl status`.
             if reasons and not before:
                 log.error("%s", "; ".join(reasons))
                 notify(status("; ".join(reasons)))
             elif before and not reasons:
-                log.info("all parts get on again")
+                log.info("all components are making progress again")
                 notify(status("running"))
             before = reasons
+
+            # Feed the watchdog.
             if not reasons:
                 extend = [f"EXTEND_TIMEOUT_USEC={EXTEND_MICROSECONDS}"] if starting() else []
                 notify("WATCHDOG=1", *extend)
