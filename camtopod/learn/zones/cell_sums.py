@@ -1,5 +1,7 @@
-"""Integer sums over events by camera and grid cell. Only cells that have events take memory: a
-camera with one event takes some hundred bytes, one that is busy everywhere 50 KB.
+"""Integer sums over events by camera and grid cell.
+
+Only cells that have events take memory: a camera with a single event takes about a hundred bytes,
+one with events in every cell 50 KB.
 """
 
 from __future__ import annotations
@@ -13,43 +15,48 @@ from camtopod.arrays import Longs
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 
 PLANES = ("count", "sx", "sy", "sxx", "sxy", "syy", "entries")
+"""The sums of each cell: events, positions x and y, their products, and those events that are
+entries.
+"""
 
 
 class GridSums:
-    """``sums[camera]`` (planes, rows, columns) is a copy. Cameras are counted from 0 in the order
-    they come.
-    """
+    """Sums over events by camera and grid cell; cameras are numbered from 0 as they are added."""
 
     def __init__(self) -> None:
-        self._cells: list[
-            NDArray[np.intp]
-        ] = []  # of each camera: flat index of the cells with events, ascending
-        self._sums: list[Longs] = []  # (planes, cells)
+        # For each camera the flat indices of the cells with events, ascending.
+        self._cells: list[NDArray[np.intp]] = []
+        # For each camera the sums (planes, cells) of these cells.
+        self._sums: list[Longs] = []
 
     def __getitem__(self, camera: int) -> Longs:
+        """Return a copy of the camera's sums (planes, rows, columns)."""
         whole = np.zeros((len(PLANES), GRID_ROWS * GRID_COLUMNS), np.int64)
         whole[:, self._cells[camera]] = self._sums[camera]
         return whole.reshape(-1, GRID_ROWS, GRID_COLUMNS)
 
     def append(self) -> None:
-        """One more camera, without events."""
+        """Add a camera without events."""
         self._cells.append(np.zeros(0, np.intp))
         self._sums.append(np.zeros((len(PLANES), 0), np.int64))
 
     def keep(self, cameras: Iterable[int]) -> None:
-        """Forget all cameras but these, which are numbered anew in this order."""
+        """Forget all cameras but these, and renumber these in the given order."""
         cameras = list(cameras)
         self._cells = [self._cells[camera] for camera in cameras]
         self._sums = [self._sums[camera] for camera in cameras]
 
     def count(self, camera: int) -> int:
-        """Events of the camera."""
+        """Return the number of events of the camera."""
         return int(self._sums[camera][0].sum())
 
     def add(self, camera: int, cell: NDArray[np.intp], values: Longs) -> None:
-        """Add ``values`` (planes, n) of events in the cells ``cell`` (n,); those of events that are
-        taken back are negative.
+        """Add events of a camera.
+
+        cell (n,): flat index of the grid cell of each event.
+        values (planes, n): values of each event; negative to subtract an event added before.
         """
+        # Insert cells that have had no events.
         cells, sums = self._cells[camera], self._sums[camera]
         at = np.searchsorted(cells, cell)
         if not np.array_equal(cells.take(at, mode="clip") if len(cells) else cells, cell):
@@ -58,9 +65,11 @@ class GridSums:
             wider[:, np.searchsorted(cells, known)] = sums
             sums, at = wider, np.searchsorted(cells, cell)
 
+        # Add the values.
         for plane, value in zip(sums, values, strict=True):
             np.add.at(plane, at, value)
 
+        # Drop cells that have no events any more.
         some = sums[0] > 0
         if not some.all():
             cells, sums = cells[some], sums[:, some]

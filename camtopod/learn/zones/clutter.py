@@ -1,9 +1,9 @@
-"""The density floor, and DaSpec over what stands out of it: the first groups of cells (see
-`partition`).
+"""Clutter: the density floor of events that belong to no zone, and DaSpec on the cells above it.
 
-A camera also sees things begin and end anywhere, by broken tracks and false alarms: clutter, of
-which DaSpec makes zones of its own (5 % uniform clutter gives 6 to 9 instead of 3). Its rate is
-known from the sparse cells; it changes over the image, but over wider stretches than a zone's.
+Clutter is made of tracks that begin or end anywhere in the view, as broken tracks and false
+detections do. DaSpec makes zones of it (5 % uniform clutter gives 6 to 9 zones instead of 3), so it
+is removed first. Its rate is estimated from the sparse cells. It varies over the image, but on a
+larger scale than a zone. The groups found here are the starting point of `partition`.
 """
 
 from __future__ import annotations
@@ -22,31 +22,37 @@ Labels = NDArray[np.intp]
 Counts = NDArray[np.int64] | Floats
 
 CONTRAST_MIN = 2.5
-"""A zone is at least so many times as dense as the clutter around it."""
+"""Least ratio of a zone's density to the density of the clutter around it."""
 FLOOR_CHANCE = 0.01
-"""A cell is kept for DaSpec when clutter alone would fill its surroundings like this with at most
-this probability."""
+"""A cell is kept for DaSpec if clutter alone would put as many events into its surroundings with
+less than this probability.
+"""
 FOUND_CHANCE = 0.0001
-"""The same for looking again among what was left as clutter."""
+"""`FLOOR_CHANCE` for the later search among events that were taken for clutter."""
 FLOOR_WIDTHS = (0.75, 1.75)
-"""Widths of a cell's surroundings, grid steps: a fire door's, and that of a zone of few events."""
+"""Standard deviations of the kernels that define a cell's surroundings, grid steps.
+
+The smaller one suits a single door, the larger one a zone of few events.
+"""
 PEELS_MAX = 3
-"""DaSpec runs at most so often, each time over what no kept eigenvector reached."""
+"""Most runs of DaSpec, each on the cells that no eigenvector kept so far reaches."""
 WIDTH = 4.0
-"""Clutter's rate is a mean over this width, grid steps: broader than a zone."""
+"""Standard deviation, grid steps, of the kernel that averages clutter; larger than a zone."""
 DENSER = 2.0
-"""A cell so many times as dense as the clutter around it is not clutter, however many events there
-are.
+"""A cell counts as clutter up to this multiple of the local rate, plus three standard deviations
+of Poisson noise, however many events there are.
 """
 DENSER_MAX = 4.0
-"""Clutter is nowhere denser than this many times its mean."""
+"""Largest local rate of clutter, as a multiple of its mean over the image."""
 EVENTS_ALIKE = 30.0
-"""With fewer events of clutter around a cell its rate is more that of the whole image."""
+"""Weight, in events, of the rate of the whole image in the local rate of clutter."""
 ROUNDS = 8
+"""Most iterations of the clutter estimates."""
 _WIDE_ROWS, _WIDE_COLUMNS = kernel_1d(GRID_ROWS, WIDTH), kernel_1d(GRID_COLUMNS, WIDTH)
 
 
 def _surroundings(width: float) -> tuple[Floats, Floats, Floats]:
+    """Return the kernels of rows and columns, and for each cell (sum K) / (sum K^2)."""
     rows, columns = kernel_1d(GRID_ROWS, width), kernel_1d(GRID_COLUMNS, width)
     area = np.outer(rows.sum(axis=0), columns.sum(axis=0))
     return rows, columns, area / np.outer((rows**2).sum(axis=0), (columns**2).sum(axis=0))
@@ -58,7 +64,7 @@ _ROWS, _COLUMNS, _SCALES = (
 
 
 def clutter_rate(count: Counts) -> float:
-    """Events of clutter per cell: the mean over the cells that are not significantly above it."""
+    """Return the events of clutter per cell: the mean of all cells not significantly above it."""
     n = np.sort(count, axis=None).astype(np.float64)
     upto = np.cumsum(n)
     rate = float(upto[-1]) / len(n)
@@ -71,10 +77,11 @@ def clutter_rate(count: Counts) -> float:
 
 
 def clutter_rates(count: Counts) -> Floats:
-    """`clutter_rate` around each cell, shape of ``count``: clutter is thicker where people walk or
-    light flickers.
+    """Return the `clutter_rate` around each cell, in the shape of ``count`` (rows, columns).
 
-    From at most `DENSER_MAX` of the whole image's rate it falls until nothing stands out.
+    Clutter is denser where people walk or light flickers. The rate starts at `DENSER_MAX` times
+    that of the whole image and falls from iteration to iteration, until the set of cells that count
+    as clutter no longer changes.
     """
     n = np.asarray(count, dtype=np.float64)
     mean = clutter_rate(count)
@@ -83,21 +90,24 @@ def clutter_rates(count: Counts) -> Floats:
     for _ in range(ROUNDS):
         before, kept = kept, n <= DENSER * rate + 3 * np.sqrt(rate) + 1
         if (kept == before).all():
-            break  # the same cells have the same mean
+            break  # the same cells have the same rates
         weight, around = _WIDE_ROWS @ np.array((kept, kept * n)) @ _WIDE_COLUMNS
         rate = np.minimum(rate, (around + EVENTS_ALIKE) / (weight + EVENTS_ALIKE / mean))
     return rate
 
 
 def _chance(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
-    """Probability that clutter fills a cell's surroundings like this, for the size of surroundings
-    where it is least, of the cells of the mask ``which``; 1 where it is not small.
+    """Return the probability that clutter alone puts as many events around a cell; 1 if not small.
 
-    A kernel-weighted sum of Poisson counts is much like one count over (sum K)^2 / (sum K^2) cells.
+    which (rows, columns): mask of the cells to test; the result has one value for each.
+
+    The smallest probability over the sizes of surroundings (`FLOOR_WIDTHS`) counts. A
+    kernel-weighted sum of Poisson counts is distributed approximately like one count over
+    (sum K)^2 / (sum K^2) cells.
     """
     inside, expected = (_ROWS @ np.array((count, rate))[:, None] @ _COLUMNS * _SCALES)[:, :, which]
-    # Up to a standard deviation above what is expected it is a seventh and more, far from any
-    # chance asked for.
+    # Up to a standard deviation above the expectation the probability is at least about 1/7, far
+    # above any threshold in use.
     some = inside > expected + np.sqrt(expected)
     chances = np.ones(inside.shape)
     chances[some] = gammainc(np.maximum(inside[some], 1e-9), expected[some])
@@ -105,8 +115,11 @@ def _chance(count: Counts, rate: Floats, which: NDArray[np.bool_]) -> Floats:
 
 
 def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
-    """Counts above the clutter's ``rate``, 0 in cells whose surroundings clutter would fill like
-    this with at least ``chance``."""
+    """Return the events above the clutter in cells that stand out from it, 0 in all others.
+
+    count, rate (rows, columns): events, and expected events of clutter.
+    chance: a cell stands out if clutter alone explains its surroundings with less probability.
+    """
     keep = (count > rate + 2 * np.sqrt(rate)) & (count > CONTRAST_MIN * rate)
     if not keep.any():
         return np.zeros(keep.shape)
@@ -115,17 +128,21 @@ def dense_cells(count: Counts, rate: Floats, chance: float) -> Floats:
 
 
 def groups_of(dense: Floats) -> Labels:
-    """DaSpec's groups of the dense cells, flat (rows * columns), -1 elsewhere."""
+    """Return DaSpec's group of each dense cell (rows * columns,), -1 in all others."""
+    # Half the bandwidth of the rule: too many groups rather than too few, as `partition` merges.
     dense = dense.copy()
     width = max(bandwidth(dense) / 2, BANDWIDTH_MIN)
     labels = np.full(dense.size, -1, dtype=np.intp)
     groups = 0
     for _ in range(PEELS_MAX):
+        # Keep the groups of the cells that the eigenvectors of this run reach.
         found = data_spectroscopy(dense, width)
         own = found.vectors[np.arange(len(found.cells)), found.labels]
         reached = own > found.vectors.max(axis=0)[found.labels] * max(1 / dense.sum(), 1e-3)
         labels[found.cells[reached]] = found.labels[reached] + groups
         groups += found.groups
+
+        # Go on with the other cells.
         dense.ravel()[found.cells[reached]] = 0
         if not dense.any():
             break

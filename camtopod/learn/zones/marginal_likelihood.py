@@ -1,11 +1,14 @@
-"""Evidence of a group of events being one zone: the marginal likelihood of a Gaussian of unknown
+"""Evidence that a group of events is one zone: the marginal likelihood of a Gaussian with unknown
 mean and covariance.
 
-A group is six sums (n, Sx, Sy, Sxx, Sxy, Syy) in image units, first axis of every array here;
-groups add up. The mean has a flat prior over the image (area 1), the covariance an inverse Wishart
-prior that expects a zone of `ZONE_SD`, weighing as much as one or two events. Clutter is uniform
-over the image, so its evidence is 1 (log 0) whatever its size: the number compared against. A group
-of one event has exactly that, too: a single event never makes a zone.
+A group is given by six sums (n, Sx, Sy, Sxx, Sxy, Syy) in image units, along the first axis of the
+arrays here; the sums of two groups add up to those of their union. The mean has a flat prior over
+the image (area 1). The covariance has an inverse Wishart prior that expects a zone of standard
+deviation `ZONE_SD` and weighs as much as one or two events.
+
+The alternative is clutter, which is uniform over the image: its likelihood is 1 (log 0) for any
+number of events. A group of a single event has exactly that evidence, too, and so never makes a
+zone.
 """
 
 from __future__ import annotations
@@ -16,17 +19,19 @@ from scipy.special import gammaln
 from camtopod.arrays import Floats
 
 ZONE_SD = 0.02
-"""Image units: the spread a zone is expected to have before anything is seen; from a third to
-thrice costs little."""
+"""Prior standard deviation of a zone, image units; a third or three times of it costs little."""
 _FREEDOM = 4.0
+"""Degrees of freedom of the inverse Wishart prior."""
 _SCALE = 5 * ZONE_SD**2
+"""Scale of the inverse Wishart prior, the same along both axes."""
 SHARE_PRIOR = 1.0
-"""Dirichlet prior of the zones' shares of the traffic."""
+"""Concentration of the Dirichlet prior of the zones' shares of the events."""
 
 
 def moments(groups: Floats) -> tuple[Floats, Floats]:
-    """Mean (2, ...) of each group and its sums of squared deviations from it (3: xx, xy, yy,
-    ...).
+    """Return the mean (2, ...) and scatter (3, ...) of each group.
+
+    Scatter is the sums of squared deviations from the mean (xx, xy, yy).
     """
     mean = groups[1:3] / np.maximum(groups[0], 1e-12)
     (sx, sy), (x, y) = groups[1:3], mean
@@ -34,20 +39,20 @@ def moments(groups: Floats) -> tuple[Floats, Floats]:
 
 
 def gaussians(groups: Floats) -> tuple[Floats, Floats]:
-    """Mean (2, ...) and covariance (3: xx, xy, yy, ...) of each group, the prior weighed in."""
+    """Return the mean (2, ...) and posterior covariance (3, ...: xx, xy, yy) of each group."""
     mean, scatter = moments(groups)
     return mean, covariance(groups[0], scatter)
 
 
 def covariance(n: Floats, scatter: Floats) -> Floats:
-    """That of `gaussians` from the number of events and the squared deviations (`moments`)."""
+    """Return the covariance of `gaussians` from numbers of events and scatter (`moments`)."""
     xx, xy, yy = scatter
     cov: Floats = np.array((xx + _SCALE, xy, yy + _SCALE)) / (n + (_FREEDOM - 1))
     return cov
 
 
 def log_evidence(groups: Floats) -> Floats:
-    """Log marginal likelihood of each group as one zone, relative to clutter."""
+    """Return the log marginal likelihood of each group as one zone, relative to clutter."""
     n = np.maximum(groups[0], 1.0)
     xx, xy, yy = moments(groups)[1]
     half = 0.5 * (_FREEDOM + n - 1)
@@ -63,11 +68,10 @@ def log_evidence(groups: Floats) -> Floats:
 
 
 def log_zone(n: Floats, scatter: Floats) -> Floats:
-    """`log_evidence` and `log_share` of groups together, by number of events and squared deviations
-    (`moments`).
+    """Return `log_evidence` plus `log_share` of groups from numbers of events and scatter.
 
-    By the duplication formula all their gamma functions are powers of two times the same factorial,
-    `_FREEDOM` and `SHARE_PRIOR` being what they are.
+    With these values of `_FREEDOM` and `SHARE_PRIOR` all their gamma functions reduce, by the
+    duplication formula, to powers of two times the same factorial.
     """
     factorial = gammaln(n + 1)
     n = np.maximum(n, 1.0)
@@ -81,15 +85,16 @@ def log_zone(n: Floats, scatter: Floats) -> Floats:
 
 
 def log_share(n: Floats) -> Floats:
-    """A zone's term in the log prior of the partition, see `log_zones`."""
+    """Return a zone's term in the log prior of the partition (`log_zones`)."""
     result: Floats = gammaln(n + SHARE_PRIOR) - gammaln(SHARE_PRIOR)
     return result
 
 
 def log_zones(zones: int, total: Floats) -> Floats:
-    """Log prior of ``total`` events' partition into so many zones and clutter, but for the terms of
-    the zones (`log_share`) and of the clutter (log of its factorial): a Dirichlet multinomial over
-    unordered zones.
+    """Return the log prior of a partition of ``total`` events into ``zones`` zones and clutter.
+
+    It is a Dirichlet multinomial over unordered zones. The terms of the single zones (`log_share`)
+    and of the clutter (log factorial of its events) are left out.
     """
     weight = SHARE_PRIOR * zones + 1
     result: Floats = gammaln(zones + 1) + gammaln(weight) - gammaln(total + weight)
@@ -97,11 +102,13 @@ def log_zones(zones: int, total: Floats) -> Floats:
 
 
 def _log_gamma_2(a: Floats) -> Floats:
-    """Log of the bivariate gamma function."""
+    """Return the log of the bivariate gamma function."""
     result: Floats = 0.5 * np.log(np.pi) + gammaln(a) + gammaln(a - 0.5)
     return result
 
 
 _CONSTANT = _FREEDOM * np.log(_SCALE) - _log_gamma_2(np.array(_FREEDOM / 2))
+"""Terms of `log_evidence` that do not depend on the group."""
 _BOTH = _CONSTANT + np.log(np.pi**2 / 2)
+"""Terms of `log_zone` that do not depend on the group."""
 _LOG_TAU = float(np.log(2 * np.pi))

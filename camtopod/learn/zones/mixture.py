@@ -18,15 +18,15 @@ Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Component(Protocol):
-    """A Gaussian of the mixture: mean, covariance, and its share among the Gaussians."""
+    """A Gaussian of the mixture: mean, covariance and weight."""
 
     @property
     def x(self) -> float:
-        """Mean, fraction of the image's width."""
+        """Mean x, as a fraction of the image's width."""
 
     @property
     def y(self) -> float:
-        """Mean, fraction of the image's height."""
+        """Mean y, as a fraction of the image's height."""
 
     @property
     def cov(self) -> Covariance:
@@ -34,33 +34,34 @@ class Component(Protocol):
 
     @property
     def weight(self) -> float:
-        """Share of the Gaussians' events that are of this one, in (0, 1]."""
+        """Share of this Gaussian among the events of all Gaussians, in (0, 1]."""
 
 
 def log_density(x: Floats, y: Floats, component: Component) -> Floats:
-    """Log of the Gaussian density (eq. 2.5, whose printed normaliser lacks a root) averaged over a
-    cell at (x, y).
+    """Return the log of the Gaussian density averaged over a grid cell with centre (x, y).
 
-    A zone may be narrower than a cell, so the cell's own spread, a twelfth of its squared sides, is
-    added.
+    Eq. 2.5, whose printed normaliser lacks a root. A zone may be narrower than a cell, so the
+    variance of a uniform distribution over the cell (a twelfth of its squared sides) is added.
     """
     return _log_density(x, y, *_figures(component))
 
 
 def _figures(component: Component) -> tuple[float, float, float, float, float]:
+    """Return mean x, mean y, and the covariance as xx, xy, yy."""
     (xx, xy), (_, yy) = component.cov
     return component.x, component.y, xx, xy, yy
 
 
 def _log_density(x: Floats, y: Floats, *figures: float | Floats) -> Floats:
-    """`log_density` of one component's figures, or of arrays of them that broadcast with the
-    positions.
+    """Return `log_density` for the `_figures` of a component, or for arrays of them.
+
+    Arrays must broadcast with the positions.
     """
     mean_x, mean_y, xx, xy, yy = figures
     xx, yy = xx + 1 / (12 * GRID_COLUMNS**2), yy + 1 / (12 * GRID_ROWS**2)
     dx, dy = x - mean_x, y - mean_y
     determinant = xx * yy - xy * xy
-    # Where x is of columns and y of rows alone, only the last line is of all cells.
+    # If x varies along columns and y along rows only, just the last line works on all cells.
     of_x = (-0.5 * yy / determinant) * dx * dx - (_LOG_TAU + 0.5 * np.log(determinant))
     of_y = (-0.5 * xx / determinant) * dy * dy
     density: Floats = (xy / determinant * dx) * dy + of_x + of_y
@@ -68,11 +69,10 @@ def _log_density(x: Floats, y: Floats, *figures: float | Floats) -> Floats:
 
 
 def classify_cells(components: Sequence[Component], clutter: float | Floats) -> NDArray[np.int16]:
-    """The component with the largest posterior (eq. 2.6) in each cell, or -1 where clutter is
-    likelier.
+    """Return the component with the largest posterior (eq. 2.6) in each grid cell, -1 for clutter.
 
-    ``clutter`` is the number of events outside all zones per event inside, times how dense it is in
-    each cell in terms of an even spread. Shape (GRID_ROWS, GRID_COLUMNS).
+    clutter (scalar or (GRID_ROWS, GRID_COLUMNS)): events outside all zones per event inside, times
+        the density of clutter in the cell relative to a uniform one.
     """
     scores = np.empty((len(components) + 1, GRID_ROWS, GRID_COLUMNS))
     scores[0] = np.log(np.maximum(clutter, 1e-3))

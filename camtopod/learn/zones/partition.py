@@ -1,16 +1,17 @@
-"""Which cells of a camera's grid make a zone: DaSpec, made robust (thesis 4.2; `daspec`).
+"""Partition of a camera's grid cells into zones and clutter: a robust DaSpec (thesis 4.2).
 
-1. The *density floor*: the rate of clutter around each cell is estimated from the sparse cells, and cells whose
-   surroundings are explained by it are left out (`clutter`).
-2. *DaSpec* over the remaining cells, and again over those that no kept eigenvector reaches (a zone with under
-   5 % of the points is such), at half the bandwidth of the rule: too many groups rather than too few.
-3. *Moves* until none helps: groups that are not two zones are merged, groups that are not denser than clutter
-   are dropped, cells go to the Gaussian that explains them best, groups that are two zones are split, and
-   DaSpec looks again among the clutter.
+1. *Density floor*: the rate of clutter around each cell is estimated from the sparse cells, and
+   cells whose surroundings it explains are left out (`clutter`).
+2. *DaSpec* (`daspec`) over the remaining cells, and again over those that no kept eigenvector
+   reaches, such as those of a zone with less than 5 % of the points. The bandwidth is half that of
+   the rule, for too many groups rather than too few.
+3. *Moves* until none improves the partition: merge groups that are not two zones, drop groups that
+   are not denser than clutter, assign each cell to the Gaussian that explains it best, split groups
+   that are two zones, and run DaSpec again on the clutter.
 
-Two groups are two zones when two Gaussians explain them better than one (`evidence`) and there is a
-valley between them (`valley`). The first alone would cut every zone that is not Gaussian, the
-second is weak with few events.
+Two groups are two zones if two Gaussians explain them better than one (`marginal_likelihood`) and
+there is a valley between them (`separation`). The first criterion alone would cut every zone that
+is not Gaussian; the second alone is weak for few events.
 """
 
 from __future__ import annotations
@@ -42,43 +43,66 @@ from camtopod.topology import GRID_COLUMNS, GRID_ROWS
 Labels = NDArray[np.intp]
 
 EVENTS_MIN = 5
-"""Below this a camera is one zone."""
+"""With fewer events than this, all cells of a camera are one zone."""
 ZONE_EVENTS_MIN = 3
-"""Two events make no zone beside others, however close together: where there is hardly any clutter
-it is unlikely that two coincide, but they show no place, which has an extent either way."""
+"""Least events of a zone beside others.
+
+Where there is hardly any clutter, two events are unlikely to coincide by chance, but two points
+have no extent in the second dimension.
+"""
 PAIR_EVENTS = 1000.0
-"""No zone is exactly Gaussian: in splitting and merging, n events weigh as n / (1 + n /
-PAIR_EVENTS) (Miller, Dunson: Robust Bayesian inference via coarsening, JASA 2019)."""
+"""Limit of the weight of a pair of groups in splitting and merging, as no zone is exactly Gaussian.
+
+n events weigh as much as n / (1 + n / PAIR_EVENTS) (Miller, Dunson: Robust Bayesian inference via
+coarsening, JASA 2019).
+"""
 VALLEY_MIN = 3.5
-"""Log likelihood ratio of a valley that two Gaussians' evidence needs beside it."""
+"""Least log likelihood ratio of a valley where the evidence favours two Gaussians."""
 VALLEY_ALONE = 8.0
-"""One that needs no other evidence (several doors in a row look like one Gaussian to any single
-cut).
+"""Least log likelihood ratio of a valley where the evidence does not favour two Gaussians.
+
+This finds several doors in a row, which look like one Gaussian whichever way they are cut in two.
 """
 UNLIKE = 2.0
-"""So much log likelihood for each event of the smaller group shows two zones without a valley."""
+"""Gain of log posterior per event of the smaller group above which no valley is needed."""
 EXCESS_MIN = 11.0
-"""Log likelihood ratio at which a surplus stands out from clutter wherever it may be: a fire door's
-zone, say, though half of the events in its cells are clutter and so its Gaussian fits badly."""
+"""Log likelihood ratio of a surplus over clutter at which a group is a zone, however badly its
+Gaussian fits.
+
+An example is a fire door, if half of the events in its cells are clutter.
+"""
 HOLD = 1.5
-"""While zones are held, what makes a new one must be so many times as clear as at first, and one
-goes when it is so many times less clear; else the numbers of zones would flicker."""
+"""Hysteresis of the thresholds while zones are held, so that the numbers of zones do not flicker.
+
+The evidence for a new zone must be this many times as strong as without held zones, and a zone
+goes once its evidence is this many times weaker.
+"""
 HOLD_GAIN = 3.0
-"""The same where evidence is compared with none: so much log likelihood for the change."""
+"""Least gain of log posterior of a change while zones are held, where the threshold is else 0."""
 _ROUNDS_MAX = 6
+"""Most rounds of moves."""
 _GAIN_HOPELESS = -10.0
+"""Cuts with a gain of log posterior up to this are not tested for a valley."""
 _X = (np.arange(GRID_COLUMNS) + 0.5) / GRID_COLUMNS
 _Y = ((np.arange(GRID_ROWS) + 0.5) / GRID_ROWS)[:, None]
 _CELL_SPREAD = np.array([[1 / GRID_COLUMNS**2], [0.0], [1 / GRID_ROWS**2]]) / 12
+"""Covariance (xx, xy, yy) of a uniform distribution over one cell, image units."""
 _ANGLES = np.arange(6) * np.pi / 6
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
+"""Unit vectors (x, y) across which groups are cut."""
 _CUTS_TRIED = 2
+"""Cuts of a group tested for a valley, best first."""
 _FIRST = np.arange(len(_ANGLES))[:, None]
 
 
 class Cells(NamedTuple):
-    """The m occupied cells: flat index, sums (6, m) in image units (see `evidence`), the same for
-    each event, and the spread of the events within the cell (3, m: xx, xy, yy)."""
+    """The m occupied cells of a grid.
+
+    index (m,): flat index of each cell.
+    sums (6, m): sums of its events in image units, as in `marginal_likelihood`.
+    average (6, m): sums per event.
+    spread (3, m): covariance (xx, xy, yy) of the events within the cell.
+    """
 
     index: NDArray[np.intp]  # type: ignore[assignment]  # hides a method of tuple nobody needs
     sums: Floats
@@ -87,7 +111,7 @@ class Cells(NamedTuple):
 
     @classmethod
     def of(cls, sums: Floats, index: NDArray[np.intp]) -> Cells:
-        """Cells from their sums (6, m) and flat indices (m,); no cell may be empty."""
+        """Return the cells with these sums (6, m) and flat indices (m,); none may be empty."""
         average = sums / sums[0]
         _, x, y, xx, xy, yy = average
         spread = np.array((np.maximum(xx - x * x, 0), xy - x * y, np.maximum(yy - y * y, 0)))
@@ -97,17 +121,21 @@ class Cells(NamedTuple):
 def partition(
     cells: Cells, count: NDArray[np.int64], rates: Floats, held: Labels | None = None
 ) -> Labels:
-    """The zone of each occupied cell, counted from 0, or -1 for clutter; ``count`` (rows, columns)
-    are all events, ``rates`` those of clutter (`clutter_rates`).
+    """Return the zone of each occupied cell (m,), counted from 0, or -1 for clutter.
 
-    ``held`` is the partition so far. It is changed only where the evidence is clear (`HOLD`).
+    count (rows, columns): events of each cell.
+    rates (rows, columns): expected events of clutter (`clutter_rates`).
+    held (m,): the partition so far, which is changed only where the evidence is clear (`HOLD`).
     """
+    # Improve the partition so far.
     one = np.zeros(len(cells.index), dtype=np.intp)
     if held is not None and held.max() >= 0 and count.sum() >= EVENTS_MIN:
         labels = _Moves(cells, held, rates, held=True).settle()
         return labels if labels.max() >= 0 else one
     if count.sum() < EVENTS_MIN:
         return one
+
+    # Start from nothing: density floor, DaSpec, moves.
     dense = dense_cells(count, rates, FLOOR_CHANCE)
     groups = groups_of(dense if dense.any() else count.astype(np.float64))
     labels = _Moves(cells, groups[cells.index], rates).settle()
@@ -115,19 +143,33 @@ def partition(
 
 
 class _Moves:
-    """A partition of the cells being improved. ``zones`` (K, 6) are the sums of the groups,
-    ``clutter`` the number of events outside."""
+    """A partition of the cells, improved by moves.
+
+    labels (m,): group of each cell, -1 for clutter.
+    zones (K, 6): sums of each group.
+    mean (2, K), scatter (3, K), cov (3, K): of each group (`moments`, `covariance`).
+    clutter: number of events outside all groups.
+    as_clutter (K,): log likelihood of each group's events under the density of clutter.
+    hold, hold_gain: hysteresis of the thresholds (`HOLD`, `HOLD_GAIN`).
+    valleys: results of `_valley_between` by the sums of the two groups.
+    uncut, tried: sums of groups that could not be split, and of groups that were tried as zones.
+    """
 
     def __init__(self, cells: Cells, labels: Labels, rates: Floats, held: bool = False) -> None:
         self.cells = cells
         self.hold, self.hold_gain = (HOLD, HOLD_GAIN) if held else (1.0, 0.0)
         self.rates = rates
-        self.density = (rates / rates.mean()).ravel()  # of clutter, relative to a uniform one
+
+        # Density of clutter relative to a uniform one.
+        self.density = (rates / rates.mean()).ravel()
         self.log_density = np.log(self.density[cells.index])
-        self.grids = np.zeros((len(self.density), 2))  # clutter's density, and the events
+
+        # For each cell of the grid the density of clutter, and the events.
+        self.grids = np.zeros((len(self.density), 2))
         self.grids[:, 0] = self.density
         self.grids[cells.index, 1] = cells.sums[0]
         self.weighed = cells.sums[0] * self.log_density
+
         self.total = float(cells.sums[0].sum())
         self.valleys: dict[bytes, float] = {}
         self.uncut: set[bytes] = set()
@@ -135,12 +177,15 @@ class _Moves:
         self._set(labels)
 
     def _set(self, labels: Labels) -> None:
+        """Set the partition, and compute the statistics of its groups."""
+        # Number the groups that have cells from 0.
         present = np.bincount(labels + 1, minlength=1) > 0
         present[0] = False
         numbers = np.cumsum(present) - 1
         numbers[0] = -1
         self.labels = numbers[labels + 1]
-        # Sums of positions in fixed point have no rounding, in whatever order they are added.
+
+        # Statistics. Sums of positions in fixed point are exact, in whatever order they are added.
         self.zones = (self.labels == np.arange(numbers[-1] + 1)[:, None]).astype(
             np.float64
         ) @ self.cells.sums.T
@@ -150,6 +195,7 @@ class _Moves:
         self.clutter = self.total - float(self.zones[:, 0].sum())
 
     def settle(self) -> Labels:
+        """Move until no move improves the partition, at most `_ROUNDS_MAX` rounds; return it."""
         for _ in range(_ROUNDS_MAX):
             self._merge()
             self._drop()
@@ -162,12 +208,12 @@ class _Moves:
         return self.labels
 
     def _found(self) -> bool:
-        """Make zones of what DaSpec finds among the clutter, where it is more than clutter; whether
-        any was.
+        """Make zones of groups that DaSpec finds among the clutter; return True if there are any.
 
-        Such are zones that DaSpec had put together with a bigger one, and whose cells that one's
-        Gaussian then left.
+        Such zones exist where DaSpec had joined a zone with a bigger one, whose Gaussian then did
+        not explain the cells of the smaller one.
         """
+        # Run DaSpec on the clutter.
         outside = self.labels < 0
         if len(self.zones) == 0 or not outside.any():
             return False
@@ -178,6 +224,8 @@ class _Moves:
         if not dense.any():
             return False
         groups = groups_of(dense)[self.cells.index]
+
+        # Add its groups, and remove those that are not zones or were tried before.
         self._set(np.where(groups >= 0, groups + known, labels))
         keys = [zone.tobytes() for zone in self.zones[known:]]
         for k in range(len(self.zones) - 1, known - 1, -1):
@@ -189,8 +237,10 @@ class _Moves:
         return len(self.zones) > known
 
     def _is_tail(self, k: int) -> bool:
-        """Whether the density falls all the way from a bigger zone to this one, however far: a
-        heavy tail's events."""
+        """Return True if there is no valley between the zone and some bigger one, however far.
+
+        Then its events are the heavy tail of that one.
+        """
         others = np.flatnonzero(self.zones[:, 0] > self.zones[k, 0])
         return any(
             self._valley_between(
@@ -207,9 +257,12 @@ class _Moves:
         self._set(np.where(self.labels == k, -1, self.labels))
 
     def _merge(self) -> None:
-        """Merge pairs that are not two zones, the likeliest first; a small one that is unlike its
-        neighbour goes to the clutter instead where that costs less."""
+        """Merge pairs of groups that are not two zones, the most similar pair first.
+
+        If it costs less of the log posterior, the smaller group becomes clutter instead.
+        """
         while len(self.zones) > 1:
+            # Gain of every pair by being two zones.
             zones = np.arange(len(self.zones))
             a, b = np.nonzero(zones[:, None] < zones)
             two = np.stack((a, b))
@@ -217,6 +270,8 @@ class _Moves:
             gain, clear = self._apart(
                 *sides, self.zones.T[:, two].sum(axis=1), slice(None), -self.hold_gain
             )
+
+            # The pair with the least gain that is not two zones.
             wanted = np.where(gain > -self.hold_gain, VALLEY_MIN, VALLEY_ALONE) / self.hold
             for pair in gain.argsort(kind="stable"):
                 i, j = int(a[pair]), int(b[pair])
@@ -228,6 +283,8 @@ class _Moves:
                     break
             else:
                 return
+
+            # Drop the smaller one or merge the two.
             small = i if self.zones[i, 0] < self.zones[j, 0] else j
             if (
                 gain[pair] > 0
@@ -238,6 +295,7 @@ class _Moves:
                 self._join(i, j)
 
     def _drop(self) -> None:
+        """Turn groups that are better explained as clutter into it, the worst first."""
         while len(self.zones) > 1:
             gain = self._drop_gain(np.arange(len(self.zones)), 1 / self.hold)
             gain[self.zones[:, 0] < ZONE_EVENTS_MIN] = np.inf
@@ -247,8 +305,13 @@ class _Moves:
             self._remove(k)
 
     def _drop_gain(self, which: Labels, hold: float) -> Floats:
-        """What the log posterior gains when a zone is clutter instead; but nothing where it stands
-        out (`EXCESS_MIN`), and something where it is hardly denser than the clutter around it."""
+        """Return the gain (len(which),) of log posterior if a zone is clutter instead.
+
+        Two corrections: the gain is negative if the zone stands out from clutter by more than
+        ``hold`` times `EXCESS_MIN`, and positive if the zone is less than `CONTRAST_MIN` times as
+        dense as the clutter around it.
+        """
+        # The marginal likelihoods.
         n, count = self.zones[which, 0], len(self.zones)
         total = np.array(self.total)
         gain = (
@@ -257,24 +320,32 @@ class _Moves:
             - log_zone(n, self.scatter[:, which])
         )
         gain += gammaln(self.clutter + n + 1) - gammaln(self.clutter + 1) + self.as_clutter[which]
+
+        # The corrections.
         inside, expected = self._inside(which)
         surplus, contrast = _log_surplus(inside, np.array((expected, CONTRAST_MIN * expected)))
         gain = np.where(gain > 0, np.minimum(gain, EXCESS_MIN * hold - surplus), gain)
         return np.asarray(np.maximum(gain, -contrast))
 
     def _inside(self, which: Labels) -> tuple[Floats, Floats]:
-        """Events within two standard deviations of each zone that are in no other one; those
-        expected of clutter.
+        """Return the events around each zone, and the number expected of clutter there.
+
+        Events count within two standard deviations of its centre and in no other zone.
         """
+        # The cells around each zone (len(which), cells of the grid).
         xx, xy, yy = (self.cov[:, which] + _CELL_SPREAD)[:, :, None, None]
         x, y = self.mean[:, which, None, None]
         dx, dy = _X - x, _Y - y
         square = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy
         inside = (square < 4 * (xx * yy - xy * xy)).reshape(len(which), -1)
+
+        # Without those of other zones.
         labels = np.full(len(self.density), -1)
         labels[self.cells.index] = self.labels
         free = labels < 0
         inside &= free | (labels == which[:, None])
+
+        # The events there, and the expected ones from the density of clutter in all free cells.
         expected, n = (inside.astype(np.float64) @ self.grids).T
         scale = (self.clutter + 1) / max(float(self.density @ free), 1.0)
         return np.maximum(n, 1e-9), np.maximum(expected, self.density.min()) * scale
@@ -288,30 +359,42 @@ class _Moves:
         of: Labels | slice,
         least: float,
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """What the log posterior gains by two zones instead of one, and whether that alone shows
-        two: where they are far apart, or where an event of the smaller one is very unlike the
-        other. Otherwise the gain is a coarsened one, and a valley is wanted.
+        """Return the gain of log posterior of two zones over one, and True where it is sufficient.
 
-        The numbers of events of the two (2, ..., m) and their `moments`; ``both`` (6, wholes) are
-        the sums of both together, of which ``of`` says which is whose.
+        It is sufficient without a valley if it exceeds ``least`` and the two are far apart, or the
+        gain per event of the smaller one exceeds `UNLIKE`. Unless they are far apart, the gain is
+        coarsened (`PAIR_EVENTS`).
+
+        n (2, ..., m): events of the two groups of each pair.
+        mean (2, 2, ..., m), scatter (3, 2, ..., m): their `moments`.
+        both (6, wholes): sums of the two groups together.
+        of (m,): index of each pair into ``both``.
         """
+        # The two as one zone, coarsened and not.
         well_apart = far(n, mean, scatter)
         weigh = 1 / (1 + both[0] / PAIR_EVENTS)
         weights = np.array((weigh, np.ones_like(weigh)))
         wholes = self._one_zone(both[:, None] * weights, self.total * weights)[:, of]
         weight, whole = weigh[of], wholes[0]
+
+        # Pairs that are far apart are not coarsened.
         if well_apart.any():
             weight, whole = (
                 np.where(well_apart, 1.0, weight),
                 np.where(well_apart, wholes[1], whole),
             )
+
+        # The gain, and where it is sufficient.
         first, second = log_zone(n * weight, scatter * weight)
         gain = first + second - whole
         unlike = gain > UNLIKE * np.minimum(*n) * weight
         return gain, (gain > least) & (well_apart | unlike)
 
     def _one_zone(self, groups: Floats, total: Floats) -> Floats:
-        """Log posterior of groups (6, ...) as one zone, but for what stays when they become two."""
+        """Return the log posterior of groups (6, ...) as one zone, relative to one zone more.
+
+        Terms that do not change if the group becomes two zones are left out.
+        """
         count = len(self.zones)
         return (
             log_zone(groups[0], moments(groups)[1])
@@ -320,8 +403,10 @@ class _Moves:
         )
 
     def _valley_between(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
-        """Log likelihood ratio of a valley between groups with sums ``a`` and ``b`` (6,), cells
-        ``inside``.
+        """Return the log likelihood ratio of a valley between two groups; results are cached.
+
+        a, b (6,): sums of the groups.
+        inside (m,): mask of their cells.
         """
         key = min(a.tobytes() + b.tobytes(), b.tobytes() + a.tobytes())
         if key not in self.valleys:
@@ -329,6 +414,8 @@ class _Moves:
         return self.valleys[key]
 
     def _valley(self, a: Floats, b: Floats, inside: NDArray[np.bool_]) -> float:
+        """Compute `_valley_between`."""
+        # The line that discriminates the two best, and the distance of the centres along it.
         mean, cov = gaussians(np.stack((a, b), axis=1))
         (x, to_x), (y, to_y) = mean.tolist()
         to_x, to_y = to_x - x, to_y - y
@@ -337,24 +424,30 @@ class _Moves:
         sd_a, sd_b = (sd_along(own, line) for own in covs)
         apart = line_x * to_x + line_y * to_y
         if apart == 0.0:
-            return 0.0  # around one point there is nothing in between
+            return 0.0  # there is nothing between equal centres
+
         # Clutter in the tube between the two belongs to the valley.
         dx, dy = self.cells.average[1] - x, self.cells.average[2] - y
         along = line_x * dx + line_y * dy
         aside = line_x * dy - line_y * dx - along * ((line_x * to_y - line_y * to_x) / apart)
         width = max(sd_along(own, (-line_y, line_x)) for own in covs)
         tube = (self.labels < 0) & (along > 0) & (along < apart) & (np.abs(aside) < 2 * width)
+
+        # The valley along the line, from two standard deviations before to two behind the centres.
         chosen = np.flatnonzero(inside | tube)
         n = self.cells.sums[0, chosen] / (1 + (a[0] + b[0]) / PAIR_EVENTS)
         sd = sd_along(self.cells.spread[:, chosen], line)
         return valley(n, along[chosen], sd, -2 * sd_a, apart + 2 * sd_b)
 
     def _assign(self) -> bool:
-        """Each cell to the Gaussian, or the clutter, that explains its events best on average;
-        whether any changed.
+        """Assign each cell to the Gaussian or the clutter that explains its events best on average.
+
+        Return True if the partition changes.
         """
         if not len(self.zones):
             return False
+
+        # The mean log density of a cell's events is linear in their mean sums: its coefficients.
         (x, y), (xx, xy, yy) = self.mean, self.cov
         determinant = xx * yy - xy * xy
         to_x, to_y = (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
@@ -363,10 +456,11 @@ class _Moves:
             - np.log(2 * np.pi)
             - 0.5 * (np.log(determinant) + to_x * x + to_y * y)
         )
-        # The mean log density of a cell's events is linear in their mean sums.
         score = np.array(
             (share, to_x, to_y, -0.5 * yy / determinant, xy / determinant, -0.5 * xx / determinant)
         ).T
+
+        # Compare the zones with each other and with the clutter.
         score = score @ self.cells.average
         explained = score.max(axis=0) > np.log(self.clutter + 1) + self.log_density
         labels = np.where(explained, score.argmax(axis=0), -1)
@@ -376,7 +470,7 @@ class _Moves:
         return changed
 
     def _split(self) -> bool:
-        """Split every group that is two zones; whether any was."""
+        """Split every group that is two zones; return True if there is any."""
         labels = self.labels.copy()
         keys = [zone.tobytes() for zone in self.zones]
         looked = [k for k in range(len(keys)) if keys[k] not in self.uncut]
@@ -392,14 +486,17 @@ class _Moves:
         return changed
 
     def _cuts(self, which: list[int]) -> dict[int, NDArray[np.intp]]:
-        """Of each of these zones that a straight cut makes two zones the cells on one side of the
-        best such cut.
+        """Find the best straight cut of each zone that makes two zones of it.
+
+        Return the cells on one side of the cut by zone; zones without such a cut are left out.
         """
         filled = np.bincount(self.labels + 1)[1:]
         which = [k for k in which if filled[k] > 1]
         if not which:
             return {}
-        rank = np.full(len(self.zones) + 1, -1, dtype=np.int16)  # the last one for clutter
+
+        # The cells of each zone, sorted along each direction: order (directions, cells).
+        rank = np.full(len(self.zones) + 1, -1, dtype=np.int16)  # the last one is for clutter
         rank[which] = np.arange(len(which))
         own = rank[self.labels]
         cells = np.flatnonzero(own >= 0)
@@ -407,17 +504,23 @@ class _Moves:
         by_place = (_DIRECTIONS @ self.cells.average[1:3, cells]).argsort(axis=1, kind="stable")
         by_zone = own[by_place].argsort(axis=1, kind="stable") + _FIRST * len(own)
         order = cells[by_place.ravel()[by_zone]]
+
+        # The sums on both sides of every cut: sides (6, 2, directions, cuts). There is a cut behind
+        # each cell but the last one of each zone.
         size = filled[which]
         end = np.cumsum(size)
         of = np.repeat(np.arange(len(which)), size - 1)
         both = self.zones[which].T
         sides = np.empty((6, 2, len(order), len(of)))
-        # Behind each cell but a zone's last one there is a cut.
         upto = np.cumsum(self.cells.sums[:, order], axis=2)[:, :, np.arange(len(of)) + of]
         np.subtract(upto, (np.cumsum(both, axis=1) - both)[:, None, of], out=sides[:, 0])
         np.subtract(both[:, None, of], sides[:, 0], out=sides[:, 1])
+
+        # The gain of every cut, and the best one of each zone and direction.
         gain, clear = self._apart(sides[0], *moments(sides), both, of, self.hold_gain)
         best = np.maximum.reduceat(gain, end - size - np.arange(len(which)), axis=1).T
+
+        # Of the zones with a promising cut, the best cut that makes two zones.
         result = {}
         for nth in np.flatnonzero(best.max(axis=1) > _GAIN_HOPELESS).tolist():
             members = slice(end[nth] - size[nth], end[nth])
@@ -437,9 +540,13 @@ class _Moves:
         gain: Floats,
         clear: NDArray[np.bool_],
     ) -> NDArray[np.intp] | None:
-        """The cells beyond the best cut that shows two zones. ``best`` gains (directions,),
-        ``order`` of the cells (directions, cells); ``sides`` and what follows are of the cuts (...,
-        directions, cuts)."""
+        """Return the cells beyond the best cut of one zone, or None if no cut makes two zones.
+
+        best (directions,): largest gain of the cuts across each direction.
+        order (directions, cells): cells of the zone along each direction.
+        sides (6, 2, directions, cuts): sums on both sides of each cut.
+        gain, clear (directions, cuts): as returned by `_apart`.
+        """
         inside = np.zeros(len(self.labels), dtype=np.bool_)
         inside[order[0]] = True
         for angle in best.argsort(kind="stable")[::-1][:_CUTS_TRIED].tolist():
@@ -453,7 +560,8 @@ class _Moves:
 
 
 def _log_surplus(n: Floats, expected: Floats) -> Floats:
-    """Log likelihood ratio of ``n`` events where ``expected`` were (Poisson), negative where there
-    are fewer.
+    """Return the Poisson log likelihood ratio of ``n`` events against ``expected`` ones.
+
+    It is negative where there are fewer than expected.
     """
     return np.asarray((n * np.log(n / expected) - n + expected) * np.sign(n - expected))

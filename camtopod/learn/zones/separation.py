@@ -1,5 +1,7 @@
-"""How far apart two groups of events are, along the line that tells them apart best (see
-`partition`).
+"""Separation of two groups of events along the line that discriminates them best.
+
+Groups whose centres are far apart (`far`), or with a stretch of low density between them
+(`valley`), are two zones. Used by `partition`.
 """
 
 from __future__ import annotations
@@ -17,19 +19,24 @@ from camtopod.learn.zones.marginal_likelihood import covariance
 _Parts = Sequence[Any] | Floats
 
 FAR = 3.0
-"""Two centres further apart than this many of their summed standard deviations need no valley."""
+"""Distance of two centres beyond which no valley is needed, in sums of their standard deviations.
+"""
 
 
 def far(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]:
-    """Whether two groups are `FAR` apart, from their numbers, means and squared deviations (..., 2,
-    ...).
+    """Return True for pairs of groups that are `FAR` apart.
+
+    n (2, ...): events of the two groups of each pair.
+    mean (2, 2, ...), scatter (3, 2, ...): their `moments`; the second axis is that of the groups.
     """
     cov, difference = covariance(n, scatter), mean[:, 1] - mean[:, 0]
     (xx, xy, yy), (x, y) = cov.sum(axis=1), difference
-    # Along no line are they further apart than by the Mahalanobis distance.
+    # The distance along any line is at most the Mahalanobis distance, which is quicker to compute.
     result: NDArray[np.bool_] = (yy * x - 2 * xy * y) * x + xx * y * y > 0.999 * FAR**2 * (
         xx * yy - xy * xy
     )
+
+    # For the pairs that remain, the distance along the best line.
     if result.any():
         own, difference = cov[:, :, result], difference[:, result]
         line = discriminant(own.sum(axis=1), difference)
@@ -39,8 +46,10 @@ def far(n: Floats, mean: Floats, scatter: Floats) -> NDArray[np.bool_]:
 
 
 def discriminant(cov: _Parts, difference: _Parts) -> tuple[Any, Any]:
-    """Unit vectors (x, y) along which groups with this summed covariance (xx, xy, yy) are told
-    apart best.
+    """Return the unit vectors (x, y) along which pairs of groups are discriminated best.
+
+    cov (xx, xy, yy): sum of the covariances of the two groups.
+    difference (x, y): of their means.
     """
     (xx, xy, yy), (x, y) = cov, difference
     line_x, line_y = yy * x - xy * y, xx * y - xy * x
@@ -49,22 +58,24 @@ def discriminant(cov: _Parts, difference: _Parts) -> tuple[Any, Any]:
 
 
 def sd_along(cov: _Parts, line: _Parts) -> Any:
-    """Standard deviation along unit vectors (x, y) of covariances (xx, xy, yy); never zero."""
+    """Return the standard deviation, never zero, of covariances (xx, xy, yy) along unit vectors."""
     (xx, xy, yy), (x, y) = cov, line
     return (xx * x * x + 2 * xy * x * y + yy * y * y + 1e-6) ** 0.5
 
 
 DEPTH = 0.85
-"""A valley is at most so dense in terms of its flanks; shallower ones are ripples, whatever their
-significance."""
+"""Largest density of a valley relative to each of its flanks.
+
+Shallower ones are ripples, however significant.
+"""
 _STEPS = 18
 """Grid points along the line."""
 _STEP = np.arange(_STEPS)
 _WIDTH = np.maximum(_STEP - _STEP[:, None], 1)
 _INNER = [(low, high) for low in range(1, _STEPS - 2) for high in range(low + 1, _STEPS - 1)]
-"""Stretches that may be a valley: there is something on either side. Below, each with each of its
-flanks to the left, then each with each to the right, by the flat index (from, to) of the valley, of
-the flank, and of both together."""
+"""Stretches (from, to) of the grid that may be a valley, with room for a flank on either side."""
+# Every combination of a valley with a flank on its left, then with one on its right: the flat index
+# (from, to) of the valley, of the flank, and of the two together.
 _VALLEYS, _FLANKS, _WHOLES = np.array(
     [
         *[(b * _STEPS + c, a * _STEPS + b, a * _STEPS + c) for b, c in _INNER for a in range(b)],
@@ -75,23 +86,34 @@ _VALLEYS, _FLANKS, _WHOLES = np.array(
         ],
     ]
 ).T.copy()
+# Where the combinations of each valley begin; the first `_ONE_SIDE` have the flank on the left.
 _STARTS = np.flatnonzero(np.diff(_VALLEYS, prepend=-1))
 _ONE_SIDE = len(_INNER)
 
 
 def valley(n: Floats, position: Floats, sd: Floats, low: float, high: float) -> float:
-    """Log likelihood ratio for a valley somewhere in [low, high].
+    """Return the log likelihood ratio for a valley somewhere in [low, high], at least 0.
 
-    ``n`` events each (m,) at ``position`` (m,) along the line with spread ``sd`` (m,).
+    n (m,): events of each cell.
+    position, sd (m,): their mean and standard deviation along the line.
+
+    Under both hypotheses density is constant per stretch: with a valley, it has a density of its
+    own; without, it shares that of its flank. On each side the best flank counts, and of the two
+    sides the weaker one.
     """
+    # Events and density of every stretch (from, to) of the grid.
     grid = low + (high - low) / (_STEPS - 1) * _STEP
     below = ndtr((grid[:, None] - position) / sd) @ n
     inside = np.maximum(below - below[:, None], 1e-9)
     rate = inside / _WIDTH
+
+    # Log likelihood ratio of every valley with every flank.
     own = (inside * np.log(rate)).ravel()
     ratio = own[_VALLEYS] + own[_FLANKS] - own[_WHOLES]
     rate = rate.ravel()
-    # One that is not clearly less dense than its flank is no valley.
+    # A stretch that is not clearly less dense than its flank is no valley.
     ratio *= rate[_VALLEYS] < DEPTH * rate[_FLANKS]
+
+    # The best flank on either side, the worse of the two sides, and the best valley.
     best = np.maximum.reduceat(ratio, _STARTS)
     return max(float(np.minimum(best[:_ONE_SIDE], best[_ONE_SIDE:]).max()), 0.0)

@@ -1,9 +1,9 @@
-"""Entry/exit zones of one camera from the sums over its grid (thesis sections 2.4, 2.8, 4.2).
+"""Entry and exit zones of one camera from the sums over its grid (thesis sections 2.4, 2.8, 4.2).
 
-The learner keeps integer sums per grid cell, so taking an old event out of the window is exact, and
-a refresh costs the same for a hundred events as for ten million. `partition` finds the groups of
-cells; here they become zones: exact statistics, a number that stays with the place, and a table
-that says which cell belongs to which zone.
+The learner keeps integer sums per grid cell, so removing an old event from the window is exact, and
+the cost of finding zones does not depend on the number of events. `partition` groups the cells;
+here each group becomes a zone with exact statistics and a number that it keeps as long as it stays
+in place, and a table assigns the cells to the zones.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from camtopod.learn.zones.partition import Cells, partition
 from camtopod.topology import GRID_COLUMNS, GRID_ROWS, POSITION_ONE
 
 ANEW_EVENTS_MAX = 4000
-"""With so many events zones are no longer learned from nothing."""
+"""Once a map was learned from nothing with this many events, later ones only adapt it."""
 CELLS = GRID_ROWS * GRID_COLUMNS
 MATCH_DISTANCE = 3.0
-"""A zone is at an old zone's place when its centre is within this many standard deviations of
-it.
-"""
+"""Largest distance, in standard deviations, at which a new zone takes an old one's number."""
 PLACE_SD_MIN = 0.02
-"""Image units: a zone narrower than this is as broad as this for matching."""
+"""Standard deviation, image units, added (as variance) to that of zones for matching."""
 _SCALE = np.array(
     [1, POSITION_ONE, POSITION_ONE, POSITION_ONE**2, POSITION_ONE**2, POSITION_ONE**2]
 )[:, None]
+"""Factors from the six sums in image units to fixed point."""
 
 
 class CellSums(NamedTuple):
-    """Sums over the events of each cell, int64, shape (GRID_ROWS, GRID_COLUMNS); positions in fixed
-    point.
+    """Sums over the events of each cell, int64, each of shape (GRID_ROWS, GRID_COLUMNS).
+
+    Positions are in fixed point, `POSITION_ONE` being the width or height of the image.
     """
 
     count: Longs  # type: ignore[assignment]  # hides a method of tuple nobody needs
@@ -52,8 +52,11 @@ class CellSums(NamedTuple):
 
 
 class ZoneShape(Struct, frozen=True):
-    """One zone: its number, mean and covariance in image units, and its share of the events that
-    are in a zone."""
+    """One zone: its number, mean and covariance.
+
+    x, y, cov: in image units (fractions of the image's width and height).
+    weight: share of the zone among the camera's events in zones.
+    """
 
     number: int
     x: float
@@ -63,35 +66,39 @@ class ZoneShape(Struct, frozen=True):
 
 
 class ZoneMap(Struct, frozen=True, eq=False):
-    """The zones of a camera by number; ``cells`` (rows, columns) has each cell's index into
-    ``zones``, or -1."""
+    """The zones of a camera, and the zone of each grid cell.
+
+    zones: sorted by number.
+    cells (rows, columns): index into ``zones`` of each cell, or -1 for clutter.
+    next_number: the number of the next new zone; numbers are never reused for another zone.
+    """
 
     zones: tuple[ZoneShape, ...]
     cells: NDArray[np.int16]
     next_number: int
     events: int = 0
-    """Events from which the map was learned from nothing."""
+    """Number of events when the map was last learned from nothing."""
 
 
 def cell_of(x: float, y: float) -> tuple[int, int]:
-    """(row, column) of an image position in [0, 1]."""
+    """Return the cell (row, column) of an image position, both coordinates in [0, 1]."""
     return min(int(y * GRID_ROWS), GRID_ROWS - 1), min(int(x * GRID_COLUMNS), GRID_COLUMNS - 1)
 
 
 def cells_of(x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """`cell_of` for arrays of positions."""
+    """Return the rows and columns of the cells of image positions (see `cell_of`)."""
     rows = (np.asarray(y, dtype=np.float64) * GRID_ROWS).astype(np.intp)
     columns = (np.asarray(x, dtype=np.float64) * GRID_COLUMNS).astype(np.intp)
     return np.minimum(rows, GRID_ROWS - 1), np.minimum(columns, GRID_COLUMNS - 1)
 
 
 def fixed_point(x: ArrayLike) -> Longs:
-    """Image positions in the fixed point of `CellSums`."""
+    """Return image positions in the fixed point of `CellSums`."""
     return np.rint(np.asarray(x, dtype=np.float64) * POSITION_ONE).astype(np.int64)
 
 
 def cell_sums(x: ArrayLike, y: ArrayLike) -> CellSums:
-    """The sums over a batch of positions; the learner adds and subtracts such sums."""
+    """Return the sums over positions (n,) in image units."""
     rows, columns = cells_of(x, y)
     px, py = fixed_point(x), fixed_point(y)
     sums = np.zeros((6, GRID_ROWS, GRID_COLUMNS), dtype=np.int64)
@@ -108,16 +115,21 @@ def find_zones(
     next_number: int = 1,
     held: NDArray[np.int16] | None = None,
 ) -> ZoneMap:
-    """The zones behind ``sums``. Those at the place of a zone of ``previous`` keep its number,
-    others are numbered from ``next_number``; ``previous`` may hold zones that had vanished, which
-    so get their number back when they return. ``held`` (rows, columns) is the map so far
-    (`ZoneMap.cells`), changed only where the evidence is clear; None learns from nothing. Without
-    events there are no zones.
+    """Find the zones of a camera from its sums; without events there are none.
+
+    previous: earlier zones, whose numbers go to new zones at the same place. Zones that had
+        vanished may be among them, and get their numbers back if they return.
+    next_number: number of the first zone that matches none of these.
+    held (rows, columns): the map so far (`ZoneMap.cells`), which is changed only where the evidence
+        is clear; None to learn from nothing.
     """
+    # The cells that have events.
     flat = np.array(sums).reshape(len(sums), CELLS)
     occupied = np.flatnonzero(flat[0])
     if not len(occupied):
         return ZoneMap((), np.full((GRID_ROWS, GRID_COLUMNS), -1, dtype=np.int16), next_number)
+
+    # Assign them to groups, of which at most `ZONES_PER_CAMERA_MAX` become zones.
     filled = flat[:, occupied]
     so_far = None if held is None else held.ravel()[occupied].astype(np.intp)
     rates = clutter_rates(np.asarray(sums.count))
@@ -125,19 +137,26 @@ def find_zones(
         partition(Cells.of(filled / _SCALE, occupied), np.asarray(sums.count), rates, so_far),
         filled[0],
     )
+
+    # The zones: exact sums, and the numbers of zones at the same place.
     groups = (labels == np.arange(labels.max() + 1)[:, None]).astype(np.int64) @ filled.T
     events, total = int(filled[0].sum()), int(groups[:, 0].sum())
     zones, next_number = match_zones(
         previous, [_shape(group, total) for group in groups.tolist()], next_number
     )
+
+    # Assign every cell of the grid, with events or without, to a zone or to clutter.
     clutter = (events / total - 1.0) * rates / rates.mean()
     return ZoneMap(zones, classify_cells(zones, clutter), next_number, events)
 
 
 def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()) -> ZoneMap:
-    """The zones now: those of ``old`` but where the evidence against them is clear. ``gone`` are
-    vanished ones whose numbers may come back. While the events are few, each doubling starts from
-    nothing, lest early errors stay.
+    """Return the zones of ``old`` adapted to the present sums where the evidence is clear.
+
+    gone: vanished zones, which get their numbers back if they return.
+
+    While events are few (`ANEW_EVENTS_MAX`), the zones are learned from nothing whenever the number
+    of events has doubled, so that early errors do not persist.
     """
     known, events = old.zones + gone, int(np.asarray(sums.count).sum())
     if events >= 2 * old.events and old.events < ANEW_EVENTS_MAX:
@@ -146,8 +165,10 @@ def refresh_zones(sums: CellSums, old: ZoneMap, gone: tuple[ZoneShape, ...] = ()
 
 
 def _largest(labels: NDArray[np.intp], events: Longs) -> NDArray[np.intp]:
-    """The zone of each cell (m,), -1 for clutter, if only the `ZONES_PER_CAMERA_MAX` with the most
-    ``events`` stay.
+    """Return the labels (m,) with only the `ZONES_PER_CAMERA_MAX` zones with most events kept.
+
+    labels (m,): zone of each cell, -1 for clutter.
+    events (m,): number of events of each cell.
     """
     number = np.bincount(labels + 1, events)[1:]
     if len(number) <= ZONES_PER_CAMERA_MAX:
@@ -159,8 +180,10 @@ def _largest(labels: NDArray[np.intp], events: Longs) -> NDArray[np.intp]:
 
 
 def _shape(sums: list[int], total: int) -> ZoneShape:
-    """Exact mean and covariance (of the events, divided by their number) of a zone's six summed
-    sums.
+    """Return a zone, not yet numbered, with the exact mean and covariance of its events.
+
+    sums: the six sums of the zone's events; the covariance is normalised by their number.
+    total: events in all zones of the camera.
     """
     n, sx, sy, sxx, sxy, syy = sums
     unit = (n * POSITION_ONE) ** 2
@@ -173,13 +196,15 @@ def _shape(sums: list[int], total: int) -> ZoneShape:
 def match_zones(
     old: tuple[ZoneShape, ...], new: list[ZoneShape], next_number: int
 ) -> tuple[tuple[ZoneShape, ...], int]:
-    """Number the new zones: one at an old zone's place has its number, the others count up from
-    ``next_number``, which is above every number ever given. Returns the zones by number and the
-    next free number.
+    """Number the new zones; return them sorted by number, and the next free number.
 
-    The assignment (Hungarian) minimises the summed distances; a pair further apart than
-    `MATCH_DISTANCE` is never made.
+    A zone at the place of an old one takes its number. The others are numbered from
+    ``next_number``, or from above the numbers of ``old``, by their position (rows first).
+
+    The assignment (Hungarian) minimises the sum of distances, each capped just above
+    `MATCH_DISTANCE`; zones further apart than that are not matched.
     """
+    # Match new zones with old ones.
     number: dict[int, int] = {}
     if old and new:
         distance = _distances(old, new)
@@ -187,6 +212,8 @@ def match_zones(
         for a, b in zip(*linear_sum_assignment(cost), strict=True):
             if distance[a, b] <= MATCH_DISTANCE:
                 number[int(b)] = old[a].number
+
+    # Number those that match none.
     next_number = max([next_number, *(zone.number + 1 for zone in old)])
     by_place = sorted(
         (k for k in range(len(new)) if k not in number), key=lambda k: (new[k].y, new[k].x)
@@ -194,6 +221,8 @@ def match_zones(
     for k in by_place:
         number[k] = next_number
         next_number += 1
+
+    # Sort by number.
     numbered = [
         ZoneShape(number[k], zone.x, zone.y, zone.cov, zone.weight) for k, zone in enumerate(new)
     ]
@@ -201,9 +230,11 @@ def match_zones(
 
 
 def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
-    """How far every old zone is from every new one (old, new), by the root of eight times the
-    Bhattacharyya distance: the Mahalanobis distance of their centres under the mean of their
-    covariances where these are alike, and more where they are not."""
+    """Return the distance (old, new) of every old zone from every new one, in standard deviations.
+
+    It is the root of eight times the Bhattacharyya distance: the Mahalanobis distance of the
+    centres under the mean covariance if both have the same covariance, and more otherwise.
+    """
     (ax, ay, *a), (bx, by, *b) = _figures(old)[:, :, None], _figures(new)[:, None, :]
     xx, xy, yy = ((one + other) / 2 for one, other in zip(a, b, strict=True))
     determinant = xx * yy - xy * xy
@@ -214,7 +245,7 @@ def _distances(old: tuple[ZoneShape, ...], new: list[ZoneShape]) -> Floats:
 
 
 def _figures(zones: Sequence[ZoneShape]) -> Floats:
-    """Centres and covariances (xx, xy, yy) with `PLACE_SD_MIN` (5, zones)."""
+    """Return centres and covariances (5, zones: x, y, xx, xy, yy), widened by `PLACE_SD_MIN`."""
     least = PLACE_SD_MIN**2
     return np.array(
         [(z.x, z.y, z.cov[0][0] + least, z.cov[0][1], z.cov[1][1] + least) for z in zones]
